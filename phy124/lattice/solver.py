@@ -22,7 +22,7 @@ from phy124.lattice.rest import RestLattice
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
 from phy124.lattice.walls import TRAVEL, Boundary, Nodes, Walls
-from phy124.lattice.workers import Crew
+from phy124.lattice.workers import Crew, Worker
 from phy124.mpm.clock import Clock
 from phy124.mpm.free import FreeBodies
 from phy124.mpm.grid import Grid, Unstable
@@ -31,7 +31,7 @@ from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pairs
 from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
-from phy124.mpm.stage import Accumulator, Attachable, Stage, launches
+from phy124.mpm.stage import Accumulator, Attachable, Named, Stage, launches
 from phy124.mpm.threads import Team
 from phy124.mpm.timestep import MEASURE_EVERY, Extremes
 from phy124.mpm.tracks import Tracks
@@ -41,10 +41,10 @@ SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN, WAY = 0.2, 0.25
 """Largest strain, and largest way of a point [cells], between two measurements."""
-UNDAMPED = 1e30
-"""A length so large that viscosity does not limit the substep [m]."""
-MEASURE = -1
-"""Task of workers in addition to phases: measure the limits."""
+VIOLENT = 0.3
+"""Strain in a substep above which the limits are measured before each substep."""
+MEASURE, TRIAL = -1, -2
+"""Tasks of workers in addition to phases: measure the motion, compute forces of a trial."""
 
 
 class LatticeSolver:
@@ -90,6 +90,8 @@ class LatticeSolver:
         self.clock = Clock(model, ceiling=ceiling)
         # Viscosity is part of the measured stiffness.
         self.clock.viscous = math.inf
+        # Since the frequency is measured, `accuracy.cfl` is the fraction of its limiting square.
+        self.clock.cfl = math.sqrt(model.cfl)
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         self.lattice = RestLattice.of(model.rest, mass, volume, model.dx)
         self._surface = make_surface(surface, self.lattice)
@@ -105,11 +107,11 @@ class LatticeSolver:
         self.repair, self.outliers = Repair(model, self.state), Outliers(model, self.state)
         self.softened = 1.0
         """Factor by which all stiffnesses are currently scaled."""
-        self._record_measures(UNDAMPED)
-        self._largest()
-        self._spectrum = Spectrum(model, self._crew, self.nodes_state, self.lattice)
-        sound = max(section.sound_speed() for section in model.materials)
-        self._record_measures(2 * sound / self._spectrum.fastest)
+        self._spectrum = Spectrum(
+            model, self._crew, self.nodes_state, self.lattice, lambda: self._each_worker(TRIAL)
+        )
+        self._probing = False
+        """Whether the next substep measures the largest frequency."""
         self._travel, self._measured = 0.0, 0.0
         """Bound of the way of a point or wall since points near walls were listed [m]; and the time
         of the last measurement [s].
@@ -164,11 +166,8 @@ class LatticeSolver:
             ]
         last = [(stage.name, stage.record(self.grid)) for stage in self._sums]
         self.workers[0].phases[-1] += launches(last)
-
-    def _record_measures(self, length: float) -> None:
-        """Record the launches that measure limits; viscosity acts over a length [m]."""
-        for worker in self.workers:
-            worker.measures = self._crew.measure(worker, length)
+        self._summed = 2 if pushed else 0
+        """Phase after which the forces on all nodes are known."""
 
     def _push(self, worker: int) -> list[Any]:
         """Return a worker's pushes; the first worker has all, unless all can be divided."""
@@ -244,6 +243,8 @@ class LatticeSolver:
             run_timed(self.timings, "tracks", self._sample.launch)
         for phase in range(len(self.workers[0].phases)):
             self._run(phase)
+            if self._probing and phase == self._summed:
+                self._measure_frequency()
         if self.team.alive:
             run_timed(self.timings, "wait", self.team.join)
         self.clock.finish(drift)
@@ -260,7 +261,17 @@ class LatticeSolver:
     def _run_member(self, member: int, phase: int) -> None:
         """Run a phase in one of the other threads."""
         worker = self.workers[member]
-        worker.run(worker.measures if phase == MEASURE else worker.phases[phase])
+        worker.run(_tasks(worker, phase))
+
+    def _each_worker(self, task: int) -> None:
+        """Let all workers measure, or compute the forces of a trial."""
+        if self.team.alive:
+            self.team.put(task)
+            self.workers[0].run(_tasks(self.workers[0], task))
+            self.team.join()
+        else:
+            for worker in self.workers:
+                worker.run(_tasks(worker, task))
 
     @contextmanager
     def _threads(self) -> Iterator[None]:
@@ -280,9 +291,7 @@ class LatticeSolver:
     def _measure(self) -> None:
         """Measure the limits of the substep; raises Unstable."""
         largest = self._largest()
-        stiffness = run_timed(
-            self.timings, "frequency", lambda: self._spectrum.stiffness(self.clock.substeps)
-        )
+        stiffness, self._probing = self._spectrum.stiffness, True
         measured = Extremes(float(largest[SPEED]), float(largest[GRADIENT]), stiffness)
         clock = self.clock
         elapsed, before = clock.time - self._measured, clock.extremes.speed
@@ -294,6 +303,16 @@ class LatticeSolver:
         if self._travel + WAY * self.model.dx > TRAVEL * self.model.dx:
             self._look()
 
+    def _measure_frequency(self) -> None:
+        """Measure the largest frequency, after forces are summed and before they act."""
+        self._probing = False
+        if self.team.alive:
+            self.team.join()
+        run_timed(self.timings, "frequency", self._spectrum.follow)
+        extremes = self.clock.extremes
+        stiffness = max(self._spectrum.stiffness, extremes.stiffness)
+        self.clock.extremes = extremes._replace(stiffness=stiffness)
+
     def _look(self) -> None:
         """List the surface points near each wall."""
         self._travel, self._measured = 0.0, self.clock.time
@@ -302,13 +321,7 @@ class LatticeSolver:
 
     def _largest(self) -> NDArray[np.float64]:
         """Measure; return the largest speed and rate of strain of all points; raises Unstable."""
-        if self.team.alive:
-            self.team.put(MEASURE)
-            self.workers[0].run(self.workers[0].measures)
-            self.team.join()
-        else:
-            for worker in self.workers:
-                worker.run(worker.measures)
+        self._each_worker(MEASURE)
         if int(self._crew.stray.numpy()[0]):
             raise Unstable(f"{int(self._crew.stray.numpy()[0])} particles are NaN or infinite")
         rows = np.array([worker.maxima.numpy() for worker in self.workers], np.float64)
@@ -326,7 +339,8 @@ class LatticeSolver:
         steps.append(STRAIN / max(clock.extremes.gradient * dt, 1e-9))
         steps.append(WAY * dx / max(speed * dt, 1e-30))
         steps.append(math.sqrt(2 * WAY * dx / max(self.rejection.acceleration, 1e-30)) / dt)
-        return max(MEASURE_EVERY, int(min(steps)))
+        violent = clock.extremes.gradient * dt > VIOLENT
+        return max(1 if violent else MEASURE_EVERY, int(min(steps)))
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state that `restore` needs to continue bit for bit."""
@@ -349,6 +363,12 @@ class LatticeSolver:
         self._spectrum.restore(snapshot["spectrum"])
         self._crew.stray.zero_()
         self._look()
+
+
+def _tasks(worker: Worker, phase: int) -> list[Named]:
+    """Return a worker's launches of a phase or task."""
+    other = {MEASURE: worker.measures, TRIAL: worker.trials}
+    return other[phase] if phase in other else worker.phases[phase]
 
 
 def _nodes(model: Model, lattice: RestLattice, state: State) -> Nodes:

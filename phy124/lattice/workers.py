@@ -48,12 +48,14 @@ class Worker:
     """Forces of its cells on the touched nodes, N."""
     maxima: wp.array
     """Largest speed and rate of strain of its points."""
-    bound: wp.array
-    """Bounds of the stiffness of its cells on the touched nodes, N m."""
+    trial: wp.array
+    """The same for trial displacements, from which the largest frequency is found."""
     phases: list[list[Named]] = field(default_factory=list)
     """Launches of a substep by phase; threads wait for each other between phases."""
     measures: list[Named] = field(default_factory=list)
-    """Launches that measure the limits of the substep."""
+    """Launches that measure the largest speed and rate of strain."""
+    trials: list[Named] = field(default_factory=list)
+    """Launches that compute `trial`."""
     follows: list[Named] = field(default_factory=list)
     """Launches that update the state of its points."""
     timings: Timings = field(default_factory=dict)
@@ -95,7 +97,7 @@ class Crew:
         """
         self._model, self._state, self._nodes = model, state, nodes
         self._lattice, self._vectors = lattice, vectors
-        self._blocks: dict[tuple[int, int], wp.array] = {}
+        self._blocks: dict[tuple[int, int], tuple[int, list[wp.array]]] = {}
         t, device = types(model.real), model.device
         self._rows = wp.array(lattice.rows.ravel(), dtype=int, device=device)
         self._offset = model.array(lattice.offset, t.vec3)
@@ -106,11 +108,12 @@ class Crew:
         spans = [_span_of_cells(lattice, int(a), int(b)) for a, b in itertools.pairwise(cells)]
         room = [-(-(span.stop - span.start) // LINE) * LINE for span in spans]
         begin = np.cumsum([0, *room])
-        self._pool = wp.zeros(int(begin[-1]), dtype=t.vec3, device=device)
+        self._pool, self._trial_pool = (
+            wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(2)
+        )
         low, high = ([getattr(span, end) for span in spans] for end in ("start", "stop"))
-        self._sums = [
-            self._pool,
-            *(wp.array(np.array(a, np.int32), device=device) for a in (low, high, begin[:-1])),
+        self._spans = [
+            wp.array(np.array(a, np.int32), device=device) for a in (low, high, begin[:-1])
         ]
         self.workers = [
             Worker(
@@ -119,14 +122,17 @@ class Crew:
                 spans[w],
                 cast("wp.array", self._pool[int(begin[w]) : int(begin[w]) + room[w]]),
                 wp.zeros(MAXIMA, dtype=model.real, device=device),
-                wp.zeros(room[w], dtype=model.real, device=device),
+                cast("wp.array", self._trial_pool[int(begin[w]) : int(begin[w]) + room[w]]),
             )
             for w in range(count)
         ]
-        self._carried = abs(lattice.ties).T.tocsr()
         self._tied = self._sparse(lattice, lattice.ties.tocsr())
         self._donors = self._sparse(lattice, lattice.ties.T.tocsr())
         self.stray = wp.zeros(1, dtype=int, device=device)
+        self._a = wp.zeros(len(lattice), dtype=t.vec3, device=device)
+        for worker in self.workers:
+            worker.measures = self._measure(worker)
+            worker.trials = self.force(worker, trial=True)
 
     def _sparse(self, lattice: RestLattice, ties: Any) -> list[wp.array]:
         """Return rows, node numbers and weights of the ties on the device, a row per node."""
@@ -152,16 +158,20 @@ class Crew:
         )
         return launches([("locate", launch)])
 
-    def force(self, worker: Worker, pushes: Tracks | None = None) -> list[Named]:
+    def force(
+        self, worker: Worker, pushes: Tracks | None = None, *, trial: bool = False
+    ) -> list[Named]:
         """Return the launches that sum the forces of a worker's points on the nodes.
 
         Args:
             worker: The worker.
             pushes: The tracks of forces on points; None: no force acts on points.
+            trial: Whether the forces are those of trial displacements.
         """
+        out = worker.trial if trial else worker.forces
         records = [] if pushes is None else [self._push(worker, pushes)]
-        records += [self._stress(worker, group) for group in self._model.groups]
-        return [("clear", worker.forces.zero_), *launches(records)]
+        records += [self._stress(worker, group, out) for group in self._model.groups]
+        return [("clear", out.zero_), *launches(records)]
 
     def _push(self, worker: Worker, tracks: Tracks) -> Recorded:
         span, state = worker.points, self._state
@@ -171,32 +181,32 @@ class Crew:
         launch = self._model.launch(kernel, span.stop - span.start, inputs, [worker.forces])
         return "push", launch
 
-    def _block(self, span: slice) -> wp.array:
-        """Return the constants of a span of points in blocks of sixteen cells."""
+    def _block(self, span: slice) -> tuple[int, list[wp.array]]:
+        """Return the number of blocks of full cells of a span of points, and all its blocks."""
         key = span.start, span.stop
         if key not in self._blocks:
-            model = self._model
-            mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
-            packed = simd.pack(self._lattice.offset[span], volume[span], mass[span])
-            self._blocks[key] = wp.array(packed.ravel(), dtype=wp.float32, device=model.device)
+            device = self._model.device
+            volume = np.asarray(self._model.volume.numpy(), np.float64)[span]
+            blocks = simd.pack(self._lattice.offset[span], volume, span.start // PER_CELL)
+            order = wp.array(blocks.order.ravel(), dtype=int, device=device)
+            packed = wp.array(blocks.packed.ravel(), dtype=wp.float32, device=device)
+            self._blocks[key] = blocks.full, [order, packed]
         return self._blocks[key]
 
-    def _stress(self, worker: Worker, group: Group) -> Recorded:
+    def _stress(self, worker: Worker, group: Group, out: wp.array) -> Recorded:
         model, nodes = self._model, self._nodes
         span = _common(worker.points, group.particles)
         name = f"stress {group.law.name}"
         if self.vectors(group) and span.stop > span.start:
-            cells = span.start // PER_CELL, span.stop // PER_CELL
-            inputs = [*cells, group.start, worker.touched.start, model.dx, group.theta]
-            inputs += [self._block(span), self._rows, nodes.u, nodes.v]
+            full, blocks = self._block(span)
+            inputs = [full, group.start, worker.touched.start, model.dx, group.theta]
+            inputs += [*blocks, self._rows, nodes.u, nodes.v]
             kernel = simd.make_stress_simd(group.law, is_viscous(group, model))
-            blocks = -(-(cells[1] - cells[0]) // simd.CELLS)
-            return name, model.launch(kernel, blocks, inputs, [worker.forces])
+            return name, model.launch(kernel, len(blocks[0]) // simd.CELLS, inputs, [out])
         inputs = [span.start, group.start, worker.touched.start, group.theta, model.volume]
         inputs += [model.dx, self._rows, self._offset, nodes.u, nodes.v]
         kernel = make_stress(group.law, model.real, is_viscous(group, model))
-        launch = model.launch(kernel, span.stop - span.start, inputs, [worker.forces])
-        return name, launch
+        return name, model.launch(kernel, span.stop - span.start, inputs, [out])
 
     def vectors(self, group: Group) -> bool:
         """Return whether a group's stress runs on the vector units of a CPU."""
@@ -205,7 +215,7 @@ class Crew:
     def kick(self, worker: Worker, tracks: Tracks) -> list[Named]:
         """Return the launch that changes the velocities of a worker's nodes by the forces."""
         span, nodes = worker.nodes, self._nodes
-        inputs = [span.start, nodes.inverse, *self._sums, *self._donors]
+        inputs = [span.start, nodes.inverse, self._pool, *self._spans, *self._donors]
         inputs += [tracks.clock, tracks.values]
         outputs = [nodes.v, nodes.before]
         kernel = node_kernels.make_kick(self._model.real)
@@ -234,59 +244,33 @@ class Crew:
         kernel = point_kernels.make_follow(model.real)
         return launches([("follow", model.launch(kernel, span.stop - span.start, inputs, outputs))])
 
-    def forces(self) -> NDArray[np.float64]:
-        """Return the forces of the stress on the nodes [N,3], N, for the current displacements."""
-        total = np.zeros((len(self._nodes.u), 3))
-        for worker in self.workers:
-            worker.run(self.force(worker))
-            touched: NDArray[Any] = worker.forces.numpy()
-            total[worker.touched] += touched[: worker.touched.stop - worker.touched.start]
-        return total
+    def accelerations(self, *, trial: bool = False) -> NDArray[Any]:
+        """Return the accelerations of the nodes by the summed forces [N,3], m/s^2; 0 if tied."""
+        nodes, pool = self._nodes, self._trial_pool if trial else self._pool
+        inputs = [nodes.inverse, pool, *self._spans, *self._donors]
+        kernel = node_kernels.make_accelerate(self._model.real)
+        wp.launch(kernel, len(self._a), inputs, [self._a], device=self._model.device)
+        return self._a.numpy().copy()
 
-    def measure(self, worker: Worker, length: float) -> list[Named]:
-        """Return the launches that follow a worker's points and measure their limits.
-
-        Args:
-            worker: The worker.
-            length: Length over which viscosity acts in the fastest vibration [m].
-        """
-        model, state, records = self._model, self._state, []
+    def _measure(self, worker: Worker) -> list[Named]:
+        """Return the launches that follow a worker's points and measure their motion."""
+        model, state, nodes, records = self._model, self._state, self._nodes, []
+        outputs = [worker.maxima, self.stray]
         for group in model.groups:
             span = _common(worker.points, group.particles)
             if self.vectors(group) and span.stop > span.start:
-                cells = span.start // PER_CELL, span.stop // PER_CELL
-                inputs = [*cells, group.start, worker.touched.start, model.dx, length]
-                inputs += [group.theta, self._block(span)]
-                inputs += [self._rows, self._nodes.u, self._nodes.v]
-                kernel = simd.make_measure_simd(group.law, is_viscous(group, model))
-                blocks = -(-(cells[1] - cells[0]) // simd.CELLS)
-                outputs = [worker.bound, worker.maxima, self.stray]
-                records.append(("measure", model.launch(kernel, blocks, inputs, outputs)))
-                continue
-            inputs = [span.start, group.start, group.theta, model.mass, model.volume, length]
-            inputs += [worker.touched.start, self._rows, self._offset, state.v, state.C, state.F]
-            kernel = make_lattice_measure(group.law, model.real, is_viscous(group, model))
-            outputs = [worker.bound, worker.maxima, self.stray]
-            records.append(
-                ("measure", model.launch(kernel, span.stop - span.start, inputs, outputs))
-            )
+                full, blocks = self._block(span)
+                inputs = [full, model.dx, *blocks, self._rows, nodes.u, nodes.v]
+                count = len(blocks[0]) // simd.CELLS
+                launch = model.launch(simd.make_measure_simd(), count, inputs, outputs)
+            else:
+                inputs = [span.start, state.v, state.C, state.F]
+                kernel = make_lattice_measure(model.real)
+                launch = model.launch(kernel, span.stop - span.start, inputs, outputs)
+            records.append(("measure", launch))
         plain = not all(self.vectors(group) for group in model.groups)
         follows = self._follow(worker) if plain else []
-        clear = [("measure", worker.maxima.zero_), ("measure", worker.bound.zero_)]
-        return [*follows, *clear, *launches(records)]
-
-    def stiffness(self) -> NDArray[np.float64]:
-        """Return the measured bound of the stiffness of each node that is not tied, N m.
-
-        Light points of cut cells may be squeezed flat without limiting the substep, since their
-        nodes also belong to other points.
-        """
-        bound = np.zeros(len(self._lattice))
-        for worker in self.workers:
-            values: NDArray[Any] = worker.bound.numpy()
-            bound[worker.touched] += values[: worker.touched.stop - worker.touched.start]
-        bound += self._carried @ bound[self._lattice.tied]
-        return bound[self._lattice.mass > 0]
+        return [*follows, ("measure", worker.maxima.zero_), *launches(records)]
 
 
 def is_viscous(group: Group, model: Model) -> bool:
@@ -298,13 +282,13 @@ def is_viscous(group: Group, model: Model) -> bool:
 def kernels(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -> Iterator[Any]:
     """Yield the kernels of a run; `model_laws` are laws, and whether each is viscous."""
     yield from (node_kernels.make_kick(real), node_kernels.make_drift(real))
-    yield from (node_kernels.make_node_totals(real), point_kernels.make_follow(real))
+    yield from (node_kernels.make_accelerate(real), node_kernels.make_node_totals(real))
+    yield point_kernels.make_follow(real)
     for law, viscous in model_laws:
         if simd.usable(law, real, device):
-            yield from (simd.make_stress_simd(law, viscous), simd.make_measure_simd(law, viscous))
+            yield from (simd.make_stress_simd(law, viscous), simd.make_measure_simd())
             continue
-        yield make_stress(law, real, viscous)
-        yield make_lattice_measure(law, real, viscous)
+        yield from (make_stress(law, real, viscous), make_lattice_measure(real))
 
 
 def _span_of_cells(lattice: RestLattice, first: int, last: int) -> slice:

@@ -74,32 +74,6 @@ def spread(
 
 
 @wp.func
-def spread_bound(
-    sums: wp.array(dtype=Any), low: int, rows: wp.array(dtype=int), cell: int, f: Any, a: Any
-):
-    """Add a |grad w_i| sum |grad w_j| to the nodes of a cell, with norms that are sums, per cell^2.
-
-    With a = V A, this bounds the sum of the absolute values in a row of the stiffness matrix.
-    """
-    wx = spline(f[0])
-    wy = spline(f[1])
-    wz = spline(f[2])
-    sx = slope(f[0])
-    sy = slope(f[1])
-    sz = slope(f[2])
-    whole = type(a)(0.0)
-    for k in range(3):
-        whole += wp.abs(sx[k]) + wp.abs(sy[k]) + wp.abs(sz[k])
-    for i in range(3):
-        for j in range(3):
-            n = rows[cell * 9 + i * 3 + j] - low
-            along = wp.abs(sx[i]) * wy[j] + wx[i] * wp.abs(sy[j])
-            for k in range(3):
-                size = wz[k] * along + wp.abs(sz[k]) * wx[i] * wy[j]
-                wp.atomic_add(sums, n + k, a * whole * size)
-
-
-@wp.func
 def spread_slopes(
     sums: wp.array(dtype=Any), low: int, rows: wp.array(dtype=int), cell: int, f: Any, P: Any
 ):

@@ -1,24 +1,28 @@
 """The kernels of lattice/stress.py for neo-Hookean bodies on the vector units of a CPU.
 
-A thread processes a block of sixteen cells. A cell has eight integration points, and a point has
-five constants: the three components of `offset`, the volume and the density. `packed`
-[blocks,8,5,16] stores each constant of each point for all sixteen cells of a block in a row.
+A thread processes a block of sixteen cells, which `order` [blocks,16] lists: first all full cells,
+then the others. The cells of a block lie far apart, so that no two of them write to the same node
+in a short time. `packed` [blocks,8,4,16] stores the three components of `offset` and the volume of
+each point, each for all sixteen cells of a block in a row.
 """
 
+import math
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.kernels.arguments import Ints
 from phy124.kernels.lattice.points import PER_CELL
-from phy124.kernels.lattice.stress import FLATTEST
-from phy124.kernels.native import code, constants, native_kernel
+from phy124.kernels.native import code, native_kernel
 from phy124.kernels.transfer import Law
 
 CELLS = 16
 """Number of cells of a thread."""
+ALIGNED = 1e-4
+"""Largest deviation of the points of a full cell from the Gauss points [cells]."""
 Vectors = wp.array(dtype=wp.vec3)
 Numbers = wp.array(dtype=wp.float32)
 
@@ -28,24 +32,40 @@ def usable(law: Law, real: Any, device: str) -> bool:
     return law.name.startswith("neo_hookean") and real is wp.float32 and device == "cpu"
 
 
-def pack(offset: NDArray, volume: NDArray, mass: NDArray) -> NDArray[np.float32]:
-    """Return the constants of points, in blocks of sixteen cells.
+class Blocks(NamedTuple):
+    """Cells in blocks of sixteen."""
+
+    order: NDArray[np.int32]
+    """Cells of each block [blocks,16]."""
+    packed: NDArray[np.float32]
+    """Constants of the points [blocks,8,4,16]; cells that only fill up a block have no volume."""
+    full: int
+    """Number of blocks of full cells, which come first."""
+
+
+def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
+    """Return consecutive cells in blocks.
 
     Args:
         offset: Positions of the points relative to their cell's first node [P,3], cells.
         volume: Volumes of the points [P], m^3.
-        mass: Masses of the points [P], kg.
-
-    Returns:
-        An array [blocks,8,5,16]; points beyond the last cell have no volume.
+        first: Number of the first cell.
     """
-    columns = [offset, volume[:, None], (mass / volume)[:, None]]
-    rows = np.concatenate(columns, axis=1).reshape(-1, PER_CELL, 5)
-    missing = -len(rows) % CELLS
-    last = np.repeat(rows[-1:], missing, axis=0)
-    last[:, :, 3] = 0
-    blocks = np.concatenate([rows, last]).reshape(-1, CELLS, PER_CELL, 5)
-    return np.ascontiguousarray(np.moveaxis(blocks, 1, -1), dtype=np.float32)
+    rows = np.concatenate([offset, volume[:, None]], axis=1).reshape(-1, PER_CELL, 4)
+    wrong = np.abs(np.abs(rows[:, :, :3] - 1) - 1 / math.sqrt(12))
+    whole = wrong.max(axis=(1, 2)) < ALIGNED
+    parts, constants = [], []
+    for chosen in (np.flatnonzero(whole), np.flatnonzero(~whole)):
+        blocks = -(-len(chosen) // CELLS)
+        missing = blocks * CELLS - len(chosen)
+        filled = np.concatenate([chosen, np.repeat(chosen[-1:], missing)])
+        values = rows[filled]
+        values[len(chosen) :, :, 3] = 0
+        parts.append(filled.reshape(CELLS, blocks).T)
+        constants.append(np.moveaxis(values.reshape(CELLS, blocks, PER_CELL, 4), 0, -1))
+    order = np.concatenate(parts).astype(np.int32) + np.int32(first)
+    packed = np.ascontiguousarray(np.concatenate(constants), dtype=np.float32)
+    return Blocks(np.ascontiguousarray(order), packed, len(parts[0]))
 
 
 @cache
@@ -57,14 +77,14 @@ def make_stress_simd(law: Law, viscous: bool):
 
     @native_kernel(f"phy124_lattice_{law.name}_{kind}_simd", body, seconds=1.0)
     def lattice_stress_simd(
-        start_cell: int,
-        end_cell: int,
+        full_blocks: int,
         first: int,
         low: int,
         dx: float,
         theta: wp.array(dtype=wp.types.vector(law.width, wp.float32)),
+        order: Ints,
         packed: Numbers,
-        rows: wp.array(dtype=int),
+        rows: Ints,
         u: Vectors,
         v: Vectors,
         force_out: Vectors,
@@ -75,32 +95,25 @@ def make_stress_simd(law: Law, viscous: bool):
 
 
 @cache
-def make_measure_simd(law: Law, viscous: bool):
-    """Kernel over blocks of sixteen cells: works like `make_lattice_measure`, for float32 on a CPU.
+def make_measure_simd():
+    """Kernel over blocks of sixteen cells: works like `make_lattice_measure`, for float32."""
 
-    The squared least stretch is up to 2 % too small.
-    """
-    kind = "shortened" if viscous else "lossless"
-    head = f"const int width = {law.width};\n" + constants("float", FLATTEST=float(FLATTEST))
-    body = head + code("lattice", "lattice:rates", f"lattice:{kind}", "lattice:measure")
-
-    @native_kernel(f"phy124_lattice_measure_{law.name}_{kind}_simd", body, seconds=1.0)
+    @native_kernel(
+        "phy124_lattice_measure_simd",
+        code("lattice", "lattice:rates", "lattice:measure"),
+        seconds=1.0,
+    )
     def lattice_measure_simd(
-        start_cell: int,
-        end_cell: int,
-        first: int,
-        low: int,
+        full_blocks: int,
         dx: float,
-        length: float,
-        theta: wp.array(dtype=wp.types.vector(law.width, wp.float32)),
+        order: Ints,
         packed: Numbers,
-        rows: wp.array(dtype=int),
+        rows: Ints,
         u: Vectors,
         v: Vectors,
-        bound_out: Numbers,
         maxima_out: Numbers,
-        stray_out: wp.array(dtype=int),
+        stray_out: Ints,
     ):
-        """Raise the maxima of speed, rate of strain and stiffness over sixteen cells."""
+        """Raise the maxima of speed and rate of strain over sixteen cells."""
 
     return lattice_measure_simd

@@ -1,39 +1,56 @@
 // Stress of neo-Hookean bodies on their lattice, sixteen cells at a time: one AVX-512, two AVX2 or
-// four NEON registers hold the same number of sixteen cells. The eight points of the cells are
-// processed in turn; the forces of all points on the 27 nodes of a cell are added up before they are
-// written. Lanes beyond the last cell repeat it, with points of no volume.
+// four NEON registers hold the same number of sixteen cells. The forces of a cell's eight points on
+// its 27 nodes are added up before they are written. `order` lists the cells of each block, full
+// cells first. In a full cell the points are a product of two points per axis, so that values and
+// slopes are interpolated along one axis after another.
 // Plain form: `lattice_stress` and `lattice_measure` of lattice/stress.py.
 // Test: tests/test_lattice.py, test_simd_and_plain_stress_agree.
 
 typedef float Lanes __attribute__((vector_size(64)));
 typedef int Ints16 __attribute__((vector_size(64)));
-const auto lesser = [](Lanes a, Lanes b) { return a < b ? a : b; };
+typedef float Eight __attribute__((vector_size(32), aligned(4)));
 const auto larger = [](Lanes a, Lanes b) { return a > b ? a : b; };
-// log x for x > 0, to 1e-7 near 1: exponent, and the series of artanh for the rest.
-const auto logarithm = [](Lanes x) {
-    const Ints16 bits = (Ints16)x, exponent = (bits - 0x3f3504f3) >> 23;
-    const Lanes m = (Lanes)(bits - (exponent << 23)), t = (m - 1.0f) / (m + 1.0f), t2 = t * t;
-    const Lanes series = 1.0f + t2 * (1.0f / 3 + t2 * (0.2f + t2 * (1.0f / 7 + t2 / 9)));
-    return __builtin_convertvector(exponent, Lanes) * 0.69314718f + 2.0f * t * series;
-};
-const int begin = start_cell + 16 * thread;
-const int cells = end_cell - begin < 16 ? end_cell - begin : 16;
+const int* const cells = (const int*)order.data + 16L * thread;
 const int* const row = (const int*)rows.data;
-const float* const place = (const float*)packed.data + (long)(begin - start_cell) * 40;
-const float* const laws = (const float*)theta.data;
-const bool alike = theta.shape[0] == 1;
+const float* const place = (const float*)packed.data + 512L * thread;
+const bool full = thread < full_blocks;
 const float per_dx = 1.0f / dx;
-// Values of the cells' nodes: three components of three nodes of nine rows.
-alignas(64) Lanes U[81];
-const auto collect = [&](const float* values, Lanes* out) {
-    for (int lane = 0; lane < 16; ++lane) {
-        const int* const of = row + 9L * (begin + (lane < cells ? lane : cells - 1));
-        for (int r = 0; r < 9; ++r) {
-            const float* const from = values + 3L * of[r];
-            for (int k = 0; k < 9; ++k) ((float*)(out + 9 * r + k))[lane] = from[k];
+// Exchanges lanes so that eight registers with two rows of eight each become eight columns of
+// sixteen; applied to columns it returns the rows.
+const auto transpose = [](Lanes* m) {
+    for (int k = 0; k < 8; k += 2) {
+        const Lanes a = m[k], b = m[k + 1];
+        m[k] = __builtin_shufflevector(a, b, 0, 16, 2, 18, 4, 20, 6, 22, 8, 24, 10, 26, 12, 28, 14, 30);
+        m[k + 1] = __builtin_shufflevector(a, b, 1, 17, 3, 19, 5, 21, 7, 23, 9, 25, 11, 27, 13, 29, 15, 31);
+    }
+    for (int h = 0; h < 8; h += 4)
+        for (int k = h; k < h + 2; ++k) {
+            const Lanes a = m[k], b = m[k + 2];
+            m[k] = __builtin_shufflevector(a, b, 0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13, 28, 29);
+            m[k + 2] = __builtin_shufflevector(a, b, 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31);
         }
+    for (int k = 0; k < 4; ++k) {
+        const Lanes a = m[k], b = m[k + 4];
+        m[k] = __builtin_shufflevector(a, b, 0, 1, 2, 3, 16, 17, 18, 19, 8, 9, 10, 11, 24, 25, 26, 27);
+        m[k + 4] = __builtin_shufflevector(a, b, 4, 5, 6, 7, 20, 21, 22, 23, 12, 13, 14, 15, 28, 29, 30, 31);
     }
 };
+// Values of the cells' nodes: three components of three nodes of nine rows.
+const auto collect = [&](const float* values, Lanes* out) {
+    for (int r = 0; r < 9; ++r) {
+        Lanes m[8];
+        for (int k = 0; k < 8; ++k) {
+            const float* const a = values + 3L * row[9L * cells[k] + r];
+            const float* const b = values + 3L * row[9L * cells[k + 8] + r];
+            m[k] = __builtin_shufflevector(*(const Eight*)a, *(const Eight*)b, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+            ((float*)(out + 9 * r + 8))[k] = a[8];
+            ((float*)(out + 9 * r + 8))[k + 8] = b[8];
+        }
+        transpose(m);
+        for (int k = 0; k < 8; ++k) out[9 * r + k] = m[k];
+    }
+};
+alignas(64) Lanes U[81];
 collect((const float*)u.data, U);
 struct Weights {
     Lanes w[3][3], s[3][3];  // weights and slopes of three nodes along each axis
@@ -41,7 +58,7 @@ struct Weights {
 const auto weigh = [&](int point) {
     Weights a;
     for (int axis = 0; axis < 3; ++axis) {
-        const Lanes f = *(const Lanes*)(place + (point * 5 + axis) * 16);
+        const Lanes f = *(const Lanes*)(place + (point * 4 + axis) * 16);
         a.w[axis][0] = 0.5f * (1.5f - f) * (1.5f - f);
         a.w[axis][1] = 0.75f - (f - 1.0f) * (f - 1.0f);
         a.w[axis][2] = 0.5f * (f - 0.5f) * (f - 0.5f);
@@ -51,33 +68,91 @@ const auto weigh = [&](int point) {
     }
     return a;
 };
-// Row-major matrix of slopes, per cell: entry 3 d + axis.
-const auto differentiate = [](const Lanes* values, const Weights& a, Lanes* slopes) {
-    for (int d = 0; d < 3; ++d) {
-        Lanes by_x = {}, by_y = {}, by_z = {};
-        for (int i = 0; i < 3; ++i) {
-            Lanes mean = {}, rise = {}, turn = {};
-            for (int j = 0; j < 3; ++j) {
-                const Lanes* const n = values + 9 * (3 * i + j) + d;
-                const Lanes z = a.w[2][0] * n[0] + a.w[2][1] * n[3] + a.w[2][2] * n[6];
-                const Lanes dz = a.s[2][0] * n[0] + a.s[2][1] * n[3] + a.s[2][2] * n[6];
-                mean += a.w[1][j] * z;
-                rise += a.s[1][j] * z;
-                turn += a.w[1][j] * dz;
+// Gauss points of a full cell: distance from its centre, and means and slopes of three values at
+// the two points.
+const float GAUSS = 0.28867513459f, THIRD = 1.0f / 3;
+struct Two {
+    Lanes low, high;
+};
+struct Three {
+    Lanes a, b, c;
+};
+const auto means = [&](Lanes a, Lanes b, Lanes c) {
+    const Lanes even = 0.5f * THIRD * (a + c) + 2 * THIRD * b, odd = 0.5f * GAUSS * (a - c);
+    return Two{even + odd, even - odd};
+};
+const auto rises = [&](Lanes a, Lanes b, Lanes c) {
+    const Lanes even = 0.5f * (c - a), odd = GAUSS * ((a + c) - 2.0f * b);
+    return Two{even - odd, even + odd};
+};
+// Their transposes.
+const auto spread_means = [&](Lanes low, Lanes high) {
+    const Lanes even = 0.5f * THIRD * (low + high), odd = 0.5f * GAUSS * (low - high);
+    return Three{even + odd, 4.0f * even, even - odd};
+};
+const auto spread_rises = [&](Lanes low, Lanes high) {
+    const Lanes even = 0.5f * (low + high), odd = GAUSS * (low - high);
+    return Three{-even - odd, 2.0f * odd, even - odd};
+};
+// Row-major matrices of slopes at the eight points: entry 3 d + axis.
+const auto differentiate = [&](const Lanes* values, Lanes (*slopes)[9]) {
+    if (full) {
+        for (int d = 0; d < 3; ++d) {
+            Lanes mean[9][2], turn[9][2], across[3][3][4];
+            for (int r = 0; r < 9; ++r) {
+                const Lanes* const n = values + 9 * r + d;
+                const Two m = means(n[0], n[3], n[6]), t = rises(n[0], n[3], n[6]);
+                mean[r][0] = m.low, mean[r][1] = m.high, turn[r][0] = t.low, turn[r][1] = t.high;
             }
-            by_x += a.s[0][i] * mean;
-            by_y += a.w[0][i] * rise;
-            by_z += a.w[0][i] * turn;
+            for (int i = 0; i < 3; ++i)
+                for (int z = 0; z < 2; ++z) {
+                    const Lanes a = mean[3 * i][z], b = mean[3 * i + 1][z], c = mean[3 * i + 2][z];
+                    const Two m = means(a, b, c), s = rises(a, b, c);
+                    const Two t = means(turn[3 * i][z], turn[3 * i + 1][z], turn[3 * i + 2][z]);
+                    across[0][i][z] = m.low, across[0][i][2 + z] = m.high;
+                    across[1][i][z] = s.low, across[1][i][2 + z] = s.high;
+                    across[2][i][z] = t.low, across[2][i][2 + z] = t.high;
+                }
+            for (int k = 0; k < 4; ++k) {
+                const Two x = rises(across[0][0][k], across[0][1][k], across[0][2][k]);
+                const Two y = means(across[1][0][k], across[1][1][k], across[1][2][k]);
+                const Two z = means(across[2][0][k], across[2][1][k], across[2][2][k]);
+                slopes[k][3 * d] = x.low, slopes[4 + k][3 * d] = x.high;
+                slopes[k][3 * d + 1] = y.low, slopes[4 + k][3 * d + 1] = y.high;
+                slopes[k][3 * d + 2] = z.low, slopes[4 + k][3 * d + 2] = z.high;
+            }
         }
-        slopes[3 * d] = by_x;
-        slopes[3 * d + 1] = by_y;
-        slopes[3 * d + 2] = by_z;
+        return;
+    }
+    for (int point = 0; point < 8; ++point) {
+        const Weights a = weigh(point);
+        for (int d = 0; d < 3; ++d) {
+            Lanes by_x = {}, by_y = {}, by_z = {};
+            for (int i = 0; i < 3; ++i) {
+                Lanes mean = {}, rise = {}, turn = {};
+                for (int j = 0; j < 3; ++j) {
+                    const Lanes* const n = values + 9 * (3 * i + j) + d;
+                    const Lanes z = a.w[2][0] * n[0] + a.w[2][1] * n[3] + a.w[2][2] * n[6];
+                    const Lanes dz = a.s[2][0] * n[0] + a.s[2][1] * n[3] + a.s[2][2] * n[6];
+                    mean += a.w[1][j] * z;
+                    rise += a.s[1][j] * z;
+                    turn += a.w[1][j] * dz;
+                }
+                by_x += a.s[0][i] * mean;
+                by_y += a.w[0][i] * rise;
+                by_z += a.w[0][i] * turn;
+            }
+            slopes[point][3 * d] = by_x;
+            slopes[point][3 * d + 1] = by_y;
+            slopes[point][3 * d + 2] = by_z;
+        }
     }
 };
-const auto deform = [&](const Weights& a, Lanes* F) {
-    differentiate(U, a, F);
-    for (int k = 0; k < 9; ++k) F[k] = F[k] * per_dx + (k % 4 ? 0.0f : 1.0f);
-};
+alignas(64) Lanes F_all[8][9];
+differentiate(U, F_all);
+for (int point = 0; point < 8; ++point)
+    for (int k = 0; k < 9; ++k)
+        F_all[point][k] = F_all[point][k] * per_dx + (k % 4 ? 0.0f : 1.0f);
 const auto cofactors = [](const Lanes* F, Lanes* c) {
     c[0] = F[4] * F[8] - F[5] * F[7];
     c[1] = F[5] * F[6] - F[3] * F[8];
@@ -90,24 +165,14 @@ const auto cofactors = [](const Lanes* F, Lanes* c) {
     c[8] = F[0] * F[4] - F[1] * F[3];
     return F[0] * c[0] + F[1] * c[1] + F[2] * c[2];
 };
-const auto parameter = [&](int point, int column) {
-    Lanes value;
-    for (int lane = 0; lane < 16; ++lane) {
-        const int cell = begin + (lane < cells ? lane : cells - 1);
-        const long at = alike ? 0 : 8L * cell + point - first;
-        value[lane] = laws[at * width + column];
-    }
-    return value;
-};
 const float FLOOR = 1.0e-4f;  // `safe_volume` of lattice/points.py
 
 //: rates
-alignas(64) Lanes W[81];
+alignas(64) Lanes W[81], rates[8][9];
 collect((const float*)v.data, W);
+differentiate(W, rates);
 // Row-major velocity gradient C = dF/dt F^-1, from the cofactors of F and 1 / J.
-const auto strain_rate = [&](const Weights& a, const Lanes* c, Lanes per_J, Lanes* C) {
-    Lanes rate[9];
-    differentiate(W, a, rate);
+const auto strain_rate = [&](const Lanes* rate, const Lanes* c, Lanes per_J, Lanes* C) {
     const Lanes scale = per_J * per_dx;
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j) {
@@ -117,40 +182,93 @@ const auto strain_rate = [&](const Weights& a, const Lanes* c, Lanes per_J, Lane
 };
 
 //: stress
-alignas(64) Lanes sums[81];
-for (int k = 0; k < 81; ++k) sums[k] = Lanes{};
-const Lanes mu_of_all = parameter(0, 0), lam_of_all = parameter(0, 1);
+// log x for x > 0, to 1e-7 near 1: exponent, and the series of artanh for the rest.
+const auto logarithm = [](Lanes x) {
+    const Ints16 bits = (Ints16)x, exponent = (bits - 0x3f3504f3) >> 23;
+    const Lanes m = (Lanes)(bits - (exponent << 23)), t = (m - 1.0f) / (m + 1.0f), t2 = t * t;
+    const Lanes series = 1.0f + t2 * (1.0f / 3 + t2 * (0.2f + t2 * (1.0f / 7 + t2 / 9)));
+    return __builtin_convertvector(exponent, Lanes) * 0.69314718f + 2.0f * t * series;
+};
+const float* const laws = (const float*)theta.data;
+const bool alike = theta.shape[0] == 1;
+const auto parameter = [&](int point, int column) {
+    if (alike) return Lanes{} + laws[column];
+    Lanes value;
+    for (int lane = 0; lane < 16; ++lane)
+        value[lane] = laws[(8L * cells[lane] + point - first) * width + column];
+    return value;
+};
 for (int point = 0; point < 8; ++point) {
-    const Weights a = weigh(point);
-    Lanes F[9], c[9], P[9];
-    deform(a, F);
+    Lanes c[9], P[9];
+    const Lanes* const F = F_all[point];
     const Lanes J = cofactors(F, c), safe = larger(J, Lanes{} + FLOOR), per_J = 1.0f / safe;
-    const Lanes mu = alike ? mu_of_all : parameter(point, 0);
-    const Lanes lam = alike ? lam_of_all : parameter(point, 1);
+    const Lanes mu = parameter(point, 0), lam = parameter(point, 1);
     const Lanes log_J = logarithm(safe) + (J < FLOOR ? (J - FLOOR) / FLOOR : Lanes{});
-    const Lanes scale = *(const Lanes*)(place + (point * 5 + 3) * 16) * -per_dx;
+    const Lanes scale = *(const Lanes*)(place + (point * 4 + 3) * 16) * -per_dx;
     const Lanes shear = scale * mu * J * per_J, pressure = scale * (lam * log_J - mu) * per_J;
     for (int k = 0; k < 9; ++k) P[k] = shear * F[k] + pressure * c[k];
     ADD_VISCOUS
-    for (int d = 0; d < 3; ++d)
+    for (int k = 0; k < 9; ++k) F_all[point][k] = P[k];
+}
+alignas(64) Lanes sums[81];
+if (full)
+    for (int d = 0; d < 3; ++d) {
+        Lanes across[3][3][4];
+        for (int k = 0; k < 4; ++k) {
+            const Lanes* const low = F_all[k] + 3 * d;
+            const Lanes* const high = F_all[4 + k] + 3 * d;
+            const Three x = spread_rises(low[0], high[0]), y = spread_means(low[1], high[1]);
+            const Three z = spread_means(low[2], high[2]);
+            across[0][0][k] = x.a, across[0][1][k] = x.b, across[0][2][k] = x.c;
+            across[1][0][k] = y.a, across[1][1][k] = y.b, across[1][2][k] = y.c;
+            across[2][0][k] = z.a, across[2][1][k] = z.b, across[2][2][k] = z.c;
+        }
         for (int i = 0; i < 3; ++i) {
-            const Lanes rise = a.s[0][i] * P[3 * d], turn = a.w[0][i] * P[3 * d + 1];
-            const Lanes lift = a.w[0][i] * P[3 * d + 2];
+            Lanes mean[3][2], turn[3][2];
+            for (int z = 0; z < 2; ++z) {
+                const Three m = spread_means(across[0][i][z], across[0][i][2 + z]);
+                const Three s = spread_rises(across[1][i][z], across[1][i][2 + z]);
+                const Three t = spread_means(across[2][i][z], across[2][i][2 + z]);
+                mean[0][z] = m.a + s.a, mean[1][z] = m.b + s.b, mean[2][z] = m.c + s.c;
+                turn[0][z] = t.a, turn[1][z] = t.b, turn[2][z] = t.c;
+            }
             for (int j = 0; j < 3; ++j) {
-                const Lanes along = a.w[1][j] * rise + a.s[1][j] * turn, up = a.w[1][j] * lift;
+                const Three m = spread_means(mean[j][0], mean[j][1]);
+                const Three t = spread_rises(turn[j][0], turn[j][1]);
                 Lanes* const n = sums + 9 * (3 * i + j) + d;
-                n[0] += a.w[2][0] * along + a.s[2][0] * up;
-                n[3] += a.w[2][1] * along + a.s[2][1] * up;
-                n[6] += a.w[2][2] * along + a.s[2][2] * up;
+                n[0] = m.a + t.a, n[3] = m.b + t.b, n[6] = m.c + t.c;
             }
         }
+    }
+else {
+    for (int k = 0; k < 81; ++k) sums[k] = Lanes{};
+    for (int point = 0; point < 8; ++point) {
+        const Weights a = weigh(point);
+        for (int d = 0; d < 3; ++d)
+            for (int i = 0; i < 3; ++i) {
+                const Lanes* const P = F_all[point] + 3 * d;
+                const Lanes rise = a.s[0][i] * P[0], turn = a.w[0][i] * P[1];
+                const Lanes lift = a.w[0][i] * P[2];
+                for (int j = 0; j < 3; ++j) {
+                    const Lanes along = a.w[1][j] * rise + a.s[1][j] * turn;
+                    const Lanes up = a.w[1][j] * lift;
+                    Lanes* const n = sums + 9 * (3 * i + j) + d;
+                    n[0] += a.w[2][0] * along + a.s[2][0] * up;
+                    n[3] += a.w[2][1] * along + a.s[2][1] * up;
+                    n[6] += a.w[2][2] * along + a.s[2][2] * up;
+                }
+            }
+    }
 }
 float* const forces = (float*)force_out.data - 3L * low;
-for (int lane = 0; lane < cells; ++lane) {
-    const int* const of = row + 9L * (begin + lane);
-    for (int r = 0; r < 9; ++r) {
-        float* const to = forces + 3L * of[r];
-        for (int k = 0; k < 9; ++k) to[k] += ((const float*)(sums + 9 * r + k))[lane];
+for (int r = 0; r < 9; ++r) {
+    Lanes* const m = sums + 9 * r;
+    transpose(m);
+    for (int k = 0; k < 16; ++k) {
+        float* const to = forces + 3L * row[9L * cells[k] + r];
+        const float* const of = (const float*)(m + k % 8) + k / 8 * 8;
+        *(Eight*)to += *(const Eight*)of;
+        to[8] += ((const float*)(m + 8))[k];
     }
 }
 
@@ -160,8 +278,8 @@ for (int lane = 0; lane < cells; ++lane) {
 //: viscous
 #define ADD_VISCOUS { \
     Lanes C[9]; \
-    strain_rate(a, c, per_J, C); \
-    const Lanes inside = lesser(larger(J, Lanes{}), Lanes{} + 1.0f); \
+    strain_rate(rates[point], c, per_J, C); \
+    const Lanes inside = J < 0.0f ? Lanes{} : J > 1.0f ? Lanes{} + 1.0f : J; \
     const Lanes eta = scale * inside * parameter(point, 2) * per_J; \
     for (int i = 0; i < 3; ++i) \
         for (int j = 0; j < 3; ++j) \
@@ -170,18 +288,10 @@ for (int lane = 0; lane < cells; ++lane) {
 }
 
 //: measure
-const auto root = [](Lanes x) { return __builtin_elementwise_sqrt(x); };
-const Lanes mu_of_all = parameter(0, 0), lam_of_all = parameter(0, 1);
-alignas(64) Lanes sums[27];
-for (int n = 0; n < 27; ++n) sums[n] = Lanes{};
-Lanes steepest = {}, fastest = {}, doubt = {};
+Lanes fastest = {}, steepest = {}, doubt = {};
 for (int point = 0; point < 8; ++point) {
     const Weights a = weigh(point);
-    Lanes F[9], c[9], C[9], trace = {}, second = {}, rate = {};
-    deform(a, F);
-    const Lanes J = cofactors(F, c), safe = larger(J, Lanes{} + FLOOR);
-    strain_rate(a, c, 1.0f / safe, C);
-    Lanes square = {};
+    Lanes c[9], C[9], rate = {}, square = {};
     for (int d = 0; d < 3; ++d) {
         Lanes speed = {};
         for (int r = 0; r < 9; ++r) {
@@ -192,63 +302,15 @@ for (int point = 0; point < 8; ++point) {
         square += speed * speed;
     }
     fastest = larger(fastest, square);
-    for (int k = 0; k < 9; ++k) {
-        trace += F[k] * F[k];
-        second += c[k] * c[k];
-        rate += C[k] * C[k];
-    }
-    // Newton's method from 0 approaches the least squared stretch from below.
-    Lanes least = {};
-    for (int step = 0; step < 10; ++step) {
-        const Lanes value = ((least - trace) * least + second) * least - J * J;
-        const Lanes slope = (3.0f * least - 2.0f * trace) * least + second;
-        least -= value / larger(slope, Lanes{} + 1e-12f);
-    }
-    least = larger(least, Lanes{} + FLATTEST);
-    const Lanes mu = alike ? mu_of_all : parameter(point, 0);
-    const Lanes lam = larger(alike ? lam_of_all : parameter(point, 1), Lanes{});
-    const Lanes log_J = logarithm(safe), denser = larger(1.0f - log_J, Lanes{} + 1.0f);
-    const Lanes A = mu * (1.0f + 1.0f / least) + lam * denser / least;
-    const Lanes density = *(const Lanes*)(place + (point * 5 + 4) * 16);
-    Lanes stiffness = A / density;
-    SHORTEN
-    // Rows of the stiffness matrix are at most V A |grad w_i| sum |grad w_j|, in norms of sums.
-    Lanes size[3][3], whole = {};
-    for (int axis = 0; axis < 3; ++axis)
-        for (int k = 0; k < 3; ++k) {
-            size[axis][k] = larger(a.s[axis][k], -a.s[axis][k]);
-            whole += size[axis][k];
-        }
-    const Lanes volume = *(const Lanes*)(place + (point * 5 + 3) * 16);
-    const Lanes weight = volume * density * stiffness * whole;
-    for (int i = 0; i < 3; ++i)
-        for (int j = 0; j < 3; ++j) {
-            const Lanes across = a.w[0][i] * a.w[1][j] * weight;
-            const Lanes along = (size[0][i] * a.w[1][j] + a.w[0][i] * size[1][j]) * weight;
-            for (int k = 0; k < 3; ++k)
-                sums[9 * i + 3 * j + k] += a.w[2][k] * along + size[2][k] * across;
-        }
+    const Lanes J = cofactors(F_all[point], c);
+    strain_rate(rates[point], c, 1.0f / larger(J, Lanes{} + FLOOR), C);
+    for (int k = 0; k < 9; ++k) rate += C[k] * C[k];
     steepest = larger(steepest, rate);
-    doubt += rate * 0.0f + trace * 0.0f + square * 0.0f;
+    doubt += (rate + J) * 0.0f;
 }
 float* const most = (float*)maxima_out.data;
-for (int lane = 0; lane < cells; ++lane) {
+for (int lane = 0; lane < 16; ++lane) {
     if (!(doubt[lane] == 0.0f)) ((int*)stray_out.data)[0] += 1;
     const float here[2] = {__builtin_sqrtf(fastest[lane]), __builtin_sqrtf(steepest[lane])};
     for (int k = 0; k < 2; ++k) most[k] = here[k] > most[k] ? here[k] : most[k];
-    const int* const of = row + 9L * (begin + lane);
-    for (int r = 0; r < 9; ++r)
-        for (int k = 0; k < 3; ++k)
-            ((float*)bound_out.data)[of[r] - low + k] += ((const float*)(sums + 3 * r + k))[lane];
-}
-
-//: lossless
-#define SHORTEN
-
-//: shortened
-#define SHORTEN { \
-    const Lanes eta = parameter(point, 2); \
-    const Lanes z = 2.0f * eta / (length * root(A * density) * least); \
-    const Lanes shorter = root(1.0f + z * z) - z; \
-    stiffness = stiffness / (shorter * shorter); \
 }
