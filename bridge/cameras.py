@@ -74,6 +74,10 @@ class Cameras:
         self._stack = ExitStack()
         if not options.camera_names:
             return
+        import warp
+
+        # This hides Warp's messages during compilation.
+        warp.config.log_level = warp.LOG_ERROR
         from phy124.io.video import refuse_missing_encoder
         from phy124.scene import Scene
 
@@ -117,18 +121,17 @@ class Cameras:
 
     def _place(self, clip: Clip, view: View) -> None:
         """Place the cameras of a view around a clip, and start threads that draw."""
-        import warp
-
         from phy124.rendering.film import rate
         from phy124.rendering.framing import cameras
         from phy124.rendering.render import Renderer
         from phy124.rendering.shine import make_shine
         from phy124.rendering.stage.build import make_stage
         from phy124.runtime.cores import cores
+        from phy124.runtime.device import pick_device
 
-        # This hides Warp's messages during compilation.
-        warp.config.log_level = warp.LOG_ERROR
-        self._stage, self._shine = make_stage(clip, view), make_shine(clip, view)
+        device = pick_device("auto")
+        self._stage = make_stage(clip, view, device=device)
+        self._shine = make_shine(clip, view)
         self._background = view.background
         wanted = set(self._options.images)
         self._draws = [self._draw_colours] if wanted & {"rgb", "jpeg", "h264"} else []
@@ -143,10 +146,13 @@ class Cameras:
             self._places.append(place)
         count = min(cores(), len(self._draws) * len(self._places))
         # Warp cannot load kernels from several threads at once: this renderer loads them.
-        first = Renderer(filter=view.filter)
+        first = Renderer(device=device, filter=view.filter)
         count = 1 if first.device.is_cuda else count
         self._renderers: SimpleQueue[Renderer] = SimpleQueue()
-        for renderer in (first, *(Renderer(filter=view.filter) for _ in range(count - 1))):
+        for renderer in (
+            first,
+            *(Renderer(device=device, filter=view.filter) for _ in range(count - 1)),
+        ):
             self._renderers.put(renderer)
         pool = ThreadPoolExecutor(count, thread_name_prefix="camera")
         self._pool = self._stack.enter_context(pool)
