@@ -57,8 +57,8 @@ RATIO = 0.5
 
 With 5/8 the estimate would be less sharp and cost twice as much (docs/lab/own-error.md).
 """
-HIT, BENT, LIQUID = Factors(0.55, 1.0), Factors(0.65, 1.6), Factors(1.6, 2.4)
-"""Factors of motions that hit or squeeze the object, that bend it as it stands, and of liquids."""
+HIT, BENT, LOOSE = Factors(0.55, 1.0), Factors(0.65, 1.6), Factors(1.6, 2.4)
+"""Factors of motions that hit or squeeze the object, that bend it as it stands, and of fluid and snow."""
 COARSE = 16
 """Cells of the companion below which the factors grow, as the square root of the cell's width."""
 FLOOR = 2e-4
@@ -152,8 +152,8 @@ def forecast(run: Simulation, particles: float) -> float:
 def factors_of(scene: Scene, cells: int) -> Factors:
     """Return the factors for a scene whose companion has this number of cells."""
     about, at_most = BENT if motion_of(scene) in ("held", "standing") else HIT
-    if any(section.law == "fluid" for section in scene.materials):
-        about, at_most = LIQUID
+    if any(section.law in ("fluid", "snow") for section in scene.materials):
+        about, at_most = LOOSE
     scale = max(1.0, COARSE / cells) ** 0.5
     return Factors(scale * about, scale * at_most)
 
