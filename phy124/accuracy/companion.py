@@ -58,7 +58,7 @@ RATIO = 0.5
 With 5/8 the estimate would be less sharp and cost twice as much (docs/lab/own-error.md).
 """
 HIT, BENT, LOOSE = Factors(0.55, 1.0), Factors(0.65, 1.6), Factors(1.6, 2.4)
-"""Factors of motions that hit or squeeze the object, that bend it as it stands, and of fluid and snow."""
+"""Factors of motions that hit or squeeze the object, that bend it, and of fluid and snow."""
 COARSE = 16
 """Cells of the companion below which the factors grow, as the square root of the cell's width."""
 FLOOR = 2e-4
