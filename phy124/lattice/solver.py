@@ -42,7 +42,8 @@ SLOWEST = 16
 STRAIN, WAY = 0.2, 0.25
 """Largest strain, and largest way of a point [cells], between two measurements."""
 VIOLENT = 0.3
-"""Strain in a substep above which the limits are measured before each substep."""
+"""Strain in a substep above which the limits are measured every `HASTY` substeps."""
+HASTY = 2
 MEASURE, TRIAL = -1, -2
 """Tasks of workers in addition to phases: measure the motion, compute forces of a trial."""
 
@@ -340,7 +341,7 @@ class LatticeSolver:
         steps.append(WAY * dx / max(speed * dt, 1e-30))
         steps.append(math.sqrt(2 * WAY * dx / max(self.rejection.acceleration, 1e-30)) / dt)
         violent = clock.extremes.gradient * dt > VIOLENT
-        return max(1 if violent else MEASURE_EVERY, int(min(steps)))
+        return max(HASTY if violent else MEASURE_EVERY, int(min(steps)))
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state that `restore` needs to continue bit for bit."""
