@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary, Container, HalfSpace
 from phy124.forces import Gravity
-from phy124.liquid import LiquidSolver
+from phy124.liquid.solver import LiquidSolver
 from phy124.materials import Fluid
 from phy124.mpm import Model, State
 from phy124.schema.region import Region
