@@ -154,6 +154,15 @@ def test_every_kind_has_an_advice_and_every_command_its_kind():
         assert kind in USES
 
 
+def test_missing_or_empty_glb_is_named_as_such(tmp_path, capsys):
+    path = tmp_path / "a.glb"
+    assert main(["generate", str(path)]) == 2
+    assert "no such file" in capsys.readouterr().err.lower()
+    path.touch()
+    assert main(["generate", str(path)]) == 2
+    assert "0 bytes" in capsys.readouterr().err
+
+
 def test_the_version_is_told(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"phy124 {__version__}\n"

@@ -93,6 +93,10 @@ def test_without_its_package_4dgs_says_what_to_install(clip, capsys, monkeypatch
         ("--to glb --frame -1", "The clip has the frames 0 to 2"),
         ("--to glb --frame 1 --all", "Leave one of them out"),
         ("--to glb --out no/a.glb", "no file can be written"),
+        ("--to p4d --out clip.safetensors", "It is the name of a file that the export reads"),
+        ("--to frames --out ./clip.safetensors", "It is the name of a file that the export reads"),
+        ("--to frames --frame 1", "--to frames writes all frames and all Gaussians"),
+        ("--to frames --merge 2", "--to frames writes all frames and all Gaussians"),
     ],
 )
 def test_exports_that_cannot_be_are_refused(clip, capsys, monkeypatch, words, sentence):

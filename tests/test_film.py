@@ -207,9 +207,13 @@ def test_ffmpeg_opens_every_film_and_gif_fits(tmp_path, clip, size):
 
 
 def test_animation_too_small_for_its_frames_is_refused(tmp_path, clip):
-    with pytest.raises(InputError, match="do not fit into"):
-        film(clip, view(formats=["webp"], megabytes=1e-5), tmp_path, device="cpu")
+    with pytest.raises(InputError) as refused:
+        film(clip, view(formats=["webp"], megabytes=1e-9), tmp_path, device="cpu")
+    assert refused.value.value == pytest.approx(1e-9) and "24 x 16" in refused.value.limit
     assert not list(tmp_path.iterdir())
+    least = float(refused.value.limit.split()[-2])
+    film(clip, view(formats=["webp"], megabytes=least), tmp_path, device="cpu")
+    assert (tmp_path / "front.webp").stat().st_size <= 1e6 * least
 
 
 @pytest.mark.parametrize("returns", [False, True], ids=["reversed", "faded"])

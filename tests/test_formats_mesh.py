@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from phy124.__main__ import main as run_command
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians, rotation_matrices
+from phy124.generators.mesh import load_pieces
 from phy124.generators.shapes import ball
 from phy124.io.clip import Clip
 from phy124.io.formats import FORMATS, write_gaussians
@@ -182,6 +183,39 @@ def test_export_moves_the_mesh_of_the_user(tmp_path, spun, capsys):
     document, _ = _chunks((tmp_path / "clip.glb").read_bytes())
     position = document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
     assert document["accessors"][position]["count"] == len(sphere.vertices)
+
+
+@pytest.mark.parametrize(
+    ("corner", "sentence"), [("nan 0 0", "NaN or infinite"), ("0 0 1", "have no area")]
+)
+def test_broken_surface_is_refused(tmp_path, spun, capsys, corner, sentence):
+    surface = tmp_path / "a.obj"
+    surface.write_text(f"v 0 0 0\nv 0 0 1\nv {corner}\nf 1 2 3\n")
+    words = ["export", _saved(tmp_path, spun), "--to", "moving-mesh", "--surface", str(surface)]
+    assert run_command(words) == 2
+    assert f"mesh = {surface}" in (message := capsys.readouterr().err) and sentence in message
+    assert not (tmp_path / "clip.glb").exists()
+
+
+def test_unused_vertices_do_not_scale_the_surface(tmp_path, spun):
+    sphere = trimesh.creation.icosphere(subdivisions=1)
+    vertices = [*sphere.vertices, [9, 9, 9], [np.nan, 0, 0]]
+    trimesh.Trimesh(vertices, sphere.faces, process=False).export(tmp_path / "a.ply")
+    pieces, axes = load_pieces(tmp_path / "a.ply")
+    (placed,) = fit_to_clip(pieces, spun, axes)
+    assert np.ptp(placed.vertices, axis=0).max() == pytest.approx(
+        np.ptp(spun.means[0], axis=0).max(), rel=1e-5
+    )
+
+
+def test_surface_is_not_replaced(tmp_path, spun, capsys):
+    surface = tmp_path / "clip.glb"
+    trimesh.creation.box().export(surface)
+    before = surface.read_bytes()
+    words = ["export", _saved(tmp_path, spun), "--to", "moving-mesh", "--surface", str(surface)]
+    assert run_command(words) == 2
+    assert "Give another name by --out" in capsys.readouterr().err
+    assert surface.read_bytes() == before
 
 
 def test_openusd_reads_the_moving_surface(tmp_path, spun):

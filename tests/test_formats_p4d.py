@@ -102,6 +102,38 @@ def test_javascript_reader_agrees_with_python(tmp_path, reader):
     np.testing.assert_allclose(places, film.frame(2), atol=1e-5)
 
 
+def test_single_gaussian_is_written(tmp_path, reader):
+    one = ball(count=1500).select(np.arange(1500) == 0)
+    frames = [Frame(k, k / 10, one.transform(1, np.array([0.1 * k, 0, 0]))) for k in range(3)]
+    clip = Clip.from_frames(frames)
+    write_lattice4d(tmp_path / "a.p4d", clip)
+    data = (tmp_path / "a.p4d").read_bytes()
+    film = reader(lambda offset, length: data[offset : offset + length])
+    for k in range(3):
+        np.testing.assert_allclose(film.frame(k), clip.means[k] @ TURN.T, atol=1e-3)
+
+
+def test_file_is_fetched_once_without_ranges(tmp_path):
+    """Simple servers, such as Python's, send the whole file, whatever the range."""
+    if (node := shutil.which("node")) is None:
+        pytest.skip("node is not installed")
+    path = tmp_path / "a.p4d"
+    write_lattice4d(path, clip_of([bend(0), bend(0.3)]))
+    script = f"""
+        import {{ readFileSync }} from 'fs'; import {{ P4D }} from '{VIEWER / "p4d.mjs"}';
+        let asked = 0;
+        const file = readFileSync('{path}');
+        globalThis.fetch = async () => {{ asked += 1; return new Response(file); }};
+        const film = await P4D.fetch('a.p4d');
+        const {{ moved }} = await film.displacements(1);
+        console.log(asked, moved.length === 3 * film.about.nodes + 3);
+    """
+    done = subprocess.run(
+        [node, "--input-type=module", "--eval", script], check=True, capture_output=True, text=True
+    )
+    assert done.stdout.split() == ["1", "true"]
+
+
 def test_empty_clip_is_refused(tmp_path):
     empty = clip_of([bend(0)])
     empty = Clip(

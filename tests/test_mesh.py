@@ -263,6 +263,8 @@ def test_generate_takes_a_mesh_instead_of_a_picture(tmp_path, capsys):
     assert run_command(["generate", str(path), *few, "--gaussians", "500", "--out", str(out)]) == 0
     report = json.loads((out / "report.json").read_text())
     assert report["gaussians"] <= 500 and report["generator"] == str(path)
+    assert run_command(["generate", str(path), "--generator", "lgm"]) == 2
+    assert "which needs no generator" in capsys.readouterr().err
     assert run_command(["convert", str(path), str(tmp_path / "x.ply")]) == 2
     assert "it is a mesh" in capsys.readouterr().err
 

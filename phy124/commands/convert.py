@@ -17,6 +17,7 @@ from phy124.generators.mesh import load_pieces
 from phy124.generators.ply_file import Reading
 from phy124.io.clip import Clip
 from phy124.io.content import Content
+from phy124.io.files import resolve_links
 from phy124.io.formats import (
     Format,
     find_written_format,
@@ -107,7 +108,9 @@ class Export:
         """
         if self.to == "frames":
             return self._write_values()
-        chosen, clip = find_written_format(Path(), self.to), Clip.load(self.clip)
+        chosen = find_written_format(Path(), self.to)
+        self._refuse_replacing(self.out or self.clip.with_suffix(chosen.suffix))
+        clip = Clip.load(self.clip)
         if self.frame is not None and self.all:
             limit = "--frame selects one frame, but --all selects every frame."
             raise InputError("frame", self.frame, limit, "Leave one of them out.")
@@ -127,12 +130,24 @@ class Export:
 
     def _write_values(self) -> int:
         """Write a clip with all values of each frame; print its name."""
-        clip = Clip.load(self.clip)
+        for name in ("frame", "merge", "surface"):
+            if (value := getattr(self, name)) is not None:
+                limit = "--to frames writes all frames and all Gaussians."
+                raise InputError(name, value, limit, "Leave it out.")
         path = self.out or self.clip.with_name(f"{self.clip.stem}-frames.safetensors")
+        self._refuse_replacing(path)
+        clip = Clip.load(self.clip)
         with Bars(quiet=self.json) as bars:
             write_frames_clip(path, clip, bars)
         print(json.dumps({"files": [str(path)]}) if self.json else path)
         return 0
+
+    def _refuse_replacing(self, path: Path) -> None:
+        """Refuse to write over a file that is read."""
+        read = [each for each in (self.clip, self.surface) if each is not None]
+        if resolve_links(path) in [resolve_links(each) for each in read]:
+            limit = "It is the name of a file that the export reads."
+            raise InputError("out", path, limit, "Give another name by --out.")
 
     def _write(self, clip: Clip, chosen: Format, bars: Bars) -> list[Path]:
         moving = chosen.write_clip is not None

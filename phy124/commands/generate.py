@@ -56,6 +56,9 @@ class Generate:
     def run(self) -> int:
         """Generate a clip and its films; print files and durations."""
         if is_mesh(self.image):
+            if self.making.generator not in (PictureOptions.generator, str(self.image)):
+                limit = f"{self.image} is a mesh, which needs no generator."
+                raise InputError("generator", self.making.generator, limit, "Leave it out.")
             making = replace(self.making, generator=str(self.image))
             return replace(self, making=making)._run()
         return self._run()

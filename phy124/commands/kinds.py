@@ -99,4 +99,6 @@ def _kind(path: Path) -> str | None:
 
         if is_mesh(path):
             return "a mesh"
+        if ending == ".glb":
+            return signed  # its name does not say whether it is a mesh or a file of Gaussians
     return signed or KINDS.get(ending) or ("a file of Gaussians" if ending in endings() else None)

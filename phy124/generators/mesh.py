@@ -107,7 +107,7 @@ def load_pieces(path: Path) -> tuple[list[Trimesh], tuple[str, str | None]]:
     """
     _refuse(path)
     kind = _kind(path)
-    return _read_apart(path, _load_solids, str(path), kind)[0], UPRIGHT[kind]
+    return _read_apart(path, _load_sound_solids, str(path), kind), UPRIGHT[kind]
 
 
 def is_mesh(path: Path) -> bool:
@@ -232,6 +232,19 @@ def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | Non
     return drawn, describe_coarseness(largest.vertices, step_of(largest.vertices))
 
 
+def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
+    """Return the pieces of a mesh, in place, with only the vertices that triangles use.
+
+    Raises:
+        ValueError: If the mesh is unusable; its message is "limit; remedy".
+    """
+    solids, _ = _load_solids(path, kind)
+    _join_corners(solids)
+    for piece in solids:
+        piece.remove_unreferenced_vertices()
+    return solids
+
+
 def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
     """Return the pieces of a mesh that have triangles, in place, and the shapes in its file.
 
@@ -289,8 +302,8 @@ def _is_text(line: bytes) -> bool:
     return False
 
 
-def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
-    """Sample evenly spaced points on all pieces of a mesh.
+def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the corners [3F,3] and the areas [F] of the triangles of all pieces of a mesh.
 
     Raises:
         ValueError: If a corner is not finite or does not exist, or the pieces have no area.
@@ -305,6 +318,16 @@ def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
     areas = np.concatenate([piece.area_faces for piece in pieces])
     if not areas.sum() > SMALLEST * side * side > 0:
         raise ValueError("its triangles have no area.")
+    return corners, areas
+
+
+def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
+    """Sample evenly spaced points on all pieces of a mesh.
+
+    Raises:
+        ValueError: If a corner is not finite or does not exist, or the pieces have no area.
+    """
+    corners, areas = _join_corners(pieces)
     # If most of the area faces the centre, the mesh is inside out, and its normals are reversed.
     away = np.concatenate([piece.triangles_center for piece in pieces]) - corners.mean(axis=0)
     normals = np.concatenate([piece.face_normals for piece in pieces])

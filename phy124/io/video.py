@@ -151,7 +151,7 @@ def write_animation(
     frames: Iterable[Picture],
     *,
     fps: float,
-    most: int | None = None,
+    most: float | None = None,
 ) -> int:
     """Write frames [H,W,3 or 4] uint8 as an endless .gif or .webp, and return their number.
 
@@ -182,6 +182,7 @@ def write_animation(
         clear = {"transparency": CLEAR, "disposal": 2} if images[0].mode == "P" else {}
         times = _durations(len(images), fps, 10 if kind == "GIF" else 1)
         scale, shown = 1.0, images
+        smallest = SMALLEST / min(images[0].size)
         while True:
             shown[0].save(
                 temporary,
@@ -196,11 +197,13 @@ def write_animation(
             written = temporary.stat().st_size
             if most is None or written <= most:
                 return len(images)
-            scale *= min((most / written) ** 0.5, 0.95)
+            if scale <= smallest:
+                width, height = shown[0].size
+                limit = f"{len(images)} pictures of {width} x {height} take {written / 1e6:g} MB."
+                remedy = "Give at least that, or film fewer frames."
+                raise InputError("megabytes", most / 1e6, limit, remedy)
+            scale = max(scale * min((most / written) ** 0.5, 0.95), smallest)
             side = [round(scale * length) for length in images[0].size]
-            if min(side) < SMALLEST:
-                limit = f"{len(images)} pictures do not fit into {most / 1e6:g} MB."
-                raise InputError("megabytes", most / 1e6, limit, "Give more, or fewer frames.")
             shown = [image.resize(side) for image in images]
 
 

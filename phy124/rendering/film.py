@@ -270,7 +270,7 @@ def _encode(ending: str, write: Callable[..., object]) -> Encoder:
     def encode(folder: Path, side: str, images: Iterator[Picture], fps: float, view: View) -> Path:
         path = folder / f"{side}.{ending}"
         small = write is write_animation and view.megabytes
-        write(path, images, fps=fps, **({"most": round(1e6 * small)} if small else {}))
+        write(path, images, fps=fps, **({"most": 1e6 * small} if small else {}))
         return path
 
     return encode

@@ -80,8 +80,8 @@ class Lattice:
         """Build the lattice with a number of nodes along the longest side of points [N,3], m."""
         from scipy import sparse
 
-        low, high = points.min(axis=0), points.max(axis=0)
-        spacing = float((high - low).max()) / (nodes - 1)
+        low = points.min(axis=0)
+        spacing = measure_size(points) / (nodes - 1)
         origin = low - 1e-4 * spacing
         at = (points - origin) / spacing
         cell = np.floor(at).astype(np.int64)
@@ -175,7 +175,7 @@ def encode(
     first = rotate_gaussians(clip.frame(0).gaussians.select(mask), turn)
     still = sog.encode(first)
     rest = _centres(still)
-    size = float(np.ptp(rest, axis=0).max())
+    size = measure_size(rest)
     places = [clip.means[index][mask].astype(np.float64) @ turn.T for index in range(len(clip))]
     made = []
     for index, nodes in enumerate(NODES):
@@ -203,6 +203,11 @@ def encode(
     numbers = np.concatenate([lattice.indices, motion.exceptions]).astype("<u4").tobytes()
     parts = [still, zlib.compress(numbers, 9), *motion.frames]
     return _pack(about, [*parts, zlib.compress(steps.tobytes(), 9), shades]), shape
+
+
+def measure_size(points: NDArray[np.float64]) -> float:
+    """Return the longest side of the box of points [N,3], m; 1 if they are at one place."""
+    return float(np.ptp(points, axis=0).max()) or 1.0
 
 
 def measure(clip: Clip) -> dict[str, Any]:
@@ -288,7 +293,7 @@ class _Motion:
         cls, lattice: Lattice, rest: NDArray[np.float64], places: list[NDArray[np.float64]]
     ) -> _Motion:
         """Fit a lattice to the positions of Gaussians in each frame [N,3], m."""
-        solver, size = lattice.solver(), float(np.ptp(rest, axis=0).max())
+        solver, size = lattice.solver(), measure_size(rest)
         errors, fitted = np.zeros(len(rest)), []
         for place in places:
             moved = solver.solve(lattice.weights.T @ (place - rest))

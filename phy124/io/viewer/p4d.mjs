@@ -3,12 +3,16 @@
 //   const places = await film.frame(5, centres);   // Float32Array [N,3], m
 export class P4D {
   static fetch(url) {
+    let whole; // from a server that does not answer by range
     return P4D.open(async (offset, length) => {
+      if (whole) return whole.slice(offset, offset + length);
       const range = { headers: { Range: `bytes=${offset}-${offset + length - 1}` } };
       const answer = await fetch(url, range);
       if (!answer.ok) throw new Error(`${url}: ${answer.status} ${answer.statusText}`);
       const data = new Uint8Array(await answer.arrayBuffer());
-      return answer.status === 206 ? data : data.slice(offset, offset + length);
+      if (answer.status === 206) return data;
+      whole = data;
+      return whole.slice(offset, offset + length);
     });
   }
 
