@@ -95,6 +95,7 @@ def test_without_its_package_4dgs_says_what_to_install(clip, capsys, monkeypatch
         ("--to glb --out no/a.glb", "no file can be written"),
         ("--to p4d --out clip.safetensors", "It is the name of a file that the export reads"),
         ("--to frames --out ./clip.safetensors", "It is the name of a file that the export reads"),
+        ("--to mesh --out a.obj", "end in .glb. Rename it, or choose --to mesh-obj"),
         ("--to frames --frame 1", "--to frames writes all frames and all Gaussians"),
         ("--to frames --merge 2", "--to frames writes all frames and all Gaussians"),
     ],

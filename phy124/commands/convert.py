@@ -63,6 +63,7 @@ class Convert:
             InputError: The file cannot be read, or the new file cannot be written.
         """
         chosen = find_written_format(self.out, self.to)
+        _refuse_other_ending(self.out, chosen)
         content = read_gaussians(
             self.file, up=self.up, front=self.front, dialect=self.dialect, rotate=self.rotate
         )
@@ -109,6 +110,8 @@ class Export:
         if self.to == "frames":
             return self._write_values()
         chosen = find_written_format(Path(), self.to)
+        if self.out is not None and not self.all:
+            _refuse_other_ending(self.out, chosen)
         self._refuse_replacing(self.out or self.clip.with_suffix(chosen.suffix))
         clip = Clip.load(self.clip)
         if self.frame is not None and self.all:
@@ -168,6 +171,16 @@ class Export:
         path = self.out or self.clip.with_name(name)
         chosen.write(path, clip.frame(index).gaussians)
         return [path]
+
+
+def _refuse_other_ending(path: Path, chosen: Format) -> None:
+    """Refuse a file name with the ending of another format, which programs would misread."""
+    ending, known = path.suffix.lower(), written_formats().values()
+    endings = {each.name: (each.suffix, *each.other_suffixes) for each in known}
+    others = [name for name, each in endings.items() if ending in each]
+    if others and chosen.name not in others:
+        limit = f"files of the format {chosen.title} end in {chosen.suffix}."
+        raise InputError("out", path, limit, f"Rename it, or choose --to {' or '.join(others)}.")
 
 
 def note_lost(gaussians: Gaussians, chosen: Format) -> list[str]:
