@@ -212,7 +212,7 @@ ABOUT: dict[str, About] = {
         "the same network, all in 8 bits: --generator triposr",
         430,
         "onnx",
-        memory=2.8e9,
+        memory=2.4e9,
         work=1.31e12,
     ),
     "triposr-torch": About(

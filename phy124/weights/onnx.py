@@ -35,6 +35,8 @@ class OnnxNetwork:
         path: The .onnx file; a file of external data must be in the same folder.
         inputs: Names of its inputs, in the order in which they are passed; None: its own order.
         outputs: Names of the outputs that are returned; None: the first output.
+        folds: Whether onnxruntime computes constants when it opens the file. For 8-bit weights this
+            takes memory, since it unpacks them to float32.
 
     Raises:
         InputError: If onnxruntime is not installed, or the file is unreadable or another network.
@@ -45,9 +47,11 @@ class OnnxNetwork:
         path: str | os.PathLike[str],
         inputs: Sequence[str] | None = None,
         outputs: Sequence[str] | None = None,
+        *,
+        folds: bool = True,
     ) -> None:
         self.path = Path(path)
-        self.session = _open(self.path)
+        self.session = _open(self.path, folds)
         known = [node.name for node in self.session.get_inputs()]
         results = [node.name for node in self.session.get_outputs()]
         self.inputs = list(inputs or known)
@@ -75,8 +79,8 @@ class OnnxNetwork:
             raise InputError("weights", self.path, limit, remedy) from error
 
 
-def _open(path: Path) -> InferenceSession:
-    """Open a file in onnxruntime.
+def _open(path: Path, folds: bool) -> InferenceSession:
+    """Open a file in onnxruntime; `folds` is explained in `OnnxNetwork`.
 
     Raises:
         InputError: If onnxruntime is not installed or the file is unreadable.
@@ -94,7 +98,12 @@ def _open(path: Path) -> InferenceSession:
     options.enable_mem_pattern = False
     options.intra_op_num_threads = physical_cores()
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        return onnxruntime.InferenceSession(
+            str(path),
+            options,
+            providers=["CPUExecutionProvider"],
+            disabled_optimizers=None if folds else ["ConstantFolding"],
+        )
     except Exception as error:  # onnxruntime's errors share no other base
         raise InputError(
             "weights",

@@ -155,7 +155,7 @@ class Node:
         self.descriptors: dict[str, ParameterDescriptor] = {}
         self.actions: dict[str, tuple] = {}
         self.logger = Logger()
-        self._befores, self._checks, self._afters = [], [], []
+        self._before, self._checks, self._afters = [], [], []
         self.made.append(self)
 
     def context_must_be_ok(self, complaint: str) -> None:
@@ -239,14 +239,14 @@ class Node:
 
     def set_parameters(self, parameters: list[Parameter]) -> list[SetParametersResult]:
         """Also what `ros2 param set` ends in."""
-        for before in self._befores:
+        for before in self._before:
             parameters = before(parameters)
         for parameter in parameters:
             self.get_parameter(parameter.name)
         return [self._set(p, self.descriptors[p.name], check_read_only=True) for p in parameters]
 
     def add_pre_set_parameters_callback(self, callback) -> None:
-        self._befores.insert(0, callback)
+        self._before.insert(0, callback)
 
     def add_on_set_parameters_callback(self, callback) -> None:
         self._checks.insert(0, callback)

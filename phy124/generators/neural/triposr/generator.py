@@ -125,7 +125,7 @@ def load_onnx(encoder: Path, decoder: Path) -> Any:
         InputError: If onnxruntime is not installed, or a file is unreadable or another network.
     """
     decode = OnnxNetwork(decoder, None, RESULTS)
-    return lambda image: _onnx_field(OnnxNetwork(encoder, ["image"])(image)[0], decode)
+    return lambda image: _onnx_field(OnnxNetwork(encoder, ["image"], folds=False)(image)[0], decode)
 
 
 RESULTS = ("density", "color")
