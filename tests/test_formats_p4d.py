@@ -134,6 +134,38 @@ def test_file_is_fetched_once_without_ranges(tmp_path):
     assert done.stdout.split() == ["1", "true"]
 
 
+def test_player_can_load_a_frame_again(tmp_path):
+    """A frame that could not be read, as during a short loss of the network, is read later."""
+    if (node := shutil.which("node")) is None:
+        pytest.skip("node is not installed")
+    path = tmp_path / "a.p4d"
+    write_lattice4d(path, clip_of([bend(0), bend(0.3)]))
+    script = f"""
+        import {{ readFileSync }} from 'fs'; import {{ P4D }} from '{VIEWER / "p4d.mjs"}';
+        const data = new Uint8Array(readFileSync('{path}'));
+        const code = readFileSync('{VIEWER / "pack.js"}');
+        const Phy124Pack = new Function(code + '; return Phy124Pack;')();
+        let broken = false;
+        const film = await P4D.open((offset, length) => {{
+          if (broken) throw new Error('lost');
+          return data.slice(offset, offset + length);
+        }});
+        const n = film.about.count, floats = (k) => new Float32Array(k * n).fill(0.5);
+        const colours = new Uint8Array(4 * n), quats = floats(4);
+        film.still = () => ({{ centres: floats(3), scales: floats(3), quats, colours }});
+        const pack = await Phy124Pack.film(film);
+        broken = true;
+        const first = await pack.load(1).then(() => 'read', (error) => error.message);
+        broken = false;
+        await pack.load(1);
+        console.log(first, pack.loaded[1]);
+    """
+    done = subprocess.run(
+        [node, "--input-type=module", "--eval", script], check=False, capture_output=True, text=True
+    )
+    assert done.stdout.split() == ["lost", "true"], done.stderr
+
+
 def test_empty_clip_is_refused(tmp_path):
     empty = clip_of([bend(0)])
     empty = Clip(

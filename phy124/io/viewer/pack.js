@@ -131,7 +131,8 @@ globalThis.Phy124Pack = (() => {
       ...p4d.cells(still.centres) };
     pack.shades = integrate(flat, t, flat.length / t);
     pack.axes = restAxes(still);
-    pack.load = (k) => (pack.loaded[k] ??= p4d.displacements(k).then((moves) => { pose(pack, k, moves); pack.loaded[k] = true; }));
+    const failed = (k) => (error) => { pack.loaded[k] = undefined; throw error; }; // it can be tried again
+    pack.load = (k) => (pack.loaded[k] ??= p4d.displacements(k).then((moves) => { pose(pack, k, moves); pack.loaded[k] = true; }).catch(failed(k)));
     await pack.load(0);
     return pack;
   }

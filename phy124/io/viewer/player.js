@@ -347,7 +347,8 @@ globalThis.Phy124Player = (() => {
     ready(frame) {
       const { load, loaded, t } = this.pack, missing = load ? [Math.floor(frame), Math.min(Math.ceil(frame), t - 1)].filter((k) => loaded[k] !== true) : [];
       if (!missing.length) return true;
-      this.waiting ??= Promise.all(missing.map(load)).then(() => { this.waiting = null; if (!this.gone) this.seek(this.time); });
+      this.waiting ??= Promise.all(missing.map(load)).then(() => true, () => new Promise((wait) => { setTimeout(wait, 1000, false); }))
+        .then((there) => { this.waiting = null; if (there && !this.gone) this.seek(this.time); });
       return false;
     }
 
