@@ -166,6 +166,26 @@ def test_player_can_load_a_frame_again(tmp_path):
     assert done.stdout.split() == ["lost", "true"], done.stderr
 
 
+def test_player_says_that_a_file_is_cut_short(tmp_path):
+    if (node := shutil.which("node")) is None:
+        pytest.skip("node is not installed")
+    path = tmp_path / "a.p4d"
+    write_lattice4d(path, clip_of([bend(0), bend(0.3)]))
+    script = f"""
+        import {{ readFileSync }} from 'fs'; import {{ P4D }} from '{VIEWER / "p4d.mjs"}';
+        const data = new Uint8Array(readFileSync('{path}'));
+        for (const size of [100, data.length >> 1]) {{
+          const cut = data.slice(0, size);
+          await P4D.open((offset, length) => cut.slice(offset, offset + length))
+            .catch((error) => console.log(error.message));
+        }}
+    """
+    done = subprocess.run(
+        [node, "--input-type=module", "--eval", script], check=True, capture_output=True, text=True
+    )
+    assert done.stdout.splitlines() == 2 * ["The .p4d file is cut short."]
+
+
 def test_empty_clip_is_refused(tmp_path):
     empty = clip_of([bend(0)])
     empty = Clip(

@@ -20,8 +20,12 @@ export class P4D {
   static async open(read) {
     const film = new P4D(), head = await read(0, 12);
     if (String.fromCharCode(...head.slice(0, 5)) !== 'PHY4D' || head[6] !== 1) throw new Error('This is no .p4d file of version 1.');
-    film.read = read;
-    film.about = JSON.parse(new TextDecoder().decode(await read(12, new DataView(head.buffer, head.byteOffset).getUint32(8, true))));
+    film.read = async (offset, length) => {
+      const data = await read(offset, length);
+      if (data.length < length) throw new Error('The .p4d file is cut short.');
+      return data;
+    };
+    film.about = JSON.parse(new TextDecoder().decode(await film.read(12, new DataView(head.buffer, head.byteOffset).getUint32(8, true))));
     const numbers = new Uint32Array((await film.section(film.about.indices)).buffer);
     film.index = new Map(Array.from(numbers.slice(0, film.about.nodes), (node, k) => [node, k]));
     film.exceptions = numbers.slice(film.about.nodes);
