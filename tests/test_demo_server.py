@@ -225,9 +225,11 @@ def test_the_program_of_the_documentation_runs(server, monkeypatch, capsys):
 def test_the_error_of_a_scene_is_measured_by_name(client):
     from gradio_client import handle_file
 
+    from phy124.accuracy.promises import format_percent
+
     scene = {"preset": "drop", "accuracy": "fine", "frames": 2, "changes": {"binding": "lattice"}}
     error, said, levels = client.predict(handle_file(str(DUCK)), **scene, api_name="/measure")
-    assert 0 < error < 1 and f"{error:.1%}" in said
+    assert 0 < error < 1 and f"about {format_percent(error)} of" in said
     assert [level["cells"] for level in levels] == [12, 16, 24]
     assert all({"name", "seconds", "error", "torn"} <= set(level) for level in levels)
     told = client.view_api(return_format="dict")["named_endpoints"]["/measure"]

@@ -78,7 +78,7 @@ def test_the_report_has_the_documented_keys(made):
     assert {"image", "generate", "particles", "simulate", "deform", "render"} <= set(stages)
     assert stages["simulate"]["launches"] > 4 * report["substeps"]
     covered = sum(stage["seconds"] for stage in report["stages"])
-    assert 0.9 * report["seconds"] < covered <= 1.01 * report["seconds"]
+    assert 0.7 * report["seconds"] < covered <= 1.01 * report["seconds"]
     assert report == Clip.load(made / "clip.safetensors").report
 
 

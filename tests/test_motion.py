@@ -1,5 +1,7 @@
 """Clips that store the motion of the particles that carry their Gaussians."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -114,3 +116,13 @@ def test_run_without_held_frames_has_the_same_clip(tmp_path, every_frame, monkey
     for clip in others:
         for array in ARRAYS:
             assert np.array_equal(getattr(held, array), getattr(clip, array))
+
+
+def test_changed_arrays_are_saved(saved, tmp_path):
+    """A clip whose centres were replaced is written with them, not with its old motion."""
+    for clip in (saved[0], Clip.load(saved[1])):
+        changed = replace(clip, means=np.array(clip.means) + np.float32(1))
+        assert changed.motion is None and clip.with_report({}).motion is not None
+        changed.save(tmp_path / "changed.safetensors")
+        read = Clip.load(tmp_path / "changed.safetensors")
+        np.testing.assert_array_equal(read.means, changed.means)

@@ -347,7 +347,8 @@ def promise_own(entry: Mapping[str, Any]) -> Promise:
 
 
 def format_percent(fraction: float) -> str:
-    """Format a fraction as a percentage: "0.8 %", "12 %"."""
+    """Format a fraction as a percentage of at least 0.01 %: "0.8 %", "12 %"."""
+    fraction = max(fraction, 1e-4)
     return f"{100 * fraction:.1g} %" if fraction < 0.01 else f"{100 * fraction:.2g} %"
 
 

@@ -33,6 +33,8 @@ SPARE = " " * 8192
 """Space in the header for a longer report."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
 OPTIONAL = ("rotations", "velocities", "contacts")
+DESCRIBED = ("means", "quats", "scales", "rotations", "opacities", "sh", "object_id")
+"""Arrays that the file of a clip can have as a motion."""
 WALLS = "wrenches"
 OBJECT = "object_id"
 MADE = "Give a clip.safetensors made by `phy124 generate`."
@@ -76,9 +78,14 @@ class Clip:
     objects: tuple[str, ...] = ()
     """Names of the objects, if there is more than one."""
     motion: Motion | None = None
-    """What moves the Gaussians, if the clip's file is to have it in place of their values."""
+    """What moves the Gaussians, if the clip's file is to have it in place of their values; None if
+    an array that it describes has been replaced."""
 
     def __post_init__(self) -> None:
+        if self.motion is not None:
+            pairs = zip(self._arrays_of_motion(), self.motion.describes, strict=True)
+            if not all(array is described for array, described in pairs):
+                object.__setattr__(self, "motion", None)
         t, n = self.means.shape[:2]
         shapes = {
             "means": (t, n, 3),
@@ -158,7 +165,6 @@ class Clip:
         }
         each |= {"opacities": self.opacities[kept], "sh": self.sh[kept]}
         each["object_id"] = None if self.object_id is None else self.object_id[kept]
-        each["motion"] = None
         return replace(self, **each, report={**self.report, "grains": 0})
 
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
@@ -210,6 +216,14 @@ class Clip:
                     "and are not shown."
                 )
         return sentences
+
+    def with_motion(self, motion: Motion) -> Clip:
+        """Return a copy of the clip whose file has a motion in place of the arrays it describes."""
+        return replace(self, motion=replace(motion, describes=self._arrays_of_motion()))
+
+    def _arrays_of_motion(self) -> tuple[Any, ...]:
+        """Return the arrays that a motion describes."""
+        return tuple(getattr(self, name) for name in DESCRIBED)
 
     def with_report(self, report: dict[str, Any]) -> Clip:
         """Return a copy of the clip with the report replaced."""
@@ -283,7 +297,8 @@ class Clip:
             raise _refusal(path, f"its scene or report is damaged ({error}).") from error
         try:
             texts = {"scene": scene, "report": report, "walls": walls, "objects": objects}
-            return cls(**known, **texts, motion=motion)
+            clip = cls(**known, **texts)
+            return clip if motion is None else clip.with_motion(motion)
         except (ValueError, IndexError) as error:
             raise _refusal(path, f"its tensors have inconsistent shapes ({error}).") from error
 

@@ -92,7 +92,7 @@ def unpack(tensors: Mapping[str, NDArray], facts: Mapping[str, Any], times: NDAr
     tracks, poses = exact.pop("tracks"), exact.pop("poses")
     rest = x[carriers].astype(np.float64)
     order = hilbert_order(rest)
-    rows = {
+    rows: dict[str, Any] = {
         name: Steps(
             tensors[f"motion.{name}"],
             arrays[name]["chunks"],

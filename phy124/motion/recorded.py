@@ -71,6 +71,8 @@ class Motion:
     """Indices of the objects that are rigid solids."""
     poses: NDArray[np.float64]
     """Centres [m] and rotations (wxyz) of the rigid solids [T,R,7]."""
+    describes: tuple[Any, ...] = ()
+    """Arrays of a clip that this motion gives (`phy124.io.clip.DESCRIBED`)."""
 
 
 class Track:

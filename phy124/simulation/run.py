@@ -201,7 +201,7 @@ class Simulation:
         for observer in self.observers:
             clip = observer.complete(clip)
         if self._follows_particles(clip):
-            clip = replace(clip, motion=self._motion(clip.times))
+            clip = clip.with_motion(self._motion(clip.times))
         return clip.with_report(self.report() | report_clip(setup, clip))
 
     def report(self) -> dict[str, Any]:

@@ -64,7 +64,7 @@ def _megabytes(folder: Path) -> float:
 
 
 def test_exports_fill_no_more_than_the_room_of_one_visitor(server, attacker):
-    path, scene = attacker.uploaded(DUCK), {"frames": 24, "changes": {"view.views": ["front"]}}
+    path, scene = attacker.uploaded(DUCK), {"frames": 40, "changes": {"view.views": ["front"]}}
     kinds = ["ply", "usd", "mcap", "html", "4dgs"]
     assert "your limit is" in attacker.generate({"path": path}, formats=kinds, **scene)
     for kind in kinds:
