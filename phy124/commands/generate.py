@@ -54,7 +54,11 @@ class Generate:
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
 
     def run(self) -> int:
-        """Generate a clip and its films; print files and durations."""
+        """Generate a clip and its films; print files and durations.
+
+        Raises:
+            InputError: An option or the picture is invalid.
+        """
         if is_mesh(self.image):
             if self.making.generator not in (PictureOptions.generator, str(self.image)):
                 limit = f"{self.image} is a mesh, which needs no generator."
