@@ -82,8 +82,16 @@ def state(place, quaternion=(0, 0, 0, 1), linear=(0, 0, 0), angular=(0, 0, 0), f
     return at(header=header(frame), pose=pose, twist=twist)
 
 
-def test_a_state_that_is_set_is_the_state_that_moves_on():
-    run = steered(changes=WEIGHTLESS)
+LATTICE = {"accuracy": {"cells": 8, "solver": "lattice"}}
+SOLIDS = [
+    {"name": "box", "shape": "box", "sides": [0.4] * 3, "place": [1.5, 0.0], **kind}
+    for kind in ({"motion": {"kind": "free"}}, {"static": True})
+]
+
+
+@pytest.mark.parametrize("solver", [{}, LATTICE], ids=["mpm", "lattice"])
+def test_a_state_that_is_set_is_the_state_that_moves_on(solver):
+    run = steered(changes={**WEIGHTLESS, **solver})
     run.advance()
     half = np.sqrt(0.5)
     asked = state((0.2, 0, 0.8), (0, 0, half, half), (0.5, 0, 0), (0, 0, 1))
@@ -117,8 +125,44 @@ def test_flags_choose_pose_or_twist_and_the_frame_counts():
     assert np.allclose(motion.place, (0.1, 0.2, 0.7)) and np.allclose(motion.velocity, (0, 1, 0))
 
 
-def test_a_far_jump_is_no_instability():
-    run = steered(changes=WEIGHTLESS)
+def test_free_solids_move_at_once_and_fixed_solids_are_refused():
+    free, fixed = ({**WEIGHTLESS, "objects": [solid]} for solid in SOLIDS)
+    run = steered(changes=free)
+    run.advance()
+    half = np.sqrt(0.5)
+    asked = state((2, 0, 1), (0, 0, half, half), (0, 1, 0), (0, 0, 2))
+    assert serve(run, "SetEntityState")(entity="box", state=asked)["result"]["result"] == Code.OK
+    for _ in range(12):
+        run.advance()
+    found = serve(run, "GetEntityState")(entity="box")["state"]
+    assert [*found["pose"]["position"].values()] == pytest.approx([2, 0.5, 1], abs=1e-6)
+    z, w = (found["pose"]["orientation"][axis] for axis in "zw")
+    assert 2 * np.arctan2(z, w) == pytest.approx(np.pi / 2 + 1)
+    assert [*found["twist"]["angular"].values()] == pytest.approx([0, 0, 2])
+    flags = {"set_pose": True, "set_twist": False}
+    serve(run, "SetEntityState")(entity="box", state=state((2, 0, 1)), **flags)
+    motion = run.live.motions["box"]
+    turned = (np.sin(np.pi / 2 + 1), np.cos(np.pi / 2 + 1), 0)
+    assert np.allclose(motion.velocity, turned) and np.allclose(motion.spin, (0, 0, 2))
+
+    run = steered(changes=fixed)
+    run.advance()
+    refused = serve(run, "SetEntityState")(entity="box", state=asked)["result"]
+    assert refused["result"] != Code.OK and "box" in refused["error_message"]
+
+
+def test_a_liquid_by_projection_is_not_moved_at_once():
+    liquid = {"material": {"law": "fluid"}, "accuracy": {"cells": 8, "liquid": "projection"}}
+    answer = serve(steered(changes=liquid), "SetEntityState")(
+        entity="object", state=state((0, 0, 1))
+    )
+    assert answer["result"]["result"] == Code.OPERATION_FAILED
+    assert "accuracy.liquid = compressible" in answer["result"]["error_message"]
+
+
+@pytest.mark.parametrize("solver", [{}, LATTICE], ids=["mpm", "lattice"])
+def test_a_far_jump_is_no_instability(solver):
+    run = steered(changes={**WEIGHTLESS, **solver})
     run.advance()
     run.advance()
     flags = {"set_pose": True, "set_twist": True}

@@ -223,6 +223,23 @@ class LatticeSolver:
         """Compute x, v, C and F of the points from the nodes."""
         self.workers[0].run(self._crew.follow())
 
+    def carry_nodes(self, carry: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]]) -> None:
+        """Set positions and velocities of the nodes, which walls then touch with no force.
+
+        Args:
+            carry: Returns new positions and velocities [N,3] of the nodes from the present ones.
+        """
+        nodes, rest = self.nodes_state, self.lattice.x
+        x, v = carry(rest + nodes.u.numpy(), np.asarray(nodes.v.numpy(), np.float64))
+        nodes.u.assign(x - rest)
+        nodes.v.assign(v)
+        nodes.residue.zero_()
+        self.walls.forget()
+        self._crew.stray.zero_()
+        self._look()
+        self.clock.expire()
+        self.follow()
+
     def _stable_step(self, until: float) -> None:
         """Take one substep, of a stable length that divides the remaining time evenly."""
         self._measure_if_due()

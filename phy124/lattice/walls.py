@@ -137,6 +137,11 @@ class Walls:
         changed = [contact.look() for contact in self._contacts]
         return any(changed)
 
+    def forget(self) -> None:
+        """Set the contact forces of the last substep to zero."""
+        for contact in self._contacts:
+            contact.force.zero_()
+
     def snapshot(self) -> dict[str, Any]:
         """Return sums and contact forces."""
         forces = {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +103,7 @@ def list_motions(run: Simulation) -> dict[str, Motion]:
 
 
 def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> None:
-    """Move and rotate an object's particles as a rigid body; its deformation is kept.
+    """Move and rotate an object as a rigid body; its deformation is kept.
 
     Args:
         run: The run.
@@ -112,34 +112,63 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
         twist: Whether velocities are set; otherwise they rotate with the object.
 
     Raises:
-        InputError: There is no such object, it never moves, or it has no particles.
+        InputError: There is no such object, it never moves, it has no particles, or it is a liquid
+            by projection.
     """
-    number = _object_number(run.scene, "state.entity", name)
-    if not isinstance(run.solver, Solver):
-        limit = "the solver of this scene cannot move objects at once."
-        raise InputError("state.entity", name, limit, "Use accuracy.solver = mpm.")
-    mask, state, before = _objects(run) == number, run.solver.state, list_motions(run)[name]
+    solver, solids = run.solver, [solid.name for solid in run.solver.free.all]
+    number = None if name in solids else _object_number(run.scene, "state.entity", name)
+    before = list_motions(run)[name]
     new, old = (Rotation.from_quat(each.quat[[1, 2, 3, 0]]) for each in (motion, before))
     R = (new * old.inv()).as_matrix()
-    arrays = {key: np.array(array.numpy()) for key, array in state.arrays().items()}
-    arm = (arrays["x"][mask] - before.place) @ R.T
-    arrays["x"][mask], arrays["residue"][mask] = motion.place + arm, 0
-    for key in filter(lambda key: len(arrays[key]), ("F", "total")):
-        arrays[key][mask] = R @ arrays[key][mask]
-    if twist:
-        arrays["v"][mask] = motion.velocity + np.cross(motion.spin, arm)
-        arrays["C"][mask] = np.cross(np.eye(3), motion.spin)
+
+    def carry(x: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
+        """Return new positions [m] and velocities [m/s] of material points."""
+        arm = (x - before.place) @ R.T
+        rotated = motion.velocity + np.cross(motion.spin, arm) if twist else v @ R.T
+        return motion.place + arm, rotated
+
+    if number is None:
+        velocity, spin = motion[2:] if twist else (R @ before.velocity, R @ before.spin)
+        solver.free.put(solids.index(name), (motion.place, motion.quat, velocity, spin))
+    elif solver.projects is True:
+        limit = "a liquid by projection cannot be moved at once."
+        raise InputError("state.entity", name, limit, "Use accuracy.liquid = compressible.")
+    elif isinstance(solver, Solver):
+        _carry_particles(solver, _objects(run) == number, carry, R, motion if twist else None)
     else:
-        arrays["v"][mask] = arrays["v"][mask] @ R.T
-        arrays["C"][mask] = R @ arrays["C"][mask] @ R.T
-    for key, array in state.arrays().items():
-        array.assign(arrays[key])
-    run.solver.clock.expire()
-    for grid in run.solver.grids:
-        grid.stale = True
+        solver.carry_nodes(carry)
     watchdog = run.find(Watchdog)
     if watchdog is not None:
         watchdog.restart()
+
+
+def _carry_particles(
+    solver: Solver,
+    mask: NDArray[np.bool_],
+    carry: Any,
+    R: NDArray[np.float64],
+    set_to: Motion | None,
+) -> None:
+    """Move particles as a rigid body.
+
+    Args:
+        solver: The solver.
+        mask: The particles that move [P].
+        carry: Returns new positions and velocities.
+        R: Rotation of the move [3,3].
+        set_to: The motion, if velocities are set.
+    """
+    state = solver.state
+    arrays = {key: np.array(array.numpy()) for key, array in state.arrays().items()}
+    arrays["x"][mask], arrays["v"][mask] = carry(arrays["x"][mask], arrays["v"][mask])
+    arrays["residue"][mask] = 0
+    for key in filter(lambda key: len(arrays[key]), ("F", "total")):
+        arrays[key][mask] = R @ arrays[key][mask]
+    turned = R @ arrays["C"][mask] @ R.T if set_to is None else np.cross(np.eye(3), set_to.spin)
+    arrays["C"][mask] = turned
+    for key, array in state.arrays().items():
+        array.assign(arrays[key])
+    solver.renew()
 
 
 def check_object(scene: Scene, field: str, name: str | None) -> str | None:

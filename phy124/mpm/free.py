@@ -296,6 +296,12 @@ class FreeBodies:
         rows = sums.reshape(-1, kernels.GIVEN)
         return [Wrench(row[:3], row[kernels.MOMENT : kernels.MOMENT + 3]) for row in rows]
 
+    def put(self, index: int, motion: Sequence[Any]) -> None:
+        """Set position [m], orientation (wxyz), velocity [m/s] and spin [rad/s] of a solid."""
+        place, turn, velocity, spin = (tuple(map(float, each)) for each in motion)
+        moved = self.all[index]._replace(place=place, turn=turn, velocity=velocity, spin=spin)
+        self._bodies[index].assign(moved.start())
+
     def poses(self) -> NDArray[np.float64]:
         """Return centre [m] and orientation (wxyz) of each solid [F,7]."""
         return np.array([body.numpy()[:7] for body in self._bodies], np.float64).reshape(-1, 7)

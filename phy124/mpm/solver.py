@@ -232,6 +232,12 @@ class Solver:
         self._join()
         self.clock.finish(drift)
 
+    def renew(self) -> None:
+        """Measure everything again, because the state was set from outside."""
+        self.clock.expire()
+        for grid in self.grids:
+            grid.stale = True
+
     def snapshot(self) -> dict[str, Any]:
         """Return the state that `restore` needs to continue bit for bit."""
         return {
