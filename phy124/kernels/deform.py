@@ -309,12 +309,13 @@ def shape_of(
 
 @kernel(MODULE, seconds=1.5)
 def deform_shapes(
-    carrier: wp.array(dtype=wp.int32),
     quats0: wp.array(dtype=wp.vec4f),
     scales0: wp.array(dtype=wp.vec3f),
     holds: wp.array(dtype=wp.float64),
     max_stretch: wp.array(dtype=wp.float64),
     rounds: wp.array(dtype=wp.bool),
+    # of the previous frame
+    quats: wp.array(dtype=wp.vec4f),
     deformation: wp.array(dtype=wp.mat33d),
     # in place: read for the previous frame, written for this one
     inner_out: wp.array(dtype=wp.vec4f),
@@ -324,14 +325,14 @@ def deform_shapes(
     """Compute one frame's Sigma_t = F Sigma0 F^T as quaternions and scales."""
     i = wp.tid()
     inner, quat, scale = shape_of(
-        deformation[carrier[i]],
+        deformation[i],
         quats0[i],
         scales0[i],
         holds[i],
         max_stretch[i],
         rounds[i],
         inner_out[i],
-        quats_out[i],
+        quats[i],
     )
     inner_out[i] = inner
     quats_out[i] = quat
@@ -359,12 +360,13 @@ shapes_of_eight = native_func(
 
 @kernel("phy124_deform_simd", seconds=1.5)
 def deform_shapes_simd(
-    carrier: wp.array(dtype=wp.int32),
     quats0: wp.array(dtype=wp.vec4f),
     scales0: wp.array(dtype=wp.vec3f),
     holds: wp.array(dtype=wp.float64),
     max_stretch: wp.array(dtype=wp.float64),
     rounds: wp.array(dtype=wp.bool),
+    # of the previous frame
+    quats: wp.array(dtype=wp.vec4f),
     deformation: wp.array(dtype=wp.mat33d),
     # in place: read for the previous frame, written for this one
     inner_out: wp.array(dtype=wp.vec4f),
@@ -375,12 +377,12 @@ def deform_shapes_simd(
     group = wp.tid()
     left = shapes_of_eight(
         group,
-        carrier,
         quats0,
         scales0,
         holds,
         max_stretch,
         rounds,
+        quats,
         deformation,
         inner_out,
         quats_out,
@@ -390,14 +392,14 @@ def deform_shapes_simd(
     while left > 0:
         if (left & 1) == 1:
             inner, quat, scale = shape_of(
-                deformation[carrier[i]],
+                deformation[i],
                 quats0[i],
                 scales0[i],
                 holds[i],
                 max_stretch[i],
                 rounds[i],
                 inner_out[i],
-                quats_out[i],
+                quats[i],
             )
             inner_out[i] = inner
             quats_out[i] = quat
@@ -408,7 +410,6 @@ def deform_shapes_simd(
 
 @kernel(MODULE, seconds=1.5)
 def turn_of_material(
-    carrier: wp.array(dtype=wp.int32),
     deformation: wp.array(dtype=wp.mat33d),
     # in place: read for the previous frame, written for this one
     rotations_out: wp.array(dtype=wp.vec4f),
@@ -416,7 +417,7 @@ def turn_of_material(
     """Compute the rotation closest to F (the polar rotation if det F > 0)."""
     i = wp.tid()
     last = wp.vec4d(rotations_out[i])
-    a, v = orthogonal_columns(deformation[carrier[i]], wp.identity(n=3, dtype=wp.float64), EXACT)
+    a, v = orthogonal_columns(deformation[i], wp.identity(n=3, dtype=wp.float64), EXACT)
     lengths = wp.vec3d(wp.length(column(a, 0)), wp.length(column(a, 1)), wp.length(column(a, 2)))
     u = orientation(a, lengths, matrix_of(last) * v)
     q = quaternion_of(u * wp.transpose(v))

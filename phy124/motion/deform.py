@@ -13,9 +13,10 @@ the material, to within 1e-5 of the covariance.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -33,6 +34,10 @@ PER_CELL, MOST_CELLS = 2, 256
 """Mean number of particles in a cell of their bounding box, and largest number of cells per axis,
 in the search for the particles that carry each Gaussian.
 """
+BLOCK = 1 << 15
+"""Number of Gaussians that a CPU thread processes at once."""
+DEFORMATION = "F"
+"""Stands for the deformation gradients of the Gaussians in the arguments of a step."""
 THREADS = "shapes"
 """Prefix of the names of the threads that process the Gaussians."""
 FARTHEST = 4.0
@@ -60,7 +65,7 @@ class Deformer:
         rounds: NDArray | None = None,
         flows: NDArray | None = None,
         holds: NDArray | None = None,
-        bound: NDArray | None = None,
+        binding: Binding | None = None,
         device: str = "cpu",
         threads: int = 1,
     ) -> None:
@@ -79,7 +84,7 @@ class Deformer:
                 bound; None: none are.
             holds: Largest stretch of each Gaussian's material [N]. If F is larger, the material is
                 torn, and its Gaussians are drawn with this stretch; None: no limit.
-            bound: Index of each Gaussian's own particle [N]; None: as the particles say.
+            binding: Particles that carry each Gaussian, if they are known.
             device: Warp device of the computation.
             threads: Number of CPU threads that process the Gaussians; it does not change the
                 result.
@@ -97,30 +102,47 @@ class Deformer:
         self.rotations: Array | None = None
         """Polar rotations of the material at the last frame [N,4] wxyz; None if sh degree is 0."""
         n = len(gaussians)
-        self._share = _Share(n, device, threads)
-        self._device = device
-        self._max_stretch = wp.array(
-            np.broadcast_to(limits, n).copy(), dtype=wp.float64, device=device
-        )
-        balls = np.zeros(n, bool) if rounds is None else rounds
-        self._rounds = wp.array(balls, dtype=wp.bool, device=device)
-        most = np.full(n, np.inf) if holds is None else holds
-        self._holds = wp.array(most, dtype=wp.float64, device=device)
-        bound = _bound_particles(n, particles) if bound is None else bound
-        if bound is None and particles is not None:
-            self._motion = _Field(gaussians, particles, flows, self._share)
-        else:
-            self._motion = _Bound(np.arange(n) if bound is None else bound, self._share)
+        self.binding = bind(gaussians, particles) if binding is None else binding
+        self._device, self._share = device, _Share(n, device, threads)
         self._count = n if particles is None else len(particles.x)
         self._broken = wp.zeros(2, dtype=wp.int32, device=device)
-        self._carrier = wp.array(np.arange(n), dtype=wp.int32, device=device)
-        self._quats0 = wp.array(gaussians.quats, dtype=wp.vec4f, device=device)
-        self._scales0 = wp.array(gaussians.scales, dtype=wp.vec3f, device=device)
-        self._quats = wp.clone(self._quats0)
-        self._scales = wp.clone(self._scales0)
-        identity = np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1))
-        self._inner = wp.array(identity, dtype=wp.vec4f, device=device)
-        self._turned = wp.array(identity, dtype=wp.vec4f, device=device)
+
+        def constant(values: Any, dtype: Any) -> wp.array:
+            """Return an array on the device; one block of it if all values are equal."""
+            values = np.broadcast_to(values, n)
+            if n > BLOCK and (values.strides == (0,) or (values == values[0]).all()):
+                values = np.repeat(values[:1], BLOCK)
+            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+
+        self._limits = [
+            constant(np.inf if holds is None else holds, wp.float64),
+            constant(limits, wp.float64),
+            constant(False if rounds is None else rounds, wp.bool),
+        ]
+        self._quats0 = self._alias(gaussians.quats, wp.vec4f)
+        self._scales0 = self._alias(gaussians.scales, wp.vec3f)
+        neighbours, weights = self.binding
+        if weights is None:
+            self._carried = [self._alias(neighbours, wp.int32)]
+        else:
+            assert particles is not None
+            far = constant(False if flows is None else flows, wp.bool)
+            means = self._alias(gaussians.means, wp.vec3f)
+            self._carried = [self._alias(neighbours, wp.int32), self._alias(weights, wp.float32)]
+            self._carried += [means, far]
+            self._rest = wp.array(particles.x, dtype=wp.vec3f, device=device)
+        quaternion: Any = wp.vec4f
+        self._inner = wp.empty(n, dtype=quaternion, device=device)
+        self._turned = wp.empty(n if gaussians.sh_degree else 0, dtype=quaternion, device=device)
+        # One frame's axes continue those of the frame before, whose arrays are not changed.
+        self._quats = self._quats0
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the state before the first frame."""
+        self._quats = self._quats0
+        for array in (self._inner, self._turned):
+            array.fill_(wp.vec4f(1.0, 0.0, 0.0, 0.0))
 
     def __call__(
         self,
@@ -147,28 +169,47 @@ class Deformer:
             ValueError: The arrays do not match the number of particles.
         """
         x, F = self._upload(x, F)
-        means, deformation = self._motion.carry(x, F)
-        limits = [self._holds, self._max_stretch, self._rounds]
-        rest = [self._carrier, self._quats0, self._scales0, *limits]
-        frame = [self._inner, self._quats, self._scales]
-        kernel, each = shapes_of(self._device)
-        self._share.launch(kernel, rest, [deformation], frame, each=each)
-        sh = self._colours(deformation, colours)
-        quats, scales = _copy(self._quats), _copy(self._scales)
-        gaussians = replace(self.gaussians, means=_copy(means), quats=quats, scales=scales, sh=sh)
+        n, device = len(self.gaussians), self._device
+        vec3: Any = wp.vec3f
+        vec4: Any = wp.vec4f
+        means, scales = (wp.empty(n, dtype=vec3, device=device) for _ in range(2))
+        quats = wp.empty(n, dtype=vec4, device=device)
+        real = _precision(F)
+        if self.binding.weights is None:
+            carry, shared = field.make_follow(real), [x, F]
+        else:
+            # Particles keep their precision; the kernel converts the values that it reads.
+            carry, shared = field.make_carry(real), [self._rest, x, F]
+        shapes, each = shapes_of(device)
+        rest = [self._quats0, self._scales0, *self._limits, self._quats]
+        steps = [
+            Step(carry, self._carried, shared, [means, DEFORMATION]),
+            Step(shapes, rest, [DEFORMATION], [self._inner, quats, scales], each),
+        ]
+        if self.gaussians.sh_degree:
+            steps.append(Step(field.turn_of_material, [DEFORMATION], [], [self._turned]))
+        self._share.run(steps)
+        self._quats = quats
+        frame = replace(
+            self.gaussians,
+            means=_host(means),
+            quats=_host(quats),
+            scales=_host(scales),
+            sh=self._colours(colours),
+        )
         if velocities is not None:
             velocities = _host(velocities).astype(np.float64)
             self._refuse_other_shape(velocities.shape, (3,))
             broken = int((~np.isfinite(velocities).all(axis=1)).sum())
             self._refuse_broken(broken)
-            velocities = self._motion.interpolate(velocities)
-        return Frame(index, time, gaussians, velocities)
+            velocities = self.binding.interpolate(velocities)
+        return Frame(index, time, frame, velocities)
 
     @property
     def carriers(self) -> NDArray[np.int32]:
         """Indices of the particles that carry Gaussians [C]."""
         carry = np.zeros(self._count, bool)
-        carry[self._motion.carriers] = True
+        carry[self.binding.particles] = True
         return np.flatnonzero(carry).astype(np.int32)
 
     def snapshot(self) -> dict[str, NDArray]:
@@ -177,12 +218,18 @@ class Deformer:
 
     def restore(self, snapshot: dict[str, NDArray]) -> None:
         """Return to the state right after the frame at which a snapshot was taken."""
-        for name, array in self._axes().items():
-            array.assign(snapshot[name])
+        self._quats = wp.array(snapshot["quats"], dtype=wp.vec4f, device=self._device)
+        self._inner.assign(snapshot["inner"])
+        if self.gaussians.sh_degree:
+            self._turned.assign(snapshot["turned"])
 
     def _axes(self) -> dict[str, wp.array]:
-        arrays = (self._quats, self._scales, self._inner, self._turned)
-        return dict(zip(("quats", "scales", "inner", "turned"), arrays, strict=True))
+        turned = {"turned": self._turned} if self.gaussians.sh_degree else {}
+        return {"quats": self._quats, "inner": self._inner, **turned}
+
+    def _alias(self, array: NDArray, dtype: Any) -> wp.array:
+        """Return an array on the device, without a copy on a CPU."""
+        return wp.array(array, dtype=dtype, device=self._device, copy=False)
 
     def _upload(self, x: Any, F: Any) -> tuple[wp.array, wp.array]:
         """Return positions and F on the device, in the precision of F, after a check of both."""
@@ -208,116 +255,125 @@ class Deformer:
         if broken:
             raise FloatingPointError(f"{broken} of {self._count} particles are NaN or infinite")
 
-    def _colours(self, deformation: wp.array, rotated: bool) -> NDArray:
+    def _colours(self, rotated: bool) -> NDArray:
         rest = self.gaussians
         if rest.sh_degree == 0:
             return rest.sh
-        self._share.launch(field.turn_of_material, [self._carrier], [deformation], [self._turned])
-        self.rotations = turned = _copy(self._turned)
+        self.rotations = turned = _host(self._turned).copy()
         still = not rotated or (turned == (1, 0, 0, 0)).all()
         return rest.sh if still else rotate_sh(rest.sh, turned)
 
 
-class _Share:
-    """Launches over Gaussians, divided among CPU threads.
+class Step(NamedTuple):
+    """A kernel that is launched over the Gaussians."""
 
-    The threads are reused, because new threads for every launch often all started on one core.
+    kernel: Any
+    mine: list[Any]
+    """First arguments, with an entry for each Gaussian; `DEFORMATION` stands for their F."""
+    shared: list[Any]
+    """Next arguments, of which a Gaussian may read any entry."""
+    out: list[Any]
+    """Last arguments, with an entry for each Gaussian."""
+    each: int = 1
+    """Number of Gaussians that a thread of the kernel processes."""
+
+
+class _Share:
+    """Launches over Gaussians in blocks, divided among CPU threads.
+
+    The deformation gradients of a block stay in the cache from one step to the next. The threads
+    are reused, because new threads for every launch often all started on one core.
     """
 
     def __init__(self, count: int, device: str, threads: int) -> None:
-        self.device = device
+        self.device, self._count = device, count
         threads = max(1, min(threads, count)) if device == "cpu" else 1
         self._runs = [
-            slice(count * k // threads, count * (k + 1) // threads) for k in range(threads)
+            range(count * k // threads, count * (k + 1) // threads) for k in range(threads)
         ]
+        matrix: Any = wp.mat33d
+        self._block = BLOCK if device == "cpu" else max(count, 1)
+        most = min(self._block, max(len(run) for run in self._runs))
+        self._deformation = [wp.empty(most, dtype=matrix, device=device) for _ in range(threads)]
         self._others = ThreadPoolExecutor(threads - 1, THREADS) if threads > 1 else None
 
-    def launch(
-        self, kernel: Any, read: list, shared: list, written: list, *, each: int = 1
-    ) -> None:
-        """Launch a kernel over the Gaussians.
-
-        Args:
-            kernel: The kernel.
-            read: First arguments, with one entry per Gaussian.
-            shared: Next arguments, of which a Gaussian may read any entry.
-            written: Last arguments, with one entry per Gaussian.
-            each: Number of Gaussians that a thread of the kernel processes.
-        """
-        launches: list[Any] = [
-            wp.launch(
-                kernel,
-                dim=-(-(run.stop - run.start) // each),
-                inputs=[*(a[run] for a in read), *shared, *(a[run] for a in written)],
-                device=self.device,
-                record_cmd=True,
-            )
-            for run in self._runs
+    def run(self, steps: Sequence[Step]) -> None:
+        """Take all steps for each block of Gaussians."""
+        work = [
+            [
+                self._record(step, range(first, min(first + self._block, run.stop)), F)
+                for first in range(run.start, run.stop, self._block)
+                for step in steps
+            ]
+            for run, F in zip(self._runs, self._deformation, strict=True)
         ]
         # Recording a launch loads its kernel, which several threads must not do at the same time.
-        first, *others = launches
-        started = [self._others.submit(item.launch) for item in others] if self._others else []
-        first.launch()
+        first, *others = work
+        started = [self._others.submit(_launch, items) for items in others] if self._others else []
+        _launch(first)
         for future in started:
             future.result()
 
+    def _record(self, step: Step, block: range, F: wp.array) -> Any:
+        """Return the launch of a step for a block of Gaussians."""
+        count = len(block)
 
-class _Bound:
-    """Gaussians that each follow a particle of their own."""
+        def part(array: Any) -> Any:
+            if isinstance(array, str):
+                return F[:count]
+            whole = len(array) == self._count
+            return array[block.start : block.stop] if whole else array[:count]
 
-    def __init__(self, particle: NDArray, share: _Share) -> None:
-        """Store the index of each Gaussian's particle [N]."""
-        n, device, self._share = len(particle), share.device, share
-        self.carriers = self.particle = particle
-        self._particle = wp.array(particle, dtype=wp.int32, device=device)
-        self._means = wp.array(np.zeros((n, 3)), dtype=wp.vec3f, device=device)
-        self._deformation = wp.array(np.zeros((n, 3, 3)), dtype=wp.mat33d, device=device)
-
-    def carry(self, x: wp.array, F: wp.array) -> tuple[wp.array, wp.array]:
-        """Return centres [N,3], m, and deformation gradients [N,3,3] of the Gaussians."""
-        kernel, written = field.make_follow(_precision(F)), [self._means, self._deformation]
-        self._share.launch(kernel, [self._particle], [x, F], written)
-        return self._means, self._deformation
-
-    def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return the values [N,3] of each Gaussian's particle."""
-        return values[self.particle].astype(np.float32)
+        mine, out = ([part(array) for array in arrays] for arrays in (step.mine, step.out))
+        shared = [F[:count] if isinstance(array, str) else array for array in step.shared]
+        return wp.launch(
+            step.kernel,
+            dim=-(-count // step.each),
+            inputs=[*mine, *shared, *out],
+            device=self.device,
+            record_cmd=True,
+        )
 
 
-class _Field:
-    """Gaussians carried by nearby particles; neighbours and weights are computed once, at rest."""
+def _launch(launches: list[Any]) -> None:
+    for launch in launches:
+        launch.launch()
 
-    def __init__(
-        self, gaussians: Gaussians, particles: Particles, flows: NDArray | None, share: _Share
-    ) -> None:
-        self.neighbours, self.weights = _carriers_of(gaussians, particles)
-        self.carriers = self.neighbours
-        n, device = len(gaussians), share.device
-        self.device, self._share = device, share
-        self._carried = [
-            wp.array(self.neighbours, dtype=wp.int32, device=device),
-            wp.array(self.weights, dtype=wp.float32, device=device),
-            wp.array(gaussians.means, dtype=wp.vec3f, device=device),
-            wp.array(np.zeros(n, bool) if flows is None else flows, dtype=wp.bool, device=device),
-        ]
-        self._rest = wp.array(particles.x, dtype=wp.vec3f, device=device)
-        self._means = wp.empty_like(self._carried[2])
-        self._deformation = wp.array(np.zeros((n, 3, 3)), dtype=wp.mat33d, device=device)
 
-    def carry(self, x: wp.array, F: wp.array) -> tuple[wp.array, wp.array]:
-        """Return centres [N,3], m, and deformation gradients [N,3,3] of the Gaussians."""
-        # Particles keep their precision; the kernel converts the values that it reads.
-        shared, written = [self._rest, x, F], [self._means, self._deformation]
-        kernel = field.make_carry(_precision(F))
-        self._share.launch(kernel, self._carried, shared, written)
-        return self._means, self._deformation
+class Binding(NamedTuple):
+    """The particles that carry each Gaussian, and their weights."""
+
+    particles: NDArray[np.int32]
+    """Indices of K particles of each Gaussian [N,K], or of its own particle [N]."""
+    weights: NDArray[np.float32] | None
+    """Weights that sum to 1 [N,K]; None if each Gaussian follows its own particle."""
 
     def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
         """Return weighted means [N,3] of values on the particles [P,3]."""
+        if self.weights is None:
+            return values[self.particles].astype(np.float32)
         out = np.zeros((len(self.weights), 3))
         for k in range(self.weights.shape[1]):
-            out += self.weights[:, k, None] * values[self.neighbours[:, k]]
+            out += self.weights[:, k, None] * values[self.particles[:, k]]
         return out.astype(np.float32)
+
+    def select(self, chosen: NDArray) -> Binding:
+        """Return the binding of some Gaussians."""
+        return Binding(
+            self.particles[chosen], None if self.weights is None else self.weights[chosen]
+        )
+
+
+def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
+    """Find the particles that carry each Gaussian.
+
+    Raises:
+        ValueError: The particles belong to other Gaussians.
+    """
+    if particles is None:
+        return Binding(np.arange(len(gaussians), dtype=np.int32), None)
+    bound = _bound_particles(len(gaussians), particles)
+    return Binding(*_carriers_of(gaussians, particles)) if bound is None else Binding(bound, None)
 
 
 def _carriers_of(
@@ -339,7 +395,8 @@ def _carriers_within(
     means: NDArray, x: NDArray, volume: NDArray
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the carriers [N,K] and weights [N,K] of the Gaussians of one object."""
-    index, weights = carriers(means, x, FARTHEST * np.cbrt(volume.mean()))
+    # Rounded, so that equal volumes and their mean give the same weights.
+    index, weights = carriers(means, x, float(np.float32(FARTHEST * np.cbrt(volume.mean()))))
     if len(x) < CARRIERS:
         # Few particles do not determine the motion far from them: use the nearest one alone.
         weights[:] = np.eye(1, CARRIERS)
@@ -373,11 +430,9 @@ def carriers(
     shared = [wp.array(sorted_x, dtype=wp.vec3, device="cpu", copy=False)]
     shared += [wp.array(a, device="cpu", copy=False) for a in (order, starts)]
     numbers = [wp.vec3i(*shape.tolist()), wp.vec3d(*low.tolist()), cell, min(farthest, 1e100)]
-    _Share(len(points), "cpu", cores()).launch(
-        find_carriers,
-        [wp.array(ordered, dtype=wp.vec3, device="cpu", copy=False)],
-        [*shared, *numbers],
-        written,
+    mine = [wp.array(ordered, dtype=wp.vec3, device="cpu", copy=False)]
+    _Share(len(points), "cpu", cores()).run(
+        [Step(find_carriers, mine, [*shared, *numbers], written)]
     )
     return neighbours, weights
 
@@ -397,13 +452,6 @@ def _bound_particles(count: int, particles: Particles | None) -> NDArray[np.int3
 def _host(array: Any) -> NDArray:
     """Return a NumPy view of a Warp array, or of any array-like object."""
     return np.asarray(array.numpy() if isinstance(array, wp.array) else array)
-
-
-def _copy(array: wp.array) -> NDArray:
-    """Return a NumPy copy of a Warp array."""
-    device: Any = array.device
-    # A GPU's array is copied by the transfer itself.
-    return array.numpy() if device.is_cuda else array.numpy().copy()
 
 
 def _precision(F: Any) -> Any:

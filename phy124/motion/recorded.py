@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Array, Gaussians, Particles
 from phy124.motion.scenery import Scenery
+from phy124.runtime.cores import cores
 
 if TYPE_CHECKING:
-    from phy124.motion.deform import Deformer
+    from phy124.motion.deform import Binding, Deformer
 
 KEPT = 256e6
 """Size of the computed frames that are kept [bytes]; at least one is."""
@@ -29,7 +30,7 @@ STATES = 64e6
 """Size of the states from which frames can be computed [bytes]."""
 BYTES = 40
 """Size of a Gaussian in a computed frame [bytes]."""
-STATE = 56
+STATE = 32
 """Size of a Gaussian in a state [bytes]."""
 MOVING = ("means", "quats", "scales", "rotations")
 """Arrays of a frame that are computed."""
@@ -71,6 +72,8 @@ class Motion:
     """Indices of the objects that are rigid solids."""
     poses: NDArray[np.float64]
     """Centres [m] and rotations (wxyz) of the rigid solids [T,R,7]."""
+    binding: Binding | None = None
+    """Particles that carry the Gaussians that move, if they are known."""
     describes: tuple[Any, ...] = ()
     """Arrays of a clip that this motion gives (`phy124.io.clip.DESCRIBED`)."""
 
@@ -147,11 +150,11 @@ class Recorded:
         """Return to the latest stored state before a frame."""
         start = max((state for state in self._states if state <= index), default=0)
         self._next = start
+        assert self._deformer is not None
         if start in self._states:
-            assert self._deformer is not None
             self._deformer.restore(self._states[start])
         else:
-            self._deformer = None
+            self._deformer.reset()
 
     def _advance(self) -> dict[str, Array]:
         """Return the next frame."""
@@ -160,7 +163,7 @@ class Recorded:
             self._prepare()
         deformer = self._deformer
         assert deformer is not None
-        if index % self._every == 0 and index not in self._states:
+        if index and index % self._every == 0 and index not in self._states:
             self._states[index] = deformer.snapshot()
         self._x[motion.carriers], self._F[motion.carriers] = motion.x[index], motion.F[index]
         time = float(motion.times[index])
@@ -177,27 +180,27 @@ class Recorded:
 
     def _prepare(self) -> None:
         """Bind the Gaussians to the particles that carry them."""
-        from phy124.motion.deform import Deformer  # loads Warp
+        from phy124.motion.deform import Deformer, bind  # loads Warp
 
         motion, chosen = self.motion, self.chosen
         gaussians, moves = motion.gaussians, motion.moves
         limits: dict[str, Any] = dict(motion.limits)
-        particles, binding = motion.particles, None
+        particles, binding = motion.particles, motion.binding
         if chosen is not None:
-            places = np.cumsum(moves)[chosen] - 1
+            places = (np.cumsum(moves)[chosen] - 1)[moves[chosen]]
+            if binding is None and (particles.gaussian >= 0).any():
+                binding = bind(gaussians.select(moves), particles)
+            binding = binding and binding.select(places)
             gaussians, moves = gaussians.select(chosen), moves[chosen]
-            limits = {name: array[places[moves]] for name, array in limits.items()}
-            with_gaussian = particles.gaussian >= 0
-            if with_gaussian.any():
-                bound = np.zeros(int(motion.moves.sum()), np.int32)
-                bound[particles.gaussian[with_gaussian]] = np.flatnonzero(with_gaussian)
-                binding = bound[places[moves]]
+            limits = {name: array[places] for name, array in limits.items()}
         tracks = tuple(
             (index, Track(motion.times, motion.tracks[:, k]))
             for k, index in enumerate(motion.on_tracks)
         )
         self._scenery = Scenery(gaussians, moves, tracks, motion.free)
-        self._deformer = Deformer(self._scenery.moving, particles, **limits, bound=binding)
+        self._deformer = Deformer(
+            self._scenery.moving, particles, **limits, binding=binding, threads=cores()
+        )
         self._x = np.zeros((len(particles.x), 3), np.float32)
         self._F = np.zeros((len(particles.x), 3, 3), np.float32)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ class Appearance(NamedTuple):
     kinds: NDArray[np.int64]
     """Index of the material of each moving Gaussian."""
 
-    def limits(self) -> dict[str, NDArray]:
+    def limits(self) -> dict[str, Any]:
         """Return the arguments of `Deformer` that limit the shapes."""
         return {
             "max_stretch": self.max_stretch,

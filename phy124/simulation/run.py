@@ -294,6 +294,7 @@ class Simulation:
             tracks=np.stack(tracks, axis=1) if tracks else np.zeros((count, 0, 3)),
             free=setup.scenery.free,
             poses=np.array(self.poses) if setup.free else np.zeros((count, 0, 7)),
+            binding=self.deformer.binding,
         )
 
     def _repeat_frame(self, index: int, time: float) -> Frame:

@@ -4,18 +4,18 @@
 // Test: tests/test_deform.py, test_eight_at_a_time_are_deformed_as_one_by_one.
 
 enum { N = 8 };
-const int begin = N * thread, total = carrier.shape[0];
+const int begin = N * thread, total = quats0.shape[0];
 const int count = begin + N < total ? N : total - begin;
 double f[9][N], start[9][N], v[9][N], before[9][N], a[9][N], u[9][N];
 double rest[3][N], last[4][N], inside[4][N], home[4][N], most[N], hold[N], ball[N];
 for (int i = 0; i < N; ++i) {
     const int g = begin + (i < count ? i : count - 1);
-    const auto& F = deformation.data[carrier.data[g]];
+    const auto& F = deformation.data[g];
     for (int k = 0; k < 9; ++k) f[k][i] = F.data[k / 3][k % 3];
     for (int k = 0; k < 3; ++k) rest[k][i] = scales0.data[g][k];
     for (int k = 0; k < 4; ++k) {
         home[k][i] = quats0.data[g][k];
-        last[k][i] = quats_out.data[g][k];
+        last[k][i] = quats.data[g][k];
         inside[k][i] = inner_out.data[g][k];
     }
     most[i] = max_stretch.data[g];
