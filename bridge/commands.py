@@ -153,7 +153,8 @@ class Play:
                 Cameras(self.messages, clip.scene, clip) as cameras,
                 self._outlets(say, end, scene=clip.scene, report=report) as (sink, records),
             ):
-                play(clip, sink, player, records=records, look=cameras.look, stay=self.stay)
+                stay = (lambda: True) if self.stay else None
+                play(clip, sink, player, records=records, look=cameras.look, going=stay)
         finally:
             say(player.report())
         return 0

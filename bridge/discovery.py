@@ -1,8 +1,9 @@
 """Translate ROS 2's environment variables for discovery into settings of Cyclone DDS.
 
-ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_STATIC_PEERS, ROS_LOCALHOST_ONLY and ROS_DOMAIN_ID have the same
-meaning as for a ROS 2 node ("improved dynamic discovery", ROS 2 Iron and later). In the range
-SUBNET the publisher is stricter than a node: without `network` it does not reach other machines.
+ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_STATIC_PEERS and ROS_DOMAIN_ID have the same meaning as for a ROS
+2 node ("improved dynamic discovery", ROS 2 Iron and later). In the range SUBNET the publisher is
+stricter than a node: without `network` it does not reach other machines. The older
+ROS_LOCALHOST_ONLY is honoured with a warning, as by nodes of Jazzy and Kilted; Lyrical removed it.
 """
 
 from __future__ import annotations
@@ -68,6 +69,9 @@ class Discovery:
         """
         reach, peers = _range(), _peers()
         if os.environ.get(LOCALHOST_ONLY) == "1":
+            log.warning(
+                "%s is removed in ROS 2 Lyrical: use %s.", LOCALHOST_ONLY, f"{RANGE}=LOCALHOST"
+            )
             reach, peers = "LOCALHOST", ()
         if network and reach in ("LOCALHOST", "OFF"):
             limit = f"The environment restricts discovery to this machine (range {reach})."

@@ -21,8 +21,10 @@ from .topics import MAIN
 
 WANTED_BUFFER = 4 << 20
 """Receive buffer that holds a frame of 65,536 points of 60 bytes each [bytes]."""
-SHARED = (("NumPy", "numpy", 1), ("OpenCV", "cv2", 4))
-"""Packages that phy124 and ROS 2 share: name, module, newest major version that Jazzy accepts."""
+SHARED = (("NumPy", "numpy", 2), ("OpenCV", "cv2", 4))
+"""Packages that phy124 and ROS 2 share: name, module, newest major version that Lyrical accepts."""
+NUMPY_1 = ("humble", "jazzy", "kilted")
+"""Distributions of ROS 2 whose packages are built for NumPy 1."""
 OPTIONAL = {
     "simulation_interfaces": "`live` offers ~/step and ~/reset (std_srvs) instead of its services",
     "splat_interfaces": "there is no profile `splats` through rclpy",
@@ -143,7 +145,10 @@ def _beside_ros(name: str, module: str, newest: int) -> str:
         return f"{name}: not installed"
     number = import_module(module).__version__
     text = f"{name}: {number} in {Path(spec.origin).parents[1]}"
-    if "ROS_DISTRO" not in os.environ or int(number.split(".")[0]) <= newest:
+    distro = os.environ.get("ROS_DISTRO")
+    if name == "NumPy" and distro in NUMPY_1:
+        newest = 1
+    if distro is None or int(number.split(".")[0]) <= newest:
         return text
     return (
         f"{text}; ROS 2's packages are built for {name} {newest}: use a virtual environment "

@@ -39,7 +39,7 @@ def play(
     records: Sequence[Sink] = (),
     look: Look = lambda frame: frame,
     clock: Clock = time.monotonic,
-    stay: bool = False,
+    going: Callable[[], bool] | None = None,
 ) -> None:
     """Play a clip until it ends.
 
@@ -50,7 +50,7 @@ def play(
         records: Other sinks for the frames that are shown.
         look: Adds the pictures of cameras to a frame.
         clock: Current time [s].
-        stay: Whether to accept commands after the last frame.
+        going: Returns whether to go on, also after the last frame; None: until the last frame.
     """
 
     def obey(text: str) -> str | None:
@@ -60,7 +60,7 @@ def play(
 
     announcer = _DropAnnouncer(player, clock)
     sink.show(player)
-    while stay or not player.finished:
+    while not player.finished if going is None else going():
         sink.listen(min(player.wait(clock()), LONGEST_WAIT), obey)
         tick = player.due(clock())
         if tick is None:

@@ -1,4 +1,4 @@
-"""The ROS 2 nodes `player` and `simulate`: read the parameters, run, and shut down.
+"""The ROS 2 nodes `player`, `managed` and `simulate`: read the parameters, run, and shut down.
 
 `start` imports this module in a context in which Ctrl-C ends the process cleanly.
 """
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from phy124.errors import InputError
+from phy124.io.clip import Clip
 from phy124.runtime.failures import failure
 from phy124.runtime.signals import handling, interrupt
 
@@ -35,6 +36,8 @@ from .sinks.rclpy import RclpySink
 from .source import LiveOptions, LiveRun, open_clip
 from .topics import PLAYER
 
+CLIP_PARAMETERS = {**CLIP, **RUNNING, **message_options()}
+"""Parameters of a node that plays a clip."""
 STOPPED_EARLY = 3
 """Exit status of a simulation that stopped early and whose valid frames were saved."""
 log = logging.getLogger(__name__)
@@ -50,23 +53,43 @@ def simulation(args: list[str] | None = None) -> None:
     _live_through(args, simulate)
 
 
+def managed(args: list[str] | None = None) -> None:
+    """`ros2 run phy124_bridge managed --ros-args -p clip:=/path/to/clip.safetensors`."""
+    from .managed import managed_player
+
+    _live_through(args, lambda node: node.work.run(), managed_player)
+
+
 def play_clip(node: Any) -> None:
     """Play the clip that the parameters name until ROS shuts down."""
-    chosen = declare(node, {**CLIP, **RUNNING, **message_options()})
-    path, clock, rate, speed, loop = _take(chosen, "clip", "clock", "rate", "speed", "loop")
-    options = _options(chosen)
-    _require("clip", path, "/path/to/clip.safetensors")
-    clip = open_clip(path)
-    player = Player(clip.times, rate=rate or None, speed=speed, loop=loop)
+    chosen = declare(node, CLIP_PARAMETERS)
+    path = chosen["clip"]
+    clip, player, options, clock = opened_clip(chosen)
     with (
         Cameras(options, clip.scene, clip) as cameras,
         RclpySink(options, clock=clock, node=node) as sink,
     ):
         log.info("Playing %s. %s", path, sink.audience())
         try:
-            play(clip, sink, player, look=cameras.look, stay=True)
+            play(clip, sink, player, look=cameras.look, going=lambda: True)
         finally:
             log.info(player.report())
+
+
+def opened_clip(chosen: dict[str, Any]) -> tuple[Clip, Player, Options, bool]:
+    """Return clip, player, message options, and whether to publish /clock.
+
+    Args:
+        chosen: Values of `CLIP_PARAMETERS`; they are removed.
+
+    Raises:
+        InputError: A value is missing or wrong, or the clip cannot be read.
+    """
+    path, clock, rate, speed, loop = _take(chosen, "clip", "clock", "rate", "speed", "loop")
+    options = _options(chosen)
+    _require("clip", path, "/path/to/clip.safetensors")
+    clip = open_clip(path)
+    return clip, Player(clip.times, rate=rate or None, speed=speed, loop=loop), options, clock
 
 
 def simulate(node: Any) -> None:
@@ -93,12 +116,14 @@ def simulate(node: Any) -> None:
     log.info("All %d frames were shown.", len(run))
 
 
-def _live_through(args: list[str] | None, work: Callable[[Any], None]) -> None:
+def _live_through(
+    args: list[str] | None, work: Callable[[Any], None], make: Callable[..., Any] | None = None
+) -> None:
     """Run a node to its end; log a user's error as one FATAL line, with exit status 1."""
     refused = None
     try:
         # `ros2 launch` and supervisors send SIGTERM if SIGINT does not end a node.
-        with handling(interrupt, always=ALWAYS), ros_node(args) as node:
+        with handling(interrupt, always=ALWAYS), ros_node(args, make=make) as node:
             refused = _attempt(node, work)
     except KeyboardInterrupt:
         # Ctrl-C is the usual end of a node.

@@ -129,8 +129,16 @@ def message_options() -> dict[str, Parameter]:
     }
 
 
-def declare(node: Any, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    """Declare parameters and return their values; raises InputError for a wrong value."""
+def declare(
+    node: Any, parameters: Mapping[str, Parameter], *, fixed: bool = True
+) -> dict[str, Any]:
+    """Declare parameters and return their values; raises InputError for a wrong value.
+
+    Args:
+        node: The node.
+        parameters: The parameters by name.
+        fixed: Whether parameters that cannot be changed while the node runs are read-only.
+    """
     from rcl_interfaces.msg import ParameterDescriptor
     from rclpy.parameter import Parameter as RosParameter
 
@@ -144,17 +152,17 @@ def declare(node: Any, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
         if isinstance(default, (float, tuple)):
             kept = list(values[name]) if isinstance(default, tuple) else values[name]
             node.set_parameters([RosParameter(name, value=kept)])
-        node.set_descriptor(name, descriptor(parameter))
+        node.set_descriptor(name, descriptor(parameter, fixed=fixed))
     return values
 
 
-def descriptor(parameter: Parameter) -> Any:
+def descriptor(parameter: Parameter, *, fixed: bool = True) -> Any:
     """Describe a parameter for `ros2 param describe`."""
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
     about = ParameterDescriptor(
         description=parameter.description,
-        read_only=not parameter.while_running,
+        read_only=fixed and not parameter.while_running,
         dynamic_typing=True,
     )
     if parameter.limits:
@@ -200,6 +208,12 @@ class Running:
         node.add_pre_set_parameters_callback(self._keep_types)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._carry_out)
+
+    def close(self) -> None:
+        """Stop watching."""
+        self._node.remove_pre_set_parameters_callback(self._keep_types)
+        self._node.remove_on_set_parameters_callback(self._check)
+        self._node.remove_post_set_parameters_callback(self._carry_out)
 
     def follow(self, values: Mapping[str, Any]) -> None:
         """Update the parameters after a change by a command."""

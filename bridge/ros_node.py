@@ -18,8 +18,16 @@ from .topics import NAMESPACE, PLAYER
 
 
 @contextmanager
-def ros_node(args: list[str] | None = None, name: str = PLAYER) -> Iterator[Any]:
-    """Within this context the node /phy124/NAME runs, with a clean shutdown; raises InputError."""
+def ros_node(
+    args: list[str] | None = None, name: str = PLAYER, make: Callable[..., Any] | None = None
+) -> Iterator[Any]:
+    """Within this context the node /phy124/NAME runs, with a clean shutdown; raises InputError.
+
+    Args:
+        args: `--ros-args` and the arguments after it.
+        name: Name of the node.
+        make: Makes the node from its name and namespace; None: a plain node.
+    """
     import rclpy
     from rclpy.node import Node
     from rclpy.signals import SignalHandlerOptions
@@ -29,7 +37,7 @@ def ros_node(args: list[str] | None = None, name: str = PLAYER) -> Iterator[Any]
         no_handlers = SignalHandlerOptions.NO
         with tuned_cyclone():
             _start(lambda: rclpy.init(args=args, signal_handler_options=no_handlers))
-            node = _start(lambda: Node(name, namespace=NAMESPACE))
+            node = _start(lambda: (make or Node)(name, namespace=NAMESPACE))
         try:
             with logged_by(node):
                 yield node
@@ -43,6 +51,8 @@ def _start(start: Callable[[], Any]) -> Any:
     """Return the result of `start`; raise InputError if ROS rejects the arguments."""
     try:
         return start()
+    except InputError:
+        raise
     except (RuntimeError, ValueError) as error:
         said = " ".join(str(error).split())
         limit = f"ROS 2 refuses it ({said})."
@@ -51,6 +61,20 @@ def _start(start: Callable[[], Any]) -> Any:
             "decimal point, or none: -p 'translation:=[1.0, 0.0, 0.0]'."
         )
         raise InputError("--ros-args", " ".join(sys.argv[1:]), limit, remedy) from error
+
+
+@contextmanager
+def temporary_entities(node: Any) -> Iterator[None]:
+    """Destroy the publishers, subscriptions and services that were made within this context."""
+    kinds = ("publisher", "subscription", "service")
+    before = {kind: list(getattr(node, f"{kind}s")) for kind in kinds}
+    try:
+        yield
+    finally:
+        for kind in kinds:
+            for entity in list(getattr(node, f"{kind}s")):
+                if not any(entity is each for each in before[kind]):
+                    getattr(node, f"destroy_{kind}")(entity)
 
 
 class RosHandler(logging.Handler):

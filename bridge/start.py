@@ -17,6 +17,16 @@ def player() -> None:
         node.main()
 
 
+def managed() -> None:
+    """`ros2 run phy124_bridge managed --ros-args -p clip:=/path/to/clip.safetensors`."""
+    with importing(0):
+        from phy124.runtime.streams import steady_streams
+
+        from . import node
+    with steady_streams():
+        node.managed()
+
+
 def simulate() -> None:
     """`ros2 run phy124_bridge simulate --ros-args -p source:=photo.png -p scene:=drop`."""
     with importing(0):

@@ -73,10 +73,11 @@ def test_localhost_sends_nothing_by_multicast(monkeypatch):
     assert peers == ["localhost", "a", "b"]
 
 
-def test_localhost_only_prevails(monkeypatch):
+def test_localhost_only_prevails_and_warns(monkeypatch, caplog):
     given = {"LOCALHOST_ONLY": "1", "AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "STATIC_PEERS": "a"}
     found = discovery(monkeypatch, **given)
     assert (found.range, found.peers) == ("LOCALHOST", ())
+    assert "use ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST" in caplog.text
     assert discovery(monkeypatch, LOCALHOST_ONLY="0").range == "SUBNET"
 
 

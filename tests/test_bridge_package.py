@@ -106,7 +106,7 @@ def test_executables_exist(setup_arguments):
         name, target = script.split(" = ")
         module, function = target.replace(NAME, "bridge").split(":")
         assert callable(getattr(import_module(module), function))
-        assert name in ("player", "simulate", "live", "bridge")
+        assert name in ("player", "managed", "simulate", "live", "bridge")
     config = (BRIDGE / "setup.cfg").read_text()
     assert config.count(f"$base/lib/{NAME}") == 2
 
@@ -303,7 +303,7 @@ def test_colcon_builds_the_package(tmp_path, colcon, options):
         "rviz/phy124.rviz",
     ):
         assert (installed / "share" / NAME / file).is_file()
-    for name in ("player", "simulate", "live", "bridge"):
+    for name in ("player", "managed", "simulate", "live", "bridge"):
         assert "except KeyboardInterrupt" in (installed / "lib" / NAME / name).read_text()
     doctor = subprocess.run(
         ["bash", "-c", f". {installed.parent}/setup.bash && {installed}/lib/{NAME}/bridge doctor"],

@@ -69,6 +69,7 @@ def test_recorded_while_simulated_is_the_finished_clip(ply, tmp_path):
 
 
 def test_a_subscriber_sees_it_move_while_it_is_computed(ply, monkeypatch):
+    pytest.importorskip("cyclonedds")
     domain = str(1 + os.getpid() % 100)
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     monkeypatch.delenv("CYCLONEDDS_URI", raising=False)

@@ -50,7 +50,8 @@ class RclpySink:
         Args:
             options: Options that define how frames become messages.
             clock: Whether to publish /clock; no other node may publish it then.
-            node: The node to use; None: create a node that ends with the sink.
+            node: The node to use, with its executor if it has one; None: create a node that ends
+                with the sink.
             args: `--ros-args` and the arguments after it, for the created node.
             running: Parameters that can be changed during playback; declared if necessary.
             controls: Inputs, topics and services in addition to frames; None: those of a player.
@@ -103,15 +104,19 @@ class RclpySink:
                 self._node.create_subscription(
                     message_class(topic.type), relative(topic), self._count(hear), quality(topic)
                 )
-            self._executor = SingleThreadedExecutor(context=self._node.context)
-            stack.callback(self._executor.shutdown)
-            self._executor.add_node(self._node)
+            self._executor = self._node.executor
+            if self._executor is None:
+                self._executor = SingleThreadedExecutor(context=self._node.context)
+                stack.callback(self._executor.shutdown)
+                self._executor.add_node(self._node)
             stack.callback(self._say_goodbye)
             self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
         """Wait until the last frames have arrived; end the node if the sink created it."""
+        if self._running is not None:
+            self._running.close()
         self._stack.close()
 
     @property

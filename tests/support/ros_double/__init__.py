@@ -17,6 +17,7 @@ import types
 from types import SimpleNamespace
 from typing import Any
 
+from support.ros_double.lifecycle import LifecycleNode, TransitionCallbackReturn
 from support.ros_double.node import POLICIES, Context, Node
 from support.ros_double.parameters import (
     FloatingPointRange,
@@ -53,6 +54,7 @@ class Executor:
 
     def add_node(self, added: Node) -> None:
         self.nodes.append(added)
+        added.executor = self
 
     def spin_once(self, *, timeout_sec: float) -> None:
         assert 0 <= timeout_sec < math.inf
@@ -94,6 +96,8 @@ def install(monkeypatch: Any) -> SimpleNamespace:
     module("rclpy", init=init, try_shutdown=lambda: state.log.append("shutdown"))
     module("rclpy.node", Node=Node)
     module("rclpy.executors", SingleThreadedExecutor=Executor)
+    transitions = TransitionCallbackReturn
+    module("rclpy.lifecycle", LifecycleNode=LifecycleNode, TransitionCallbackReturn=transitions)
     module("rclpy.qos_overriding_options", QoSOverridingOptions=list)
     module("rclpy.signals", **enums(SignalHandlerOptions="NO ALL SIGINT SIGTERM"))
     module("rclpy.duration", Duration=lambda *, seconds: SimpleNamespace(seconds=seconds))

@@ -134,6 +134,13 @@ class Subscription:
         self.waiting = deque(maxlen=self.qos_profile.depth)
 
 
+class ByName(dict):
+    """Entities by name for tests; like rclpy's lists, iteration yields the entities."""
+
+    def __iter__(self):
+        return iter(self.values())
+
+
 class Node:
     """rclpy.node.Node; class members are what a test sets beforehand."""
 
@@ -147,9 +154,10 @@ class Node:
         self.name, self.namespace = name, f"/{namespace}"
         self.context = Context()
         self.destroyed = False
-        self.publishers: dict[str, Publisher] = {}
-        self.services: dict[str, tuple] = {}
-        self.subscriptions: dict[str, Subscription] = {}
+        self.executor: Any = None
+        self.publishers: dict[str, Publisher] = ByName()
+        self.services: dict[str, tuple] = ByName()
+        self.subscriptions: dict[str, Subscription] = ByName()
         self.heartbeat = heartbeat()
         self.declared: dict[str, Parameter] = {}
         self.descriptors: dict[str, ParameterDescriptor] = {}
@@ -188,7 +196,9 @@ class Node:
         full = topic if topic.startswith("/") else f"{self.namespace}/{topic}"
         full = full.replace("~", self.name)
         name = f"qos_overrides.{full}.publisher.{policy}"
-        value = self.declare_parameter(name, start, ParameterDescriptor(read_only=True)).value
+        if not self.has_parameter(name):
+            self.declare_parameter(name, start, ParameterDescriptor(read_only=True))
+        value = self.get_parameter(name).value
         if isinstance(default, enum.Enum):
             try:
                 value = type(default)[value.upper()]
@@ -204,6 +214,19 @@ class Node:
     def create_subscription(self, kind, topic, callback, qos) -> None:
         self.context_must_be_ok("context is invalid")
         self.subscriptions[topic] = Subscription(kind, callback, qos)
+
+    def destroy_publisher(self, entity) -> None:
+        self._destroy(self.publishers, entity)
+
+    def destroy_service(self, entity) -> None:
+        self._destroy(self.services, entity)
+
+    def destroy_subscription(self, entity) -> None:
+        self._destroy(self.subscriptions, entity)
+
+    def _destroy(self, entities: dict, entity: Any) -> None:
+        (name,) = [name for name, each in entities.items() if each is entity]
+        del entities[name]
 
     def has_parameter(self, name: str) -> bool:
         return name in self.declared
@@ -247,6 +270,15 @@ class Node:
 
     def add_pre_set_parameters_callback(self, callback) -> None:
         self._before.insert(0, callback)
+
+    def remove_pre_set_parameters_callback(self, callback) -> None:
+        self._before.remove(callback)
+
+    def remove_on_set_parameters_callback(self, callback) -> None:
+        self._checks.remove(callback)
+
+    def remove_post_set_parameters_callback(self, callback) -> None:
+        self._afters.remove(callback)
 
     def add_on_set_parameters_callback(self, callback) -> None:
         self._checks.insert(0, callback)

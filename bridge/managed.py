@@ -1,0 +1,137 @@
+"""The node `managed`: a player that a lifecycle manager configures, activates and shuts down.
+
+    ros2 run phy124_bridge managed --ros-args -p clip:=/path/to/clip.safetensors
+    ros2 lifecycle set /phy124/player configure
+
+`configure` opens the clip and offers topics and services, `activate` plays, `deactivate` pauses,
+and `cleanup` closes the clip. Parameters that cannot change while the plain player runs are read by
+the next `configure`.
+"""
+
+# rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
+# pyright: reportMissingImports=false
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+from phy124.runtime.failures import failure
+
+from .cameras import Cameras
+from .live import play
+from .node import CLIP_PARAMETERS, opened_clip
+from .parameters import convert, declare
+from .ros_node import temporary_entities
+from .sink import LONGEST_WAIT
+from .sinks.rclpy import RclpySink
+
+INACTIVE = "The node is inactive: activate it first."
+log = logging.getLogger(__name__)
+
+
+class Work:
+    """What a managed node does in each state; callbacks change the state, `run` acts."""
+
+    def __init__(self, node: Any) -> None:
+        """Declare the parameters of a node; raises InputError for a wrong value."""
+        self._node = node
+        self._sink: RclpySink | None = None
+        self._open = ExitStack()
+        self._active = self._over = False
+        declare(node, CLIP_PARAMETERS, fixed=False)
+
+    def configure(self) -> None:
+        """Open the clip, and offer topics and services; raises InputError."""
+        node = self._node
+        chosen = {
+            name: convert(name, node.get_parameter(name).value, parameter)
+            for name, parameter in CLIP_PARAMETERS.items()
+        }
+        clip, player, options, clock = opened_clip(chosen)
+        with ExitStack() as stack:
+            stack.enter_context(temporary_entities(node))
+            cameras = stack.enter_context(Cameras(options, clip.scene, clip))
+            sink = stack.enter_context(RclpySink(options, clock=clock, node=node))
+            sink.show(player)
+            self._clip, self._player, self._look = clip, player, cameras.look
+            self._sink, self._open = sink, stack.pop_all()
+
+    def activate(self) -> None:
+        """Play, from the current frame on."""
+        self._player.play(time.monotonic())
+        self._active = True
+
+    def deactivate(self) -> None:
+        """Pause; the last frame remains visible."""
+        self._player.pause(time.monotonic())
+        self._active = False
+
+    def clean_up(self) -> None:
+        """Close the clip, and end topics and services."""
+        self._active, self._sink = False, None
+        self._open.close()
+
+    def shut_down(self) -> None:
+        """Clean up, and let `run` end."""
+        self._over = True
+        self.clean_up()
+
+    def run(self) -> None:
+        """Act according to the state until the node is shut down, or ROS is."""
+        from rclpy.executors import SingleThreadedExecutor
+
+        node = self._node
+        executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(node)
+        try:
+            while not self._over and node.context.ok():
+                if self._sink is None:
+                    executor.spin_once(timeout_sec=LONGEST_WAIT)
+                elif self._active:
+                    going = lambda: self._active  # noqa: E731
+                    play(self._clip, self._sink, self._player, look=self._look, going=going)
+                else:
+                    self._sink.listen(LONGEST_WAIT, lambda text: INACTIVE)
+        finally:
+            self.clean_up()
+            executor.shutdown()
+
+
+def managed_player(name: str, *, namespace: str) -> Any:
+    """Create the lifecycle node; its attribute `work` runs it."""
+    from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+
+    def attempt(action: Callable[[], None]) -> Any:
+        """Carry out a transition; if it fails, log the reason and keep the state."""
+        try:
+            action()
+        except Exception as error:
+            log.error(failure(error).sentence)
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    class ManagedPlayer(LifecycleNode):
+        def __init__(self) -> None:
+            super().__init__(name, namespace=namespace)
+            self.work = Work(self)
+
+        def on_configure(self, state: Any) -> Any:
+            return attempt(self.work.configure)
+
+        def on_activate(self, state: Any) -> Any:
+            return attempt(self.work.activate)
+
+        def on_deactivate(self, state: Any) -> Any:
+            return attempt(self.work.deactivate)
+
+        def on_cleanup(self, state: Any) -> Any:
+            return attempt(self.work.clean_up)
+
+        def on_shutdown(self, state: Any) -> Any:
+            return attempt(self.work.shut_down)
+
+    return ManagedPlayer()
