@@ -23,7 +23,7 @@ from phy124.runtime.failures import failure
 
 from .cameras import Cameras
 from .live import play
-from .node import CLIP_PARAMETERS, opened_clip
+from .node import CLIP_PARAMETERS, live_through, opened_clip
 from .parameters import convert, declare
 from .ros_node import temporary_entities
 from .sink import LONGEST_WAIT
@@ -31,6 +31,11 @@ from .sinks.rclpy import RclpySink
 
 INACTIVE = "The node is inactive: activate it first."
 log = logging.getLogger(__name__)
+
+
+def main(args: list[str] | None = None) -> None:
+    """`ros2 run phy124_bridge managed --ros-args -p clip:=/path/to/clip.safetensors`."""
+    live_through(args, lambda node: node.work.run(), managed_player)
 
 
 class Work:

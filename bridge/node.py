@@ -1,4 +1,4 @@
-"""The ROS 2 nodes `player`, `managed` and `simulate`: read the parameters, run, and shut down.
+"""The ROS 2 nodes `player` and `simulate`: read the parameters, run, and shut down.
 
 `start` imports this module in a context in which Ctrl-C ends the process cleanly.
 """
@@ -45,19 +45,12 @@ log = logging.getLogger(__name__)
 
 def main(args: list[str] | None = None) -> None:
     """`ros2 run phy124_bridge player --ros-args -p clip:=/path/to/clip.safetensors`."""
-    _live_through(args, play_clip)
+    live_through(args, play_clip)
 
 
 def simulation(args: list[str] | None = None) -> None:
     """`ros2 run phy124_bridge simulate --ros-args -p source:=photo.png -p scene:=drop`."""
-    _live_through(args, simulate)
-
-
-def managed(args: list[str] | None = None) -> None:
-    """`ros2 run phy124_bridge managed --ros-args -p clip:=/path/to/clip.safetensors`."""
-    from .managed import managed_player
-
-    _live_through(args, lambda node: node.work.run(), managed_player)
+    live_through(args, simulate)
 
 
 def play_clip(node: Any) -> None:
@@ -116,10 +109,16 @@ def simulate(node: Any) -> None:
     log.info("All %d frames were shown.", len(run))
 
 
-def _live_through(
+def live_through(
     args: list[str] | None, work: Callable[[Any], None], make: Callable[..., Any] | None = None
 ) -> None:
-    """Run a node to its end; log a user's error as one FATAL line, with exit status 1."""
+    """Run a node to its end; log a user's error as one FATAL line, with exit status 1.
+
+    Args:
+        args: `--ros-args` and the arguments after it.
+        work: Runs the node until ROS shuts down.
+        make: Makes the node from its name and namespace; None: a plain node.
+    """
     refused = None
     try:
         # `ros2 launch` and supervisors send SIGTERM if SIGINT does not end a node.

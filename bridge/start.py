@@ -22,9 +22,9 @@ def managed() -> None:
     with importing(0):
         from phy124.runtime.streams import steady_streams
 
-        from . import node
+        from . import managed as node
     with steady_streams():
-        node.managed()
+        node.main()
 
 
 def simulate() -> None:

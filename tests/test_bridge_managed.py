@@ -2,7 +2,7 @@
 
 import pytest
 
-from bridge import node
+from bridge import managed
 from support.clips import random_clip
 from support.ros_double import Node
 from support.ros_messages import statuses, values
@@ -31,7 +31,7 @@ def manage(ros, clip, *steps, spins=40, **given):
     for step in steps:
         ros.script += [take(step), *[lambda made: None] * spins]
     ros.script.append(lambda made: setattr(made.context, "over", True))
-    node.managed()
+    managed.main()
     return ros.nodes[0], done
 
 
