@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from inspect import signature
 from typing import Any
 
@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 
 from phy124.boundaries import HalfSpace
 from phy124.gaussians import Gaussians, quaternions, spread_directions
+from phy124.lattice.solver import LatticeSolver
 from phy124.materials import Material
 from phy124.mpm import Model, Solver, State
+from phy124.particles.lattice import lattice_of
+from phy124.particles.solid import Solid
 
 Array = NDArray[np.float64]
 MODEL_OPTIONS = frozenset(signature(Model.of).parameters)
@@ -108,6 +111,57 @@ def make_solver(
     return Solver(model, State.of(model, v, C), **options)
 
 
+def fill_solid(
+    distance: Callable[[NDArray[Any]], NDArray[Any]],
+    lower: Sequence[float] | NDArray[Any],
+    upper: Sequence[float] | NDArray[Any],
+    voxel: float,
+    parts: int = 6,
+) -> Solid:
+    """Return the solid inside a surface, with the filled fraction of each voxel at the surface.
+
+    Args:
+        distance: Returns the signed distance of points [...,3] from the surface [m]; negative
+            inside.
+        lower: Lowest corner of a box around the body [m].
+        upper: Highest corner of the box [m].
+        voxel: Side of a voxel [m].
+        parts: Number of parts of a voxel along each axis that are sampled at the surface.
+    """
+    first = np.floor(np.asarray(lower) / voxel + 1e-9).astype(np.int64)
+    count = np.ceil(np.asarray(upper) / voxel - 1e-9).astype(np.int64) - first
+    index = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1)
+    away = distance((index + first + 0.5) * voxel)
+    fraction = (away < 0).astype(np.float32)
+    edge = index[np.abs(away) < 0.9 * voxel]
+    sample = (np.stack(np.meshgrid(*[np.arange(parts)] * 3), axis=-1).reshape(-1, 3) + 0.5) / parts
+    for some in np.array_split(edge, max(1, len(edge) // 20_000)):
+        far = distance((some[:, None] + first + sample) * voxel) / voxel
+        fraction[tuple(some.T)] = np.clip(0.5 - parts * far, 0, 1).mean(axis=1)
+    return Solid(first, voxel, fraction)
+
+
+def make_lattice_solver(
+    solid: Solid, dx: float, material: Material, *, v: Sequence[float] | None = None, **options: Any
+) -> LatticeSolver:
+    """Create a solver for a solid on its lattice at rest.
+
+    Args:
+        solid: The body.
+        dx: Side of a cell [m].
+        material: Its material.
+        v: Velocity of the body at the start [3], m/s; None: at rest.
+        **options: Options of `Model.of` and of `LatticeSolver`.
+    """
+    of_model = {name: options.pop(name) for name in MODEL_OPTIONS & options.keys()}
+    points = lattice_of(solid, density=material.density, dx=dx)
+    x = points.x.astype(np.float64)
+    model = Model.of(x, points.volume, [material], dx=dx, **of_model)
+    motion = None if v is None else np.tile(np.asarray(v, float), (len(x), 1))
+    assert points.surface is not None
+    return LatticeSolver(model, points.surface, State.of(model, motion), **options)
+
+
 FAR = 1e3
 """Position of a distant plane [m]; all grid nodes are inside the wall behind it."""
 
@@ -147,7 +201,7 @@ def connected_end(solver: Solver) -> float:
     return float(x[gaps[0]] if len(gaps) else x[-1])
 
 
-def mean_along(solver: Solver, of: str, axis: Sequence[float]) -> float:
+def mean_along(solver: Solver | LatticeSolver, of: str, axis: Sequence[float]) -> float:
     """Return the mass-weighted mean of the component of `x` or `v` along an axis.
 
     Args:

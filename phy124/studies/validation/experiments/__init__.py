@@ -22,6 +22,7 @@ from phy124.studies.validation.experiments import (
     sand_column,
     taylor_bar,
     terminal_speed,
+    turning,
 )
 from phy124.studies.validation.experiments.experiment import Estimate, Experiment, Outcome, Quantity
 
@@ -34,6 +35,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     restitution.EXPERIMENT,
     incline.EXPERIMENT,
     middle_axis.EXPERIMENT,
+    turning.EXPERIMENT,
     terminal_speed.EXPERIMENT,
     taylor_bar.EXPERIMENT,
     sand_column.EXPERIMENT,

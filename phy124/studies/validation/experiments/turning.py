@@ -1,0 +1,139 @@
+"""Experiment: the moment of inertia of a ball that rolls and of a plate that swings.
+
+Both run on their lattice at rest (`accuracy.solver = "lattice"`). Lumped nodes add dx^2 / 2 to the
+moment of inertia per mass about each axis.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.boundaries import HalfSpace
+from phy124.forces import Grab, Gravity
+from phy124.materials import NeoHookean
+from phy124.studies.validation.accuracy.problems import GRAVITY
+from phy124.studies.validation.bodies import fill_solid, make_lattice_solver, mean_along
+from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+
+RUBBER = NeoHookean(E=4e6, nu=0.3, density=1000.0, damping=50.0)
+RADIUS, SLOPE, FRICTION = 0.1, 0.3, 0.8
+"""Radius of the ball [m], tangent of the slope's angle, and coefficient of friction."""
+SETTLING, ROLLING = 0.15, 0.35
+"""Time before the ball's motion is measured, and duration of the measurement [s]."""
+PLATE = (0.4, 0.0125, 0.1)
+"""Edges of the plate [m]; it swings in its plane, about a point on its longest axis."""
+HINGE, GRIP = 0.15, 0.04
+"""Distance of the hinge from the plate's centre, and radius of the material that it holds [m]."""
+ANGLE = 0.1
+"""Amplitude of the swing [rad]."""
+STIFFNESS = 1e6
+"""Stiffness of the hinge [N/m]."""
+SAMPLES = 60
+
+
+def publish() -> tuple[Quantity, ...]:
+    """Return the exact acceleration, in units of gravity, and the exact period [s]."""
+    rolling = 5 / 7 * math.sin(math.atan(SLOPE))
+    return (
+        Quantity.within("acceleration of the ball [g]", rolling, 0.01),
+        Quantity.within("period of the plate [s]", exact_period(), 0.01),
+    )
+
+
+def exact_period() -> float:
+    """Return the plate's period for the amplitude `ANGLE` [s], to fourth order in the angle."""
+    inertia = (PLATE[0] ** 2 + PLATE[2] ** 2) / 12 + HINGE**2
+    small = 2 * math.pi * math.sqrt(inertia / (GRAVITY * HINGE))
+    return small * (1 + ANGLE**2 / 16 + 11 * ANGLE**4 / 3072)
+
+
+def roll(cells: int, gravity: float) -> float:
+    """Measure a ball's acceleration down a slope, in units of the standard gravity.
+
+    Args:
+        cells: Cells across the ball.
+        gravity: Strength of gravity [m/s^2].
+    """
+    dx, angle = 2 * RADIUS / cells, math.atan(SLOPE)
+    centre = np.array([0.0, 0.0, RADIUS])
+
+    def distance(x: NDArray) -> NDArray[np.float64]:
+        return np.linalg.norm(x - centre, axis=-1) - RADIUS
+
+    ball = fill_solid(distance, centre - RADIUS, centre + RADIUS, dx / 2)
+    g = (gravity * math.sin(angle), 0.0, -gravity * math.cos(angle))
+    plane = HalfSpace(normal=(0.0, 0.0, 1.0), friction=FRICTION)
+    solver = make_lattice_solver(
+        ball, dx, RUBBER, forces=[Gravity(g=g)], boundaries=[plane], threads=1
+    )
+    times, places = np.linspace(0, ROLLING, SAMPLES), []
+    for time in times:
+        solver.advance(SETTLING + float(time))
+        places.append(mean_along(solver, "x", (1.0, 0, 0)))
+    return float(2 * np.polyfit(times, places, 2)[0] / GRAVITY)
+
+
+def swing(cells: int, gravity: float) -> float:
+    """Measure the period of a plate that hangs from a hinge [s].
+
+    Args:
+        cells: Cells along the plate.
+        gravity: Strength of gravity [m/s^2].
+    """
+    dx, edges = PLATE[0] / cells, np.array(PLATE)
+
+    def distance(x: NDArray) -> NDArray[np.float64]:
+        return (np.abs(x) - edges / 2).max(axis=-1)
+
+    plate = fill_solid(distance, -edges / 2, edges / 2, dx / 2)
+    hinge = (-HINGE, 0.0, 0.0)
+    grab = Grab(
+        point=hinge, radius=GRIP, times=(0.0, 1.0), targets=(hinge, hinge),
+        stiffness=STIFFNESS, damping=100.0, strength=1e6,
+    )  # fmt: skip
+    g = (gravity * math.cos(ANGLE), 0.0, gravity * math.sin(ANGLE))
+    solver = make_lattice_solver(plate, dx, RUBBER, forces=[Gravity(g=g), grab], threads=1)
+    across = (-math.sin(ANGLE), 0.0, math.cos(ANGLE))
+    times, places = np.linspace(0, 0.9 * exact_period(), SAMPLES), []
+    for time in times:
+        solver.advance(float(time))
+        places.append(mean_along(solver, "x", across) - float(np.dot(hinge, across)))
+    return 2 * _half_period(times, np.array(places))
+
+
+def _half_period(times: NDArray, places: NDArray) -> float:
+    """Return the time between the first two zeros of an oscillation [s]."""
+    after = np.flatnonzero(np.diff(np.sign(places)) != 0)[:2]
+    zeros = times[after] - places[after] * np.diff(times)[after] / np.diff(places)[after]
+    return float(zeros[1] - zeros[0])
+
+
+def run(cells: int) -> Values:
+    """Measure with the correct gravity."""
+    return roll(cells, GRAVITY), swing(cells, GRAVITY)
+
+
+def control(cells: int) -> Values:
+    """Measure with gravity that is 5 % too strong."""
+    return roll(cells, 1.05 * GRAVITY), swing(cells, 1.05 * GRAVITY)
+
+
+EXPERIMENT = Experiment(
+    name="turning",
+    title="Turning: a ball that rolls, and a plate that swings",
+    source="Rigid bodies: a = 5/7 g sin θ; T = 2π √(I / m g d), for an amplitude of 0.1 rad",
+    measured="On the lattice solver: acceleration of a ball that rolls down a slope of "
+    "tan θ = 0.3, in units of gravity; and period of a plate of 0.4 × 0.1 × 0.0125 m that swings "
+    "in its plane, about a point 0.15 m from its centre.",
+    band="±1 %; the finest grid, that of `standard`, is also within it",
+    published=publish,
+    run=run,
+    control=control,
+    mistake="gravity is 5 % too strong",
+    grids=(16, 24, 32),
+    across="the ball, or along the plate",
+    seconds=50,
+)
