@@ -150,7 +150,7 @@ class _Runs:
 
     def run(self, simulation: Simulation) -> Clip:
         """Run a simulation and return its clip."""
-        return simulation.run(lambda _: self.see(simulation))
+        return simulation.run(record=self.see)
 
     def _make_denser(self, cells: int) -> None:
         """Repeat a torn level with more particles, unless they would exceed a limit."""

@@ -24,7 +24,7 @@ from phy124.gaussians import Array, Frame, Gaussians, of_walls, rotate_sh, stack
 from phy124.io.files import replacing
 from phy124.io.opening import obstacle
 from phy124.motion.packing import pack, unpack
-from phy124.motion.recorded import Computed, Motion, make_arrays
+from phy124.motion.recorded import Computed, Motion, Recorded, make_arrays
 
 FORMAT = "phy124-clip"
 VERSION, MOTION = "1", "2"
@@ -278,7 +278,7 @@ class Clip:
         if "motion" in metadata:
             try:
                 motion = unpack(arrays, json.loads(metadata["motion"]), np.array(arrays["times"]))
-                arrays |= make_arrays(motion)
+                arrays |= make_arrays(Recorded(motion))
             except (ValueError, KeyError, IndexError, TypeError, ZstdError) as error:
                 raise _refusal(path, f"its motion is damaged ({error!r}).") from error
             still = motion.gaussians

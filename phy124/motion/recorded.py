@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import RLock
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
-from phy124.gaussians import Array, Gaussians, Particles
+from phy124.gaussians import Array, Gaussians, Particles, rotate_sh
 from phy124.motion.scenery import Scenery
 from phy124.runtime.cores import cores
 
@@ -106,8 +106,6 @@ class Recorded:
         self._next = 0
         frames = OrderedDict[int, dict[str, Array]]()
         self._frames, self._states = frames, dict[int, dict[str, NDArray]]()
-        every = self.count * STATE * len(motion.times) / STATES
-        self._every = max(16, int(every) + 1)
         self._lock = RLock()
         self._selected: tuple[NDArray, dict[str, NDArray]] | None = None
 
@@ -118,6 +116,14 @@ class Recorded:
     def turns(self) -> bool:
         """Whether frames have rotations of the material."""
         return self.motion.gaussians.sh_degree > 0
+
+    def gaussians(self, index: int) -> Gaussians:
+        """Return the Gaussians of a frame, with colours that are rotated with the material."""
+        row = self.row(index)
+        sh = self.motion.gaussians.sh
+        if "rotations" in row:
+            sh = rotate_sh(sh, row["rotations"])
+        return replace(self.motion.gaussians, **{name: row[name] for name in MOVING[:3]}, sh=sh)
 
     def row(self, index: int) -> dict[str, Array]:
         """Return the arrays of a frame by name."""
@@ -163,7 +169,8 @@ class Recorded:
             self._prepare()
         deformer = self._deformer
         assert deformer is not None
-        if index and index % self._every == 0 and index not in self._states:
+        every = max(16, int(self.count * STATE * len(motion.times) / STATES) + 1)
+        if index and index % every == 0 and index not in self._states:
             self._states[index] = deformer.snapshot()
         self._x[motion.carriers], self._F[motion.carriers] = motion.x[index], motion.F[index]
         time = float(motion.times[index])
@@ -256,8 +263,7 @@ class Computed(NDArrayOperatorsMixin):
         return Computed(self.recorded, self.name, columns=columns)
 
 
-def make_arrays(motion: Motion) -> dict[str, Any]:
-    """Return the arrays of a motion's frames by name."""
-    recorded = Recorded(motion)
+def make_arrays(recorded: Recorded) -> dict[str, Any]:
+    """Return the arrays of all frames by name."""
     names = MOVING if recorded.turns else MOVING[:3]
     return {name: Computed(recorded, name) for name in names}

@@ -122,7 +122,7 @@ def simulate(
     films: bool = True,
     rescues: bool = True,
     error: bool = True,
-    each: Callable[[Simulation, Frame], object] = lambda run, frame: None,
+    each: Callable[[Simulation, Frame], object] | None = None,
     **fields: Unpack[ContextOptions],
 ) -> Result:
     """Turn static Gaussians into moving Gaussians, videos and a report in a folder.
@@ -170,10 +170,6 @@ def simulate(
         error=error,
     )
 
-    def see(run: Simulation, frame: Frame) -> None:
-        folder.recording.see(run)
-        each(run, frame)
-
     def run_scene() -> tuple[Simulation, Clip]:
         if goal is not None:
             record, elapsed = folder.recording.see, context.watch.total
@@ -185,7 +181,7 @@ def simulate(
         if forecaster is not None:
             with context.watch.stage("forecast"):
                 folder.predicted = forecaster.of(run)
-        return run, run.run(partial(see, run))
+        return run, run.run(each and partial(each, run), record=folder.recording.see)
 
     return folder.fill(run_scene)
 
@@ -252,7 +248,7 @@ def go_on(
     def run_scene() -> tuple[Simulation, Clip]:
         run = resume.load(path, context, frames=frames)
         warn_of_room(run, folder.out, films=True)
-        return run, run.run(lambda _: folder.recording.see(run))
+        return run, run.run(record=folder.recording.see)
 
     return folder.fill(run_scene)
 

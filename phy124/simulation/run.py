@@ -22,7 +22,7 @@ from phy124.monitor.diagnostics import describe_substep
 from phy124.monitor.observer import Kind, Observer, Violation, find, restore_all, snapshots
 from phy124.monitor.watchdog import Watchdog
 from phy124.motion.deform import Deformer
-from phy124.motion.recorded import Motion, make_arrays
+from phy124.motion.recorded import Motion, Recorded, make_arrays
 from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.threads import Team
 from phy124.mpm.workers import HOST, REPAIR, run_timed
@@ -90,7 +90,7 @@ class Simulation:
         size = cost.BYTES_PER_GAUSSIAN * count * scene.time.frames
         self.light = setup.keep and setup.shapes and not measured and size > cost.HELD
         """Whether `frames` have no Gaussians, because these follow from the motion of particles."""
-        self._last: Frame | None = None
+        self._moved: Recorded | None = None
         self.rotations: list[NDArray] = []
         """Rotations of the Gaussians in each frame [N,4] wxyz, if their colours depend on them."""
         self.poses: list[NDArray] = []
@@ -120,6 +120,13 @@ class Simulation:
             Stopped: The frame is wrong, or the run has used twice its time budget.
             Cancelled: Raised by `progress`.
         """
+        frame = self._take_frame()
+        if not self.light:
+            return frame
+        return replace(frame, gaussians=self._frames_so_far().gaussians(frame.index))
+
+    def _take_frame(self) -> Frame:
+        """Compute the next frame and keep it; in a light run it has no Gaussians."""
         index, timing, context = self.count, self.scene.time, self.setup.context
         time = index / timing.fps
         skipped = next(filter(None, (o.skip_to(index) for o in self.observers)), None)
@@ -131,8 +138,7 @@ class Simulation:
         if not self.setup.keep:
             self.frames.clear()
             del self.rotations[:-1]
-        self.frames.append(self._without_gaussians(frame) if self.light else frame)
-        self._last = frame if self.light else None
+        self.frames.append(frame)
         self.count += 1
         context.progress("simulate", self.count, timing.frames)
         return frame
@@ -154,18 +160,28 @@ class Simulation:
         """Return the observer of a class, or None if the scene does not require it."""
         return find(self.observers, kind)
 
-    def run(self, each: Callable[[Frame], object] = lambda frame: None) -> Clip:
+    def run(
+        self,
+        each: Callable[[Frame], object] | None = None,
+        *,
+        record: Callable[[Simulation], object] = lambda run: None,
+    ) -> Clip:
         """Return all frames as a clip; after an early stop, the valid frames and the reason.
 
         Args:
             each: Function called with every frame as soon as it is computed.
+            record: Function called with this simulation after every frame, before `each`. Without
+                `each`, light runs compute the Gaussians only when the clip's frames are read.
 
         Raises:
             Interrupted: The run was cancelled; its state is the state after the last frame.
         """
         try:
-            for frame in self:
-                each(frame)
+            while self.count < self.scene.time.frames:
+                frame = self._take_frame() if each is None else self.step()
+                record(self)
+                if each is not None:
+                    each(frame)
         except Stopped as stop:
             self.stopped, self.remedies = str(stop), stop.remedies
         except Cancelled as cancelled:
@@ -188,7 +204,7 @@ class Simulation:
         clip = Clip.from_frames(
             self.frames, stack_arrays(self.rotations) if self.rotations else None
         )
-        computed = make_arrays(self._motion(clip.times)) if self.light else {}
+        computed = make_arrays(self._frames_so_far()) if self.light else {}
         clip = replace(
             clip,
             **computed,
@@ -216,7 +232,7 @@ class Simulation:
             "spent": self.spent.before,
             "rejected": self.solver.rejection.rejected,
             "solver": self.solver.snapshot(),
-            "deformer": self.deformer.snapshot(),
+            "deformer": {} if self.light else self.deformer.snapshot(),
             "observers": snapshots(self.observers),
             **({"poses": np.array(self.poses)} if self.setup.free else {}),
         }
@@ -227,7 +243,8 @@ class Simulation:
         self.spent.before = snapshot["spent"]
         self.solver.rejection.rejected = snapshot["rejected"]
         self.solver.restore(snapshot["solver"])
-        self.deformer.restore(snapshot["deformer"])
+        if not self.light:
+            self.deformer.restore(snapshot["deformer"])
         restore_all(self.observers, snapshot["observers"])
         self.poses = list(snapshot.get("poses", []))
 
@@ -241,18 +258,21 @@ class Simulation:
         )
         frame = Frame(index, time, scenery.moving)
         with stage("deform"):
-            if self.setup.shapes:
+            if self.setup.shapes and not self.light:
                 v = state.v if self.scene.velocities else None
                 shape = state.deformation
                 frame = self.deformer(state.x, shape, index=index, time=time, velocities=v)
-            if self.deformer.rotations is not None and not self.light:
+            if self.deformer.rotations is not None:
                 self.rotations.append(scenery.turns(self.deformer.rotations))
         with stage("observe"):
             for observer in self.observers:
                 frame = observer.after_frame(frame)
         with stage("deform"):
             self.poses.append(self.solver.free.poses())
-            frame = scenery.whole(frame, self.poses, self.solver.free.motions())
+            if self.light:
+                frame = replace(frame, gaussians=self.setup.shown.select(np.zeros(0, int)))
+            else:
+                frame = scenery.whole(frame, self.poses, self.solver.free.motions())
             if not (self.setup.keep and self.setup.shapes):
                 return frame
             x, F = (np.asarray(array.numpy()) for array in (state.x, state.deformation))
@@ -264,8 +284,13 @@ class Simulation:
         """Indices of the particles that carry Gaussians [C]."""
         return self.deformer.carriers
 
-    def _without_gaussians(self, frame: Frame) -> Frame:
-        return replace(frame, gaussians=self.setup.shown.select(np.zeros(0, int)))
+    def _frames_so_far(self) -> Recorded:
+        """Return the frames of a light run, whose Gaussians are computed when they are read."""
+        motion = self._motion(np.array([frame.time for frame in self.frames]))
+        if self._moved is None:
+            self._moved = Recorded(motion)
+        self._moved.motion = motion
+        return self._moved
 
     def _follows_particles(self, clip: Clip) -> bool:
         """Return whether all Gaussians of a clip follow from the recorded motion.
@@ -301,10 +326,7 @@ class Simulation:
         """Return the last frame with a new index and time, since nothing has moved."""
         if self.rotations:
             self.rotations.append(self.rotations[-1])
-        last = self._last or self.frames[-1]
-        if self.light and self._last is None:  # the run was resumed
-            last = replace(last, gaussians=self.clip().frame(-1).gaussians)
-        return replace(last, index=index, time=time)
+        return replace(self.frames[-1], index=index, time=time)
 
     @one_at_a_time
     def _advance(self, index: int, until: float) -> None:

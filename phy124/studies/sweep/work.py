@@ -291,7 +291,7 @@ def _simulate(
     if run is None:
         run = Simulation(prepare(source.gaussians, scene, context, crop=source.crop))
     try:
-        clip = run.run(lambda _: recording.see(run))
+        clip = run.run(record=recording.see)
         return with_own_error(run, clip), recording
     except BaseException as error:
         recording.rescue()
