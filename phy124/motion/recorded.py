@@ -8,7 +8,7 @@ the same bits whenever it is read.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from threading import RLock
 from typing import TYPE_CHECKING, Any, Protocol
@@ -93,14 +93,21 @@ class Track:
 class Recorded:
     """Computes the frames of a motion when they are read."""
 
-    def __init__(self, motion: Motion, chosen: NDArray | None = None) -> None:
+    def __init__(
+        self,
+        motion: Motion,
+        chosen: NDArray | None = None,
+        measure: Callable[[dict[str, Array]], Any] | None = None,
+    ) -> None:
         """Prepare to compute frames; nothing is computed before the first frame is read.
 
         Args:
             motion: The motion.
             chosen: Indices of the Gaussians of the frames [M]; None: all.
+            measure: Called once with the arrays of each frame that is computed.
         """
         self.motion, self.chosen = motion, chosen
+        self._measure, self._measured = measure, dict[int, Any]()
         self.count = len(motion.gaussians) if chosen is None else len(chosen)
         self._deformer: Deformer | None = None
         self._next = 0
@@ -141,6 +148,13 @@ class Recorded:
             while len(self._frames) > most:
                 self._frames.popitem(last=False)
             return row
+
+    def measurements(self) -> list[Any]:
+        """Return what was measured in each frame; frames that were never read are computed."""
+        for index in range(len(self)):
+            if index not in self._measured:
+                self.row(index)
+        return [self._measured[index] for index in range(len(self))]
 
     def select(self, chosen: NDArray) -> dict[str, NDArray]:
         """Return the arrays of some Gaussians in all frames [T,M,...]; the last choice is kept."""
@@ -183,6 +197,8 @@ class Recorded:
         row = {name: getattr(gaussians, name) for name in MOVING[:3]}
         if rotations is not None:
             row["rotations"] = self._scenery.turns(rotations)
+        if self._measure is not None and index not in self._measured:
+            self._measured[index] = self._measure(row)
         return row
 
     def _prepare(self) -> None:

@@ -181,7 +181,7 @@ def simulate(
         if forecaster is not None:
             with context.watch.stage("forecast"):
                 folder.predicted = forecaster.of(run)
-        return run, run.run(each and partial(each, run), record=folder.recording.see)
+        return run, run.run(each and partial(each, run), record=folder.recording.see, shapes=False)
 
     return folder.fill(run_scene)
 
@@ -248,7 +248,7 @@ def go_on(
     def run_scene() -> tuple[Simulation, Clip]:
         run = resume.load(path, context, frames=frames)
         warn_of_room(run, folder.out, films=True)
-        return run, run.run(record=folder.recording.see)
+        return run, run.run(record=folder.recording.see, shapes=False)
 
     return folder.fill(run_scene)
 

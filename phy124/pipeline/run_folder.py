@@ -126,10 +126,12 @@ class RunFolder:
             with suppress(OSError, InputError):
                 self.recording.pause(run)  # allows --resume if the filming is killed
         saved = folder / CLIP if (folder / CLIP).exists() else self.out / CLIP
-        cut, problem = self._film(saved, run.scene, folder)
+        cut, problem = self._film(clip, run.scene, folder)
         if cut and not interrupted:
             interrupted = self._pause(folder, run)
         made |= {path.name for path in folder.glob("[!.]*")} | {REPORT}
+        if "shapes" not in report and not cut and problem is None:
+            report |= run.shapes_of(clip)  # the films have computed all frames
         report = self._update(report, made, interrupted=cut or interrupted)
         with suppress(OSError, InputError):  # without disk space the earlier report stays
             restate(saved, clip.with_report(report))
@@ -172,7 +174,7 @@ class RunFolder:
                 raise _after_error(self.out, left) from error
             raise
 
-    def _film(self, path: Path, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
+    def _film(self, clip: Clip, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
         """Film all views; return whether filming was interrupted, and the exception if it failed.
 
         Finished films stay in either case.
@@ -180,7 +182,7 @@ class RunFolder:
         if not self.films:
             return False, None
         try:
-            film(Clip.load(path), scene.view, folder, self.context)
+            film(clip, scene.view, folder, self.context)
         except Cancelled:
             if not self.keep:
                 self.recording.drop()

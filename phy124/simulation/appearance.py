@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.gaussians import Gaussians
-from phy124.io.clip import Clip
+from phy124.gaussians import Array, Gaussians
 from phy124.materials import AnyMaterial
 from phy124.materials.base import FLOWING, SHADING
 from phy124.monitor.tearing import APART
@@ -17,6 +16,9 @@ from phy124.motion.deform import of_gaussians
 from phy124.particles import Particles
 from phy124.particles.grains import add_grains, tint, vary_brightness
 from phy124.scene import Scene
+
+BLOCK = 1 << 15
+"""Number of Gaussians that are measured at a time, so that they stay in the cache."""
 
 
 class Appearance(NamedTuple):
@@ -59,38 +61,67 @@ class Appearance(NamedTuple):
             spans[law] = np.flatnonzero(np.diff(inside)).reshape(-1, 2).tolist()
         return spans
 
-    def shapes(self, clip: Clip, materials: Sequence[AnyMaterial]) -> dict[str, dict[str, float]]:
+    def elongation(
+        self, materials: Sequence[AnyMaterial]
+    ) -> Callable[[Mapping[str, Array]], NDArray[np.float64]]:
+        """Return a function that measures a frame's arrays.
+
+        For each law in alphabetical order, it returns the largest ratio of a Gaussian's longest
+        axis to its middle axis and to its shortest axis [L,2].
+        """
+        every = [self._of_law(law, materials) for law in _laws(materials)]
+
+        def measure(frame: Mapping[str, Array]) -> NDArray[np.float64]:
+            scales = frame["scales"]
+            return np.array([_elongation(scales, chosen) for chosen in every]).reshape(-1, 2)
+
+        return measure
+
+    def shapes(
+        self, ratios: Sequence[NDArray], opacities: Array, materials: Sequence[AnyMaterial]
+    ) -> dict[str, dict[str, float]]:
         """Return the elongation and opacity of each law's Gaussians in a clip.
 
         Args:
-            clip: The clip; its Gaussians beyond these are balls.
+            ratios: The result of `elongation` for each frame.
+            opacities: Opacities of the clip's Gaussians.
             materials: The materials.
 
         Returns:
             For each law, the largest ratio of the longest axis to the middle axis, `needle`, and to
             the shortest axis, `axis_ratio`, and the largest `opacity`.
         """
-        rows = {}
-        for law in sorted({section.law for section in materials}):
+        rows, largest = {}, np.maximum.reduce([np.asarray(frame) for frame in ratios])
+        for law, (needle, flat) in zip(_laws(materials), largest.tolist(), strict=True):
             chosen = self._of_law(law, materials)
-            if not len(chosen):
-                continue
-            needle = flat = 1.0
-            for scales in clip.scales:
-                # This takes a sixth of the time of sorting three numbers each.
-                a, b, c = np.maximum(scales[chosen], np.finfo(np.float32).tiny).T
-                low, high = np.minimum(a, b), np.maximum(a, b)
-                longest, middle = np.maximum(high, c), np.maximum(low, np.minimum(high, c))
-                needle = max(needle, float((longest / middle).max()))
-                flat = max(flat, float((longest / np.minimum(low, c)).max()))
-            opacity = float(clip.opacities[chosen].max())
-            rows[law] = {"needle": needle, "axis_ratio": flat, "opacity": opacity}
+            if len(chosen):
+                opacity = float(opacities[chosen].max())
+                rows[law] = {"needle": needle, "axis_ratio": flat, "opacity": opacity}
         return rows
 
     def _of_law(self, law: str, materials: Sequence[AnyMaterial]) -> NDArray[np.int64]:
         """Return the indices of the moving Gaussians whose material has a law."""
         chosen = np.array([section.law == law for section in materials])[self.kinds]
         return np.flatnonzero(self.moves)[chosen]
+
+
+def _laws(materials: Sequence[AnyMaterial]) -> list[str]:
+    """Return the laws of some materials in alphabetical order."""
+    return sorted({section.law for section in materials})
+
+
+def _elongation(scales: Array, chosen: NDArray[np.int64]) -> tuple[float, float]:
+    """Return the largest ratios of the longest axis to the middle and to the shortest axis."""
+    needle = flat = 1.0
+    for start in range(0, len(chosen), BLOCK):
+        # This takes a sixth of the time of sorting three numbers each.
+        some = scales[chosen[start : start + BLOCK]]
+        a, b, c = np.maximum(some, np.finfo(np.float32).tiny).T
+        low, high = np.minimum(a, b), np.maximum(a, b)
+        longest, middle = np.maximum(high, c), np.maximum(low, np.minimum(high, c))
+        needle = max(needle, float((longest / middle).max()))
+        flat = max(flat, float((longest / np.minimum(low, c)).max()))
+    return needle, flat
 
 
 def make_appearance(

@@ -65,13 +65,12 @@ def report_run(run: Run) -> dict[str, Any]:
 
 
 def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
-    """Return the report's entries that need the complete clip: Gaussians and their shapes."""
+    """Return the report's entries about the Gaussians of the complete clip."""
     look, count = setup.appearance, len(clip.opacities)
     return {
         "gaussians": count,
         "grains": count - len(setup.gaussians),
         "shine": look.shine(setup.materials),
-        "shapes": look.shapes(clip, setup.materials),
     }
 
 

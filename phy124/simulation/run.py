@@ -165,6 +165,7 @@ class Simulation:
         each: Callable[[Frame], object] | None = None,
         *,
         record: Callable[[Simulation], object] = lambda run: None,
+        shapes: bool = True,
     ) -> Clip:
         """Return all frames as a clip; after an early stop, the valid frames and the reason.
 
@@ -172,6 +173,7 @@ class Simulation:
             each: Function called with every frame as soon as it is computed.
             record: Function called with this simulation after every frame, before `each`. Without
                 `each`, light runs compute the Gaussians only when the clip's frames are read.
+            shapes: As for `clip`.
 
         Raises:
             Interrupted: The run was cancelled; its state is the state after the last frame.
@@ -190,10 +192,14 @@ class Simulation:
             count for name, (_, count) in self.solver.timings.items() if name not in HOST
         )
         self.setup.context.watch.launches["simulate"] = int(launches)
-        return self.clip()
+        return self.clip(shapes=shapes)
 
-    def clip(self) -> Clip:
+    def clip(self, *, shapes: bool = True) -> Clip:
         """Return the frames so far as a clip.
+
+        Args:
+            shapes: Whether the report of a light run has the shapes of the Gaussians, for which
+                all frames are computed; `shapes_of` adds them later.
 
         Raises:
             ValueError: The frames were not kept.
@@ -218,7 +224,21 @@ class Simulation:
             clip = observer.complete(clip)
         if self._follows_particles(clip):
             clip = clip.with_motion(self._motion(clip.times))
-        return clip.with_report(self.report() | report_clip(setup, clip))
+        report = self.report() | report_clip(setup, clip)
+        return clip.with_report(report | (self.shapes_of(clip) if shapes or not self.light else {}))
+
+    def shapes_of(self, clip: Clip) -> dict[str, Any]:
+        """Return the report's entry about the shapes of the Gaussians in the run's clip.
+
+        Frames of a light run that have been read are not computed again.
+        """
+        look, materials = self.setup.appearance, self.setup.materials
+        if self._moved is None:
+            measure = look.elongation(materials)
+            ratios = [measure({"scales": scales}) for scales in clip.scales]
+        else:
+            ratios = self._moved.measurements()
+        return {"shapes": look.shapes(ratios, clip.opacities, materials)}
 
     def report(self) -> dict[str, Any]:
         """Return the report; phy124.pipeline.report_keys documents its keys."""
@@ -288,7 +308,8 @@ class Simulation:
         """Return the frames of a light run, whose Gaussians are computed when they are read."""
         motion = self._motion(np.array([frame.time for frame in self.frames]))
         if self._moved is None:
-            self._moved = Recorded(motion)
+            measure = self.setup.appearance.elongation(self.setup.materials)
+            self._moved = Recorded(motion, measure=measure)
         self._moved.motion = motion
         return self._moved
 
