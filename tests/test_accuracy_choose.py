@@ -203,7 +203,7 @@ def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells
             self.scene = setup.scene
             built.append(setup.scene.resolution.cells)
 
-        def run(self, each):
+        def run(self, record):
             return None
 
     monkeypatch.setattr(choose, "prepare", lambda _, scene, *a, **k: SimpleNamespace(scene=scene))
