@@ -4,12 +4,16 @@ The package phy124 itself is installed with pip (docs/guide/ros2-package.md).
 """
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import setup
 from setuptools.command.develop import develop
 from setuptools.command.install_scripts import install_scripts
 
-NAME = "phy124_bridge"
+PACKAGE = ElementTree.parse(Path(__file__).with_name("package.xml")).getroot()
+NAME, VERSION, DESCRIPTION, LICENSE, MAINTAINER = (
+    PACKAGE.findtext(tag, "") for tag in ("name", "version", "description", "license", "maintainer")
+)
 # This folder is itself the package. `colcon build --symlink-install` cannot link ".", so the folder
 # is named by its path from the parent folder.
 HERE = f"../{Path(__file__).resolve().parent.name}"
@@ -54,20 +58,23 @@ def quick(command):
 
 setup(
     name=NAME,
-    version="0.3.0",
-    description="phy124's moving Gaussians as ROS 2 topics and MCAP files",
-    license="MIT",
+    version=VERSION,
+    description=DESCRIPTION,
+    license=LICENSE,
+    maintainer=MAINTAINER,
+    maintainer_email=PACKAGE.findall("maintainer")[0].get("email"),
     packages=[NAME, f"{NAME}.sinks", f"{NAME}.steering"],
     package_dir={NAME: HERE},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
-        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}", ["package.xml", "LICENSE"]),
         (f"share/{NAME}/launch", ["launch/player.launch.py"]),
         (f"share/{NAME}/config", ["config/player.yaml"]),
         (f"share/{NAME}/rviz", ["rviz/phy124.rviz"]),
         (f"share/{NAME}/foxglove", ["foxglove/phy124.json"]),
     ],
     install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},  # tells `colcon test` to run pytest
     zip_safe=False,
     entry_points={
         "console_scripts": [

@@ -55,6 +55,8 @@ def test_package_xml_is_what_rep_149_asks_for():
     assert warned == []
     assert package.package_format == 3
     assert (package.name, package.version) == (NAME, phy124.__version__)
+    assert f"\n{package.version} (" in (BRIDGE / "CHANGELOG.rst").read_text()
+    assert (BRIDGE / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
     assert package.licenses == ["MIT"]
     assert package.get_build_type() == "ament_python"
 
@@ -282,17 +284,20 @@ def test_colcon_builds_the_package(tmp_path, colcon, options):
     shutil.copytree(BRIDGE, source, ignore=shutil.ignore_patterns("__pycache__"))
     before = sorted(path.relative_to(source) for path in source.rglob("*"))
     environment = {**os.environ, "PYTHONPATH": str(colcon), "PYTHONDONTWRITEBYTECODE": "1"}
-    build = [sys.executable, str(colcon / "bin" / "colcon"), "build", *options]
-    run = subprocess.run(
-        build,
-        cwd=tmp_path / "workspace",
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert run.returncode == 0, run.stdout + run.stderr
-    assert "1 package finished" in run.stdout
+
+    def run_colcon(*arguments):
+        run = subprocess.run(
+            [sys.executable, str(colcon / "bin" / "colcon"), *arguments],
+            cwd=tmp_path / "workspace",
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert run.returncode == 0, run.stdout + run.stderr
+        return run.stdout
+
+    assert "1 package finished" in run_colcon("build", *options)
     assert sorted(path.relative_to(source) for path in source.rglob("*")) == before
     installed = tmp_path / "workspace" / "install" / NAME
     assert (installed / "share/ament_index/resource_index/packages" / NAME).is_file()
@@ -305,9 +310,13 @@ def test_colcon_builds_the_package(tmp_path, colcon, options):
         assert (installed / "share" / NAME / file).is_file()
     for name in ("player", "managed", "simulate", "live", "bridge"):
         assert "except KeyboardInterrupt" in (installed / "lib" / NAME / name).read_text()
+    environment["PYTHONPATH"] = os.pathsep.join([str(colcon), str(ROOT)])
+    run_colcon("test", "--return-code-on-test-failure")
+    # The launch test is skipped without ROS 2.
+    assert "3 tests, 0 errors, 0 failures, 1 skipped" in run_colcon("test-result", "--verbose")
     doctor = subprocess.run(
         ["bash", "-c", f". {installed.parent}/setup.bash && {installed}/lib/{NAME}/bridge doctor"],
-        env={**environment, "PYTHONPATH": os.pathsep.join([str(colcon), str(ROOT)])},
+        env=environment,
         cwd=tmp_path,
         capture_output=True,
         text=True,
