@@ -104,14 +104,15 @@ class Deformer:
         n = len(gaussians)
         self.binding = bind(gaussians, particles) if binding is None else binding
         self._device, self._share = device, _Share(n, device, threads)
+        block = self._share.block
         self._count = n if particles is None else len(particles.x)
         self._broken = wp.zeros(2, dtype=wp.int32, device=device)
 
         def constant(values: Any, dtype: Any) -> wp.array:
             """Return an array on the device; one block of it if all values are equal."""
             values = np.broadcast_to(values, n)
-            if n > BLOCK and (values.strides == (0,) or (values == values[0]).all()):
-                values = np.repeat(values[:1], BLOCK)
+            if n > block and (values.strides == (0,) or (values == values[0]).all()):
+                values = np.repeat(values[:1], block)
             return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
 
         self._limits = [
@@ -292,8 +293,8 @@ class _Share:
             range(count * k // threads, count * (k + 1) // threads) for k in range(threads)
         ]
         matrix: Any = wp.mat33d
-        self._block = BLOCK if device == "cpu" else max(count, 1)
-        most = min(self._block, max(len(run) for run in self._runs))
+        self.block = BLOCK if device == "cpu" else max(count, 1)
+        most = min(self.block, max(len(run) for run in self._runs))
         self._deformation = [wp.empty(most, dtype=matrix, device=device) for _ in range(threads)]
         self._others = ThreadPoolExecutor(threads - 1, THREADS) if threads > 1 else None
 
@@ -301,8 +302,8 @@ class _Share:
         """Take all steps for each block of Gaussians."""
         work = [
             [
-                self._record(step, range(first, min(first + self._block, run.stop)), F)
-                for first in range(run.start, run.stop, self._block)
+                self._record(step, range(first, min(first + self.block, run.stop)), F)
+                for first in range(run.start, run.stop, self.block)
                 for step in steps
             ]
             for run, F in zip(self._runs, self._deformation, strict=True)

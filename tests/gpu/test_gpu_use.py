@@ -10,6 +10,7 @@ from demo.work import Done, steps
 from phy124.__main__ import main
 from phy124.camera import Camera
 from phy124.io.ply import write_ply
+from phy124.motion.deform import BLOCK, Deformer
 from phy124.rendering.film import film
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import make_stage
@@ -85,6 +86,14 @@ def test_networks_compute_in_half_precision(gpu):
     assert np.isfinite(made[1].means).all()
     extents = [np.percentile(g.means, (5, 95), axis=0) for g in made]
     np.testing.assert_allclose(extents[1], extents[0], atol=0.02)
+
+
+def test_more_gaussians_than_a_block_deform(gpu):
+    g = ball(2 * BLOCK)
+    deform = Deformer(g, device=gpu)
+    F = np.tile(np.eye(3, dtype=np.float32), (len(g), 1, 1))
+    moved = deform(g.means + np.float32(0.5), F, index=1, time=0.1).gaussians
+    np.testing.assert_allclose(moved.means, g.means + 0.5, atol=1e-6)
 
 
 def test_a_second_card_computes_the_same(gpu):
