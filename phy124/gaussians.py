@@ -112,9 +112,9 @@ class Gaussians:
         """Degree of the spherical harmonics, 0 to 3."""
         return SH_COEFFICIENTS.index(self.sh.shape[1])
 
-    def select(self, which: NDArray) -> Gaussians:
-        """Return the Gaussians selected by a boolean mask or an index array."""
-        if which.dtype == bool and which.all():
+    def select(self, which: NDArray | slice) -> Gaussians:
+        """Return the Gaussians selected by a boolean mask, an index array or a slice."""
+        if isinstance(which, np.ndarray) and which.dtype == bool and which.all():
             return self
         return Gaussians(
             self.means[which],

@@ -23,6 +23,18 @@ def test_stages_add_up_when_they_are_entered_again(clock):
     assert watch.seconds == {"render": 5.0} and watch.total == 6.0
 
 
+def test_inner_stage_does_not_count_for_the_outer_one(clock):
+    watch = Stopwatch()
+    with watch.stage("encode"):
+        clock[0] += 1.0
+        for _ in range(2):
+            with watch.stage("render"):
+                clock[0] += 2.0
+                with watch.stage("deform"):
+                    clock[0] += 4.0
+    assert watch.seconds == {"encode": 1.0, "render": 4.0, "deform": 8.0}
+
+
 def test_a_stage_that_breaks_is_counted(clock):
     watch = Stopwatch()
     with pytest.raises(ZeroDivisionError), watch.stage("simulate"):

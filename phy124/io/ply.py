@@ -45,6 +45,8 @@ from phy124.io.content import (
 from phy124.io.files import replacing
 from phy124.io.plyheader import Header, read_header, refusal
 
+BLOCK = 1 << 16
+"""Number of Gaussians that are written at a time."""
 FILTER = "filter_3D"
 """Column with the standard deviation of Mip-Splatting's filter, in the file's unit of length
 (Yu et al. 2023, eq. 7)."""
@@ -307,20 +309,28 @@ def write_ply(
     path: str | os.PathLike[str], gaussians: Gaussians, *, antialiased: bool = False
 ) -> None:
     """Write Gaussians in the Inria layout (binary little-endian float32), atomically."""
-    with replacing(path) as temporary:
-        temporary.write_bytes(
-            encode(rotate_gaussians(gaussians, orientation().T), antialiased=antialiased)
-        )
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        for start in range(0, max(len(gaussians), 1), BLOCK):
+            some = gaussians.select(slice(start, start + BLOCK))
+            table = raw_table(rotate_gaussians(some, orientation().T))
+            if start == 0:
+                file.write(_header(table, len(gaussians), antialiased=antialiased))
+            table.tofile(file)
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
     """Return the bytes of a PLY file; the Gaussians must have axes x right, y down."""
     table = raw_table(gaussians)
+    return _header(table, len(table), antialiased=antialiased) + table.tobytes()
+
+
+def _header(table: NDArray[Any], count: int, *, antialiased: bool) -> bytes:
+    """Return the header of a PLY file with a number of rows like those of a table."""
     names = table.dtype.names or ()
     tags = [COMMENT, "Vertical axis: -y", *(MIP if antialiased else NOT_MIP)]
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {tag}" for tag in tags)]
-    lines += [f"element vertex {len(table)}", *(f"property float {name}" for name in names)]
-    return "\n".join([*lines, "end_header\n"]).encode("ascii") + table.tobytes()
+    lines += [f"element vertex {count}", *(f"property float {name}" for name in names)]
+    return "\n".join([*lines, "end_header\n"]).encode("ascii")
 
 
 def read_rows(path: Path) -> NDArray[Any]:

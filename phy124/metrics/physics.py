@@ -36,26 +36,30 @@ class Physics:
 
 def measure_physics(clip: Clip) -> Physics:
     """Measure the physics of a clip, with equal weights for all Gaussians."""
-    volumes = np.prod(np.asarray(clip.scales, dtype=np.float64), axis=2).sum(axis=1)
-    ratio = volumes / volumes[0]
-    centres = np.asarray(clip.means, dtype=np.float64).mean(axis=1)
+    # Frame by frame: a clip may be larger than the memory.
+    volumes, centres, finite = [], [], True
+    for index in range(len(clip)):
+        arrays = clip.means[index], clip.quats[index], clip.scales[index]
+        volumes.append(np.prod(arrays[2], axis=1, dtype=np.float64).sum())
+        centres.append(arrays[0].mean(axis=0, dtype=np.float64))
+        finite &= all(bool(np.isfinite(array).all()) for array in arrays)
+    ratio, path = np.array(volumes) / volumes[0], np.array(centres)
     size = float(np.ptp(clip.means[0], axis=0).max())
-    steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
-    arrays = (clip.means, clip.quats, clip.scales)
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     return Physics(
         mass=clip.report.get("mass"),
         volume_lowest=float(ratio.min()),
         volume_highest=float(ratio.max()),
-        momentum_residual=_momentum_residual(clip, centres),
+        momentum_residual=_momentum_residual(clip, path),
         travelled=float(steps.sum()) / size,
-        finite=all(bool(np.isfinite(array).all()) for array in arrays),
+        finite=finite,
     )
 
 
 def _momentum_residual(clip: Clip, centres: NDArray[np.float64]) -> float | None:
     if clip.velocities is None or len(clip) < 2:
         return None
-    v = np.asarray(clip.velocities, dtype=np.float64).mean(axis=1)
+    v = np.array([row.mean(axis=0, dtype=np.float64) for row in clip.velocities])
     moved = np.diff(centres, axis=0) / np.diff(clip.times)[:, None]
     speed = float(np.linalg.norm(v, axis=1).mean())
     if speed == 0:
@@ -74,7 +78,7 @@ def centre_paths_differ(a: Clip, b: Clip) -> float:
     """
     if len(a) != len(b):
         raise ValueError(f"the clips have {len(a)} and {len(b)} frames")
-    paths = [np.asarray(c.means, dtype=np.float64).mean(axis=1) for c in (a, b)]
+    paths = [np.array([row.mean(axis=0, dtype=np.float64) for row in c.means]) for c in (a, b)]
     first, second = (path - path[0] for path in paths)
     length = max(float(np.linalg.norm(path, axis=1).max()) for path in (first, second))
     apart = float(np.linalg.norm(first - second, axis=1).max())

@@ -145,7 +145,6 @@ def _encode_sides(
     before, total = first * len(loop.order), len(view.sides) * len(loop.order)
     films = {(name, side): Feed() for name in formats for side in sides}
     with watch.stage("encode"), ThreadPoolExecutor(len(films), "encode") as pool:
-        spent = watch.seconds.get("render", 0.0)
         for (name, side), feed in films.items():
             feed.task = pool.submit(ENCODERS[name], folder, side, loop.fade_ends(feed), fps, view)
         try:
@@ -162,7 +161,6 @@ def _encode_sides(
         for feed in films.values():
             feed.close()
         made = {key: feed.task.result() for key, feed in films.items()}
-    watch.seconds["encode"] -= watch.seconds.get("render", 0.0) - spent
     return made
 
 
@@ -253,7 +251,8 @@ def _images(
 ) -> Generator[Picture, None, None]:
     """Render the pictures of all sides, frame by frame."""
     seen = list(zip(*(cameras(clip, view, side) for side in sides), strict=True))
-    pairs = ((frame, at) for k in loop.order for frame in [clip.frame(k)] for at in seen[k])
+    frames = context.watch.each("deform", (clip.frame(k) for k in loop.order))
+    pairs = ((frame, at) for frame in frames for at in seen[frame.index])
     shown = (frame if shine is None else shine.illuminate(frame, at) for frame, at in pairs)
     return render_frames(
         shown,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -11,9 +12,13 @@ T = TypeVar("T")
 
 
 class Stopwatch:
-    """Adds up seconds and kernel launches per named stage; a stage may be entered several times."""
+    """Adds up seconds and kernel launches per named stage; a stage may be entered several times.
+
+    The time of a stage within another one counts only for the inner stage.
+    """
 
     def __init__(self) -> None:
+        self._thread = threading.local()
         self.seconds: dict[str, float] = {}
         self.launches: dict[str, int] = {}
         self.start = time.perf_counter()
@@ -21,12 +26,14 @@ class Stopwatch:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Within this context, time is added to the stage."""
+        before, self._thread.inner = getattr(self._thread, "inner", 0.0), 0.0
         start = time.perf_counter()
         try:
             yield
         finally:
             spent = time.perf_counter() - start
-            self.seconds[name] = self.seconds.get(name, 0.0) + spent
+            self.seconds[name] = self.seconds.get(name, 0.0) + spent - self._thread.inner
+            self._thread.inner = before + spent
 
     def each(self, name: str, items: Iterable[T]) -> Iterator[T]:
         """Yield the items; the time to produce each item is added to the stage."""
