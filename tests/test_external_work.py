@@ -17,9 +17,10 @@ from phy124.forces import (
     WrenchForce,
     ZoneForce,
 )
+from phy124.kernels.work import GIVEN
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
-from phy124.monitor.external_work import ExternalWork
+from phy124.monitor.external_work import WALL, ExternalWork
 from phy124.mpm.tracks import Sine, Tracks
 from phy124.studies.validation.bodies import block, make_solver
 
@@ -119,6 +120,13 @@ def test_nothing_outside_gives_nothing_and_measures_nothing():
     assert external.wrap_forces([]) == [] and external.wrap_walls([]) == []
     _, _, given, _ = run(v=(1, 2, 3))
     assert not given.impulse.any() and given.work == given.moved == given.turned == 0
+
+
+def test_a_snapshot_without_rows_is_restored():
+    _, external, *_ = run([Gravity()])
+    kept = external.snapshot()
+    external.restore({**kept, "open": {**kept["open"], WALL: []}})
+    np.testing.assert_array_equal(external.snapshot()["closed"][WALL], np.zeros(GIVEN))
 
 
 def test_a_snapshot_is_plain_data_and_restores_the_sums():

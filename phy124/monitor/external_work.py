@@ -209,7 +209,7 @@ class ExternalWork(Observer):
         """Return to a snapshot."""
         self._closed = {name: np.array(sums) for name, sums in snapshot["closed"].items()}
         for name, sums in snapshot["open"].items():
-            open_sums = np.array(sums)
+            open_sums = np.array(sums) if sums else np.zeros((0, ROOM))
             if name in self._device and self._device[name].shape == open_sums.shape:
                 self._device[name].assign(open_sums)
             else:
