@@ -9,16 +9,15 @@ from phy124.budget.effects import Effects
 from phy124.gaussians import Gaussians
 from phy124.rendering.film import film
 from phy124.rendering.framing import cameras
+from phy124.rendering.liquid import Liquid
 from phy124.rendering.shine import (
     GLOSSES,
     LAMP,
     Shine,
     add_gloss,
-    discs,
     make_shine,
     reflect,
     runs_of,
-    surface,
 )
 from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
@@ -48,17 +47,55 @@ def water():
     return clip_of("fluid")
 
 
-def test_normals_of_a_fluid_are_those_of_its_surface(solid):
-    normals, spacing = surface(solid, CELL, 2.0)
-    radius = np.linalg.norm(solid, axis=1)
-    outside, inside = radius > 0.47, radius < 0.2
-    length = np.linalg.norm(normals, axis=1)
-    assert length[outside].min() > 0.9 and length[inside].max() < 0.3
-    outwards = (normals[outside] * solid[outside]).sum(axis=1) / length[outside]
-    assert (outwards / radius[outside]).min() > 0.97
-    assert np.median(spacing[inside]) == pytest.approx(CELL, rel=0.02)
-    far = np.concatenate([solid, [[1e4, 0, 0]]])
-    assert np.isfinite(surface(far, CELL, 2.0)[0]).all()
+def still(x):
+    """Return grey balls at points [N,3]."""
+    n = len(x)
+    quats = np.tile([1.0, 0, 0, 0], (n, 1))
+    return Gaussians(x, quats, np.full((n, 3), CELL / 4), np.full(n, 0.9), np.zeros((n, 1, 3)))
+
+
+def test_a_liquid_is_drawn_as_discs_on_its_surface(solid):
+    drawn = Liquid(solid, 2 * CELL, None).shape(still(solid))
+    radius = np.linalg.norm(drawn.means, axis=1)
+    on = drawn.normals.any(axis=1)
+    assert 0.3 < on.mean() < 0.8 and not drawn.opacities[~on].any()
+    np.testing.assert_allclose(radius[on], 0.51, atol=0.06)
+    assert np.average(radius[on], weights=drawn.opacities[on]) == pytest.approx(0.51, abs=0.01)
+    assert ((drawn.normals[on] * drawn.means[on]).sum(axis=1) / radius[on]).min() > 0.95
+    lying = Gaussians(*drawn[:4], np.zeros((len(solid), 1, 3)))
+    across = np.einsum("ni,nij,nj->n", drawn.normals, lying.covariances(), drawn.normals)[on]
+    np.testing.assert_allclose(np.sqrt(across), drawn.scales[on].min(axis=1), rtol=2e-3)
+
+
+def test_thick_liquid_lets_less_light_through(solid):
+    flat = solid * [1, 1, 0.2]
+    thick, thin = (Liquid(x, 2 * CELL, 0.5).shape(still(x)) for x in (solid, flat))
+
+    def dims(drawn):
+        """Optical depth of all surfaces, per area of the view from above [m^2]."""
+        up = np.abs(drawn.normals[:, 2]) > 0.9
+        area = 2 * np.pi * drawn.scales[up, 0] ** 2
+        return -(np.log1p(-drawn.opacities[up]) * area).sum() / np.ptp(drawn.means[up, :2])
+
+    assert dims(thick) > 1.5 * dims(thin)
+    assert thin.rgb.mean() > thick.rgb.mean(), "a thin layer is pale"
+    opaque = Liquid(solid, 2 * CELL, None).shape(still(solid))
+    assert dims(opaque) > 3 * dims(thick)
+
+
+def test_torn_liquid_is_drawn_as_round_drops(solid):
+    liquid = Liquid(solid, 2 * CELL, 0.1)
+    flown = solid.copy()
+    flown[:40] = np.random.default_rng(0).uniform(2, 6, (40, 3))
+    drawn = liquid.shape(still(flown))
+    drops = drawn.scales[:40]
+    assert (drops == drops[:, :1]).all() and (drawn.opacities[:40] > 0.8).all()
+    assert not drawn.normals[:40].any() and np.ptp(drops) > 0.2 * drops.mean()
+    jet = solid * [0.1, 0.1, 3]
+    torn = liquid.shape(still(jet))
+    assert (torn.opacities == 0).mean() > 0.3, "a jet is spray"
+    calm = Liquid(jet, 2 * CELL, 0.1).shape(still(jet))
+    assert (calm.opacities > 0).mean() > 0.9, "an object that is thin at rest is none"
 
 
 def test_a_surface_shines_where_it_mirrors_the_lamp():
@@ -76,17 +113,6 @@ def test_a_surface_shines_where_it_mirrors_the_lamp():
     )
     assert (up > 2 * down).all(), "it mirrors the sky above and the dark floor"
     assert down[0] > 3 * down[2], "in its own colour"
-
-
-def test_discs_lie_along_the_surface_and_overlap():
-    part = ball(50)
-    normals = part.means / np.linalg.norm(part.means, axis=1, keepdims=True)
-    quats, scales = discs(part, normals, np.full(50, 0.1))
-    lying = Gaussians(part.means, quats, scales, part.opacities, part.sh)
-    across = np.einsum("ni,nij,nj->n", normals, lying.covariances(), normals)
-    np.testing.assert_allclose(np.sqrt(across), scales.min(axis=1), rtol=1e-4)
-    balls = discs(part, 0.1 * normals, np.full(50, 0.1))[1]
-    assert (balls == balls[:, :1]).all()
 
 
 def test_only_what_is_fluid_or_metal_shines(water, tmp_path):
@@ -108,7 +134,7 @@ def test_each_view_of_a_film_is_lit_and_its_time_is_told(water, tmp_path):
     assert watch.seconds["shine"] > 0
     frame = water.frame(1)
     lit = shine.illuminate(frame, cameras(water, view, "front")[1]).gaussians
-    assert np.array_equal(lit.means, frame.gaussians.means)
+    assert np.array_equal(lit.opacities, shine.shape(frame).gaussians.opacities)
     assert not np.array_equal(lit.sh, frame.gaussians.sh) and np.isfinite(lit.sh).all()
     assert lit.rgb.max() > frame.gaussians.rgb.max() - 1e-6
 

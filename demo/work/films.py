@@ -51,7 +51,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
             first = still_camera(clip, view, "front")
             around = make_stage(clip, view, device=order.device)
             shown, gloss = add_gloss(clip, view)
-            staged = pack_stage(around, clip)
+            staged = pack_stage(around, shown, gloss)
             data = pack(shown, first, background=view.background, stage=staged, shine=gloss)
             (folder / "clip.pack").write_bytes(data)
             tell(Step("save", 1, 2))

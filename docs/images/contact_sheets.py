@@ -48,8 +48,9 @@ def filmed(clip: Clip, view: View, side: str, index: list[int]) -> list[np.ndarr
         make_shine(clip, view),
     )
     frames, chosen = [clip.frame(i) for i in index], [seen[i] for i in index]
-    shone = frames if shine is None else shine.frames(frames, chosen)
-    pictures = render_frames(shone, chosen, background=view.background, stage=stage and stage.at)
+    if shine is not None:
+        frames = [shine.illuminate(*pair) for pair in zip(frames, chosen, strict=True)]
+    pictures = render_frames(frames, chosen, background=view.background, stage=stage and stage.at)
     return list(pictures)
 
 

@@ -64,9 +64,11 @@ def shown(clip: Clip, scene: Scene, size: int = SIZE) -> list[np.ndarray]:
     index, seen = [len(clip) // 2, len(clip) - 1], pipeline.cameras(clip, view, "front")
     stage, shine = make_stage(clip, view), make_shine(clip, view)
     frames, chosen = [clip.frame(i) for i in index], [seen[i] for i in index]
+    if shine is not None:
+        frames = [shine.illuminate(*pair) for pair in zip(frames, chosen, strict=True)]
     return list(
         render_frames(
-            frames if shine is None else shine.frames(frames, chosen),
+            frames,
             chosen,
             background=view.background,
             stage=stage and stage.at,

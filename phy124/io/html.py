@@ -13,6 +13,7 @@ differences between frames modulo the range of their type, which gzip compresses
     ratio     [T,3,N]   uint8    log of scale over scale at rest
     speed     [T,N]     uint8    255 is the largest speed
     shade     [T,C,C]   uint8    shadow on the floor, if the header's stage has one
+    hue       [T,4,N]   uint8    colour and opacity of each frame, if the header has `hues`
 
 This takes 14 bytes per Gaussian and frame before gzip. Centres are exact to 1/65535 of the box.
 """
@@ -50,7 +51,8 @@ LOOSE = 0.5
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
 """A stage as plain data, and its shadow maps [T,C,C] (phy124/rendering/stage/build.py)."""
 Glossy = dict[str, Any]
-"""The reflective Gaussians and their reflectance as plain data (phy124/rendering/shine.py)."""
+"""The reflective Gaussians and their reflectance as plain data, and with liquids the colours and
+opacities of all frames, `hues` [T,N,4] uint8 (phy124/rendering/shine.py)."""
 
 
 def pack(
@@ -88,6 +90,7 @@ def pack(
         _differences(_planar(_quantise(ratios, *head["ratio"]))),
         _differences(_quantise(measure_speeds(clip), 0.0, head["speed"])),
         *shades,
+        *([_differences(_planar(shine["hues"]))] if shine and "hues" in shine else []),
     ]
     text = json.dumps(head, allow_nan=False).encode()
     body = b"".join(array.tobytes() for array in arrays)
@@ -149,7 +152,7 @@ def _pack_smallest(
 ) -> bytes:
     """Return a P4D file of all Gaussians, or a pack if the P4D file would be inexact or larger."""
     packed = pack(clip, camera, background=background, stage=stage, shine=shine)
-    if not np.isfinite(clip.means).all():
+    if not np.isfinite(clip.means).all() or (shine and "hues" in shine):
         return packed
     shades = b"" if stage is None else zlib.compress(_differences(stage[1]).tobytes(), 9)
     player = _describe(clip, camera, background, stage, shine)
@@ -170,7 +173,10 @@ def _describe(
     shown |= {} if stage is None else {"stage": stage[0]}
     until = (clip.report.get("error") or {}).get("until")
     shown |= {} if until is None else {"until": until}
-    return shown | ({} if shine is None else {"shine": shine})
+    if shine is None:
+        return shown
+    plain = {key: value for key, value in shine.items() if key != "hues"}
+    return shown | {"shine": plain, "hues": "hues" in shine}
 
 
 PAGE = """<!doctype html>

@@ -54,6 +54,14 @@ class Fluid(Material):
     viscosity: float = Field(
         default=0.0, ge=0, le=1e5, description="Dynamic viscosity [Pa s]: water 1e-3, honey 5."
     )
+    visibility: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e6,
+        examples=[0.1],
+        description="Distance over which the liquid dims light to 1/e [m], for pictures only; "
+        "absent: it is opaque.",
+    )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
         """Return the largest strain for which the stiffness grows at most by a given factor.

@@ -235,6 +235,8 @@ class Report(TypedDict):
     """Per law: largest axis ratios of a Gaussian (`needle`, `axis_ratio`), and its `opacity`."""
     shine: dict[str, Any]
     """Per law: index ranges of Gaussians that are drawn with gloss."""
+    liquids: list[dict[str, Any]]
+    """Per liquid: index ranges of its Gaussians (`runs`), and its `visibility` [m]."""
     static: int
     """Number of Gaussians of static parts, which are not simulated."""
     sleep: dict[str, Any] | None

@@ -303,7 +303,7 @@ def write_player(path: PathLike, clip: Clip, view: View, side: str) -> None:
     """
     first = still_camera(clip, view, side)
     shown, gloss = add_gloss(clip, view)
-    around = pack_stage(make_stage(clip, view), clip)
+    around = pack_stage(make_stage(clip, view), shown, gloss)
     write_html(path, shown, first, background=view.background, stage=around, shine=gloss)
 
 

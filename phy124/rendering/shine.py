@@ -2,10 +2,10 @@
 
 Colours of Gaussians contain no gloss. For each frame and camera, the Gaussians of glossy laws
 get new colours: with the highlight (Blinn 1977) of a lamp above, and reflections of a bright sky
-and a dark floor. Water reflects little, but more at grazing angles (Schlick 1994); metal reflects
-almost everything, tinted with its colour.
-The normals of a fluid are the gradient of its density, smoothed over `BLUR` cells; its Gaussians
-are drawn as discs along the surface. The normals of metal are the shortest axes of its Gaussians.
+and a dark floor. Water reflects little, but more at grazing angles (Schlick 1994), and is bright
+where it refracts the lamp's light towards the camera; metal reflects almost everything, tinted
+with its colour. Liquids are drawn as their surface (`phy124.rendering.liquid`). The normals of
+metal are the shortest axes of its Gaussians.
 """
 
 from __future__ import annotations
@@ -16,26 +16,20 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from phy124.camera import Camera
 from phy124.gaussians import SH_C0, Frame, Gaussians
 from phy124.io.clip import Clip
+from phy124.rendering.liquid import Liquid, Surface, smoothstep
 from phy124.scene import View
 
-BLUR = 1.2
-"""Standard deviation of the smoothing, in cells of the simulation's grid."""
 KEPT = 256 * 2**20
-"""Memory for the normals that are reused in further views [bytes]."""
-MOST = 4_000_000
-"""Largest number of density cells; the cells of a more scattered fluid are larger."""
+"""Memory for the surfaces that are reused in further views [bytes]."""
 LAMP = np.array([0.434, -0.338, 0.835], np.float32)
 """Direction towards the lamp (unit vector)."""
-OVERLAP, LARGER = 0.48, 2.5
-"""Size of a fluid's splats relative to their spacing, and the largest enlargement to overlap."""
-FLAT, WIDE = 0.4, 1.2
-"""Axes of a fluid's discs, normal to and along the surface, relative to the radius as balls."""
+REFRACTION = 1.33
+"""Refractive index of liquids."""
 
 
 class Gloss(NamedTuple):
@@ -53,28 +47,32 @@ class Gloss(NamedTuple):
     """Exponent of the highlight."""
     floor: float
     """Brightness of the reflected floor, relative to the sky."""
+    glow: float
+    """Strength of the lamp's light that is refracted through the material."""
 
 
 GLOSSES = {
-    "fluid": Gloss(0.04, 0.4, 0.0, 0.9, 60.0, 0.85),
-    "metal": Gloss(0.75, 0.85, 0.85, 0.7, 30.0, 0.12),
+    "fluid": Gloss(0.03, 0.75, 0.0, 1.4, 40.0, 0.1, 0.7),
+    "metal": Gloss(0.75, 0.85, 0.85, 0.7, 30.0, 0.12, 0.0),
 }
 """Law -> reflection properties, for the laws that are glossy."""
 
 
 class Shine:
-    """Gloss of a clip; the normals of fluids are stored and reused in further views."""
+    """Gloss of a clip, and the surfaces of its liquids; both are reused in further views."""
 
     def __init__(self, clip: Clip) -> None:
         """Read from the clip's report which Gaussians are glossy."""
         laws = clip.report.get("shine") or {}
-        self._parts = {
-            law: np.concatenate([np.arange(*run) for run in runs])
-            for law, runs in laws.items()
-            if law in GLOSSES and runs
-        }
+        self._parts = {law: _indices(laws[law]) for law in laws if law in GLOSSES and laws[law]}
         self._cell = float(clip.report.get("grid", {}).get("dx", 0.0))
-        self._surfaces: dict[tuple[int, str], tuple[NDArray, ...]] = {}
+        self._surfaces: dict[int, tuple[Gaussians, dict[str, NDArray]]] = {}
+        whole = {"runs": laws.get("fluid"), "visibility": None}
+        self._liquids = [
+            (which, Liquid(_finite(clip.means[0][which]), self._cell, liquid["visibility"]))
+            for liquid in clip.report.get("liquids") or [whole]
+            if self._cell > 0 and len(which := _indices(liquid["runs"]))
+        ]
         self.seconds = 0.0
         """Time spent on gloss so far [s]."""
 
@@ -86,61 +84,79 @@ class Shine:
     def illuminate(self, frame: Frame, camera: Camera) -> Frame:
         """Return the frame with the colours of glossy Gaussians as a camera sees them."""
         start = time.perf_counter()
-        lit = self._illuminate(frame, camera)
-        self.seconds += time.perf_counter() - start
-        return lit
-
-    def _illuminate(self, frame: Frame, camera: Camera) -> Frame:
-        gaussians = frame.gaussians
-        sh, quats, scales = gaussians.sh.copy(), gaussians.quats, gaussians.scales
+        gaussians, normals = self._surface(frame)
+        sh = gaussians.sh.copy()
         for law, which in self._parts.items():
-            normals, *shapes = self._surface(law, frame, which)
-            if shapes:
-                quats, scales = quats.copy(), scales.copy()
-                quats[which], scales[which] = shapes
+            drawn = gaussians.opacities[which] > 0
+            which, outwards = which[drawn], normals[law][drawn]
             towards = np.asarray(camera.eye, np.float32) - gaussians.means[which]
             towards /= np.maximum(_length(towards), 1e-12)
+            along = _dot(outwards, towards)
             if law == "metal":
-                normals = normals * np.where(_dot(normals, towards) < 0, -1, 1).astype(np.float32)
-            seen = np.flatnonzero((_dot(normals, towards) > 0)[:, 0])
+                outwards, along = outwards * np.where(along < 0, -1, 1), abs(along)
+            seen = np.flatnonzero(along[:, 0] > 0)
             at = which[seen]
             rgb = np.clip(0.5 + SH_C0 * sh[at, 0], 0, 1)
-            lit = reflect(rgb, normals[seen], towards[seen], GLOSSES[law])
+            lit = reflect(rgb, outwards[seen], towards[seen], GLOSSES[law])
             sh[at, 1:], sh[at, 0] = 0, (lit - 0.5) / SH_C0
-        return replace(frame, gaussians=replace(gaussians, sh=sh, quats=quats, scales=scales))
+        self.seconds += time.perf_counter() - start
+        return replace(frame, gaussians=replace(gaussians, sh=sh))
+
+    def shape(self, frame: Frame) -> Frame:
+        """Return the frame with its liquids as they are drawn, without reflections."""
+        return replace(frame, gaussians=self._surface(frame)[0])
 
     def pack(self, clip: Clip) -> tuple[Clip, dict[str, Any]]:
-        """Return the clip with its fluids as discs, and its gloss as plain data, for the player."""
-        quats, scales = np.array(clip.quats), np.array(clip.scales)
-        for law, which in self._parts.items():
-            for frame in clip.frames():
-                _, *shapes = self._surface(law, frame, which)
-                if shapes:
-                    quats[frame.index, which], scales[frame.index, which] = shapes
-        # The player interpolates quaternions between frames, so their signs must agree.
-        for before, after in pairwise(quats):
-            after[(before * after).sum(axis=1) < 0] *= -1
+        """Return the clip with its liquids as they are drawn, and its gloss, for the player.
+
+        The gloss is plain data, except the colours and opacities of all frames, `hues` [T,N,4].
+        """
         laws = [
             {"gloss": list(GLOSSES[law]), "outwards": law != "metal", "runs": runs_of(which)}
             for law, which in self._parts.items()
         ]
-        return replace(clip, quats=quats, scales=scales), {"lamp": LAMP.tolist(), "laws": laws}
+        gloss: dict[str, Any] = {"lamp": LAMP.tolist(), "refraction": REFRACTION, "laws": laws}
+        if not self._liquids:
+            return clip, gloss
+        means, quats, scales = np.array(clip.means), np.array(clip.quats), np.array(clip.scales)
+        hues = np.empty((len(clip), len(clip.opacities), 4), np.uint8)
+        for frame in map(self.shape, clip.frames()):
+            k, shown = frame.index, frame.gaussians
+            means[k], quats[k], scales[k] = shown.means, shown.quats, shown.scales
+            rgb = np.clip(0.5 + SH_C0 * shown.sh[:, 0], 0, 1)
+            hues[k] = np.rint(np.column_stack([rgb, shown.opacities]) * 255)
+        # The player interpolates quaternions between frames, so their signs must agree.
+        for before, after in pairwise(quats):
+            after[(before * after).sum(axis=1) < 0] *= -1
+        return replace(clip, means=means, quats=quats, scales=scales), {**gloss, "hues": hues}
 
-    def _surface(self, law: str, frame: Frame, which: NDArray) -> tuple[NDArray, ...]:
-        """Return normals [N,3] of a law's Gaussians; for fluids also quaternions and scales."""
-        key = frame.index, law
-        if key not in self._surfaces:
-            part = frame.gaussians.select(which)
-            if law == "metal":
-                arrays: tuple[NDArray, ...] = (shortest_axes(part),)
-            else:
-                normals, spacing = surface(_finite(part.means), self._cell, BLUR)
-                arrays = (normals, *discs(part, normals, spacing))
-            arrays = tuple(array.astype(np.float32) for array in arrays)
-            if (len(self._surfaces) + 1) * sum(array.nbytes for array in arrays) > KEPT:
-                return arrays
-            self._surfaces[key] = arrays
-        return self._surfaces[key]
+    def _surface(self, frame: Frame) -> tuple[Gaussians, dict[str, NDArray]]:
+        """Return the Gaussians as they are drawn, and the normals [n,3] of each glossy law."""
+        if frame.index in self._surfaces:
+            return self._surfaces[frame.index]
+        gaussians, normals = frame.gaussians, {}
+        if "metal" in self._parts:
+            normals["metal"] = shortest_axes(gaussians.select(self._parts["metal"]))
+        if self._liquids:
+            drawn = Surface(
+                *(gaussians.means.copy(), gaussians.quats.copy(), gaussians.scales.copy()),
+                *(gaussians.opacities.copy(), gaussians.rgb, np.zeros_like(gaussians.means)),
+            )
+            sh = gaussians.sh.copy()
+            for which, liquid in self._liquids:
+                part = gaussians.select(which)
+                part = replace(part, means=_finite(part.means))
+                shaped = liquid.shape(part)
+                for whole, values in zip(drawn, shaped, strict=True):
+                    whole[which] = values
+                sh[which, 1:], sh[which, 0] = 0, (shaped.rgb - 0.5) / SH_C0
+            normals["fluid"] = drawn.normals[self._parts["fluid"]]
+            fields = drawn._asdict()
+            del fields["rgb"], fields["normals"]
+            gaussians = replace(gaussians, sh=sh, **fields)
+        if (len(self._surfaces) + 1) * gaussians.sh.nbytes <= KEPT // 8:
+            self._surfaces[frame.index] = gaussians, normals
+        return gaussians, normals
 
 
 def make_shine(clip: Clip, view: View) -> Shine | None:
@@ -161,74 +177,6 @@ def runs_of(which: NDArray) -> list[list[int]]:
     return [[int(run[0]), int(run[-1]) + 1] for run in runs]
 
 
-class _Field:
-    """A smoothed number density of points on a grid."""
-
-    def __init__(self, x: NDArray, cell: float, blur: float) -> None:
-        low, high = np.percentile(x, [0.1, 99.9], axis=0)
-        spare = 4 * blur * cell
-        extent = high - low + 2 * spare
-        self.cell = cell = max(cell, float(np.prod(extent) / MOST) ** (1 / 3))
-        self._blur = blur
-        self._size = tuple(np.ceil(extent / cell).astype(int) + 1)
-        self._at = ((x - low + spare) / cell).T
-        nearest = np.rint(self._at).astype(int)
-        inside = np.clip(nearest, 0, np.array(self._size)[:, None] - 1)
-        self._flat = np.ravel_multi_index(tuple(inside), self._size)
-
-    def sum_points(self) -> NDArray[np.float32]:
-        """Return the smoothed number of points in each cell."""
-        sums = np.bincount(self._flat, minlength=int(np.prod(self._size))).reshape(self._size)
-        smooth: Any = scipy.ndimage.gaussian_filter(
-            sums.astype(np.float32), self._blur, mode="constant", truncate=3
-        )
-        return smooth
-
-    def sample(self, field: NDArray) -> NDArray[np.float32]:
-        """Interpolate a field at the points."""
-        values: Any = scipy.ndimage.map_coordinates(field, self._at, order=1, mode="nearest")
-        return np.asarray(values, np.float32)
-
-
-def surface(x: NDArray, cell: float, blur: float) -> tuple[NDArray, NDArray]:
-    """Return normals [N,3] and spacing [N] m of points x [N,3] m that fill a material.
-
-    Normals point outwards and have unit length near the surface; they are shorter inside.
-
-    Args:
-        x: The points, m.
-        cell: Cell size of the density grid, m.
-        blur: Standard deviation of the density's smoothing, in cells.
-    """
-    field = _Field(x, cell, blur)
-    density: NDArray = field.sum_points()
-    gradient = [field.sample(column) for column in list(np.gradient(density))]
-    normals = -np.stack(gradient, axis=1)
-    length = np.linalg.norm(normals, axis=1)
-    # The gradient at a plane face is density / (sqrt(2 pi) blur).
-    here = field.sample(density)
-    face = float(np.median(here)) / (np.sqrt(2 * np.pi) * blur)
-    certain = np.clip(2 * length / max(face, 1e-30), 0, 1)
-    spacing = field.cell * np.maximum(here, 1e-6) ** (-1 / 3)
-    return normals * (certain / np.maximum(length, 1e-30))[:, None], spacing
-
-
-def discs(part: Gaussians, normals: NDArray, spacing: NDArray) -> tuple[NDArray, NDArray]:
-    """Return quaternions [N,4] and scales [N,3] of a fluid: discs along its surface, balls inside.
-
-    `normals` and `spacing` come from `surface`; the discs are large enough to overlap.
-    """
-    length = _length(normals)
-    x, y, z = (normals / np.maximum(length, 1e-6)).T
-    # The shortest rotation from the z axis to the normal; about x if they are opposite.
-    rotated = np.stack([1 + z, np.where(z > -0.9999, -y, 1), x, 0 * z], axis=1)
-    rotated /= _length(rotated)
-    size = np.sort(part.scales, axis=1)[:, 1:].mean(axis=1, keepdims=True)
-    size = np.clip(OVERLAP * spacing[:, None], size, LARGER * size)
-    flat = np.where(length > 0.5, np.array([WIDE, WIDE, FLAT]), 1.0)
-    return np.where(length > 0.5, rotated, part.quats), size * flat
-
-
 def reflect(rgb: NDArray, normals: NDArray, towards: NDArray, gloss: Gloss) -> NDArray:
     """Compute the colours of a reflecting surface [N,3].
 
@@ -243,10 +191,14 @@ def reflect(rgb: NDArray, normals: NDArray, towards: NDArray, gloss: Gloss) -> N
     along = _dot(n, towards)
     up = 2 * along[:, 0] * n[:, 2] - towards[:, 2]
     amount = certain * (gloss.least + (gloss.most - gloss.least) * (1 - along.clip(0, 1)) ** 5)
-    sky = gloss.floor + (1 - gloss.floor) * _smoothstep(up, -0.35, 0.75)[:, None]
+    sky = gloss.floor + (1 - gloss.floor) * smoothstep(up, -0.35, 0.75)[:, None]
     half = towards + LAMP
     lamp = (_dot(n, half) / np.maximum(_length(half), 1e-6)).clip(0, 1) ** gloss.sharpness
-    seen = sky * (1.15 * gloss.tint * rgb + (1 - gloss.tint))
+    into = np.sqrt(1 - (1 - along**2).clip(0) / REFRACTION**2)
+    ray = (along / REFRACTION - into) * n - towards / REFRACTION
+    glow = gloss.glow * certain
+    rgb = rgb * (1 - glow / 3 + glow * (-_dot(ray, LAMP[None])).clip(0, 1) ** 3)
+    seen = 1.15 * gloss.tint * rgb * sky + (1 - gloss.tint) * (rgb + sky * (1 - rgb))
     return np.clip(rgb + amount * (seen - rgb) + gloss.highlight * certain * lamp, 0, 1)
 
 
@@ -271,13 +223,15 @@ def _length(a: NDArray) -> NDArray:
     return np.sqrt(_dot(a, a))
 
 
-def _smoothstep(x: NDArray, low: float, high: float) -> NDArray:
-    t = np.clip((x - low) / (high - low), 0, 1)
-    return t * t * (3 - 2 * t)
+def _indices(runs: Any) -> NDArray[np.int64]:
+    """Return the integers of runs [first, last + 1]."""
+    return np.concatenate([np.arange(*run) for run in runs or [(0, 0)]])
 
 
-def _finite(x: NDArray) -> NDArray[np.float64]:
+def _finite(x: NDArray) -> NDArray:
     """Return the points; those that are not finite are replaced by the median of the others."""
+    if np.isfinite(x.sum()):
+        return x
     good = np.atleast_1d(np.isfinite(x).all(axis=1))
     middle = np.median(x[good], axis=0) if good.any() else np.zeros(3)
     return np.where(good[:, None], x, middle)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from phy124.gaussians import Array, Gaussians
 from phy124.materials import AnyMaterial
 from phy124.materials.base import FLOWING, SHADING
+from phy124.materials.fluid import Fluid
 from phy124.monitor.tearing import APART
 from phy124.motion.deform import of_gaussians
 from phy124.particles import Particles
@@ -54,12 +55,22 @@ class Appearance(NamedTuple):
 
     def shine(self, materials: Sequence[AnyMaterial]) -> dict[str, list[list[int]]]:
         """Return, for each glossy law, the spans of its Gaussians: first and one past the last."""
-        spans = {}
-        for law in sorted({section.law for section in materials if section.shines}):
-            inside = np.zeros(len(self.moves) + 2, np.int8)
-            inside[self._of_law(law, materials) + 1] = 1
-            spans[law] = np.flatnonzero(np.diff(inside)).reshape(-1, 2).tolist()
-        return spans
+        laws = sorted({section.law for section in materials if section.shines})
+        return {law: self._spans([section.law == law for section in materials]) for law in laws}
+
+    def liquids(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
+        """Return the spans of the Gaussians of each liquid, and its visibility [m] or None."""
+        return [
+            {"runs": self._spans(np.arange(len(materials)) == k), "visibility": section.visibility}
+            for k, section in enumerate(materials)
+            if isinstance(section, Fluid)
+        ]
+
+    def _spans(self, chosen: Sequence[bool] | NDArray[np.bool_]) -> list[list[int]]:
+        """Return the spans of the moving Gaussians of chosen materials."""
+        inside = np.zeros(len(self.moves) + 2, np.int8)
+        inside[np.flatnonzero(self.moves)[np.asarray(chosen)[self.kinds]] + 1] = 1
+        return np.flatnonzero(np.diff(inside)).reshape(-1, 2).tolist()
 
     def elongation(
         self, materials: Sequence[AnyMaterial]

@@ -71,6 +71,7 @@ def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
         "gaussians": count,
         "grains": count - len(setup.gaussians),
         "shine": look.shine(setup.materials),
+        "liquids": look.liquids(setup.materials),
     }
 
 

@@ -35,7 +35,8 @@ globalThis.Phy124Pack = (() => {
     const speeds = integrate(new Uint8Array(take(t * n)), t, n);
     const cells = head.stage && head.stage.floor ? head.stage.floor.cells ** 2 : 0;
     const shades = integrate(take(t * cells), t, cells);
-    return { ...head, n, t, colours, rest, centres, quats, ratios, speeds, shades };
+    const hues = head.hues ? integrate(take(t * n * 4), t, n * 4) : null;
+    return { ...head, n, t, colours, rest, centres, quats, ratios, speeds, shades, hues };
   }
 
   /** Values at a fractional frame; planar in (component-major), interleaved with 4 floats out. */
@@ -82,6 +83,14 @@ globalThis.Phy124Pack = (() => {
           out[i * 4 + c] = rest[i * 3 + c] * Math.exp(log);
         }
       }
+    }
+
+    /** Colour and opacity of a splat [4], 0 to 1, which change where the pack has hues. */
+    colour(frame, i, out) {
+      const { n, t, colours, hues } = this.pack;
+      if (!hues) { for (let c = 0; c < 4; c++) out[c] = colours[i * 4 + c] / 255; return; }
+      const k = Math.min(Math.floor(frame), t - 1), next = Math.min(k + 1, t - 1), f = frame - k;
+      for (let c = 0; c < 4; c++) out[c] = (hues[(k * 4 + c) * n + i] * (1 - f) + hues[(next * 4 + c) * n + i] * f) / 255;
     }
 
     /** Speed of each splat as a fraction of the largest one. */

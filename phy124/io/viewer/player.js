@@ -95,14 +95,15 @@ globalThis.Phy124Player = (() => {
     }
 
     paint(frame, colouring, scale) {
-      const { n, colours, stretch } = this.pack, texture = this.container.getTexture(STREAMS.colour);
-      const out = texture.lock(), [least, most] = stretch;
+      const { n, stretch } = this.pack, texture = this.container.getTexture(STREAMS.colour);
+      const out = texture.lock(), [least, most] = stretch, rgba = [0, 0, 0, 0];
       for (let i = 0; i < n; i++) {
         let rgb = null;
         if (colouring === 'velocity') rgb = ramp(this.blend.speed(frame, i));
         if (colouring === 'stretch') rgb = ramp((this.blend.stretch(scale, i) - least) / (most - least));
-        for (let c = 0; c < 3; c++) out[i * 4 + c] = rgb ? rgb[c] : colours[i * 4 + c] / 255;
-        out[i * 4 + 3] = colours[i * 4 + 3] / 255;
+        this.blend.colour(frame, i, rgba);
+        for (let c = 0; c < 3; c++) out[i * 4 + c] = rgb ? rgb[c] : rgba[c];
+        out[i * 4 + 3] = rgba[3];
       }
       texture.unlock();
     }

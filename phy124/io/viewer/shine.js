@@ -1,5 +1,5 @@
 /* Highlights and reflections on what is fluid or metal, lit for each camera by the shader that reads
- * the Gaussians. The same as `reflected` of phy124/rendering/shine.py, line by line; a pack's header
+ * the Gaussians. The same as `reflect` of phy124/rendering/shine.py, line by line; a pack's header
  * says which Gaussians shine and how. Their normal is their shortest axis: a fluid's surface is made
  * of discs whose z axis points outwards, metal's of Gaussians that are seen from both sides.
  */
@@ -7,13 +7,14 @@
 globalThis.Phy124Shine = (() => {
   const PLAIN = 'vec4 getColor() { return loadPhyColour(); }';
 
-  const lit = ({ lamp, laws }) => `
+  /** Packs of older versions lack the last number of a gloss, and the refraction. */
+  const lit = ({ lamp, refraction = 1.33, laws }) => `
     uniform vec3 uSeenFrom;
-    struct Gloss { float least, most, tint, highlight, sharpness, ground; bool outwards; };
+    struct Gloss { float least, most, tint, highlight, sharpness, ground, glow; bool outwards; };
 
     Gloss glossOf(int law) {
-      ${laws.map(({ gloss, outwards }, k) => `if (law == ${k + 1}) return Gloss(${gloss.map((v) => v.toFixed(4))}, ${outwards});`).join('\n')}
-      return Gloss(0.0, 0.0, 0.0, 0.0, 1.0, 1.0, false);
+      ${laws.map(({ gloss, outwards }, k) => `if (law == ${k + 1}) return Gloss(${[...gloss, 0].slice(0, 7).map((v) => v.toFixed(4))}, ${outwards});`).join('\n')}
+      return Gloss(0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, false);
     }
 
     /** The shortest axis; none of a fluid's balls, which are inside of it. */
@@ -39,7 +40,10 @@ globalThis.Phy124Shine = (() => {
       float sky = mix(gloss.ground, 1.0, smoothstep(-0.35, 0.75, 2.0 * along * n.z - towards.z));
       vec3 lamp = vec3(${lamp.map((v) => v.toFixed(4))});
       float light = pow(max(dot(n, normalize(towards + lamp)), 0.0), gloss.sharpness);
-      vec3 seen = sky * (1.15 * gloss.tint * colour.rgb + (1.0 - gloss.tint));
+      float k = ${(1 / refraction).toFixed(6)}, into = sqrt(1.0 - (1.0 - along * along) * k * k);
+      float through = max(-dot((along * k - into) * n - towards * k, lamp), 0.0);
+      colour.rgb *= 1.0 - gloss.glow / 3.0 + gloss.glow * through * through * through;
+      vec3 seen = 1.15 * gloss.tint * sky * colour.rgb + (1.0 - gloss.tint) * mix(colour.rgb, vec3(1.0), sky);
       colour.rgb = clamp(mix(colour.rgb, seen, amount) + gloss.highlight * light, 0.0, 1.0);
       return colour;
     }`;

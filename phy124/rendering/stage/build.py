@@ -207,14 +207,27 @@ def backdrop(view: View) -> Backdrop:
     return Backdrop(view.background, view.gradient or view.background, picture)
 
 
-def pack_stage(stage: Stage | None, clip: Clip) -> tuple[dict[str, Any], NDArray[np.uint8]] | None:
+def pack_stage(
+    stage: Stage | None, clip: Clip, gloss: dict[str, Any] | None = None
+) -> tuple[dict[str, Any], NDArray[np.uint8]] | None:
     """Return a clip's stage in the format of the player (phy124/io/viewer/stage.js).
 
     It consists of plain data, and of shadow maps [T,cells,cells], where 255 means no light.
+
+    Args:
+        stage: The stage.
+        clip: The clip as the player shows it.
+        gloss: The clip's gloss, with the opacities of liquids in `hues`.
     """
     if stage is None:
         return None
-    floors = [stage.at(frame).floor for frame in clip.frames()]
+    frames, hues = clip.frames(), (gloss or {}).get("hues")
+    if hues is not None:
+        frames = (
+            replace(frame, gaussians=replace(frame.gaussians, opacities=hue[:, 3] / 255))
+            for frame, hue in zip(frames, hues, strict=True)
+        )
+    floors = [stage.at(frame).floor for frame in frames]
     shades = [floor.shade for floor in floors if floor is not None]
     back, first = stage.backdrop, floors[0]
     data: dict[str, Any] = {"top": list(back.top), "bottom": list(back.bottom)}

@@ -1,0 +1,238 @@
+"""Shape the Gaussians of a liquid: discs on its surface, drops where it tears, nothing inside.
+
+Each Gaussian stands for a volume. These volumes, smoothed over `BLUR` cells, are the fraction of
+space phi that the liquid fills; its surface is phi = `LEVEL`. Gaussians near the surface move onto
+it and become discs, those deeper inside are not drawn, and those in thin spray become balls.
+The opacity of a disc follows from the thickness of the liquid behind it (Beer-Lambert): both faces
+of a layer take half of its optical depth each, divided by the number of discs that overlap.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from phy124.gaussians import SH_C0, Gaussians
+
+BLUR = 0.9
+"""Standard deviation of the smoothing, in cells of the simulation's grid."""
+LEVEL = 0.4
+"""Fraction of space that the liquid fills at its surface."""
+MOST = 4_000_000
+"""Largest number of cells; the cells of a more scattered liquid are larger."""
+SAMPLE = 8192
+"""Number of points that determine the extent of the grid."""
+AHEAD, FILLED = 1.2, (0.22, 0.42)
+"""Distance outwards, in cells, and phi there at which discs begin and cease to fade."""
+STEEP = (0.2, 0.35)
+"""Gradient of phi relative to phi, per cell, at which discs cease and begin to fade."""
+MOVES = (-0.35, 0.9)
+"""Largest displacements onto the surface, inwards and outwards, in cells."""
+OVERLAP, NARROW, WIDEST, FLAT = 0.95, 0.4, 0.7, 0.3
+"""Radius of a disc relative to the distance between discs; its bounds, in cells; its thickness
+relative to its radius."""
+ALONE, DROP = 0.4, 0.42
+"""Drops: largest phi at a drop's centre relative to its volume in cells; standard deviation
+relative to the edge of a cube of its volume."""
+TORN, THINNER, KEPT = 0.62, 0.85, 0.6
+"""Jets: largest spread of a jet, also relative to the spread at rest, and the fraction of its
+Gaussians that are not drawn."""
+OPAQUE, LEAST = 6.0, 0.35
+"""Largest optical depth of a surface, and its smallest opacity."""
+PALE = np.array([0.9, 0.97, 1.0], np.float32)
+"""Colour of thin liquid and of spray."""
+THIN, SPRAY = 0.5, 0.6
+"""Largest fractions of that colour, in a thin layer and in a drop."""
+
+
+class Surface(NamedTuple):
+    """A liquid's Gaussians as they are drawn."""
+
+    means: NDArray
+    """Centres [N,3], m."""
+    quats: NDArray
+    """Orientations [N,4]; the z axis of a disc points outwards."""
+    scales: NDArray
+    """Standard deviations [N,3], m."""
+    opacities: NDArray
+    """Opacities [N]; 0 inside the liquid."""
+    rgb: NDArray
+    """Colours without reflection [N,3]."""
+    normals: NDArray
+    """Unit normals of discs, pointing outwards [N,3]; 0 for balls."""
+
+
+class Field:
+    """Values of points, summed and smoothed on a grid."""
+
+    def __init__(self, x: NDArray, cell: float) -> None:
+        """Place points [N,3] m on a grid of spacing `cell` m, or of a larger one if it is huge."""
+        low, high = np.percentile(x[:: 1 + len(x) // SAMPLE], [0.1, 99.9], axis=0)
+        spare = 4 * BLUR * cell
+        extent = high - low + 2 * spare
+        self.cell = cell = max(cell, float(np.prod(extent) / MOST) ** (1 / 3))
+        self._size: Any = tuple(int(side) + 1 for side in np.ceil(extent / cell))
+        self._at = ((x - low + spare) / cell).T
+        nearest = np.rint(self._at).astype(int)
+        inside = np.clip(nearest, 0, np.array(self._size)[:, None] - 1)
+        self._flat: Any = np.ravel_multi_index(tuple(inside), self._size)
+
+    def sum(self, values: NDArray | None, chosen: NDArray | slice = slice(None)) -> NDArray:
+        """Return the sum of the values of chosen points in each cell, or their number."""
+        cells = int(np.prod(self._size))
+        return np.bincount(self._flat[chosen], values, minlength=cells).reshape(self._size)
+
+    def smooth(self, values: NDArray) -> NDArray[np.float32]:
+        """Return the smoothed values of the cells."""
+        smooth: Any = scipy.ndimage.gaussian_filter(
+            values.astype(np.float32), BLUR, mode="constant", truncate=3
+        )
+        return smooth
+
+    def fill(self, volume: float) -> NDArray[np.float32]:
+        """Return the smoothed fraction phi that points of a volume [m^3] fill of each cell.
+
+        It is at most 1: at rest, the points on an object's surface lie closer together.
+        """
+        return self.smooth(np.minimum(volume / self.cell**3 * self.sum(None), 1))
+
+    def nearest(self, field: NDArray, chosen: NDArray | slice = slice(None)) -> NDArray[np.float32]:
+        """Return the values of a field in the cells of chosen points."""
+        return field.reshape(-1)[self._flat[chosen]]
+
+    def sample(
+        self, field: NDArray, chosen: NDArray | slice = slice(None), away: NDArray | float = 0.0
+    ) -> NDArray[np.float32]:
+        """Interpolate a field at chosen points, or `away` [3,n] cells from them."""
+        at = self._at[:, chosen] + away
+        values: Any = scipy.ndimage.map_coordinates(field, at, order=1, mode="nearest")
+        return np.asarray(values, np.float32)
+
+
+class Liquid:
+    """Shapes the Gaussians of one liquid of a clip."""
+
+    def __init__(self, x: NDArray, cell: float, visibility: float | None) -> None:
+        """Measure the liquid at rest.
+
+        Args:
+            x: Centres of its Gaussians at rest [N,3], m.
+            cell: Cell size of the simulation's grid, m.
+            visibility: Distance over which the liquid dims light to 1/e, m; None: it is opaque.
+        """
+        self._cell, self._visibility, field = cell, visibility, Field(x, cell)
+        density = np.median(field.sample(field.smooth(field.sum(None))))
+        self._volume = field.cell**3 / max(float(density), 2.0)
+        self._spread = _measure_spread(field, field.fill(self._volume))
+
+    def shape(self, part: Gaussians) -> Surface:
+        """Return the liquid's Gaussians as they are drawn."""
+        field = Field(part.means.astype(np.float64), self._cell)
+        phi = field.fill(self._volume)
+        spread = _measure_spread(field, phi)
+        torn = (spread < TORN) & (spread < THINNER * self._spread)
+        return _shape(part, field, phi, self._volume / field.cell**3, torn, self._visibility)
+
+
+def _measure_spread(field: Field, phi: NDArray) -> NDArray[np.float32]:
+    """Return by how much smoothing lowers phi at the points [N]: 1/2 in jets, 0.7 in sheets."""
+    return field.nearest(field.smooth(phi) / np.maximum(phi, 1e-6))
+
+
+def _shape(
+    part: Gaussians,
+    field: Field,
+    phi: NDArray,
+    volume: float,
+    torn: NDArray,
+    visibility: float | None,
+) -> Surface:
+    """Return a liquid's Gaussians as they are drawn.
+
+    Args:
+        part: The liquid's Gaussians.
+        field: The grid of their centres.
+        phi: Fraction of the space in each cell that the liquid fills, smoothed.
+        volume: Volume of each Gaussian, in cells.
+        torn: Mask of the Gaussians in jets, of which some are drops and the others are not drawn.
+        visibility: Distance over which the liquid dims light to 1/e, m; None: it is opaque.
+    """
+    x, n, cell = part.means.astype(np.float64), len(part), field.cell
+    here = field.sample(phi)
+    near = np.flatnonzero(here < 0.98)
+    gradient = np.zeros((n, 3), np.float32)
+    for axis in range(3):
+        gradient[near, axis] = field.sample(np.gradient(phi, axis=axis), near)
+    steep = np.linalg.norm(gradient, axis=1)
+    normals = -gradient / np.maximum(steep, 1e-9)[:, None]
+    ahead = here.copy()
+    ahead[near] = field.sample(phi, near, AHEAD * normals[near].T)
+    chance = 0.618034 * np.arange(n) % 1
+    alone = (here < ALONE * volume) | (torn & (chance > KEPT))
+    fade = np.where(alone | torn, 0, 1 - smoothstep(ahead, *FILLED))
+    fade *= smoothstep(steep / np.maximum(here, 1e-6), *STEEP)
+    free = alone | (~torn & (fade < 0.5) & (here < LEVEL))
+    on, loose = np.flatnonzero((fade > 0) & ~free), np.flatnonzero(free)
+
+    means, scales, opacities = x.copy(), np.full((n, 3), 0.1 * cell), np.zeros(n)
+    depth = AHEAD * (here[on] - LEVEL) / np.maximum(here[on] - ahead[on], 1e-6)
+    means[on] += normals[on] * (depth.clip(*MOVES) * cell)[:, None]
+    # Discs per cell of the surface: smoothed, a layer of them is as high as the Gaussian.
+    layer = field.sample(field.smooth(field.sum(fade[on], on)), on) * np.sqrt(2 * np.pi) * BLUR
+    radius = np.clip(OVERLAP / np.sqrt(np.maximum(layer, 1e-6)), NARROW, WIDEST)
+    scales[on] = (radius * cell)[:, None] * np.array([1, 1, FLAT])
+    per_cell = cell / visibility if visibility else np.inf
+    tau = np.minimum(_thickness(phi, field, on, normals[on]) * per_cell / 2, OPAQUE)
+    overlapping = np.maximum(2 * np.pi * radius**2 * layer, 0.5)
+    opacities[on] = fade[on] * -np.expm1(-np.maximum(tau, -np.log1p(-LEAST)) / overlapping)
+    # Balls overlap in spray that is not thin enough for drops, and absorb what their volume does.
+    edge, drop = np.cbrt(volume), alone[loose]
+    apart = np.cbrt(volume / np.maximum(here[loose], 1e-3))
+    uneven = 0.6 + 0.8 * chance[loose] ** 3
+    size = np.where(drop, DROP * edge * uneven, np.minimum(0.6 * apart, WIDEST))
+    scales[loose] = (size * cell)[:, None]
+    column = np.minimum(volume / (2 * np.pi * size**2) * per_cell, OPAQUE)
+    opacities[loose] = np.where(drop, 0.9, np.maximum(-np.expm1(-column), LEAST / 2))
+    normals[free | (fade == 0)] = 0
+
+    pale = np.zeros(n, np.float32)
+    pale[on] = THIN * np.exp(-2 * tau)
+    pale[loose] = SPRAY * np.where(drop, 1, 0.5)
+    rgb = np.clip(0.5 + SH_C0 * part.sh[:, 0], 0, 1)
+    rgb = rgb + pale[:, None] * (PALE - rgb)
+    quats = np.where(normals.any(axis=1, keepdims=True), _rotations(normals), (1, 0, 0, 0))
+    arrays = (means, quats, scales, opacities, rgb, normals)
+    return Surface(*(array.astype(np.float32) for array in arrays))
+
+
+def _thickness(phi: NDArray, field: Field, on: NDArray, normals: NDArray) -> NDArray:
+    """Return the thickness of the liquid along the normals [n,3] of points `on`, in cells.
+
+    It is interpolated between the lengths of the liquid along the three axes.
+    """
+    sums = np.zeros(len(on))
+    for axis in range(3):
+        layers = np.moveaxis(np.minimum(phi, 1), axis, 0)
+        forth, back, wet = np.zeros_like(layers), np.zeros_like(layers), layers > 0.03
+        for k in range(1, len(layers)):
+            forth[k] = (forth[k - 1] + layers[k]) * wet[k]
+            back[-1 - k] = (back[-k] + layers[-1 - k]) * wet[-1 - k]
+        length = field.nearest(np.moveaxis(forth + back - layers, 0, axis), on)
+        sums += normals[:, axis] ** 2 / np.maximum(length, 0.1)
+    return 1 / np.maximum(sums, 1e-6)
+
+
+def _rotations(normals: NDArray) -> NDArray:
+    """Return the shortest rotations [N,4] from the z axis to normals; about x if opposite."""
+    x, y, z = normals.T
+    quats = np.stack([1 + z, np.where(z > -0.9999, -y, 1), x, 0 * z], axis=1)
+    return quats / np.linalg.norm(quats, axis=1, keepdims=True)
+
+
+def smoothstep(x: NDArray, low: float, high: float) -> NDArray:
+    """Return the cubic step from 0 at `low` to 1 at `high`."""
+    t = np.clip((x - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)
