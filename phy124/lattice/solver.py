@@ -17,11 +17,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
-from phy124.kernels.lattice.stress import GRADIENT, SPEED
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
-from phy124.lattice.walls import TRAVEL, Boundary, Nodes, Walls
+from phy124.lattice.walls import Boundary, Nodes, Walls
 from phy124.lattice.workers import Crew, Worker
 from phy124.mpm.clock import Clock
 from phy124.mpm.free import FreeBodies
@@ -33,17 +32,20 @@ from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
 from phy124.mpm.stage import Accumulator, Attachable, Named, Stage, launches
 from phy124.mpm.threads import Team
-from phy124.mpm.timestep import MEASURE_EVERY, Extremes
+from phy124.mpm.timestep import MEASURE_EVERY
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_workers
 
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
+GENTLE = 0.5
+"""Factor on the measured rate of strain: it may strain the body by 0.4 / GENTLE in a substep, since
+F follows the nodes exactly.
+"""
 STRAIN, WAY = 0.2, 0.25
 """Largest strain, and largest way of a point [cells], between two measurements."""
-VIOLENT = 0.3
-"""Strain in a substep above which the limits are measured every `HASTY` substeps."""
-HASTY = 2
+TRAVEL = 3.0
+"""Largest approach of points to walls until all distances are measured again [cells]."""
 MEASURE, TRIAL = -1, -2
 """Tasks of workers in addition to phases: measure the motion, compute forces of a trial."""
 
@@ -162,7 +164,7 @@ class LatticeSolver:
                 *before,
                 crew.force(worker, self.tracks if pushed else None),
                 crew.kick(worker, self.tracks),
-                launches(self.walls.record()) if index == 0 else [],
+                self.walls.record() if index == 0 else [],
                 crew.drift(worker, self.tracks),
             ]
         last = [(stage.name, stage.record(self.grid)) for stage in self._sums]
@@ -266,6 +268,8 @@ class LatticeSolver:
         if self.team.alive:
             run_timed(self.timings, "wait", self.team.join)
         self.clock.finish(drift)
+        if self._crew.measuring:
+            self._read(drift)
 
     def _run(self, phase: int) -> None:
         """Run a phase; threads wait for each other before the phase."""
@@ -308,18 +312,31 @@ class LatticeSolver:
 
     def _measure(self) -> None:
         """Measure the limits of the substep; raises Unstable."""
-        largest = self._largest()
-        stiffness, self._probing = self._spectrum.stiffness, True
-        measured = Extremes(float(largest[SPEED]), float(largest[GRADIENT]), stiffness)
-        clock = self.clock
-        elapsed, before = clock.time - self._measured, clock.extremes.speed
-        self._measured = clock.time
-        speed = max(measured.speed, before, self.rejection.wall)
-        self._travel += elapsed * (speed + elapsed * self.rejection.acceleration)
+        if not self._crew.measuring or not self.clock.substeps:
+            self._each_worker(MEASURE)
+            self._read(self.clock.time - self._measured)
+            self._measured = self.clock.time
+        self._probing, clock = True, self.clock
+        measured = clock.extremes._replace(stiffness=self._spectrum.stiffness)
         clock.limit_by(measured.after(clock.extremes, substeps=clock.since_complete), complete=True)
         clock.interval = self._interval()
-        if self._travel + WAY * self.model.dx > TRAVEL * self.model.dx:
+        if self._travel > TRAVEL * self.model.dx:
             self._look()
+        self.walls.list_near(self._travel + 2 * WAY * self.model.dx)
+
+    def _read(self, elapsed: float) -> None:
+        """Limit substeps by the largest speed and rate of strain; raises Unstable.
+
+        Args:
+            elapsed: Time since the last measurement [s].
+        """
+        if int(self._crew.stray.numpy()[0]):
+            raise Unstable(f"{int(self._crew.stray.numpy()[0])} particles are NaN or infinite")
+        speed, gradient = self._crew.take_maxima()
+        extremes, pull = self.clock.extremes, self.rejection.acceleration
+        fastest = max(speed, extremes.speed) + self.rejection.wall
+        self._travel += elapsed * (fastest + elapsed * pull)
+        self.clock.extremes = extremes._replace(speed=speed, gradient=GENTLE * gradient)
 
     def _measure_frequency(self) -> None:
         """Measure the largest frequency, after forces are summed and before they act."""
@@ -332,19 +349,10 @@ class LatticeSolver:
         self.clock.extremes = extremes._replace(stiffness=stiffness)
 
     def _look(self) -> None:
-        """List the surface points near each wall."""
+        """Measure the distances of all surface points from the walls."""
         self._travel, self._measured = 0.0, self.clock.time
-        if run_timed(self.timings, "near", self.walls.look):
-            self.record()
-
-    def _largest(self) -> NDArray[np.float64]:
-        """Measure; return the largest speed and rate of strain of all points; raises Unstable."""
-        self._each_worker(MEASURE)
-        if int(self._crew.stray.numpy()[0]):
-            raise Unstable(f"{int(self._crew.stray.numpy()[0])} particles are NaN or infinite")
-        rows = np.array([worker.maxima.numpy() for worker in self.workers], np.float64)
-        largest: NDArray[np.float64] = rows.max(axis=0)
-        return largest
+        run_timed(self.timings, "near", self.walls.look)
+        self.walls.list_near(2 * WAY * self.model.dx)
 
     def _interval(self) -> int:
         """Return the number of substeps until the limits must be measured."""
@@ -357,8 +365,7 @@ class LatticeSolver:
         steps.append(STRAIN / max(clock.extremes.gradient * dt, 1e-9))
         steps.append(WAY * dx / max(speed * dt, 1e-30))
         steps.append(math.sqrt(2 * WAY * dx / max(self.rejection.acceleration, 1e-30)) / dt)
-        violent = clock.extremes.gradient * dt > VIOLENT
-        return max(HASTY if violent else MEASURE_EVERY, int(min(steps)))
+        return max(MEASURE_EVERY, int(min(steps)))
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state that `restore` needs to continue bit for bit."""
@@ -380,6 +387,7 @@ class LatticeSolver:
         self.clock.restore(snapshot["clock"])
         self._spectrum.restore(snapshot["spectrum"])
         self._crew.stray.zero_()
+        self._crew.take_maxima()
         self._look()
 
 

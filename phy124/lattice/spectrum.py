@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.kernels.arguments import types
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.walls import Nodes
 from phy124.lattice.workers import Crew
@@ -47,14 +48,19 @@ class Spectrum:
             lattice: The lattice at rest.
             run_trials: Runs the trials of all workers.
         """
-        self._model, self._crew, self._nodes, self._lattice = model, crew, nodes, lattice
-        self._run_trials = run_trials
-        self._shape: NDArray[Any] = np.random.default_rng(0).normal(size=(len(lattice), 3))
-        self._shape[lattice.tied] = 0
+        self._model, self._crew, self._run_trials = model, crew, run_trials
+        self._size = TRIAL * model.dx
+        start = np.random.default_rng(0).normal(size=(len(lattice), 3))
+        start[lattice.tied] = 0
+        self._shape, self._mixed = (model.array(start, types(model.real).vec3) for _ in range(2))
+        self._try, self._compare = crew.compare(self._shape, self._mixed)
         v = nodes.v.numpy().copy()
         nodes.v.zero_()  # Viscous forces must not contribute.
+        crew.trial_u.assign(nodes.u)
         run_trials()
-        self._least = self._iterate(crew.accelerations(trial=True), ROUNDS)
+        crew.accelerate(trial=True)
+        crew.a.assign(crew.trial_a)
+        self._least = self._iterate(0.0, ROUNDS)
         nodes.v.assign(v)
         self.square = self._least
         """Square of the largest angular frequency, as last measured [1/s^2]."""
@@ -75,46 +81,45 @@ class Spectrum:
 
     def follow(self) -> None:
         """Measure the current state, in which the forces of all points have been summed."""
-        a = self._crew.accelerations()
-        largest = np.abs(a).max()
-        if largest > 0:
-            self._shape += MIXED / largest * a
-        self.square = max(self._least, MISSED * self._iterate(a, 1))
+        self._crew.accelerate()
+        largest = float(np.abs(self._crew.a.numpy()).max())
+        share = MIXED / largest if largest > 0 else 0.0
+        self.square = max(self._least, MISSED * self._iterate(share, 1))
 
-    def _iterate(self, before: NDArray[Any], rounds: int) -> float:
+    def _iterate(self, share: float, rounds: int) -> float:
         """Return the square of the largest frequency [1/s^2] after some power iterations.
 
         The norm weighs the largest motions most, so that it measures the fastest vibration, which
         moves few nodes, although the shape also has small motions of all nodes.
 
         Args:
-            before: Accelerations of the nodes without trial displacements [N,3], m/s^2.
+            share: Factor of the accelerations that the shape gets.
             rounds: Number of iterations.
         """
-        nodes, ties, tied = self._nodes, self._lattice.ties, self._lattice.tied
-        u, square, size = nodes.u.numpy().copy(), 0.0, TRIAL * self._model.dx
+        square = 0.0
         for _ in range(rounds):
-            shape = self._shape / np.abs(self._shape).max()
-            length = _norm(shape)
-            shape[tied] = ties @ shape
-            nodes.u.assign(u + size * shape)
+            gain = 1 / float(np.abs(self._shape.numpy()).max())
+            for index, value in enumerate((gain, share, self._size)):
+                self._try.set_param_at_index(index, value)
+            self._try.launch()
             self._run_trials()
-            self._shape = (before - self._crew.accelerations(trial=True)) / size
-            square = _norm(self._shape) / length
-        nodes.u.assign(u)
-        self._shape /= np.abs(self._shape).max()
+            self._crew.accelerate(trial=True)
+            self._compare.launch()
+            square = _norm(self._shape.numpy()) / _norm(self._mixed.numpy()) / self._size
         return square
 
     def snapshot(self) -> dict[str, Any]:
         """Return the last shape and frequency."""
-        return {"shape": self._shape.copy(), "square": self.square}
+        return {"shape": self._shape.numpy().copy(), "square": self.square}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot."""
-        self._shape, self.square = np.array(snapshot["shape"]), snapshot["square"]
+        self._shape.assign(np.array(snapshot["shape"]))
+        self.square = snapshot["square"]
 
 
 def _norm(values: NDArray[Any]) -> float:
-    """Return the fourth root of the sum of the fourth powers, of a largest value near 1."""
-    squares = values * values
-    return float(np.vdot(squares, squares)) ** 0.25
+    """Return the fourth root of the sum of the fourth powers."""
+    largest = np.abs(values).max()
+    squares = np.square(values * (1 / largest))
+    return float(largest) * float(np.vdot(squares, squares)) ** 0.25

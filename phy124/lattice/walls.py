@@ -6,7 +6,8 @@ clamp's surface moves against its free neighbour, so that the motion vanishes at
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, cast
 
@@ -28,15 +29,13 @@ from phy124.kernels.lattice.nodes import make_hold, make_pin
 from phy124.lattice.rest import RestLattice, splines
 from phy124.lattice.surface import Surface
 from phy124.mpm.model import Model
-from phy124.mpm.stage import Recorded
+from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Track, Tracks
 
-REACH = 1.0
+REACH = 0.6
 """Distance from a wall within which contact is computed [cells]."""
-TRAVEL = 1.0
-"""Further distance within which points are listed. The list is renewed before a point can have
-approached a wall by as much [cells].
-"""
+STEP = 0.5
+"""Step by which the distance grows within which points are listed [cells]."""
 HELD = 0.5
 """Distance from a clamp's surface up to which a node moves against its free neighbour, so that the
 motion vanishes at the surface [cells]; nodes farther inside do not move.
@@ -105,6 +104,7 @@ class Walls:
         self.sums = wp.zeros((len(simple), SUMS), dtype=wp.float64, device=model.device)
         """Impulse, work and moment of each simple wall [W,16] (phy124/kernels/lattice/contact.py).
         """
+        self._dx, self._listed = model.dx, 0
         points = _Points.of(surface, model)
         self._clamps, self._contacts = [], []
         for number, (holds, part) in enumerate(simple):
@@ -118,24 +118,36 @@ class Walls:
         """Return whether there is any wall or clamp."""
         return bool(self._clamps or self._contacts)
 
-    def record(self) -> list[Recorded]:
+    def record(self) -> list[Named]:
         """Return the launches of one substep, in order.
 
         Clamps act first. Then walls apply the impulses of the previous substep, correct them, and
         sum impulse and work.
         """
-        near = [contact for contact in self._contacts if contact.near]
-        return [
-            *(("clamp", launch) for clamp in self._clamps for launch in clamp.record()),
-            *(("contact", contact.record_touch()) for contact in near),
-            *(("contact", contact.record_resist()) for contact in near),
-            *(("contact", contact.record_account()) for contact in near),
-        ]
+        clamps = [("clamp", launch) for clamp in self._clamps for launch in clamp.record()]
+        stages = [contact.record() for contact in self._contacts]
+        ordered = [stage for order in zip(*stages, strict=True) for stage in order]
+        return [*launches(clamps), *(("contact", stage) for stage in ordered)]
 
-    def look(self) -> bool:
-        """List the surface points near each wall; return whether a list has changed."""
-        changed = [contact.look() for contact in self._contacts]
-        return any(changed)
+    def look(self) -> None:
+        """Measure the distances of all surface points from the walls."""
+        self._listed = 0
+        for contact in self._contacts:
+            contact.look()
+
+    def list_near(self, approach: float) -> None:
+        """List the points that may touch a wall.
+
+        Args:
+            approach: Largest distance by which a point may have approached a wall since the last
+                call of `look` [m].
+        """
+        step = STEP * self._dx
+        steps = math.ceil(approach / step)
+        if steps > self._listed:
+            self._listed = steps
+            for contact in self._contacts:
+                contact.list_near(steps * step)
 
     def forget(self) -> None:
         """Set the contact forces of the last substep to zero."""
@@ -255,65 +267,78 @@ class _Contact:
         self._part, self._sums, self._moving = part, sums, track is not None
         self._slot = 0 if track is None else tracks.add(track)
         self._shape = t.mat33(*np.ravel(part.geometry(model)))
-        self.near = 0
-        """Number of points that are listed as near the wall."""
+        self._near: NDArray[np.int32] = np.zeros(0, np.int32)
         count, device = points.count, model.device
         self._list = wp.zeros(count, dtype=int, device=device)
-        self._flags = wp.zeros(count, dtype=int, device=device)
+        self._gaps = wp.zeros(count, dtype=model.real, device=device)
         self.force = wp.zeros(count, dtype=t.vec3, device=device)
         """Mean force of the wall on each point in the last substep [S,3], N."""
         self._gap = wp.zeros(count, dtype=t.vec4, device=device)
         self._place = wp.zeros(count, dtype=t.vec3, device=device)
         self._yields = wp.zeros(count, dtype=model.real, device=device)
 
-    def look(self) -> bool:
-        """List the points near the wall; return whether their number has changed."""
+    def look(self) -> None:
+        """Measure the distances of all points from the wall."""
         model, points, tracks = self._model, self._points, self._tracks
-        wp.launch(
-            make_reach(self._part.outline(), self._moving, model.real),
-            points.count,
-            [
-                (REACH + TRAVEL) * model.dx, self._shape, self._slot, points.nodes,
-                points.weights, points.rest, self._nodes.u, tracks.values,
-            ],
-            [self._flags],
-            device=model.device,
-        )  # fmt: skip
-        near = np.flatnonzero(self._flags.numpy()).astype(np.int32)
-        listed: NDArray[np.int32] = np.zeros(points.count, np.int32)
-        listed[: len(near)] = near
-        self._list.assign(listed)
-        before, self.near = self.near, len(near)
-        return before != self.near
+        inputs = [self._shape, self._slot, points.nodes, points.weights, points.rest]
+        inputs += [self._nodes.u, tracks.values]
+        kernel = make_reach(self._part.outline(), self._moving, model.real)
+        wp.launch(kernel, points.count, inputs, [self._gaps], device=model.device)
 
-    def record_touch(self) -> wp.Launch | None:
+    def list_near(self, approach: float) -> None:
+        """List the points that were within `REACH` and `approach` [m] of the wall."""
+        near = np.flatnonzero(self._gaps.numpy() < REACH * self._model.dx + approach)
+        if not np.array_equal(near, self._near):
+            self._near = near.astype(np.int32)
+            if len(near):
+                self._list[: len(near)].assign(self._near)
+            self._count()
+
+    def record(self) -> list[Callable[[], None]]:
+        """Return the stages that find touching points, correct impulses, and sum them."""
+
+        def repeat(launch: wp.Launch) -> Callable[[], None]:
+            return lambda: launch.launch() if len(self._near) else None
+
+        self._launches = [self._touch(), self._resist(), self._account()]
+        self._count()
+        return [repeat(launch) for launch in self._launches]
+
+    def _count(self) -> None:
+        """Pass the number of listed points to the launches."""
+        *one, many = self._launches
+        for launch in one:
+            launch.set_param_at_index(1, len(self._near))
+        many.set_dim(max(1, len(self._near)))
+
+    def _touch(self) -> wp.Launch:
         """Record the launch that finds touching points and applies their previous impulses."""
         model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
         inputs = [
-            self._list, self.near, REACH * model.dx, self._shape, self._slot, points.nodes,
+            self._list, 0, REACH * model.dx, self._shape, self._slot, points.nodes,
             points.weights, points.rest, nodes.movable, nodes.u, tracks.clock, tracks.values,
         ]  # fmt: skip
         outputs = [nodes.v, self._gap, self._place, self._yields, self.force]
         kernel = make_touch(self._part.outline(), self._moving, model.real)
-        return model.launch(kernel, 1, inputs, outputs)
+        return cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))
 
-    def record_resist(self) -> wp.Launch | None:
+    def _resist(self) -> wp.Launch:
         """Record the launch that corrects the impulses."""
         model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
         inputs = [
-            self._list, self.near, self._part.friction, self._slot, points.nodes, points.weights,
+            self._list, 0, self._part.friction, self._slot, points.nodes, points.weights,
             nodes.movable, self._gap, self._yields, tracks.clock, tracks.rates,
         ]  # fmt: skip
         kernel = make_resist(self._part.response(), self._moving, model.real)
-        return model.launch(kernel, 1, inputs, [nodes.v, self.force])
+        return cast("wp.Launch", model.launch(kernel, 1, inputs, [nodes.v, self.force]))
 
-    def record_account(self) -> wp.Launch | None:
+    def _account(self) -> wp.Launch:
         """Record the launch that sums the wall's impulse and work."""
         points, nodes = self._points, self._nodes
         inputs = [self._list, points.nodes, points.weights, self._place, self.force]
         inputs += [self._tracks.clock, nodes.before, nodes.v]
         kernel = make_account(self._model.real)
-        return self._model.launch(kernel, self.near, inputs, [self._sums])
+        return cast("wp.Launch", self._model.launch(kernel, points.count, inputs, [self._sums]))
 
 
 def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -53,7 +53,9 @@ class Worker:
     phases: list[list[Named]] = field(default_factory=list)
     """Launches of a substep by phase; threads wait for each other between phases."""
     measures: list[Named] = field(default_factory=list)
-    """Launches that measure the largest speed and rate of strain."""
+    """Launches that measure the largest speed and rate of strain; viscous stress on vector units
+    measures them, too.
+    """
     trials: list[Named] = field(default_factory=list)
     """Launches that compute `trial`."""
     follows: list[Named] = field(default_factory=list)
@@ -96,7 +98,8 @@ class Crew:
             vectors: Whether to use the vector units of a CPU where there are kernels for them.
         """
         self._model, self._state, self._nodes = model, state, nodes
-        self._lattice, self._vectors = lattice, vectors
+        self._lattice = lattice
+        self._vectors = vectors and simd.usable(model.real, model.device)
         self._blocks: dict[tuple[int, int], tuple[int, list[wp.array]]] = {}
         t, device = types(model.real), model.device
         self._rows = wp.array(lattice.rows.ravel(), dtype=int, device=device)
@@ -129,7 +132,14 @@ class Crew:
         self._tied = self._sparse(lattice, lattice.ties.tocsr())
         self._donors = self._sparse(lattice, lattice.ties.T.tocsr())
         self.stray = wp.zeros(1, dtype=int, device=device)
-        self._a = wp.zeros(len(lattice), dtype=t.vec3, device=device)
+        self.a, self.trial_a, self.trial_u = (
+            wp.zeros(len(lattice), dtype=t.vec3, device=device) for _ in range(3)
+        )
+        """Accelerations, those of trial displacements, and the latter [N,3]."""
+        self._unread = wp.zeros(MAXIMA, dtype=model.real, device=device)
+        self.measuring = all(self.vectors(g) and is_viscous(g, model) for g in model.groups)
+        """Whether the stress measures the largest speed and rate of strain in every substep."""
+        self._accelerate = [self._record_accelerate(trial=trial) for trial in (False, True)]
         for worker in self.workers:
             worker.measures = self._measure(worker)
             worker.trials = self.force(worker, trial=True)
@@ -170,7 +180,7 @@ class Crew:
         """
         out = worker.trial if trial else worker.forces
         records = [] if pushes is None else [self._push(worker, pushes)]
-        records += [self._stress(worker, group, out) for group in self._model.groups]
+        records += [self._stress(worker, group, trial=trial) for group in self._model.groups]
         return [("clear", out.zero_), *launches(records)]
 
     def _push(self, worker: Worker, tracks: Tracks) -> Recorded:
@@ -193,45 +203,52 @@ class Crew:
             self._blocks[key] = blocks.full, [order, packed]
         return self._blocks[key]
 
-    def _stress(self, worker: Worker, group: Group, out: wp.array) -> Recorded:
+    def _stress(self, worker: Worker, group: Group, *, trial: bool) -> Recorded:
         model, nodes = self._model, self._nodes
+        u, out = (self.trial_u, worker.trial) if trial else (nodes.u, worker.forces)
         span = _common(worker.points, group.particles)
         name = f"stress {group.law.name}"
         if self.vectors(group) and span.stop > span.start:
             full, blocks = self._block(span)
             inputs = [full, group.start, worker.touched.start, model.dx, group.theta]
-            inputs += [*blocks, self._rows, nodes.u, nodes.v]
+            inputs += [*blocks, self._rows, u, nodes.v]
             kernel = simd.make_stress_simd(group.law, is_viscous(group, model))
-            return name, model.launch(kernel, len(blocks[0]) // simd.CELLS, inputs, [out])
+            outputs = [out, self._unread if trial else worker.maxima, self.stray]
+            return name, model.launch(kernel, len(blocks[0]) // simd.CELLS, inputs, outputs)
         inputs = [span.start, group.start, worker.touched.start, group.theta, model.volume]
-        inputs += [model.dx, self._rows, self._offset, nodes.u, nodes.v]
+        inputs += [model.dx, self._rows, self._offset, u, nodes.v]
         kernel = make_stress(group.law, model.real, is_viscous(group, model))
         return name, model.launch(kernel, span.stop - span.start, inputs, [out])
 
     def vectors(self, group: Group) -> bool:
         """Return whether a group's stress runs on the vector units of a CPU."""
-        return self._vectors and simd.usable(group.law, self._model.real, self._model.device)
+        return self._vectors and simd.has_stress(group.law)
 
     def kick(self, worker: Worker, tracks: Tracks) -> list[Named]:
         """Return the launch that changes the velocities of a worker's nodes by the forces."""
-        span, nodes = worker.nodes, self._nodes
-        inputs = [span.start, nodes.inverse, self._pool, *self._spans, *self._donors]
-        inputs += [tracks.clock, tracks.values]
-        outputs = [nodes.v, nodes.before]
-        kernel = node_kernels.make_kick(self._model.real)
-        return launches(
-            [("nodes", self._model.launch(kernel, span.stop - span.start, inputs, outputs))]
-        )
+        nodes = self._nodes
+        inputs = [nodes.inverse, self._pool, *self._spans, *self._donors]
+        inputs += [tracks.clock, tracks.values, nodes.v, nodes.before]
+        plain = node_kernels.make_kick(self._model.real)
+        return self._over_nodes(worker, plain, simd.make_kick_simd, inputs)
 
     def drift(self, worker: Worker, tracks: Tracks) -> list[Named]:
         """Return the launch that moves a worker's nodes."""
-        span, nodes = worker.nodes, self._nodes
-        inputs = [span.start, *self._tied, tracks.clock]
-        outputs = [nodes.v, nodes.u, nodes.residue]
-        kernel = node_kernels.make_drift(self._model.real)
-        return launches(
-            [("nodes", self._model.launch(kernel, span.stop - span.start, inputs, outputs))]
-        )
+        nodes = self._nodes
+        inputs = [*self._tied, tracks.clock, nodes.v, nodes.u, nodes.residue]
+        plain = node_kernels.make_drift(self._model.real)
+        return self._over_nodes(worker, plain, simd.make_drift_simd, inputs)
+
+    def _over_nodes(
+        self, worker: Worker, plain: Any, make_simd: Callable[[], Any], inputs: list[Any]
+    ) -> list[Named]:
+        """Return a launch over a worker's nodes, of a plain kernel or of its SIMD form."""
+        span = worker.nodes
+        count, kernel = span.stop - span.start, plain
+        if self._vectors:
+            count, kernel = -(-count // simd.NODES), make_simd()
+        launch = self._model.launch(kernel, count, [span.start, span.stop, *inputs], [])
+        return launches([("nodes", launch)])
 
     def follow(self) -> list[Named]:
         """Return the launch that computes x, v, C and F of all points."""
@@ -239,21 +256,53 @@ class Crew:
 
     def _follow(self, worker: Worker) -> list[Named]:
         span, state, nodes, model = worker.points, self._state, self._nodes, self._model
-        inputs = [span.start, model.dx, self._rows, self._offset, self._rest, nodes.u, nodes.v]
         outputs = [state.x, state.v, state.C, state.F]
+        if self._vectors and span.stop > span.start:
+            full, blocks = self._block(span)
+            inputs = [full, model.dx, *blocks, self._rows, self._rest, nodes.u, nodes.v]
+            outputs += [self._unread, self.stray]
+            count = len(blocks[0]) // simd.CELLS
+            launch = model.launch(simd.make_follow_simd(), count, inputs, outputs)
+            return launches([("follow", launch)])
+        inputs = [span.start, model.dx, self._rows, self._offset, self._rest, nodes.u, nodes.v]
         kernel = point_kernels.make_follow(model.real)
         return launches([("follow", model.launch(kernel, span.stop - span.start, inputs, outputs))])
 
-    def accelerations(self, *, trial: bool = False) -> NDArray[Any]:
-        """Return the accelerations of the nodes by the summed forces [N,3], m/s^2; 0 if tied."""
+    def take_maxima(self) -> list[float]:
+        """Return the largest speed and rate of strain since the last call, and reset them."""
+        rows = [worker.maxima.numpy() for worker in self.workers]
+        largest = [float(value) for value in map(max, *rows, rows[0])]
+        for worker in self.workers:
+            worker.maxima.zero_()
+        return largest
+
+    def accelerate(self, *, trial: bool = False) -> None:
+        """Compute the accelerations `a`, or `trial_a`, of the nodes by the summed forces."""
+        self._accelerate[trial].launch()
+
+    def _record_accelerate(self, *, trial: bool) -> wp.Launch:
         nodes, pool = self._nodes, self._trial_pool if trial else self._pool
         inputs = [nodes.inverse, pool, *self._spans, *self._donors]
         kernel = node_kernels.make_accelerate(self._model.real)
-        wp.launch(kernel, len(self._a), inputs, [self._a], device=self._model.device)
-        return self._a.numpy().copy()
+        out = self.trial_a if trial else self.a
+        return cast("wp.Launch", self._model.launch(kernel, len(out), inputs, [out]))
+
+    def compare(self, shape: wp.array, mixed: wp.array) -> tuple[wp.Launch, wp.Launch]:
+        """Record the launches that displace the nodes by a shape, and that find the next shape."""
+        model, shift = self._model, [0.0, 0.0, 0.0, *self._tied, self._nodes.u, self.a, shape]
+        trying, comparing = (
+            make(model.real) for make in (node_kernels.make_try, node_kernels.make_compare)
+        )
+        records = (
+            model.launch(trying, len(shape), shift, [mixed, self.trial_u]),
+            model.launch(comparing, len(shape), [self.a, self.trial_a], [shape]),
+        )
+        return cast("tuple[wp.Launch, wp.Launch]", records)
 
     def _measure(self, worker: Worker) -> list[Named]:
         """Return the launches that follow a worker's points and measure their motion."""
+        if self.measuring:
+            return self.force(worker)
         model, state, nodes, records = self._model, self._state, self._nodes, []
         outputs = [worker.maxima, self.stray]
         for group in model.groups:
@@ -281,12 +330,19 @@ def is_viscous(group: Group, model: Model) -> bool:
 
 def kernels(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -> Iterator[Any]:
     """Yield the kernels of a run; `model_laws` are laws, and whether each is viscous."""
-    yield from (node_kernels.make_kick(real), node_kernels.make_drift(real))
+    vectors = simd.usable(real, device)
+    if vectors:
+        yield from (simd.make_kick_simd(), simd.make_drift_simd(), simd.make_follow_simd())
+    else:
+        yield from (node_kernels.make_kick(real), node_kernels.make_drift(real))
+        yield point_kernels.make_follow(real)
     yield from (node_kernels.make_accelerate(real), node_kernels.make_node_totals(real))
-    yield point_kernels.make_follow(real)
+    yield from (node_kernels.make_try(real), node_kernels.make_compare(real))
     for law, viscous in model_laws:
-        if simd.usable(law, real, device):
-            yield from (simd.make_stress_simd(law, viscous), simd.make_measure_simd())
+        if vectors and simd.has_stress(law):
+            yield simd.make_stress_simd(law, viscous)
+            if not viscous:
+                yield simd.make_measure_simd()
             continue
         yield from (make_stress(law, real, viscous), make_lattice_measure(real))
 

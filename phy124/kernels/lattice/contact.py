@@ -245,7 +245,7 @@ def make_account(real: Any):
 
 @cache
 def make_reach(shape: str, moving: bool, real: Any):
-    """Kernel over surface points: lists the points within a distance of a wall, in any order."""
+    """Kernel over surface points: computes the distances from a wall."""
     t = types(real)
     distance = SHAPES[shape]
 
@@ -255,7 +255,6 @@ def make_reach(shape: str, moving: bool, real: Any):
         seconds=0.4,
     )
     def lattice_reach(
-        reach: real,
         geometry,
         slot,
         nodes: wp.array2d(dtype=int),
@@ -263,14 +262,14 @@ def make_reach(shape: str, moving: bool, real: Any):
         rest: t.vec3s,
         u: t.vec3s,
         values,
-        near_out: Ints,
+        gap_out: t.reals,
     ):
         s = wp.tid()
         y = rest[s] + moved_by(u, nodes, weights, s)
         if wp.static(moving):
             y -= wp.vector(values[slot][0], values[slot][1], values[slot][2])
         d = distance(y, geometry)
-        near_out[s] = int(d[3] < reach)
+        gap_out[s] = d[3]
 
     return lattice_reach
 

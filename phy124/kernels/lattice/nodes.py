@@ -30,7 +30,7 @@ def sum_workers(pool: wp.array(dtype=Any), low: Ints, high: Ints, begin: Ints, n
 
 @cache
 def make_kick(real: Any):
-    """Kernel over nodes: changes velocities by forces and by the uniform acceleration.
+    """Kernel over nodes from `start` to `stop`: changes velocities by forces and gravity.
 
     `before_out` keeps the velocities before, from which the work of walls is computed.
     """
@@ -39,6 +39,7 @@ def make_kick(real: Any):
     @kernel(f"phy124_lattice_kick_{real.__name__}", real, seconds=0.3)
     def kick(
         start: int,
+        stop: int,
         inverse: t.reals,
         pool: t.vec3s,
         low: Ints,
@@ -90,6 +91,53 @@ def make_accelerate(real: Any):
             a_out[n] = inverse[n] * force
 
     return accelerate
+
+
+@cache
+def make_try(real: Any):
+    """Kernel over nodes: adds accelerations to a shape, and displaces the nodes by the sum.
+
+    The sum is `gain` times the shape plus `share` times the accelerations; the displacement is
+    `size` times the sum. Tied nodes follow their donors.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_try_{real.__name__}", real, seconds=0.3)
+    def lattice_try(
+        gain: real,
+        share: real,
+        size: real,
+        tied_starts: Ints,
+        tied_nodes: Ints,
+        tied_weights: t.reals,
+        u: t.vec3s,
+        a: t.vec3s,
+        shape: t.vec3s,
+        mixed_out: t.vec3s,
+        trial_out: t.vec3s,
+    ):
+        n = wp.tid()
+        mixed = gain * shape[n] + share * a[n]
+        mixed_out[n] = mixed
+        for k in range(tied_starts[n], tied_starts[n + 1]):
+            donor = tied_nodes[k]
+            mixed += tied_weights[k] * (gain * shape[donor] + share * a[donor])
+        trial_out[n] = u[n] + size * mixed
+
+    return lattice_try
+
+
+@cache
+def make_compare(real: Any):
+    """Kernel over nodes: computes the change of accelerations by a trial displacement."""
+    t = types(real)
+
+    @kernel(f"phy124_lattice_compare_{real.__name__}", real, seconds=0.2)
+    def lattice_compare(a: t.vec3s, trial: t.vec3s, shape_out: t.vec3s):
+        n = wp.tid()
+        shape_out[n] = a[n] - trial[n]
+
+    return lattice_compare
 
 
 @cache
@@ -191,12 +239,13 @@ def make_pin(real: Any):
 
 @cache
 def make_drift(real: Any):
-    """Kernel over nodes: changes displacements over the drift; tied nodes follow their donors."""
+    """Kernel over nodes from `start` to `stop`: changes displacements; tied nodes follow donors."""
     t = types(real)
 
     @kernel(f"phy124_lattice_drift_{real.__name__}", real, seconds=0.3)
     def drift(
         start: int,
+        stop: int,
         tied_starts: Ints,
         tied_nodes: Ints,
         tied_weights: t.reals,

@@ -15,21 +15,30 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import Ints
+from phy124.kernels.lattice.nodes import make_drift, make_kick
 from phy124.kernels.lattice.points import PER_CELL
 from phy124.kernels.native import code, native_kernel
 from phy124.kernels.transfer import Law
 
 CELLS = 16
 """Number of cells of a thread."""
+NODES = 256
+"""Number of nodes of a thread."""
 ALIGNED = 1e-4
 """Largest deviation of the points of a full cell from the Gauss points [cells]."""
 Vectors = wp.array(dtype=wp.vec3)
+Matrices = wp.array(dtype=wp.mat33)
 Numbers = wp.array(dtype=wp.float32)
 
 
-def usable(law: Law, real: Any, device: str) -> bool:
-    """Return whether a law, precision and device have kernels for vector units."""
-    return law.name.startswith("neo_hookean") and real is wp.float32 and device == "cpu"
+def usable(real: Any, device: str) -> bool:
+    """Return whether a precision and a device have kernels for vector units."""
+    return real is wp.float32 and device == "cpu"
+
+
+def has_stress(law: Law) -> bool:
+    """Return whether there is a stress kernel of a law for vector units."""
+    return law.name.startswith("neo_hookean")
 
 
 class Blocks(NamedTuple):
@@ -70,7 +79,10 @@ def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
 
 @cache
 def make_stress_simd(law: Law, viscous: bool):
-    """Kernel over blocks of sixteen cells: works like `make_stress`, for float32 on a CPU."""
+    """Kernel over blocks of sixteen cells: works like `make_stress`, for float32 on a CPU.
+
+    If the law is viscous, it also raises the maxima like `make_measure_simd`.
+    """
     kind = "viscous" if viscous else "elastic"
     pieces = ["lattice", *(["lattice:rates"] if viscous else []), f"lattice:{kind}"]
     body = f"const int width = {law.width};\n" + code(*pieces, "lattice:stress")
@@ -88,6 +100,8 @@ def make_stress_simd(law: Law, viscous: bool):
         u: Vectors,
         v: Vectors,
         force_out: Vectors,
+        maxima_out: Numbers,
+        stray_out: Ints,
     ):
         """Add the forces of the points of sixteen cells to the nodes."""
 
@@ -117,3 +131,47 @@ def make_measure_simd():
         """Raise the maxima of speed and rate of strain over sixteen cells."""
 
     return lattice_measure_simd
+
+
+@cache
+def make_follow_simd():
+    """Kernel over blocks of sixteen cells: works like `make_follow`, for float32."""
+
+    @native_kernel(
+        "phy124_lattice_follow_simd", code("lattice", "lattice:rates", "lattice:follow"), seconds=1.0
+    )
+    def lattice_follow_simd(
+        full_blocks: int,
+        dx: float,
+        order: Ints,
+        packed: Numbers,
+        rows: Ints,
+        rest: Vectors,
+        u: Vectors,
+        v: Vectors,
+        x_out: Vectors,
+        v_out: Vectors,
+        C_out: Matrices,
+        F_out: Matrices,
+        maxima_out: Numbers,
+        stray_out: Ints,
+    ):
+        """Compute x, v, C and F of the points of sixteen cells."""
+
+    return lattice_follow_simd
+
+
+@cache
+def make_kick_simd():
+    """Kernel over runs of `NODES` nodes: works like `make_kick`, for float32."""
+    return native_kernel("phy124_lattice_kick_simd", code("lattice:kick"), seconds=0.3)(
+        make_kick(wp.float32).func
+    )
+
+
+@cache
+def make_drift_simd():
+    """Kernel over runs of `NODES` nodes: works like `make_drift`, for float32."""
+    return native_kernel("phy124_lattice_drift_simd", code("lattice:drift"), seconds=0.3)(
+        make_drift(wp.float32).func
+    )

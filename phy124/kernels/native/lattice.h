@@ -2,7 +2,7 @@
 // four NEON registers hold the same number of sixteen cells. The forces of a cell's eight points on
 // its 27 nodes are added up before they are written. `order` lists the cells of each block, full
 // cells first. In a full cell the points are a product of two points per axis, so that values and
-// slopes are interpolated along one axis after another.
+// slopes are interpolated along one axis after another. Speeds are measured at the cells' centres.
 // Plain form: `lattice_stress` and `lattice_measure` of lattice/stress.py.
 // Test: tests/test_lattice.py, test_simd_and_plain_stress_agree.
 
@@ -180,6 +180,33 @@ const auto strain_rate = [&](const Lanes* rate, const Lanes* c, Lanes per_J, Lan
             C[3 * i + j] = (sum + rate[3 * i + 2] * c[3 * j + 2]) * scale;
         }
 };
+Lanes fastest = {}, steepest = {}, doubt = {};
+for (int d = 0; d < 3; ++d) {
+    Lanes speed = {};
+    for (int r = 0; r < 9; ++r) {
+        const Lanes* const n = W + 9 * r + d;
+        const float weight = (r % 3 == 1 ? 0.75f : 0.125f) * (r / 3 == 1 ? 0.75f : 0.125f);
+        speed += weight * (0.125f * (n[0] + n[6]) + 0.75f * n[3]);
+    }
+    fastest += speed * speed;
+}
+const auto survey = [&](const Lanes* C, Lanes J) {
+    Lanes rate = {};
+    for (int k = 0; k < 9; ++k) rate += C[k] * C[k];
+    steepest = larger(steepest, rate);
+    doubt += (rate + J) * 0.0f;
+};
+const auto report = [&]() {
+    float* const most = (float*)maxima_out.data;
+    for (int lane = 0; lane < 16; ++lane) {
+        if (!(doubt[lane] == 0.0f)) ((int*)stray_out.data)[0] += 1;
+        const float here[2] = {fastest[lane], steepest[lane]};
+        for (int k = 0; k < 2; ++k) {
+            const float root = __builtin_sqrtf(here[k]);
+            most[k] = root > most[k] ? root : most[k];
+        }
+    }
+};
 
 //: stress
 // log x for x > 0, to 1e-7 near 1: exponent, and the series of artanh for the rest.
@@ -271,14 +298,18 @@ for (int r = 0; r < 9; ++r) {
         to[8] += ((const float*)(m + 8))[k];
     }
 }
+REPORT
 
 //: elastic
 #define ADD_VISCOUS
+#define REPORT
 
 //: viscous
+#define REPORT report();
 #define ADD_VISCOUS { \
     Lanes C[9]; \
     strain_rate(rates[point], c, per_J, C); \
+    survey(C, J); \
     const Lanes inside = J < 0.0f ? Lanes{} : J > 1.0f ? Lanes{} + 1.0f : J; \
     const Lanes eta = scale * inside * parameter(point, 2) * per_J; \
     for (int i = 0; i < 3; ++i) \
@@ -288,29 +319,90 @@ for (int r = 0; r < 9; ++r) {
 }
 
 //: measure
-Lanes fastest = {}, steepest = {}, doubt = {};
 for (int point = 0; point < 8; ++point) {
-    const Weights a = weigh(point);
-    Lanes c[9], C[9], rate = {}, square = {};
-    for (int d = 0; d < 3; ++d) {
-        Lanes speed = {};
-        for (int r = 0; r < 9; ++r) {
-            const Lanes* const n = W + 9 * r + d;
-            const Lanes along = a.w[2][0] * n[0] + a.w[2][1] * n[3] + a.w[2][2] * n[6];
-            speed += a.w[0][r / 3] * a.w[1][r % 3] * along;
-        }
-        square += speed * speed;
-    }
-    fastest = larger(fastest, square);
+    Lanes c[9], C[9];
     const Lanes J = cofactors(F_all[point], c);
     strain_rate(rates[point], c, 1.0f / larger(J, Lanes{} + FLOOR), C);
-    for (int k = 0; k < 9; ++k) rate += C[k] * C[k];
-    steepest = larger(steepest, rate);
-    doubt += (rate + J) * 0.0f;
+    survey(C, J);
 }
-float* const most = (float*)maxima_out.data;
-for (int lane = 0; lane < 16; ++lane) {
-    if (!(doubt[lane] == 0.0f)) ((int*)stray_out.data)[0] += 1;
-    const float here[2] = {__builtin_sqrtf(fastest[lane]), __builtin_sqrtf(steepest[lane])};
-    for (int k = 0; k < 2; ++k) most[k] = here[k] > most[k] ? here[k] : most[k];
+report();
+
+//: follow
+const float* const still = (const float*)rest.data;
+for (int point = 0; point < 8; ++point) {
+    const Weights a = weigh(point);
+    Lanes c[9], C[9], at[3] = {}, speed[3] = {};
+    for (int d = 0; d < 3; ++d)
+        for (int r = 0; r < 9; ++r) {
+            const Lanes across = a.w[0][r / 3] * a.w[1][r % 3];
+            const Lanes* const n = U + 9 * r + d;
+            const Lanes* const m = W + 9 * r + d;
+            at[d] += across * (a.w[2][0] * n[0] + a.w[2][1] * n[3] + a.w[2][2] * n[6]);
+            speed[d] += across * (a.w[2][0] * m[0] + a.w[2][1] * m[3] + a.w[2][2] * m[6]);
+        }
+    const Lanes J = cofactors(F_all[point], c);
+    strain_rate(rates[point], c, 1.0f / larger(J, Lanes{} + FLOOR), C);
+    for (int lane = 0; lane < 16; ++lane) {
+        const long p = 8L * cells[lane] + point;
+        for (int d = 0; d < 3; ++d) {
+            ((float*)x_out.data)[3 * p + d] = still[3 * p + d] + at[d][lane];
+            ((float*)v_out.data)[3 * p + d] = speed[d][lane];
+        }
+        for (int k = 0; k < 9; ++k) {
+            ((float*)C_out.data)[9 * p + k] = C[k][lane];
+            ((float*)F_out.data)[9 * p + k] = F_all[point][k][lane];
+        }
+    }
+}
+
+//: kick
+// Plain form: `kick` of lattice/nodes.py, for one node. Tied nodes get the uniform acceleration,
+// too, but take their velocity from their donors when they drift.
+const long first = start + 256L * thread, last = first + 256 < stop ? first + 256 : stop;
+float* const to = (float*)v_out.data;
+const float* const uniform = (const float*)values.data;
+const float* const one = (const float*)inverse.data;
+const float dt = ((const float*)clock.data)[0];
+const int *const lows = (const int*)low.data, *const highs = (const int*)high.data;
+const auto forces = [&](int w) {
+    return (const float*)pool.data + 3L * (((const int*)begin.data)[w] - lows[w]);
+};
+__builtin_memcpy((float*)before_out.data + 3 * first, to + 3 * first, 12 * (last - first));
+for (long n = first; n < last; ++n)
+    for (int d = 0; d < 3; ++d) to[3 * n + d] += dt * uniform[d];
+for (int w = 0; w < low.shape[0]; ++w) {
+    const float* const force = forces(w);
+    const long a = first > lows[w] ? first : lows[w], b = last < highs[w] ? last : highs[w];
+    for (long n = a; n < b; ++n)
+        for (int d = 0; d < 3; ++d) to[3 * n + d] += dt * one[n] * force[3 * n + d];
+}
+const int* const starts = (const int*)donor_starts.data;
+for (long n = first; n < last; ++n)
+    for (int k = starts[n]; k < starts[n + 1]; ++k) {
+        const long m = ((const int*)donor_nodes.data)[k];
+        const float share = dt * one[n] * ((const float*)donor_weights.data)[k];
+        for (int w = 0; w < low.shape[0]; ++w)
+            if (m >= lows[w] && m < highs[w])
+                for (int d = 0; d < 3; ++d) to[3 * n + d] += share * forces(w)[3 * m + d];
+    }
+
+//: drift
+// Plain form: `drift` of lattice/nodes.py, for one node.
+const long first = start + 256L * thread, last = first + 256 < stop ? first + 256 : stop;
+float *const v = (float*)v_out.data, *const u = (float*)u_out.data;
+float* const residue = (float*)residue_out.data;
+const float dt = ((const float*)clock.data)[1];
+const int* const starts = (const int*)tied_starts.data;
+for (long n = first; n < last; ++n) {
+    if (starts[n + 1] == starts[n]) continue;
+    float sum[3] = {};
+    for (int k = starts[n]; k < starts[n + 1]; ++k)
+        for (int d = 0; d < 3; ++d)
+            sum[d] += ((const float*)tied_weights.data)[k] * v[3L * ((const int*)tied_nodes.data)[k] + d];
+    for (int d = 0; d < 3; ++d) v[3 * n + d] = sum[d];
+}
+for (long k = 3 * first; k < 3 * last; ++k) {
+    const float step = dt * v[k] + residue[k], before = u[k], after = before + step;
+    residue[k] = step - (after - before);
+    u[k] = after;
 }
