@@ -127,12 +127,13 @@ def test_bar_stretched_four_times_comes_back():
         motion=Path(times=(0.0, 0.8), points=((0, 0, 0), (3.0, 0, 0))),
     )
     near = Held(lower=(-1, -1, -1), upper=(0.15, 2, 2), end=1.0)
-    damped = NeoHookean(E=1e5, nu=0.0, density=1000, damping=1500.0)
+    damped = NeoHookean(E=1e5, nu=0.0, density=1000, damping=300.0)
     solver = make(block((1.0, 0.2, 0.2)), damped, boundaries=[near, far])
     solver.advance(0.78)
     longer = np.ptp(solver.state.x.numpy()[:, 0]) - np.ptp(solver.model.rest[:, 0])
     assert longer == pytest.approx(3 * 0.78 / 0.8, abs=0.1)
-    solver.advance(3.0)
+    # As it snaps back it buckles; the bending loses only two thirds of its size per second.
+    solver.advance(20.0)
     F = solver.state.F.numpy()
     stretch = np.linalg.svd(F, compute_uv=False)
     assert np.abs(stretch - 1).max() < 1e-3

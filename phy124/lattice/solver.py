@@ -46,6 +46,12 @@ STRAIN, WAY = 0.2, 0.25
 """Largest strain, and largest way of a point [cells], between two measurements."""
 TRAVEL = 3.0
 """Largest approach of points to walls until all distances are measured again [cells]."""
+VIOLENT = 0.35
+"""Product of rate of strain and substep above which limits are measured before every substep."""
+FORGET = 4
+"""Speed at which an earlier frequency is forgotten, relative to the default solver: the fastest
+vibration of a body is that of a few points which are squeezed for a short time.
+"""
 MEASURE, TRIAL = -1, -2
 """Tasks of workers in addition to phases: measure the motion, compute forces of a trial."""
 
@@ -318,7 +324,8 @@ class LatticeSolver:
             self._measured = self.clock.time
         self._probing, clock = True, self.clock
         measured = clock.extremes._replace(stiffness=self._spectrum.stiffness)
-        clock.limit_by(measured.after(clock.extremes, substeps=clock.since_complete), complete=True)
+        passed = FORGET * clock.since_complete
+        clock.limit_by(measured.after(clock.extremes, substeps=passed), complete=True)
         clock.interval = self._interval()
         if self._travel > TRAVEL * self.model.dx:
             self._look()
@@ -336,7 +343,11 @@ class LatticeSolver:
         extremes, pull = self.clock.extremes, self.rejection.acceleration
         fastest = max(speed, extremes.speed) + self.rejection.wall
         self._travel += elapsed * (fastest + elapsed * pull)
+        # The rate grows while a point is squeezed by the last substep.
+        gradient /= max(0.1, 1 - gradient * self.clock.last_dt)
         self.clock.extremes = extremes._replace(speed=speed, gradient=GENTLE * gradient)
+        if gradient * elapsed > 2 * VIOLENT:
+            self.clock.expire()
 
     def _measure_frequency(self) -> None:
         """Measure the largest frequency, after forces are summed and before they act."""
@@ -365,7 +376,8 @@ class LatticeSolver:
         steps.append(STRAIN / max(clock.extremes.gradient * dt, 1e-9))
         steps.append(WAY * dx / max(speed * dt, 1e-30))
         steps.append(math.sqrt(2 * WAY * dx / max(self.rejection.acceleration, 1e-30)) / dt)
-        return max(MEASURE_EVERY, int(min(steps)))
+        violent = clock.extremes.gradient * dt > GENTLE * VIOLENT
+        return 1 if violent else max(MEASURE_EVERY, int(min(steps)))
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state that `restore` needs to continue bit for bit."""

@@ -98,15 +98,20 @@ class Spectrum:
         """
         square = 0.0
         for _ in range(rounds):
-            gain = 1 / float(np.abs(self._shape.numpy()).max())
-            for index, value in enumerate((gain, share, self._size)):
+            for index, value in enumerate((1 / self._peak(), share, self._size)):
                 self._try.set_param_at_index(index, value)
             self._try.launch()
             self._run_trials()
             self._crew.accelerate(trial=True)
             self._compare.launch()
-            square = _norm(self._shape.numpy()) / _norm(self._mixed.numpy()) / self._size
+            peak = self._peak()
+            longer = peak * _norm(self._shape.numpy() * (1 / peak))
+            square = longer / _norm(self._mixed.numpy()) / self._size
         return square
+
+    def _peak(self) -> float:
+        """Return the largest component of the shape."""
+        return float(np.abs(self._shape.numpy()).max())
 
     def snapshot(self) -> dict[str, Any]:
         """Return the last shape and frequency."""
@@ -119,7 +124,6 @@ class Spectrum:
 
 
 def _norm(values: NDArray[Any]) -> float:
-    """Return the fourth root of the sum of the fourth powers."""
-    largest = np.abs(values).max()
-    squares = np.square(values * (1 / largest))
-    return float(largest) * float(np.vdot(squares, squares)) ** 0.25
+    """Return the fourth root of the sum of the fourth powers, of a largest value near 1."""
+    squares = values * values
+    return float(np.vdot(squares, squares)) ** 0.25

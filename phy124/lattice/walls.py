@@ -306,10 +306,10 @@ class _Contact:
 
     def _count(self) -> None:
         """Pass the number of listed points to the launches."""
-        *one, many = self._launches
-        for launch in one:
+        *passes, account = self._launches
+        for launch in passes:
             launch.set_param_at_index(1, len(self._near))
-        many.set_dim(max(1, len(self._near)))
+        account.set_dim(max(1, len(self._near)))
 
     def _touch(self) -> wp.Launch:
         """Record the launch that finds touching points and applies their previous impulses."""

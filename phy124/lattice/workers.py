@@ -15,7 +15,6 @@ from typing import Any, cast
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice import nodes as node_kernels
@@ -230,20 +229,19 @@ class Crew:
         inputs = [nodes.inverse, self._pool, *self._spans, *self._donors]
         inputs += [tracks.clock, tracks.values, nodes.v, nodes.before]
         plain = node_kernels.make_kick(self._model.real)
-        return self._over_nodes(worker, plain, simd.make_kick_simd, inputs)
+        return self._over_nodes(worker.nodes, plain, simd.make_kick_simd, inputs)
 
     def drift(self, worker: Worker, tracks: Tracks) -> list[Named]:
         """Return the launch that moves a worker's nodes."""
         nodes = self._nodes
         inputs = [*self._tied, tracks.clock, nodes.v, nodes.u, nodes.residue]
         plain = node_kernels.make_drift(self._model.real)
-        return self._over_nodes(worker, plain, simd.make_drift_simd, inputs)
+        return self._over_nodes(worker.nodes, plain, simd.make_drift_simd, inputs)
 
     def _over_nodes(
-        self, worker: Worker, plain: Any, make_simd: Callable[[], Any], inputs: list[Any]
+        self, span: slice, plain: Any, make_simd: Callable[[], Any], inputs: list[Any]
     ) -> list[Named]:
-        """Return a launch over a worker's nodes, of a plain kernel or of its SIMD form."""
-        span = worker.nodes
+        """Return a launch over a span of nodes, of a plain kernel or of its SIMD form."""
         count, kernel = span.stop - span.start, plain
         if self._vectors:
             count, kernel = -(-count // simd.NODES), make_simd()
@@ -278,14 +276,20 @@ class Crew:
 
     def accelerate(self, *, trial: bool = False) -> None:
         """Compute the accelerations `a`, or `trial_a`, of the nodes by the summed forces."""
-        self._accelerate[trial].launch()
+        (self.trial_a if trial else self.a).zero_()
+        for _, launch in self._accelerate[trial]:
+            launch()
 
-    def _record_accelerate(self, *, trial: bool) -> wp.Launch:
-        nodes, pool = self._nodes, self._trial_pool if trial else self._pool
-        inputs = [nodes.inverse, pool, *self._spans, *self._donors]
-        kernel = node_kernels.make_accelerate(self._model.real)
-        out = self.trial_a if trial else self.a
-        return cast("wp.Launch", self._model.launch(kernel, len(out), inputs, [out]))
+    def _record_accelerate(self, *, trial: bool) -> list[Named]:
+        """Return launches that kick resting nodes for one second, without uniform acceleration."""
+        model, pool = self._model, self._trial_pool if trial else self._pool
+        clock, out = model.array([1.0, 1.0, 0.0], model.real), self.trial_a if trial else self.a
+        still = wp.zeros(1, dtype=types(model.real).vec4, device=model.device)
+        inputs = [self._nodes.inverse, pool, *self._spans, *self._donors, clock, still, out]
+        inputs += [wp.zeros_like(out)]
+        plain = node_kernels.make_kick(model.real)
+        every = slice(0, len(out))
+        return self._over_nodes(every, plain, simd.make_kick_simd, inputs)
 
     def compare(self, shape: wp.array, mixed: wp.array) -> tuple[wp.Launch, wp.Launch]:
         """Record the launches that displace the nodes by a shape, and that find the next shape."""
@@ -336,7 +340,7 @@ def kernels(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -> I
     else:
         yield from (node_kernels.make_kick(real), node_kernels.make_drift(real))
         yield point_kernels.make_follow(real)
-    yield from (node_kernels.make_accelerate(real), node_kernels.make_node_totals(real))
+    yield node_kernels.make_node_totals(real)
     yield from (node_kernels.make_try(real), node_kernels.make_compare(real))
     for law, viscous in model_laws:
         if vectors and simd.has_stress(law):

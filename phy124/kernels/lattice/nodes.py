@@ -66,34 +66,6 @@ def make_kick(real: Any):
 
 
 @cache
-def make_accelerate(real: Any):
-    """Kernel over nodes: computes accelerations by the forces of all workers; 0 for tied nodes."""
-    t = types(real)
-
-    @kernel(f"phy124_lattice_accelerate_{real.__name__}", real, seconds=0.3)
-    def accelerate(
-        inverse: t.reals,
-        pool: t.vec3s,
-        low: Ints,
-        high: Ints,
-        begin: Ints,
-        donor_starts: Ints,
-        donor_nodes: Ints,
-        donor_weights: t.reals,
-        a_out: t.vec3s,
-    ):
-        n = wp.tid()
-        a_out[n] = t.vec3()
-        if inverse[n] > real(0.0):
-            force = sum_workers(pool, low, high, begin, n)
-            for k in range(donor_starts[n], donor_starts[n + 1]):
-                force += donor_weights[k] * sum_workers(pool, low, high, begin, donor_nodes[k])
-            a_out[n] = inverse[n] * force
-
-    return accelerate
-
-
-@cache
 def make_try(real: Any):
     """Kernel over nodes: adds accelerations to a shape, and displaces the nodes by the sum.
 

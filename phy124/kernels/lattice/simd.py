@@ -138,7 +138,9 @@ def make_follow_simd():
     """Kernel over blocks of sixteen cells: works like `make_follow`, for float32."""
 
     @native_kernel(
-        "phy124_lattice_follow_simd", code("lattice", "lattice:rates", "lattice:follow"), seconds=1.0
+        "phy124_lattice_follow_simd",
+        code("lattice", "lattice:rates", "lattice:follow"),
+        seconds=1.0,
     )
     def lattice_follow_simd(
         full_blocks: int,

@@ -21,6 +21,10 @@ from phy124.kernels.transfer import Law
 
 SPEED, GRADIENT, MAXIMA = 0, 1, 2
 """Index of each measured maximum, and their number."""
+FLAT = wp.constant(0.05)
+"""Volume ratio below which a point's rate of strain is reduced: a point that is squeezed flat, or
+inverted, would otherwise stop the run.
+"""
 
 
 @cache
@@ -70,20 +74,34 @@ def make_stress(law: Law, real: Any, viscous: bool):
     return lattice_stress
 
 
+@wp.func
+def compression(C: Any):
+    """Return an upper bound of the rate of compression along any direction [1/s].
+
+    With the mean m and the norm q of the deviator of the strain rate, no eigenvalue is below m -
+    sqrt(2/3) q.
+    """
+    D = type(C[0, 0])(0.5) * (C + wp.transpose(C))
+    mean = wp.trace(D) / type(C[0, 0])(3.0)
+    deviator = D - mean * wp.identity(3, dtype=type(C[0, 0]))
+    return wp.sqrt(wp.ddot(deviator, deviator) * type(C[0, 0])(2.0 / 3.0)) - mean
+
+
 @cache
 def make_lattice_measure(real: Any):
-    """Kernel over points: finds the largest speed and rate of strain."""
+    """Kernel over points: finds the largest speed and rate of compression."""
     t = types(real)
 
     @kernel(f"phy124_lattice_measure_{real.__name__}", real, seconds=0.3)
     def lattice_measure(start: int, v, C, F, maxima_out: t.reals, stray_out: Ints):
         p = start + wp.tid()
         fast = wp.dot(v[p], v[p])
-        rate = wp.ddot(C[p], C[p])
+        J = wp.determinant(F[p])
+        rate = compression(C[p]) * safe_volume(J) / wp.max(J, real(FLAT))
         if not wp.isfinite(fast + rate + wp.ddot(F[p], F[p])):
             wp.atomic_add(stray_out, 0, 1)
             return
         wp.atomic_max(maxima_out, SPEED, wp.sqrt(fast))
-        wp.atomic_max(maxima_out, GRADIENT, wp.sqrt(rate))
+        wp.atomic_max(maxima_out, GRADIENT, rate)
 
     return lattice_measure

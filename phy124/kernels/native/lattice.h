@@ -166,6 +166,7 @@ const auto cofactors = [](const Lanes* F, Lanes* c) {
     return F[0] * c[0] + F[1] * c[1] + F[2] * c[2];
 };
 const float FLOOR = 1.0e-4f;  // `safe_volume` of lattice/points.py
+const float FLAT = 0.05f;  // `FLAT` of lattice/stress.py
 
 //: rates
 alignas(64) Lanes W[81], rates[8][9];
@@ -190,9 +191,18 @@ for (int d = 0; d < 3; ++d) {
     }
     fastest += speed * speed;
 }
+const auto root = [](Lanes x) {
+    for (int lane = 0; lane < 16; ++lane) x[lane] = __builtin_sqrtf(x[lane]);
+    return x;
+};
+// Bound of the rate of compression, `compression` of lattice/stress.py.
 const auto survey = [&](const Lanes* C, Lanes J) {
-    Lanes rate = {};
-    for (int k = 0; k < 9; ++k) rate += C[k] * C[k];
+    const Lanes flat = larger(J, Lanes{} + FLOOR) / larger(J, Lanes{} + FLAT);
+    const Lanes mean = (C[0] + C[4] + C[8]) * (1.0f / 3);
+    const Lanes a = C[0] - mean, b = C[4] - mean, c = C[8] - mean;
+    const Lanes d = C[1] + C[3], e = C[2] + C[6], f = C[5] + C[7];
+    const Lanes square = a * a + b * b + c * c + 0.5f * (d * d + e * e + f * f);
+    const Lanes rate = (root(square * (2.0f / 3)) - mean) * flat;
     steepest = larger(steepest, rate);
     doubt += (rate + J) * 0.0f;
 };
@@ -200,11 +210,8 @@ const auto report = [&]() {
     float* const most = (float*)maxima_out.data;
     for (int lane = 0; lane < 16; ++lane) {
         if (!(doubt[lane] == 0.0f)) ((int*)stray_out.data)[0] += 1;
-        const float here[2] = {fastest[lane], steepest[lane]};
-        for (int k = 0; k < 2; ++k) {
-            const float root = __builtin_sqrtf(here[k]);
-            most[k] = root > most[k] ? root : most[k];
-        }
+        const float here[2] = {__builtin_sqrtf(fastest[lane]), steepest[lane]};
+        for (int k = 0; k < 2; ++k) most[k] = here[k] > most[k] ? here[k] : most[k];
     }
 };
 
