@@ -35,6 +35,9 @@ BUFFERS = (
     '<Internal><SocketReceiveBufferSize max="4MB"/>'
     "<HeartbeatInterval>10 ms</HeartbeatInterval></Internal>"
 )
+# Cyclone DDS 11 rejects type objects of Fast DDS (vendor 1.15), and then does not connect with it.
+# Without them types are matched by name. Cyclone DDS 0.10, that of Jazzy, lacks this setting.
+FAST_DDS = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
 LOOPBACK = '<NetworkInterface address="127.0.0.1" multicast="false"/>'
 # ROS 2 nodes announce themselves on the default interface, and may not listen on loopback.
 INTERFACES = f'<Interfaces>{LOOPBACK}<NetworkInterface autodetermine="true"/></Interfaces>'
@@ -85,15 +88,15 @@ class Discovery:
     def configurations(self) -> tuple[str, ...]:
         """Return Cyclone's XML, then XML to try if loopback is the only network interface."""
         if self.range == "SYSTEM_DEFAULT":
-            return (_xml(BUFFERS),)
+            return (_xml(FAST_DDS),)
         if self.range == "OFF":
             # With a unique tag, no participant of another process answers.
             alone = f"<ParticipantIndex>none</ParticipantIndex><Tag>phy124_{os.getpid()}</Tag>"
-            return (_xml(self._general(NO_MULTICAST) + self._discovery(alone)),)
+            return (_xml(self._general(NO_MULTICAST) + self._discovery(alone) + FAST_DDS),)
         if self.network:
-            return (_xml(self._discovery(INDEX, *self.peers)),)
+            return (_xml(self._discovery(INDEX, *self.peers) + FAST_DDS),)
         multicast = ON_THIS_MACHINE if self.range == "SUBNET" else NO_MULTICAST
-        discovery = self._discovery(INDEX, "localhost", *self.peers)
+        discovery = self._discovery(INDEX, "localhost", *self.peers) + FAST_DDS
         return (
             _xml(self._general(INTERFACES + multicast) + discovery),
             _xml(self._general(multicast) + discovery),
@@ -162,13 +165,12 @@ def tuned_cyclone() -> Iterator[None]:
     if URI in os.environ:
         yield
         return
-    os.environ[URI] = _xml(BUFFERS)
+    os.environ[URI] = _xml()
     try:
         yield
     finally:
         del os.environ[URI]
 
 
-def _xml(inner: str) -> str:
-    settings = inner if BUFFERS in inner else inner + BUFFERS
-    return f'<CycloneDDS><Domain id="any">{settings}</Domain></CycloneDDS>'
+def _xml(settings: str = "") -> str:
+    return f'<CycloneDDS><Domain id="any">{settings}{BUFFERS}</Domain></CycloneDDS>'

@@ -1,13 +1,14 @@
 """Who hears the DDS sink: ROS 2's environment variables, and stock peers in a private network."""
 
 import json
+import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
 
 import pytest
 
-from bridge.discovery import Discovery
+from bridge.discovery import Discovery, tuned_cyclone
 from phy124.errors import InputError
 from support import private_network
 
@@ -131,3 +132,13 @@ def test_stock_peers_hear_us(network, reach, heard):
     )
     found = {line["peer"]: line["frames"] for line in map(json.loads, run.stdout.splitlines())}
     assert found == dict.fromkeys(heard, 4)
+
+
+def test_type_objects_of_fast_dds_are_ignored_only_without_ros(monkeypatch):
+    """Cyclone DDS 0.10, which rclpy of Jazzy loads, does not start with a setting it lacks."""
+    for reach in ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"):
+        for text in discovery(monkeypatch, AUTOMATIC_DISCOVERY_RANGE=reach).configurations():
+            assert ET.fromstring(text).find(".//IgnoreTypeInformation").text == "1.15"
+    monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
+    with tuned_cyclone():
+        assert "IgnoreTypeInformation" not in os.environ["CYCLONEDDS_URI"]
