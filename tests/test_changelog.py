@@ -31,7 +31,6 @@ def test_newest_release_is_the_version():
     [
         ("CITATION.cff", r"^version: (\S+)$"),
         ("bridge/package.xml", r"<version>(.*)</version>"),
-        ("bridge/setup.py", r'version="(.*)"'),
         ("CONTRIBUTING.md", r"(?:Version |\bv)(\d+\.\d+\.\d+)"),
     ],
 )
