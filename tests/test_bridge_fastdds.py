@@ -1,7 +1,7 @@
 """The DDS backend with Fast DDS, the default middleware of ROS 2, in a process of its own.
 
-`sudo tests/lts.sh fastdds` builds the peer in a chroot of Debian sid and runs these tests. Its types
-are compiled from IDL, and its quality of service is ROS's default.
+`sudo tests/lts.sh fastdds` builds the peer in a chroot of Debian sid and runs these tests. Its
+types are compiled from IDL, and its quality of service is ROS's default.
 """
 
 import itertools
