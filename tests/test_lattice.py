@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from phy124.boundaries import Ground, Held
+from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.boundaries.motion import Path
 from phy124.errors import InputError
 from phy124.forces import Gravity, TotalForce, Wind
@@ -156,6 +156,20 @@ def test_block_on_a_slope_obeys_friction(friction):
     expected = max(slides, 0.0) if friction < math.tan(angle) else 0.0
     assert gained / 36 / g == pytest.approx(expected, abs=2e-3)
     assert solver.state.x.numpy()[:, 2].min() > 0.015
+
+
+@pytest.mark.parametrize("contact", ["separate", "sticky", "slip"])
+def test_undamped_block_stands_still_at_a_wall(contact):
+    """Gravity acts at once; a slip wall holds the block against it."""
+    up = -1.0 if contact == "slip" else 1.0
+    floor = HalfSpace(contact=contact)
+    solver = make(block((0.6, 0.6, 0.6)), forces=[Gravity(g=(0, 0, -9.0 * up))], boundaries=[floor])
+    solver.advance(2.0)
+    bottom = solver.model.rest[:, 2] < DX
+    moved = (solver.state.x.numpy() - solver.model.rest)[bottom].mean(axis=0)
+    assert abs(moved[2]) < 0.2 * DX
+    assert contact == "slip" or np.abs(moved[:2]).max() < 0.03 * DX
+    assert np.abs(solver.state.v.numpy()).max() < 0.4
 
 
 def test_elastica_bends_right_at_two_cells():

@@ -25,7 +25,7 @@ from phy124.kernels.lattice.contact import (
     make_resist,
     make_touch,
 )
-from phy124.kernels.lattice.nodes import make_hold, make_pin
+from phy124.kernels.lattice.nodes import make_hold, make_pin, make_pin_again
 from phy124.lattice.rest import RestLattice, splines
 from phy124.lattice.surface import Surface
 from phy124.mpm.model import Model
@@ -38,7 +38,15 @@ STEP = 0.5
 """Step by which the distance grows within which points are listed [cells]."""
 HELD = 0.5
 """Distance from a clamp's surface up to which a node moves against its free neighbour, so that the
-motion vanishes at the surface [cells]; nodes farther inside do not move.
+motion vanishes there [cells]; nodes farther inside do not move.
+"""
+INSET = 0.2
+"""Depth inside a clamp at which the motion is made to vanish [cells]. A B-spline that vanishes at a
+surface is also flat there, so that a plate held at the surface is too short by about as much.
+"""
+RESTORE = 0.1
+"""Part of their depth by which points come out of a wall in a substep, relative to the square of
+the slowest angular frequency of a body that stands on the wall, pi c / 2 H, in substeps of dx / c.
 """
 STILL = Track(((0.0, (0.0, 0.0, 0.0)),))
 """The track of a wall that never moves."""
@@ -105,7 +113,7 @@ class Walls:
         """Impulse, work and moment of each simple wall [W,16] (phy124/kernels/lattice/contact.py).
         """
         self._dx, self._listed = model.dx, 0
-        points = _Points.of(surface, model)
+        points = _Points.of(surface, lattice, model)
         self._clamps, self._contacts = [], []
         for number, (holds, part) in enumerate(simple):
             sums = cast("wp.array", self.sums[number])
@@ -125,9 +133,14 @@ class Walls:
         sum impulse and work.
         """
         clamps = [("clamp", launch) for clamp in self._clamps for launch in clamp.record()]
+        again = [("clamp", clamp.record_again()) for clamp in self._clamps if self._contacts]
         stages = [contact.record() for contact in self._contacts]
-        ordered = [stage for order in zip(*stages, strict=True) for stage in order]
-        return [*launches(clamps), *(("contact", stage) for stage in ordered)]
+        touch, resist, account = (
+            ([("contact", stage) for stage in order] for order in zip(*stages, strict=True))
+            if stages
+            else ([], [], [])
+        )
+        return [*launches(clamps), *touch, *resist, *launches(again), *account]
 
     def look(self) -> None:
         """Measure the distances of all surface points from the walls."""
@@ -174,13 +187,18 @@ class _Points:
     nodes: wp.array
     weights: wp.array
     rest: wp.array
+    restore: float
+    """Part of their depth by which points come out of a wall in a substep."""
 
     @classmethod
-    def of(cls, surface: Surface, model: Model) -> _Points:
+    def of(cls, surface: Surface, lattice: RestLattice, model: Model) -> _Points:
         """Copy the points to the device."""
+        across = int(np.ptp(lattice.index, axis=0).max()) - 1
         nodes = wp.array(surface.nodes, dtype=int, device=model.device)
         weights = model.array(surface.weights, model.real)
-        return cls(surface.count, nodes, weights, model.array(surface.x, types(model.real).vec3))
+        rest = model.array(surface.x, types(model.real).vec3)
+        restore = RESTORE * (math.pi / 2 / across) ** 2
+        return cls(surface.count, nodes, weights, rest, restore)
 
 
 class _Clamp:
@@ -205,6 +223,7 @@ class _Clamp:
         self._model, self._nodes, self._tracks, self._sums = model, nodes, tracks, sums
         self._slot = tracks.add(part.track(model) or STILL)
         far = distances(part, model, lattice.x)
+        far[:, 3] += INSET * model.dx
         held = np.flatnonzero(far[:, 3] < -HELD * model.dx)
         self._held = wp.array(held.astype(np.int32), dtype=int, device=model.device)
         pairs, ratios = _pins(lattice, far)
@@ -223,6 +242,13 @@ class _Clamp:
             model.launch(make_hold(model.real), len(self._held), held, outputs),
             model.launch(make_pin(model.real), len(self._pairs), pinned, outputs),
         ]
+
+    def record_again(self) -> wp.Launch | None:
+        """Record the launch after contact: held nodes next to the surface follow their partners."""
+        tracks = self._tracks
+        inputs = [self._pairs, self._ratios, self._slot, tracks.values, tracks.rates]
+        kernel = make_pin_again(self._model.real)
+        return self._model.launch(kernel, len(self._pairs), inputs, [self._nodes.v])
 
 
 def _pins(
@@ -326,8 +352,8 @@ class _Contact:
         """Record the launch that corrects the impulses."""
         model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
         inputs = [
-            self._list, 0, self._part.friction, self._slot, points.nodes, points.weights,
-            nodes.movable, self._gap, self._yields, tracks.clock, tracks.rates,
+            self._list, 0, points.restore, self._part.friction, self._slot, points.nodes,
+            points.weights, nodes.movable, self._gap, self._yields, tracks.clock, tracks.rates,
         ]  # fmt: skip
         kernel = make_resist(self._part.response(), self._moving, model.real)
         return cast("wp.Launch", model.launch(kernel, 1, inputs, [nodes.v, self.force]))
@@ -357,7 +383,8 @@ def kernels(boundaries: Sequence[Boundary], real: Any) -> Iterator[Any]:
     for boundary in boundaries:
         for part in boundary.parts():
             if boundary.holds:
-                yield from (make_hold(real), make_pin(real), make_distances(part.outline(), real))
+                yield from (make_hold(real), make_pin(real), make_pin_again(real))
+                yield make_distances(part.outline(), real)
             else:
                 yield make_account(real)
                 yield make_reach(part.outline(), part.tracked, real)

@@ -1,9 +1,17 @@
 """Contact of surface points with a wall, by impulses on the nodes.
 
-A point at signed distance g from the wall must not approach it faster than g / dt, or leaves it at
-`RESTORE` times its depth / dt. Impulses of the last substep are applied first; then one pass of
-projected Gauss-Seidel corrects them (friction in Coulomb's cone). An impulse J changes the
-velocities of a point's nodes by w_i J / m_i, and so its own velocity by (sum w_i^2 / m_i) J.
+A point at signed distance g from the wall must not approach it faster than g / dt. While a wall
+presses a point, the point moves away at -restore g / dt. Impulses of the last substep are applied
+first; then projected Gauss-Seidel corrects them (friction in Coulomb's cone), forwards and back. An
+impulse J changes the velocities of a point's nodes by w_i J / m_i, and so its own velocity by
+(sum w_i^2 / m_i) J.
+
+Contact then neither creates nor keeps vibrations. Forwards and back, the pass over all points is a
+symmetric positive operator E on velocities. With C = E^-1 - 1, the remembered impulses are those of
+springs C / dt^2 that are integrated implicitly: (1 + C) v' = v - (K + C) x, which is stable for
+every stiffness K that is stable without walls. A single pass, which is not symmetric, feeds
+vibrations. `restore` is an integral gain, which would feed the body's slowest vibration, of angular
+frequency omega, if it were larger than (omega dt)^2.
 
 The result of Gauss-Seidel depends on the order of points, so each of its kernels is one thread.
 """
@@ -19,15 +27,12 @@ from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.work import GIVEN, add_given
 
-RESTORE = wp.constant(0.1)
-"""Fraction of the depth that a contact removes in a substep."""
 NODES = 27
 """Largest number of nodes of a surface point."""
 MOMENT, SUMS = GIVEN, 16
 """Index of the moment of all impulses about the origin [N m s], and numbers reserved for each wall.
 The first `GIVEN` sums are those of phy124/kernels/work.py.
 """
-RESPONSES = ("separate", "slip", "sticky")
 
 
 @wp.func
@@ -139,7 +144,7 @@ def make_touch(shape: str, moving: bool, real: Any):
 
 @cache
 def make_resist(response: str, moving: bool, real: Any):
-    """Kernel of one thread: one pass of projected Gauss-Seidel over the points near a wall.
+    """Kernel of one thread: projected Gauss-Seidel over the points near a wall, forwards and back.
 
     Args:
         response: separate (may leave, with friction), slip (stays without friction) or sticky.
@@ -156,6 +161,7 @@ def make_resist(response: str, moving: bool, real: Any):
     def resist(
         near: Ints,
         count,
+        restore: real,
         friction,
         slot,
         nodes: wp.array2d(dtype=int),
@@ -172,7 +178,10 @@ def make_resist(response: str, moving: bool, real: Any):
         if wp.static(moving):
             wall = wp.vector(rates[slot][0], rates[slot][1], rates[slot][2])
         zero = real(0.0)
-        for a in range(count):
+        for b in range(2 * count):
+            a = b
+            if b >= count:
+                a = 2 * count - 1 - b
             s = near[a]
             g = gap[s]
             if not wp.isinf(g[3]) and yields[s] > zero and clock[0] > zero:
@@ -180,11 +189,11 @@ def make_resist(response: str, moving: bool, real: Any):
                 relative = moved_by(v_out, nodes, weights, s) - wall
                 last = clock[0] * force_out[s]
                 bias = g[3] / clock[1]
-                if bias < zero:
-                    bias = real(RESTORE) * bias
                 speed = wp.dot(relative, n)
                 along = relative - speed * n
                 pressed = wp.dot(last, n)
+                if bias < zero or pressed != zero:
+                    bias = restore * bias
                 dragged = last - pressed * n
                 press = pressed - (speed + bias) / yields[s]
                 drag = dragged - along / yields[s]
