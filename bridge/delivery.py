@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 LONGEST_WAIT = 1.0
 """Longest time that a frame waits before it displaces an unacknowledged frame [s]."""
@@ -20,6 +20,18 @@ IN_BUFFERS = 1 << 20
 """Unacknowledged data that is assumed to have arrived [bytes]: acknowledgements may take 100 ms
 (Cyclone's heartbeat), and this much fits into the default buffers of a subscriber."""
 log = logging.getLogger(__name__)
+
+
+def wait_for_topics(acknowledged: Callable[[str, float], bool], topics: Iterable[str]) -> None:
+    """Wait for up to `FAREWELL` in total until the last messages of all topics have arrived.
+
+    Args:
+        acknowledged: Waits for a topic for up to this number of seconds.
+        topics: Names of the topics.
+    """
+    until = time.monotonic() + FAREWELL
+    for topic in topics:
+        acknowledged(topic, max(until - time.monotonic(), 0.0))
 
 
 class Delivery:

@@ -100,6 +100,15 @@ def test_two_processes(domain):
     check_every_frame_arrives(domain, frames=15, count=8192, lateness=TIMEOUT)
 
 
+def test_the_end_waits_for_all_topics(domain):
+    asked = []
+    with DdsSink() as sink:
+        sink._acknowledged_on = lambda topic, seconds: bool(asked.append(topic)) or True
+    assert {*asked} == {topic.name for topic in sink._encoder.topics} | {
+        topic.name for topic in (*sink._reports.topics, DISCOVERY)
+    }
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("attempt", range(3))
 def test_sixty_of_sixty_frames_of_the_live_defaults_at_30_hz(domain, attempt):

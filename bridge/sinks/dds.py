@@ -19,7 +19,7 @@ from phy124.gaussians import Frame
 from phy124.runtime.installation import install_command
 
 from ..cdr import ENCAPSULATION, encode
-from ..delivery import Delivery
+from ..delivery import Delivery, wait_for_topics
 from ..discovery import URI, Discovery
 from ..encoder import FrameEncoder
 from ..messages import HASHES
@@ -100,6 +100,8 @@ class DdsSink:
         """Wait until subscribers have received the last frames, then leave the domain."""
         try:
             self._delivery.farewell()
+            # In a short run, they may be acknowledged later than the frames.
+            wait_for_topics(self._acknowledged_on, self._writers)
         finally:
             # DDS entities are deleted with their last reference; children must go before parents.
             self._writers.clear()
@@ -160,8 +162,11 @@ class DdsSink:
         return len(self._writers[self._encoder.main.name].get_matched_subscriptions())
 
     def _wait_acknowledged(self, seconds: float) -> bool:
+        return self._acknowledged_on(self._encoder.main.name, seconds)
+
+    def _acknowledged_on(self, topic: str, seconds: float) -> bool:
         try:
-            return self._writers[self._encoder.main.name].wait_for_acks(int(seconds * 1e9))
+            return self._writers[topic].wait_for_acks(int(seconds * 1e9))
         except AttributeError:
             # At a timeout, cyclonedds 11.0.1 raises a NameError instead of returning False.
             return False

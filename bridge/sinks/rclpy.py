@@ -19,7 +19,7 @@ from typing import Any
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 
-from ..delivery import FAREWELL, Delivery
+from ..delivery import Delivery, wait_for_topics
 from ..encoder import FrameEncoder
 from ..options import Options, live_points
 from ..parameters import RUNNING, Parameter, Running, declare
@@ -27,7 +27,7 @@ from ..reports import Audience, Reports
 from ..ros_node import ros_node
 from ..services import Services, offer_standard
 from ..sink import Obey, Playback
-from ..topics import COMMAND, NAMESPACE, TF_STATIC, Controls, Hear, Message, Topic
+from ..topics import COMMAND, NAMESPACE, Controls, Hear, Message, Topic
 
 
 class RclpySink:
@@ -221,9 +221,8 @@ class RclpySink:
         """Wait for the last frames, unless ROS has already been shut down."""
         if self._node.context.ok():
             self._delivery.farewell()
-            if TF_STATIC.name in self._publishers:
-                # In a short run, it may be acknowledged later than the frames.
-                self._acknowledged_on(TF_STATIC.name, FAREWELL)
+            # In a short run, they may be acknowledged later than the frames.
+            wait_for_topics(self._acknowledged_on, self._publishers)
 
     def _audience(self) -> Audience:
         publisher = self._publishers[self._encoder.main.name]
