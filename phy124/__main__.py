@@ -19,12 +19,13 @@ import sys
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from functools import partial
 from typing import Any
 
 from phy124 import __version__
 from phy124.runtime.failures import failure
+from phy124.runtime.light_imports import import_lightly
 from phy124.runtime.memory import refuse_narrow
 from phy124.runtime.signals import handling, interrupt
 from phy124.runtime.streams import steady_streams
@@ -113,6 +114,8 @@ def _parse(arguments: list[str]) -> Any:
         commands = outline()
     else:
         refuse_narrow()  # before a command's module imports NumPy
+        with suppress(ImportError):  # another version of tyro may not need it
+            import_lightly("typeguard")
         commands = COMMANDS
     command = parse(arguments, commands, program="phy124", description=__doc__)
     from phy124.commands.kinds import refuse_other_kind

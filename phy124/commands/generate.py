@@ -31,6 +31,7 @@ from phy124.particles.thinning import check_count
 from phy124.pipeline.capture import Capture, adapt_scene, capture
 from phy124.rendering.compose import compose, photograph_of
 from phy124.runtime.context import RunContext
+from phy124.runtime.light_imports import SCIPY, import_lightly
 from phy124.scene import Scene
 from phy124.weights.store import search_first
 
@@ -68,6 +69,7 @@ class Generate:
         return self._run()
 
     def _run(self) -> int:
+        import_lightly(*SCIPY)
         scene = self.options.resolve()
         pipeline.check_sources(scene, self.more)
         out = self.out or default_out(str(self.image), self.options.scene)
@@ -201,6 +203,7 @@ class Simulate:
 
     def run(self) -> int:
         """Simulate the object; print files and durations."""
+        import_lightly(*SCIPY)
         scene = self.options.resolve()
         pipeline.check_sources(scene, self.more)
         out = self.out or default_out(str(self.file), self.options.scene)

@@ -27,7 +27,7 @@ FRAMES = 32
 """Number of frames that are packed together."""
 FAST = 1 << 20
 """Number of values above which arrays are compressed at the fast level."""
-LEVELS = 15, 1
+LEVELS = 9, 1
 """Levels of compression for small and for large arrays."""
 BITS = 10
 """Cells of the Hilbert curve along each axis, as a power of two."""
