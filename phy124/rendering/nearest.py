@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,12 @@ class Sample:
     @classmethod
     def of(cls, clip: Clip) -> Sample:
         """Sample the Gaussians of a clip's object, without its scenery."""
+        if clip not in _samples:
+            _samples[clip] = cls._of(clip)
+        return _samples[clip]
+
+    @classmethod
+    def _of(cls, clip: Clip) -> Sample:
         visible = np.flatnonzero(clip.object_mask & (clip.opacities >= VISIBLE))
         chosen = visible if len(visible) else np.flatnonzero(clip.object_mask)
         chosen = chosen[:: 1 + len(chosen) // SAMPLE]
@@ -107,6 +114,10 @@ class Sample:
         """Return the object's corners in each frame [T,3], [T,3], without outermost Gaussians."""
         low, high = np.quantile(means, [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         return low, high
+
+
+_samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
+"""The sample of each clip in use: all sides of a view place their cameras by it."""
 
 
 @dataclass(frozen=True)
