@@ -71,14 +71,14 @@ def _stand_ins() -> Iterator[None]:
 @contextmanager
 def _plain_docs(names: list[str]) -> Iterator[None]:
     """Within this context, SciPy leaves docstrings as they are."""
-    docs = None
+    docs: Any = None
     if any(name.startswith("scipy") for name in names):
         with suppress(ImportError):
             docs = import_module("scipy._lib._docscrape")
-    usual = getattr(docs, "FunctionDoc", None)
-    if docs is None or usual is None:
+    if docs is None:
         yield
         return
+    usual = docs.FunctionDoc
     docs.FunctionDoc = PlainDocs
     try:
         yield

@@ -1,0 +1,48 @@
+"""phy124.runtime.light_imports: without the parts that only documentation and tests need."""
+
+import subprocess
+import sys
+
+UNUSED = ["numpy.f2py", "numpy.testing", "unittest.mock", "asyncio", "ssl"]
+
+
+def imported_after(code: str) -> list[str]:
+    """Return the modules of `UNUSED` that a program has imported."""
+    last = f"import sys; print(*(name for name in {UNUSED} if name in sys.modules))"
+    program = f"{code}\n{last}"
+    words = [sys.executable, "-c", program]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+def test_scipy_is_imported_without_test_helpers() -> None:
+    """SciPy works, and NumPy's unused modules can still be imported later."""
+    code = (
+        "import numpy as np\n"
+        "from phy124.runtime.light_imports import SCIPY, import_lightly\n"
+        "import_lightly(*SCIPY)\n"
+        "import scipy\n"
+        "assert 'Gaussian' in scipy.ndimage.gaussian_filter.__doc__\n"
+        "assert scipy.ndimage.label(np.eye(3))[1] == 3\n"
+    )
+    assert imported_after(code) == []
+    later = "np.testing.assert_allclose(1, 1)\nimport numpy.f2py\nassert numpy.f2py.run_main\n"
+    assert "numpy.f2py" in imported_after(code + later)
+
+
+def test_parser_is_imported_without_event_loop() -> None:
+    """Typeguard checks values as usual, and unittest.mock can still be imported later."""
+    code = (
+        "from phy124.runtime.light_imports import import_lightly\n"
+        "import_lightly('typeguard')\n"
+        "import typeguard\n"
+        "typeguard.check_type((1, 2), tuple[int, ...])\n"
+        "try:\n    typeguard.check_type(('a',), tuple[int, ...])\n"
+        "except typeguard.TypeCheckError:\n    pass\n"
+        "else:\n    raise SystemExit('not checked')\n"
+    )
+    assert imported_after(code) == []
+    assert "unittest.mock" in imported_after(
+        code + "from unittest.mock import Mock, patch\nMock()\n"
+    )
