@@ -91,7 +91,7 @@ class Growing:
             files.unlock(self._held)
             raise
         self.arrays = {
-            name: np.asarray(np.memmap(path, CODES[array.code], "r", array.offset, array.shape))
+            name: np.memmap(path, CODES[array.code], "r", array.offset, array.shape)
             for name, array in self.tensors.items()
             if array.size
         }
@@ -144,11 +144,12 @@ class Growing:
                 raise Unlike(f"{name} of frame {index} is {array.dtype} {array.shape}")
             self._write(array, tensor.offset + index * array.nbytes)
         gaussians = replace(
-            frame.gaussians, **{n: self.arrays[n][index] for n in SHAPES if n in self.arrays}
+            frame.gaussians, **{n: self._row(n, index) for n in SHAPES if n in self.arrays}
         )
         optional = {name: self._row(name, index) for name in ("velocities", "contacts")}
-        x, F = self._row("carried_x", index), self._row("carried_F", index)
-        carried = None if x is None or F is None else (x, F)
+        carried = None
+        if "carried_x" in self.arrays:
+            carried = self.arrays["carried_x"][index], self.arrays["carried_F"][index]
         kept = replace(frame, gaussians=gaussians, carried=carried, **optional)
         return kept, self._row("rotations", index)
 
@@ -231,7 +232,7 @@ class Growing:
         return max(tensor.offset + tensor.size for tensor in self.tensors.values())
 
     def _row(self, name: str, index: int) -> NDArray | None:
-        return self.arrays[name][index] if name in self.arrays else None
+        return np.asarray(self.arrays[name][index]) if name in self.arrays else None
 
     def _header(self, clip: Clip, first: int) -> bytes:
         """Return a safetensors header for tensors that begin at byte `first`."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, Particles
 from phy124.motion.recorded import Motion
+from phy124.runtime.memory import release
 
 STEP_X = 2e-5
 """Largest step of the stored positions of particles, relative to the object's size."""
@@ -54,7 +55,9 @@ def pack(motion: Motion) -> tuple[Tensors, dict[str, Any]]:
     for name, rows in (("x", motion.x), ("F", motion.F)):
         base, chunks = _base(name, rest), []
         for start in range(0, len(rows), FRAMES):
-            values = np.stack([rows[i] for i in range(start, min(start + FRAMES, len(rows)))])
+            part = [rows[i] for i in range(start, min(start + FRAMES, len(rows)))]
+            values = np.stack(part)
+            release(part[0])
             whole = np.rint((values.reshape(len(values), len(rest), -1) - base) / steps[name])
             if not (np.abs(whole) < 2**30).all():
                 raise OverflowError(f"{name} is too large for the steps of a clip")

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from phy124.gaussians import Array, Gaussians, Particles, rotate_sh
 from phy124.motion.scenery import Scenery
 from phy124.runtime.cores import cores
+from phy124.runtime.memory import release
 
 if TYPE_CHECKING:
     from phy124.motion.deform import Binding, Deformer
@@ -186,7 +187,9 @@ class Recorded:
         every = max(16, int(self.count * STATE * len(motion.times) / STATES) + 1)
         if index and index % every == 0 and index not in self._states:
             self._states[index] = deformer.snapshot()
-        self._x[motion.carriers], self._F[motion.carriers] = motion.x[index], motion.F[index]
+        for array, rows in ((self._x, motion.x), (self._F, motion.F)):
+            array[motion.carriers] = row = rows[index]
+            release(row)
         time = float(motion.times[index])
         frame = deformer(self._x, self._F, index=index, time=time, colours=False)
         rotations = deformer.rotations

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import mmap
 import os
 from pathlib import Path
+from typing import Any
 
 from phy124.runtime.cgroups import memory_left
 
@@ -12,6 +14,16 @@ try:
     import resource
 except ImportError:  # Windows
     resource = None
+
+
+def release(array: object) -> None:
+    """Let the system take back the memory of a memory-mapped array that was read.
+
+    Otherwise a long run that reads all its frames from disk seems to need memory for all of them.
+    """
+    mapped: Any = getattr(array, "_mmap", None)
+    if hasattr(mapped, "madvise") and hasattr(mmap, "MADV_DONTNEED"):
+        mapped.madvise(mmap.MADV_DONTNEED)
 
 
 def free_memory(device: str = "cpu") -> float:
