@@ -9,6 +9,7 @@ import pytest
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.io import content
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.content import MAX_GAUSSIANS
 from phy124.io.formats import (
@@ -18,6 +19,7 @@ from phy124.io.formats import (
     read_as_is,
     read_gaussians,
     recognise,
+    splat,
     spz,
     write_gaussians,
     written_formats,
@@ -206,6 +208,15 @@ def test_bombs_are_refused_before_they_unfold(tmp_path, count, words):
     (tmp_path / "a.spz").write_bytes(bomb(count))
     with pytest.raises(InputError, match=words):
         read_gaussians(tmp_path / "a.spz")
+
+
+def test_file_larger_than_the_memory_is_refused(tmp_path, three_gaussians, monkeypatch):
+    (tmp_path / "a.splat").write_bytes(splat.encode(three_gaussians))
+    write_ply(tmp_path / "a.ply", three_gaussians)
+    monkeypatch.setattr(content, "free_memory", lambda: 700.0)
+    for name in ("a.splat", "a.ply"):
+        with pytest.raises(InputError, match="its 3 Gaussians needs about 0.0 GB of memory"):
+            read_gaussians(tmp_path / name)
 
 
 def test_unknown_formats_and_folders_are_refused(tmp_path, three_gaussians):

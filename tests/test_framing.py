@@ -9,8 +9,9 @@ import pytest
 from phy124.commands.options import SceneOptions, ViewOptions
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.pipeline.capture import capture
+from phy124.rendering import nearest
 from phy124.rendering.framing import cameras, departures, describe_framing
-from phy124.rendering.nearest import CLOSE, DEPTHS, ROOM
+from phy124.rendering.nearest import CLOSE, DEPTHS, ROOM, Sample
 from phy124.scene import Scene, View
 from phy124.simulation import Simulation, prepare
 from support.clips import AWAY, flight
@@ -44,6 +45,14 @@ def test_only_what_moves_is_followed():
     moved = means[:, 1::2].mean(axis=1)
     targets = np.array([camera.target for camera in cameras(clip, view(follow=True), "front")])
     assert np.allclose(targets - targets[0], moved - moved[0], atol=1e-6)
+
+
+def test_long_clips_have_smaller_samples(monkeypatch):
+    clip = flight(AWAY)
+    count = Sample.of(clip).means.shape[1]
+    monkeypatch.setattr(nearest, "MOST_VALUES", len(clip) * count // 2)
+    monkeypatch.setattr(nearest, "FEWEST", 2)
+    assert 2 < Sample.of(clip).means.shape[1] <= count // 2
 
 
 @pytest.mark.parametrize("size", [(200, 200), (300, 200), (200, 300), (100, 800)])

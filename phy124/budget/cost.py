@@ -41,9 +41,9 @@ BYTES_PER_PARTICLE = 400
 BYTES_PER_NODE = 32
 BYTES_PER_GAUSSIAN = 40
 """Memory of one Gaussian in one frame of the clip [bytes]."""
-AT_REST = 2000
-"""Memory of a Gaussian while it is read, bound, deformed and drawn [bytes]."""
-HELD = 512e6
+AT_REST = 450
+"""Memory of a Gaussian while it is bound, deformed and drawn [bytes]; docs/lab/sizes.md has it."""
+HELD = 256e6
 """Size of the frames of a run that are held [bytes]; longer runs compute them again when read."""
 BYTES_PER_SHAPE = 250
 """Memory of one Gaussian on the device that deforms the Gaussians [bytes]."""

@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import SH_COEFFICIENTS, Gaussians
 from phy124.io.opening import obstacle
+from phy124.runtime.memory import free_memory
 
-MAX_GAUSSIANS = 10_000_000
+MAX_GAUSSIANS = 50_000_000
 """Largest number of Gaussians in a file; larger files are refused before they are read."""
+READING = 250
+"""Memory of a Gaussian while a file is read [bytes]."""
 DENSEST = 100
 """Largest ratio of unpacked to compressed bytes: files of real objects reach 10, zip bombs 1000."""
 SMALL = 1 << 22
@@ -119,16 +122,31 @@ def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
         size: Size of the file [bytes].
 
     Raises:
-        InputError: If `count` is below 1, above the limit, or too large for the file's size.
+        InputError: If `count` is below 1, above the limit, or too large for the file's size or
+            for the free memory.
     """
     if count < 1:
         raise refusal(kind, path, "it holds no Gaussians.", "Export it again with Gaussians.")
-    if count > MAX_GAUSSIANS:
-        limit = f"its header states {count:,} Gaussians; the limit is {MAX_GAUSSIANS:,}."
-        raise refusal(kind, path, limit, "Reduce it in a splat editor, for example SuperSplat.")
+    check_size(kind, path, count)
     if count * row > SMALL + DENSEST * size:
         limit = f"its header states {count:,} Gaussians, more than fit in {size:,} bytes."
         raise refusal(kind, path, limit)
+
+
+def check_size(kind: str, path: Path, count: int) -> None:
+    """Refuse more Gaussians than a file may have, or than fit into the free memory.
+
+    Raises:
+        InputError: If there are too many.
+    """
+    remedy = "Reduce it in a splat editor, for example SuperSplat."
+    if count > MAX_GAUSSIANS:
+        limit = f"its header states {count:,} Gaussians; the limit is {MAX_GAUSSIANS:,}."
+        raise refusal(kind, path, limit, remedy)
+    needed, free = READING * count, free_memory()
+    if needed > free:
+        limit = f"reading its {count:,} Gaussians needs about {needed / 1e9:.1f} GB of memory, and "
+        raise refusal(kind, path, f"{limit}{free / 1e9:.1f} GB are free.", remedy)
 
 
 def drop_non_finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:

@@ -36,10 +36,10 @@ from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.content import (
     DEGREE_4,
     LARGEST_SH,
-    MAX_GAUSSIANS,
     OBJECT,
     Y_DOWN,
     Content,
+    check_size,
     content_of,
 )
 from phy124.io.files import replacing
@@ -343,9 +343,7 @@ def read_rows(path: Path) -> NDArray[Any]:
 
 
 def _rows(path: Path, header: Header) -> NDArray[Any]:
-    if header.count > MAX_GAUSSIANS:
-        limit = f"its header states {header.count:,} Gaussians; the limit is {MAX_GAUSSIANS:,}."
-        raise refusal(path, limit, "Reduce it in a splat editor, for example SuperSplat.")
+    check_size("PLY", path, header.count)
     if header.ascii:
         return _read_ascii(path, header)
     available = max(path.stat().st_size - header.start, 0) // header.row.itemsize

@@ -12,6 +12,8 @@ from phy124.simulation import Simulation
 
 PLY = 4 * 17
 """Size of a Gaussian in a PLY file [bytes]; 12 more per further colour coefficient."""
+PARTICLE = 48
+"""Size of a particle that carries Gaussians, in one frame [bytes]."""
 EXPORTED = {"usd": BYTES_PER_GAUSSIAN, "ply": PLY, "html": 8}
 """Format -> size of a Gaussian of one frame [bytes]."""
 PIXEL = {"png": 1.0, "gif": 0.5, "webp": 0.1, "mp4": 0.05, "webm": 0.05, "mov": 2.0}
@@ -36,11 +38,16 @@ def warn_of_room(run: Simulation, out: Path, *, films: bool) -> None:
 
 
 def forecast(run: Simulation, *, films: bool) -> float:
-    """Forecast the size of a run's files [bytes]; for films this is a rough estimate."""
+    """Forecast the size of a run's files [bytes]; for films this is a rough estimate.
+
+    Until a run ends, a file holds its frames: the Gaussians, or only the particles in a light run.
+    """
     scene, count, frames = run.scene, len(run.setup.shown), run.scene.time.frames
     colours = 12 * (run.setup.shown.sh.shape[1] - 1)
     kept = 12 * (scene.velocities + scene.keeps_contacts) + 16 * (colours > 0)
-    files = frames * count * (BYTES_PER_GAUSSIAN + kept) + count * (2 * PLY + 2 * colours)
+    moving = 0 if run.light else count * (BYTES_PER_GAUSSIAN + kept)
+    moving += PARTICLE * len(run.carriers) if run.setup.shapes else 0
+    files = frames * moving + count * (2 * PLY + 2 * colours)
     if not films:
         return files
     view = scene.view

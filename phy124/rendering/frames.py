@@ -23,6 +23,9 @@ from phy124.runtime.cores import cores
 
 SHADOWS = 4
 """Number of threads that compute the shadows of frames that a GPU draws one after the other."""
+MOST_SPLATS = 1 << 24
+"""Largest number of splats of all threads, each of which takes about a hundred bytes; two threads
+may have more."""
 LOOK_AHEAD = 4
 """Largest number of frames per thread that `render_frames` renders ahead of its reader."""
 
@@ -61,9 +64,14 @@ def render_frames(
     """
     total = operator.length_hint(frames, 0) or operator.length_hint(cameras, 0)
     every = itertools.repeat(cameras) if isinstance(cameras, Camera) else cameras
+    frames = iter(frames)
+    ahead = list(itertools.islice(frames, 1))
+    frames = itertools.chain(ahead, frames)
     first = Renderer(device=device, filter=filter)
     threads = cores() if threads is None else threads
-    threads = 1 if first.device.is_cuda else max(1, min(threads, total or threads))
+    splats = max((len(frame.gaussians) for frame in ahead), default=1)
+    threads = min(threads, total or threads, max(2, MOST_SPLATS // max(splats, 1)))
+    threads = 1 if first.device.is_cuda else max(1, threads)
     # Warp cannot load kernels from several threads at once: the first renderer has loaded them.
     renderers: SimpleQueue[Renderer] = SimpleQueue()
     for renderer in [first] + [Renderer(device=device, filter=filter) for _ in range(threads - 1)]:

@@ -25,6 +25,11 @@ Values = NDArray[np.float64]
 
 SAMPLE = 2048
 """Largest number of Gaussians, picked at even intervals, that represent the object."""
+MOST_VALUES, FEWEST = 1 << 20, 128
+"""Largest number of Gaussians of the sample times frames, and the smallest number of Gaussians that
+a longer clip is reduced to."""
+BLOCK = 64
+"""Number of frames whose edges are computed at a time."""
 VISIBLE = 0.1
 """Smallest opacity of a Gaussian that counts as part of the object."""
 OUTSIDE = 0.01
@@ -65,17 +70,18 @@ class Sample:
     def _of(cls, clip: Clip) -> Sample:
         visible = np.flatnonzero(clip.object_mask & (clip.opacities >= VISIBLE))
         chosen = visible if len(visible) else np.flatnonzero(clip.object_mask)
-        chosen = chosen[:: 1 + len(chosen) // SAMPLE]
+        chosen = chosen[:: 1 + len(chosen) // min(SAMPLE, max(MOST_VALUES // len(clip), FEWEST))]
         chosen = chosen[np.isfinite(clip.means[0, chosen]).all(axis=1)]
         means = clip.means[:, chosen].astype(np.float64)
-        axes = rotation_matrices(clip.quats[:, chosen].reshape(-1, 4))
-        axes = axes * clip.scales[:, chosen].reshape(-1, 1, 3)
-        shapes = (axes @ axes.transpose(0, 2, 1)).reshape(*means.shape, 3)
-        sound = np.asarray(np.isfinite(means).all(axis=2) & np.isfinite(shapes).all(axis=(2, 3)))
-        return cls(
-            np.where(sound[..., None], means, means[0]),
-            np.where(sound[..., None, None], shapes, 0.0),
-        )
+        quats, scales = clip.quats[:, chosen], clip.scales[:, chosen]
+        shapes = np.empty((*means.shape, 3))
+        for index in range(len(clip)):
+            axes = rotation_matrices(quats[index]) * scales[index][:, None]
+            shape = axes @ axes.transpose(0, 2, 1)
+            sound = np.isfinite(means[index]).all(axis=1) & np.isfinite(shape).all(axis=(1, 2))
+            shapes[index] = np.where(sound[:, None, None], shape, 0.0)
+            means[index] = np.where(sound[:, None], means[index], means[0])
+        return cls(means, shapes)
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
@@ -209,12 +215,15 @@ class _Seen:
     def by(cls, sample: Sample, cameras: list[Camera]) -> _Seen:
         axes = np.stack([camera.view[:3, :3] for camera in cameras])
         targets = np.array([camera.target for camera in cameras])
-        points = axes @ (sample.means - targets[:, None]).transpose(0, 2, 1)
-        pairs = axes[:, :2, :, None] * axes[:, :2, None, :]
-        variances = pairs.reshape(-1, 2, 9) @ sample.covariances.reshape(
-            *points.shape[::2], 9
-        ).transpose(0, 2, 1)
-        return cls(points, np.sqrt(np.maximum(variances, 0)), axes)
+        count, size = sample.means.shape[:2]
+        points, reach = np.empty((count, 3, size)), np.empty((count, 2, size))
+        for part in _blocks(count):
+            away = sample.means[part] - targets[part, None]
+            points[part] = axes[part] @ away.transpose(0, 2, 1)
+            pairs = axes[part, :2, :, None] * axes[part, :2, None, :]
+            shapes = sample.covariances[part].reshape(-1, size, 9).transpose(0, 2, 1)
+            reach[part] = np.sqrt(np.maximum(pairs.reshape(-1, 2, 9) @ shapes, 0))
+        return cls(points, reach, axes)
 
     @property
     def depth(self) -> float:
@@ -247,10 +256,19 @@ class _Seen:
 
     def _edges(self, halves: Values) -> Values:
         """Return distances that keep the sample inside right, left; bottom, top edge [2,2], m."""
-        both = [(sign * self.points[:, :2] + self.reach) / halves[:, None] for sign in (1, -1)]
-        needed = np.stack(both, axis=2) - self.points[:, None, None, 2]
-        few = int(LEFT_OUT * needed.shape[-1])
-        return np.partition(needed, -1 - few, axis=-1)[..., -1 - few].max(axis=0)
+        few, most = int(LEFT_OUT * self.points.shape[2]), np.full((2, 2), -np.inf)
+        for part in _blocks(len(self.points)):
+            points, reach = self.points[part], self.reach[part]
+            both = [(sign * points[:, :2] + reach) / halves[:, None] for sign in (1, -1)]
+            needed = np.stack(both, axis=2) - points[:, None, None, 2]
+            needed.partition(needed.shape[-1] - 1 - few, axis=-1)
+            most = np.maximum(most, needed[..., -1 - few].max(axis=0))
+        return most
+
+
+def _blocks(count: int) -> list[slice]:
+    """Return slices that divide a number of frames into blocks."""
+    return [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
 
 
 def _extent(low: Values, high: Values) -> float:
