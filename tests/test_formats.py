@@ -215,7 +215,7 @@ def test_file_larger_than_the_memory_is_refused(tmp_path, three_gaussians, monke
     write_ply(tmp_path / "a.ply", three_gaussians)
     monkeypatch.setattr(content, "free_memory", lambda: 700.0)
     for name in ("a.splat", "a.ply"):
-        with pytest.raises(InputError, match="its 3 Gaussians needs about 0.0 GB of memory"):
+        with pytest.raises(InputError, match="3 Gaussians needs about"):
             read_gaussians(tmp_path / name)
 
 
