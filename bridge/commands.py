@@ -249,7 +249,7 @@ class Steer:
         recorded = self.record is not None and messages.profile is None  # in the profile `full`
         velocities = messages.profile == "full" or recorded
         live, accuracy = make_live(
-            self.source, self.simulated, speed=self.speed, velocities=velocities
+            self.source, self.simulated, messages, speed=self.speed, velocities=velocities
         )
         say(accuracy)
         run = SteeredRun(

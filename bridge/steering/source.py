@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from ..cameras import Cameras
+from ..encoder import FrameEncoder
+from ..options import Options
 from ..source import LiveOptions, make_object, open_clip, refuse_unopened
 
 if TYPE_CHECKING:
@@ -36,15 +39,17 @@ class SteeredOptions(LiveOptions):
 
 
 def make_live(
-    source: Path, options: SteeredOptions, *, speed: float, velocities: bool
+    source: Path, options: SteeredOptions, messages: Options, *, speed: float, velocities: bool
 ) -> tuple[Live, str]:
     """Create a live run; return it with a sentence about its accuracy.
 
-    The grid is chosen for this machine, unless the options set an accuracy.
+    The grid is chosen for this machine, which also draws cameras and encodes messages, unless the
+    options set an accuracy.
 
     Args:
         source: A picture, a file of Gaussians or a clip.
         options: Scene and accuracy.
+        messages: Options that define how frames become messages.
         speed: Requested simulated seconds per real second.
         velocities: Whether frames have velocities.
 
@@ -71,8 +76,16 @@ def make_live(
         promised = promise(scene, thickness_of(gaussians, scene))
         said = f"{scene.resolution.cells} cells across the object. {promised.brief}"
         return Live(gaussians, scene, context), said
-    rate, error = max(speed, 0.01), options.max_error
-    chosen = held_rate(gaussians, scene, context, rate=rate, max_error=error)
+    encoder = FrameEncoder(messages.live())
+    with Cameras(messages, scene.data()) as cameras:
+        chosen = held_rate(
+            gaussians,
+            scene,
+            context,
+            rate=max(speed, 0.01),
+            max_error=options.max_error,
+            show=lambda frame: encoder.encode(cameras.look(frame)),
+        )
     return Live(gaussians, chosen.scene, context), chosen.sentence
 
 

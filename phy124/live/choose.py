@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 from phy124.accuracy.promises import Promise, promise
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Frame, Gaussians
 from phy124.live.engine import Live
 from phy124.live.limits import check_number
 from phy124.runtime.context import RunContext
@@ -33,7 +34,7 @@ class Cost(NamedTuple):
     cells: int
     substeps: float
     others: float
-    """Time that does not depend on the grid, such as the shapes of the Gaussians [s]."""
+    """Time that does not depend on the grid: shapes of the Gaussians, and showing them [s]."""
 
     def on(self, cells: int) -> float:
         """Estimate the time of a frame on another grid [s]."""
@@ -65,6 +66,7 @@ def held_rate(
     rate: float = 1.0,
     max_error: float | None = None,
     shapes: bool = True,
+    show: Callable[[Frame], object] = lambda frame: None,
 ) -> Choice:
     """Find the finest grid on which this machine runs a scene at a rate, with lattice binding.
 
@@ -76,6 +78,7 @@ def held_rate(
         max_error: Largest error bound, as a fraction of the object's size. The coarsest grid
             that meets it is chosen, even if it is too slow. None: `rate` alone decides.
         shapes: As for `Live`.
+        show: Work on each frame, such as drawing it, which also takes time.
 
     Raises:
         InputError: The object or the scene cannot be used, or a number is out of bounds.
@@ -83,12 +86,12 @@ def held_rate(
     rate, context = check_number("rate", rate, 0.01, 100), context or RunContext()
     thickness = thickness_of(gaussians, scene)
     if max_error is None:
-        cost = _trial(gaussians, _on(scene, TRIED), context, shapes)
+        cost = _trial(gaussians, _on(scene, TRIED), context, shapes, show)
         allowed = SPARE / (scene.time.fps * rate)
         cells = max((n for n in CELLS if cost.on(n) <= allowed), default=CELLS[0])
     else:
         cells = _exact_enough(scene, thickness, check_number("max_error", max_error, 1e-6, 1))
-        cost = _trial(gaussians, _on(scene, cells), context, shapes)
+        cost = _trial(gaussians, _on(scene, cells), context, shapes, show)
     chosen = _on(scene, cells)
     return Choice(chosen, 1 / (scene.time.fps * cost.on(cells)), promise(chosen, thickness))
 
@@ -108,7 +111,13 @@ def _exact_enough(scene: Scene, thickness: float | None, error: float) -> int:
     return CELLS[-1]
 
 
-def _trial(gaussians: Gaussians, scene: Scene, context: RunContext, shapes: bool) -> Cost:
+def _trial(
+    gaussians: Gaussians,
+    scene: Scene,
+    context: RunContext,
+    shapes: bool,
+    show: Callable[[Frame], object],
+) -> Cost:
     """Measure the time of frames while a hand swings the object by its top, the costliest input."""
     watch = Stopwatch()
     live = Live(gaussians, scene, replace(context, watch=watch), shapes=shapes)
@@ -120,7 +129,7 @@ def _trial(gaussians: Gaussians, scene: Scene, context: RunContext, shapes: bool
     for count in range(WARM + FRAMES):
         live.move_to((x, y + (sway if count % 2 else -sway), z))
         begun, before = time.perf_counter(), watch.seconds.get("simulate", 0.0)
-        live.step()
+        show(live.step())
         substeps = watch.seconds.get("simulate", 0.0) - before
         frames.append((time.perf_counter() - begun, substeps))
         if sum(whole for whole, _ in frames[WARM:]) > SECONDS:
