@@ -146,8 +146,10 @@ class Cells:
         """Solutions: p dt / (rho dx) [m/s], and the potential of displacements."""
         self.residual, self.z, self.product = (self._zeros(count, wp.float64) for _ in range(3))
         self.directions = [self._zeros(count, wp.float64) for _ in range(2)]
+        self.which = self._zeros(count, int)
+        """Index of the solid whose surface is in each cell; -1 if there is none."""
         self.jumps, self.turns = (self._zeros(count, wp.vec3d) for _ in range(2))
-        """Flux out of each cell per velocity and angular velocity of a free solid."""
+        """Flux out of each cell per velocity and angular velocity of this solid."""
         self.active, self.listed = (self._zeros(count, int) for _ in range(2))
         """Indices of the active cells, and of the cells of liquid."""
         self.ends = self._zeros(self._copies + 1, int)

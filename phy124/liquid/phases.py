@@ -78,7 +78,7 @@ class Phases:
         self.carry = wp.ones(1, dtype=wp.float64, device=device)
         """Factor from the last pressure to the first guess of the next one."""
         density = float(model.total_mass / np.sum(model.volume.numpy(), dtype=np.float64))
-        self._density, self._solids = density, Solids(model, bodies, density)
+        self._density, self._solids = density, Solids(model, bodies, density, projection)
         viscosity = max(getattr(section, "viscosity", 0.0) for section in model.materials)
         self.viscosity = viscosity / (density * model.dx**2)
         """Rate at which velocities diffuse to a neighbouring face [1/s]."""
@@ -133,9 +133,13 @@ class Phases:
         for phase in self._walls.describe(cells, worker, len(self._workers), move=True):
             yield "move", launches(phase)
         yield "scatter", self._push(pushes, worker, grid)
+        if solids and worker == 0:
+            yield "scatter", launches(self._solids.kick(self._tracks))
+        elif solids:
+            yield "scatter", []
         yield "scatter", self._scatter(worker)
         yield from self._before_pressure(worker)
-        for phase in solve.phases(cells, cells.pressure, worker, solids=solids):
+        for phase in solve.phases(cells, cells.pressure, worker, rigid=solids):
             yield "pressure", launches(phase)
         for records in self._follow(worker):
             yield "gather", launches(records)
@@ -314,7 +318,7 @@ class Phases:
     def _couple(self, worker: int) -> list[list[Recorded]]:
         if not self._solids.present:
             return []
-        return self._solids.couple(self._cells, self._walls, self._projection, self._tracks, worker)
+        return self._solids.couple(self._cells, self._walls, self._tracks, worker)
 
     def _respond(self, worker: int) -> list[Recorded]:
         if worker > 0 or not self._solids.present:

@@ -27,19 +27,30 @@ CHECK = 8
 class Projection:
     """Records and repeats the launches of a solution."""
 
-    def __init__(self, model: Model, workers: int) -> None:
+    def __init__(self, model: Model, workers: int, solids: int = 0) -> None:
+        """Allocate the sums.
+
+        Args:
+            model: The particles.
+            workers: Number of workers.
+            solids: Number of solids that move with the liquid.
+        """
+        self.solids = solids
         self._model, self._workers = model, workers
         self._parts = workers if model.device == "cpu" else PARTS
         device = model.device
         self.counts = wp.zeros(self._parts, dtype=int, device=device)
         """Number of cells of liquid in each part of all cells."""
-        self.sums = wp.zeros((ROWS, self._parts), dtype=wp.float64, device=device)
+        self.sums = wp.zeros((ROWS + 6 * solids, self._parts), dtype=wp.float64, device=device)
         self.iterations = 0
         """Iterations of all solutions so far."""
         self.solutions = 0
         """Number of solutions so far."""
-        self.mobility = wp.zeros(10, dtype=wp.float64, device=device)
-        """Mobility of a free solid, per impulse of q."""
+        self.mobility = wp.zeros((solids, 10), dtype=wp.float64, device=device)
+        """Mobility of each solid, per impulse of q."""
+        shape = (self._parts, 2 * solids)
+        self._responses = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        """Velocity and angular velocity of each solid for a vector, computed by each part."""
 
     def part(self, worker: int) -> tuple[int, int]:
         """Return the first part of a worker, and its number of parts."""
@@ -54,7 +65,7 @@ class Projection:
         return [(STAGE, count)], [(STAGE, listed)]
 
     def phases(
-        self, cells: Cells, x: wp.array, worker: int, *, solids: bool = False
+        self, cells: Cells, x: wp.array, worker: int, *, rigid: bool = False
     ) -> list[list[Recorded]]:
         """Return a worker's launches of a solution: begin, then pairs of advance and improve.
 
@@ -64,14 +75,14 @@ class Projection:
             cells: The cells.
             x: The solution, which holds the first guess.
             worker: Index of the worker.
-            solids: Whether a free solid moves with the liquid.
+            rigid: Whether solids move with the liquid.
         """
         launch, (part, parts) = self._model.launch, self.part(worker)
         row, layer = cells.strides
         listed, equation = [self.counts, cells.listed], [cells.diagonal, cells.links]
-        rows, some = [cells.jumps, cells.turns], int(solids)
+        rows, some = [cells.which, cells.jumps, cells.turns], self.solids if rigid else 0
         inputs = [part, row, layer, some, *listed, *equation, cells.right, x, *rows, self.mobility]
-        outputs = [cells.inverse, cells.residual, cells.z, cells.directions[1], self.sums]
+        outputs = [self._responses, cells.inverse, cells.residual, cells.z, cells.directions[1], self.sums]
         phases = [[(STAGE, launch(conjugate.begin, parts, inputs, outputs))]]
         for begun, turn in ((0, 0), (1, 1), (1, 0)):
             before, after = cells.directions[1 - turn], cells.directions[turn]
@@ -92,14 +103,15 @@ class Projection:
             phases.append([(STAGE, launch(conjugate.advance, parts, inputs, outputs))])
             inputs = [part, turn, row, layer, some, *listed, cells.links, cells.inverse]
             inputs += [after, cells.product, *rows, self.mobility]
-            outputs = [x, cells.residual, cells.z, self.sums]
+            outputs = [self._responses, x, cells.residual, cells.z, self.sums]
             phases.append([(STAGE, launch(conjugate.improve, parts, inputs, outputs))])
         return phases
 
     def project(self, cells: Cells, x: wp.array, worker: int) -> list[Recorded]:
-        """Return a worker's launch that sums the impulse of a solution on the free solid."""
+        """Return a worker's launch that sums the impulse of a solution on each solid."""
         part, parts = self.part(worker)
-        inputs = [part, self.counts, cells.listed, cells.jumps, cells.turns, x]
+        inputs = [part, self.solids, self.counts, cells.listed, cells.which]
+        inputs += [cells.jumps, cells.turns, x]
         return [(STAGE, self._model.launch(conjugate.project, parts, inputs, [self.sums]))]
 
     def solve(self, run: Callable[[int], None], begin: int, tolerance: float) -> int:

@@ -1,4 +1,4 @@
-"""Free solids in a liquid: the launches that couple a solid's motion with the pressure."""
+"""Solids in a liquid: the launches that couple their motions with the pressure."""
 
 from __future__ import annotations
 
@@ -21,51 +21,74 @@ STAGE = "free"
 
 
 class Solids:
-    """Records the launches of the free solid of a scene, if it has one."""
+    """Records the launches of the solids of a scene, which are the last of its walls."""
 
-    def __init__(self, model: Model, bodies: FreeBodies, density: float) -> None:
+    def __init__(
+        self, model: Model, bodies: FreeBodies, density: float, projection: Projection
+    ) -> None:
         """Refer to the solids of a run.
 
         Args:
             model: The particles of the liquid.
-            bodies: The solids; at most one.
+            bodies: The free solids, which come first.
             density: Density of the liquid [kg/m^3].
+            projection: The solutions, whose sums and mobilities the launches write.
         """
-        self._model, self.bodies = model, bodies
-        self._scale = density * model.dx**3
+        self._model, self.bodies, self._projection = model, bodies, projection
+        self.scale = density * model.dx**3
+        """Mass of a full cell [kg]."""
+        count = projection.solids
+        self.plans = wp.zeros((count, 2), dtype=wp.vec3d, device=model.device)
+        """Velocity and angular velocity of each solid before the pressure acts."""
+        self.centres = wp.zeros(count, dtype=wp.vec3d, device=model.device)
+        """Centre of mass of each solid [m]."""
 
     @property
     def present(self) -> bool:
-        """Whether the scene has a free solid."""
-        return bool(self.bodies.all)
+        """Whether the scene has a solid."""
+        return self._projection.solids > 0
+
+    def first(self, walls: Walls) -> int:
+        """Return the number of the wall that is the first solid."""
+        return len(walls.all) - self._projection.solids
+
+    def kick(self, tracks: Tracks) -> list[Recorded]:
+        """Return the launches that kick the free solids."""
+        records = []
+        for index, (solid, body) in enumerate(
+            zip(self.bodies.all, self.bodies.numbers, strict=True)
+        ):
+            inputs = [index, solid.mass, self.scale, wp.vec3d(*solid.moments)]
+            inputs += [tracks.clock, tracks.values]
+            outputs = [self.plans, self._projection.mobility, self.centres, body]
+            kernel = kernels.make_kick(self._model.real)
+            records.append((STAGE, self._model.launch(kernel, 1, inputs, outputs)))
+        return records
 
     def couple(
-        self, cells: Cells, walls: Walls, projection: Projection, tracks: Tracks, worker: int
+        self, cells: Cells, walls: Walls, tracks: Tracks, worker: int
     ) -> list[list[Recorded]]:
         """Return a worker's launches before the divergence of the velocities is computed.
 
         Args:
             cells: The cells.
-            walls: The walls, of which the solid's surface is the last.
-            projection: The solutions, whose sums and mobility the launches write.
+            walls: The walls.
             tracks: Quantities that change over time.
             worker: Index of the worker.
 
         Returns:
             Two lists; workers wait for each other between them. The first worker predicts.
         """
-        model, solid = self._model, self.bodies.all[0]
-        wall, body = len(walls.all) - 1, self.bodies.numbers[0]
+        model, projection = self._model, self._projection
         part, parts = projection.part(worker)
         inputs = [part, projection.counts, cells.listed, cells.lattice, cells.window, tracks.clock]
-        inputs += [tracks.values, cells.distances, cells.jumps, body]
+        inputs += [tracks.values, cells.distances, cells.which, cells.jumps, self.centres]
         lift = model.launch(kernels.make_lift(model.real), parts, inputs, [projection.sums])
         if worker > 0:
             return [[(STAGE, lift)], []]
-        mass = [solid.mass, self._scale, wp.vec3d(*solid.moments), wall]
-        outputs = [walls.motions, projection.mobility, body]
-        inputs = [*mass, tracks.clock, tracks.values, projection.sums]
-        predict = model.launch(kernels.make_predict(model.real), 1, inputs, outputs)
+        inputs = [self.first(walls), self.plans, self.centres, projection.mobility, projection.sums]
+        kernel = kernels.make_predict(model.real)
+        predict = model.launch(kernel, projection.solids, inputs, [walls.motions])
         return [[(STAGE, lift)], [(STAGE, predict)]]
 
     def jumps(self, cells: Cells, walls: Walls, worker: int, workers: int) -> Recorded:
@@ -73,26 +96,31 @@ class Solids:
 
         Args:
             cells: The cells.
-            walls: The walls, of which the solid's surface is the last.
+            walls: The walls.
             worker: Index of the worker.
             workers: Number of workers.
         """
         model, count = self._model, -(-cells.count // workers)
-        inputs = [worker, cells.active, cells.ends, len(walls.all) - 1]
+        inputs = [worker, cells.active, cells.ends, self.first(walls)]
         inputs += [cells.lattice, cells.window, cells.open]
-        inputs += [cells.owners, cells.liquid, self.bodies.numbers[0]]
-        outputs = [cells.jumps, cells.turns]
+        inputs += [cells.owners, cells.liquid, self.centres]
+        outputs = [cells.which, cells.jumps, cells.turns]
         return STAGE, model.launch(kernels.make_jumps(model.real), count, inputs, outputs)
 
     def respond(self, walls: Walls, impulses: WallImpulses) -> list[Recorded]:
-        """Return the launch that gives the solid the opposite of its impulses on the liquid."""
-        model, solid = self._model, self.bodies.all[0]
-        inputs = [solid.mass, wp.vec3d(*solid.moments), len(walls.all) - 1]
-        outputs = [impulses.step, walls.motions, self.bodies.total(0), self.bodies.numbers[0]]
-        return [(STAGE, model.launch(kernels.make_respond(model.real), 1, inputs, outputs))]
+        """Return the launches that give free solids the opposite of their impulses on the liquid."""
+        records = []
+        for index, solid in enumerate(self.bodies.all):
+            wall = self.first(walls) + index
+            inputs = [solid.mass, wp.vec3d(*solid.moments), wall]
+            body = self.bodies.numbers[index]
+            outputs = [impulses.step, walls.motions, self.bodies.total(index), body]
+            kernel = kernels.make_respond(self._model.real)
+            records.append((STAGE, self._model.launch(kernel, 1, inputs, outputs)))
+        return records
 
 
 def solid_kernels(real: Any) -> Iterator[Any]:
-    """Yield the kernels that couple a solid with a liquid."""
-    yield from (kernels.make_jumps(real), kernels.make_lift(real))
+    """Yield the kernels that couple solids with a liquid."""
+    yield from (kernels.make_jumps(real), kernels.make_lift(real), kernels.make_kick(real))
     yield from (kernels.make_predict(real), kernels.make_respond(real))

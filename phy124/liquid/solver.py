@@ -112,7 +112,8 @@ class LiquidSolver:
         self.outliers, self.repair = Outliers(model, self.state), Repair(model, self.state)
         self.pairs, self.free = Pairs(model, (), count), FreeBodies(model, free)
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
-        self.cells, self.projection = Cells(model, count), Projection(model, count)
+        self.cells = Cells(model, count)
+        self.projection = Projection(model, count, len(free))
         self._phases = Phases(
             model, self.state, self.cells, self.projection, self.workers, self._missed, self.free
         )

@@ -19,9 +19,9 @@ RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
 Rows 0 and 1 are r M r, in turn.
 """
 RIGID = wp.constant(5)
-"""First of six rows: force and moment J^T s of a vector s on a free solid (see `solids`)."""
-ROWS = 11
-"""Number of rows of sums."""
+"""First of six rows for each solid: force and moment J^T s of a vector s on it (see `solids`)."""
+ROWS = 5
+"""Number of rows of sums without solids."""
 Vectors = wp.array(dtype=wp.vec3d)
 Table = wp.array2d(dtype=wp.float64)
 
@@ -163,44 +163,79 @@ def precondition(
 
 
 @wp.func
-def rigid_sums(sums: Table):
-    """Return the force and the moment of a vector on a free solid."""
+def rigid_sums(sums: Table, solid: int):
+    """Return the force and the moment of a vector on a solid."""
+    row = RIGID + 6 * solid
     return (
-        wp.vec3d(total(sums, RIGID), total(sums, RIGID + 1), total(sums, RIGID + 2)),
-        wp.vec3d(total(sums, RIGID + 3), total(sums, RIGID + 4), total(sums, RIGID + 5)),
+        wp.vec3d(total(sums, row), total(sums, row + 1), total(sums, row + 2)),
+        wp.vec3d(total(sums, row + 3), total(sums, row + 4), total(sums, row + 5)),
     )
 
 
 @wp.func
-def mobile(mobility: Doubles, force: wp.vec3d, turn: wp.vec3d):
-    """Return the velocity and the angular velocity of a solid for a force and a moment."""
-    inverse = wp.mat33d(
-        mobility[1],
-        mobility[2],
-        mobility[3],
-        mobility[4],
-        mobility[5],
-        mobility[6],
-        mobility[7],
-        mobility[8],
-        mobility[9],
-    )
-    return mobility[0] * force, inverse @ turn
+def clear_rigid(sums: Table, solids: int, p: int):
+    """Set a part's forces and moments on all solids to zero."""
+    for k in range(6 * solids):
+        sums[RIGID + k, p] = wp.float64(0.0)
 
 
 @wp.func
-def put_rigid(sums: Table, p: int, force: wp.vec3d, turn: wp.vec3d):
-    """Write a part's force and moment on a free solid."""
+def add_rigid(sums: Table, solid: int, p: int, force: wp.vec3d, turn: wp.vec3d):
+    """Add to a part's force and moment on a solid."""
+    row = RIGID + 6 * solid
     for axis in range(3):
-        sums[RIGID + axis, p] = force[axis]
-        sums[RIGID + 3 + axis, p] = turn[axis]
+        sums[row + axis, p] += force[axis]
+        sums[row + 3 + axis, p] += turn[axis]
+
+
+@wp.func
+def turned(mobility: Table, solid: int, turn: wp.vec3d):
+    """Return the angular velocity of a solid for a moment."""
+    w = wp.vec3d()
+    for a in range(3):
+        for b in range(3):
+            w[a] += mobility[solid, 1 + 3 * a + b] * turn[b]
+    return w
+
+
+@wp.func
+def respond(sums: Table, mobility: Table, p: int, responses: wp.array2d(dtype=wp.vec3d)):
+    """Write each solid's response to a vector: velocity and angular velocity.
+
+    Returns the product of all responses with their forces and moments.
+    """
+    product = wp.float64(0.0)
+    for solid in range(mobility.shape[0]):
+        force, turn = rigid_sums(sums, solid)
+        V = mobility[solid, 0] * force
+        w = turned(mobility, solid, turn)
+        responses[p, 2 * solid] = V
+        responses[p, 2 * solid + 1] = w
+        product += wp.dot(force, V) + wp.dot(turn, w)
+    return product
+
+
+@wp.func
+def rigid_flux(
+    n: int,
+    p: int,
+    solid: int,
+    jumps: Vectors,
+    turns: Vectors,
+    responses: wp.array2d(dtype=wp.vec3d),
+):
+    """Return the flux out of a cell that a solid's response causes."""
+    V = wp.dot(jumps[n], responses[p, 2 * solid])
+    return V + wp.dot(turns[n], responses[p, 2 * solid + 1])
 
 
 @kernel("phy124_liquid_project", seconds=0.2)
 def project(
     part: int,
+    solids: int,
     counts: Ints,
     listed: Ints,
+    which: Ints,
     jumps: Vectors,
     turns: Vectors,
     x: Doubles,
@@ -209,13 +244,11 @@ def project(
     """Sum J^T x over a part of the listed cells; `jumps` and `turns` are the rows of J."""
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
-    force = wp.vec3d()
-    turn = wp.vec3d()
+    clear_rigid(sums_out, solids, p)
     for k in range(span[0], span[1]):
         n = listed[k]
-        force += x[n] * jumps[n]
-        turn += x[n] * turns[n]
-    put_rigid(sums_out, p, force, turn)
+        if which[n] >= 0:
+            add_rigid(sums_out, which[n], p, x[n] * jumps[n], x[n] * turns[n])
 
 
 @kernel("phy124_liquid_begin", seconds=0.5)
@@ -230,9 +263,11 @@ def begin(
     links: Vectors,
     right: Doubles,
     x: Doubles,
+    which: Ints,
     jumps: Vectors,
     turns: Vectors,
-    mobility: Doubles,
+    mobility: Table,
+    responses_out: wp.array2d(dtype=wp.vec3d),
     inverse_out: Doubles,
     residual_out: Doubles,
     z_out: Doubles,
@@ -245,18 +280,16 @@ def begin(
     largest = wp.float64(0.0)
     right_size = wp.float64(0.0)
     product = wp.float64(0.0)
-    V = wp.vec3d()
-    w = wp.vec3d()
     if solids > 0:
-        force, moment = rigid_sums(sums_out)
-        V, w = mobile(mobility, force, moment)
+        respond(sums_out, mobility, p, responses_out)
     if span[1] > span[0]:
         factorise(span[0], span[1], listed, row, layer, diagonal, links, inverse_out)
         for k in range(span[0], span[1]):
             n = listed[k]
             r = right[n] - multiply(n, row, layer, diagonal, links, x)
             if solids > 0:
-                r -= wp.dot(jumps[n], V) + wp.dot(turns[n], w)
+                if which[n] >= 0:
+                    r -= rigid_flux(n, p, which[n], jumps, turns, responses_out)
             residual_out[n] = r
             largest = wp.max(largest, wp.abs(r))
             right_size = wp.max(right_size, wp.abs(right[n]))
@@ -285,6 +318,7 @@ def advance(
     links: Vectors,
     z: Doubles,
     before: Doubles,
+    which: Ints,
     jumps: Vectors,
     turns: Vectors,
     direction_out: Doubles,
@@ -298,8 +332,7 @@ def advance(
     if begun > 0:
         beta = total(sums_out, turn) / total(sums_out, 1 - turn)
     steep = wp.float64(0.0)
-    force = wp.vec3d()
-    turning = wp.vec3d()
+    clear_rigid(sums_out, solids, p)
     for k in range(span[0], span[1]):
         n = listed[k]
         here = z[n] + beta * before[n]
@@ -319,11 +352,9 @@ def advance(
         product_out[n] = value
         steep += here * value
         if solids > 0:
-            force += here * jumps[n]
-            turning += here * turns[n]
+            if which[n] >= 0:
+                add_rigid(sums_out, which[n], p, here * jumps[n], here * turns[n])
     sums_out[STEEP, p] = steep
-    if solids > 0:
-        put_rigid(sums_out, p, force, turning)
 
 
 @kernel("phy124_liquid_improve", seconds=0.4)
@@ -339,9 +370,11 @@ def improve(
     inverse: Doubles,
     direction: Doubles,
     product: Doubles,
+    which: Ints,
     jumps: Vectors,
     turns: Vectors,
-    mobility: Doubles,
+    mobility: Table,
+    responses_out: wp.array2d(dtype=wp.vec3d),
     x_out: Doubles,
     residual_out: Doubles,
     z_out: Doubles,
@@ -351,12 +384,8 @@ def improve(
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
     steep = total(sums_out, STEEP)
-    V = wp.vec3d()
-    w = wp.vec3d()
     if solids > 0:
-        force, moment = rigid_sums(sums_out)
-        V, w = mobile(mobility, force, moment)
-        steep += wp.dot(force, V) + wp.dot(moment, w)
+        steep += respond(sums_out, mobility, p, responses_out)
     alpha = wp.float64(0.0)
     if steep > wp.float64(0.0):
         alpha = total(sums_out, turn) / steep
@@ -368,7 +397,8 @@ def improve(
             x_out[n] = x_out[n] + alpha * direction[n]
             change = product[n]
             if solids > 0:
-                change += wp.dot(jumps[n], V) + wp.dot(turns[n], w)
+                if which[n] >= 0:
+                    change += rigid_flux(n, p, which[n], jumps, turns, responses_out)
             r = residual_out[n] - alpha * change
             residual_out[n] = r
             largest = wp.max(largest, wp.abs(r))

@@ -1,10 +1,10 @@
-"""Free solids in a liquid: the pressure moves liquid and solid together.
+"""Solids in a liquid: the pressure moves liquid and solids together.
 
 Let J (V, w) be the flux out of each cell through the surface of a solid with velocity V and angular
 velocity w. The pressure's impulse on the solid is rho dx^3 J^T q, so the pressure equation becomes
 (A + rho dx^3 J M^-1 J^T) q = b, with the solid's mass and inertia M (Batty, Bertails and Bridson
-2007). The added matrix has rank six: conjugate gradients sum J^T s and apply the mobility rho dx^3
-M^-1 in each iteration (`conjugate`).
+2007). The added matrix has rank six for each solid: conjugate gradients sum J^T s and apply the
+mobility rho dx^3 M^-1 in each iteration (`conjugate`). A cell counts for one solid only.
 
 A cell's pressure acts at its centre. The weight of the liquid between centre and surface is added,
 without which buoyancy would jump when the solid's bottom passes a layer of centres.
@@ -36,10 +36,12 @@ from phy124.kernels.free.numbers import (
 from phy124.kernels.liquid.conjugate import (
     Table,
     Vectors,
+    add_rigid,
+    clear_rigid,
     count_of,
-    put_rigid,
     rigid_sums,
     share,
+    turned,
 )
 from phy124.kernels.liquid.faces import cell_of, entry, stride
 from phy124.kernels.liquid.impulses import Sums, take_row, way_to_wall
@@ -62,13 +64,8 @@ def make_motions(real: Any):
 
 
 @wp.func
-def write_motion(
-    motions: wp.array2d(dtype=Any), wall: int, body: wp.array(dtype=wp.float64), moments: wp.vec3d
-):
+def put_motion(motions: wp.array2d(dtype=Any), wall: int, V: wp.vec3d, w: wp.vec3d, X: wp.vec3d):
     """Write velocity, angular velocity and centre of a solid."""
-    V = at3(body, VELOCITY)
-    w = spin_of(axes(body), moments, at3(body, ANGULAR))
-    X = at3(body, PLACE)
     like = motions[wall, 0]
     for k in range(3):
         like[k] = type(like[0])(V[k])
@@ -83,7 +80,10 @@ def write_motion(
 
 @cache
 def make_jumps(real: Any):
-    """Kernel over cells: computes the rows of J, for the velocity and for the angular velocity."""
+    """Kernel over cells: computes the rows of J, for the velocity and for the angular velocity.
+
+    `wall` is the number of the wall that is the first solid; all later walls are solids, too.
+    """
     t = types(real)
 
     @kernel(f"phy124_liquid_jumps_{real.__name__}", real, seconds=0.2)
@@ -97,7 +97,8 @@ def make_jumps(real: Any):
         open: t.vec4s,
         owners: Ints,
         liquid: Ints,
-        body,
+        centres: Vectors,
+        which_out: Ints,
         jumps_out: Vectors,
         turns_out: Vectors,
     ):
@@ -106,25 +107,38 @@ def make_jumps(real: Any):
             return
         size = window[1]
         row = wp.vec3d()
+        solids = wp.vec3i(-1, -1, -1)
+        solid = int(-1)
+        most = real(0.0)
         cell = cell_of(n, size)
         if liquid[n] == 1:
             for axis in range(3):
                 jump = open[n + stride(axis, size)][axis] - open[n][axis]
                 if jump != real(0.0):
-                    if owners[solid_face(cell, axis, jump, size)] == wall:
+                    owner = owners[solid_face(cell, axis, jump, size)] - wall
+                    if owner >= 0:
                         row[axis] = -wp.float64(jump)
+                        solids[axis] = owner
+                        if wp.abs(jump) > most:
+                            most = wp.abs(jump)
+                            solid = owner
+        for axis in range(3):
+            if solids[axis] != solid:
+                row[axis] = wp.float64(0.0)
+        which_out[n] = solid
         jumps_out[n] = row
-        arm = wide(centre_of(cell, lattice, window[0])) - at3(body, PLACE)
-        turns_out[n] = wp.cross(arm, row)
+        if solid >= 0:
+            arm = wide(centre_of(cell, lattice, window[0])) - centres[solid]
+            turns_out[n] = wp.cross(arm, row)
 
     return jumps
 
 
 @cache
 def make_lift(real: Any):
-    """Kernel over parts: sums the weight of liquid between cells' centres and the solid's surface.
+    """Kernel over parts: sums the weight of liquid between cells' centres and solids' surfaces.
 
-    The sums are the impulse on the solid and the moment of this impulse about the solid's centre,
+    The sums are the impulse on each solid and the moment of this impulse about the solid's centre,
     both divided by rho dx^3.
     """
     t = types(real)
@@ -139,71 +153,90 @@ def make_lift(real: Any):
         clock,
         values,
         distances: t.reals,
+        which: Ints,
         jumps: Vectors,
-        body,
+        centres: Vectors,
         sums_out: Table,
     ):
         p = part + wp.tid()
         size = window[1]
         dx = lattice[3]
         span = share(count_of(counts), p, counts.shape[0])
-        force = wp.vec3d()
-        turn = wp.vec3d()
+        clear_rigid(sums_out, centres.shape[0], p)
         for k in range(span[0], span[1]):
             n = listed[k]
-            j = jumps[n]
-            cell = cell_of(n, size)
-            f = wp.vec3d()
-            for axis in range(3):
-                if j[axis] != wp.float64(0.0):
-                    way = way_to_wall(cell, axis, -real(j[axis]), size, distances, dx)
-                    f[axis] = j[axis] * wp.float64(clock[0] * way * values[0][axis] / dx)
-            force += f
-            arm = wide(centre_of(cell, lattice, window[0])) - at3(body, PLACE)
-            turn += wp.cross(arm, f)
-        put_rigid(sums_out, p, force, turn)
+            if which[n] >= 0:
+                j = jumps[n]
+                cell = cell_of(n, size)
+                f = wp.vec3d()
+                for axis in range(3):
+                    if j[axis] != wp.float64(0.0):
+                        way = way_to_wall(cell, axis, -real(j[axis]), size, distances, dx)
+                        f[axis] = j[axis] * wp.float64(clock[0] * way * values[0][axis] / dx)
+                arm = wide(centre_of(cell, lattice, window[0])) - centres[which[n]]
+                add_rigid(sums_out, which[n], p, f, wp.cross(arm, f))
 
     return lift
 
 
 @cache
-def make_predict(real: Any):
-    """Kernel of one thread: kicks the solid, and writes its predicted motion and its mobility.
+def make_kick(real: Any):
+    """Kernel of one thread: kicks a free solid, and writes its motion, mobility and centre.
 
     `scale` is rho dx^3 [kg]. The mobility is scale / M, then scale times the inverse inertia.
     """
-    t = types(real)
 
-    @kernel(f"phy124_liquid_predict_{real.__name__}", real, seconds=0.3)
-    def predict(
+    @kernel(f"phy124_liquid_kick_{real.__name__}", real, seconds=0.3)
+    def kick(
+        solid: int,
         mass: wp.float64,
         scale: wp.float64,
         moments,
-        wall: int,
         clock,
         values,
-        sums: Table,
-        motions_out: wp.array2d(dtype=t.vec3),
-        mobility_out: Doubles,
+        plans_out: wp.array2d(dtype=wp.vec3d),
+        mobility_out: Table,
+        centres_out: Vectors,
         body_out,
     ):
         if body_out[KICKED] == wp.float64(0.0):
             pull = wp.float64(clock[0]) * wide(values[0])
             put3(body_out, VELOCITY, at3(body_out, VELOCITY) + pull)
             body_out[KICKED] = wp.float64(1.0)
-        V = at3(body_out, VELOCITY)
-        L = at3(body_out, ANGULAR)
+        plans_out[solid, 0] = at3(body_out, VELOCITY)
+        plans_out[solid, 1] = spin_of(axes(body_out), moments, at3(body_out, ANGULAR))
+        centres_out[solid] = at3(body_out, PLACE)
         inverse = wp.inverse(inertia_of(axes(body_out), moments))
-        force, turn = rigid_sums(sums)
-        put3(body_out, VELOCITY, V + (scale / mass) * force)
-        put3(body_out, ANGULAR, L + scale * turn)
-        write_motion(motions_out, wall, body_out, moments)
-        put3(body_out, VELOCITY, V)
-        put3(body_out, ANGULAR, L)
-        mobility_out[0] = scale / mass
+        mobility_out[solid, 0] = scale / mass
         for a in range(3):
             for b in range(3):
-                mobility_out[1 + 3 * a + b] = scale * inverse[a, b]
+                mobility_out[solid, 1 + 3 * a + b] = scale * inverse[a, b]
+
+    return kick
+
+
+@cache
+def make_predict(real: Any):
+    """Kernel over solids: writes the motion that a solid would have without the solution's pressure.
+
+    It is the planned motion, plus the response to the sums of `make_lift`.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_predict_{real.__name__}", real, seconds=0.3)
+    def predict(
+        wall: int,
+        plans: wp.array2d(dtype=wp.vec3d),
+        centres: Vectors,
+        mobility: Table,
+        sums: Table,
+        motions_out: wp.array2d(dtype=t.vec3),
+    ):
+        solid = wp.tid()
+        force, turn = rigid_sums(sums, solid)
+        V = plans[solid, 0] + mobility[solid, 0] * force
+        w = plans[solid, 1] + turned(mobility, solid, turn)
+        put_motion(motions_out, wall + solid, V, w, centres[solid])
 
     return predict
 
@@ -238,6 +271,7 @@ def make_respond(real: Any):
         total_out[WORK] += row[6]
         total_out[MOVED] += wp.length(J)
         total_out[TURNED] += wp.abs(row[6])
-        write_motion(motions_out, wall, body_out, moments)
+        w = spin_of(axes(body_out), moments, at3(body_out, ANGULAR))
+        put_motion(motions_out, wall, at3(body_out, VELOCITY), w, at3(body_out, PLACE))
 
     return respond
