@@ -170,7 +170,8 @@ def make_uniform_sums(real: Any):
 
     The acceleration acts after forces on particles and before walls, so `walls_out` stores the
     walls' sums up to the previous substep. `base` is the momentum without the sums that are still
-    being accumulated. `pushes` and `walls` have one row of sums for each worker.
+    being accumulated. `pushes` and `walls` have one row of sums for each worker;
+    `liquid` has one for the walls of a liquid by projection.
     """
 
     @kernel(f"phy124_uniform_sums_{real.__name__}", real)
@@ -181,6 +182,7 @@ def make_uniform_sums(real: Any):
         base: Doubles,
         pushes: wp.array2d(dtype=wp.float64),
         walls: wp.array2d(dtype=wp.float64),
+        liquid: wp.array2d(dtype=wp.float64),
         walls_out: Doubles,
         given_out,
     ):
@@ -195,6 +197,8 @@ def make_uniform_sums(real: Any):
                 p[c] += pushes[worker, c]
             for worker in range(walls.shape[0]):
                 walls_out[c] += walls[worker, c]
+            for row in range(liquid.shape[0]):
+                walls_out[c] += liquid[row, c]
         work = wp.dot(J, p + J / wp.float64(2.0)) / mass
         add_given(given_out, J, work, wp.length(J), wp.abs(work))
 

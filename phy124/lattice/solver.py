@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -59,7 +59,7 @@ MEASURE, TRIAL = -1, -2
 class LatticeSolver:
     """Advances the nodes of a body in time under forces and boundaries."""
 
-    projects: ClassVar[Literal[False]] = False
+    projects: ClassVar[bool] = False
 
     def __init__(
         self,

@@ -45,7 +45,11 @@ class Region:
     def centre(self, x: NDArray[np.float64]) -> None:
         """Move the box so that a position [3], m, is in its middle."""
         at = np.floor((x - self._cells.origin) / self._cells.dx).astype(int) - self._cells.low
-        self.box.assign(np.stack([at - self.size // 2, self.size]).astype(np.int32))
+        self.place(at - self.size // 2)
+
+    def place(self, low: NDArray) -> None:
+        """Move the box so that `low` [3] is its first cell."""
+        self.box.assign(np.stack([low, self.size]).astype(np.int32))
 
 
 class Cells:
@@ -65,7 +69,7 @@ class Cells:
         self.window = wp.zeros(2, dtype=wp.vec3i, device=model.device)
         self.low, self.size = np.zeros(3, int), np.zeros(3, int)
         self.pressure = self._zeros(0, wp.float64)
-        self._regions: dict[float, Region] = {}
+        self._regions: dict[int, Region] = {}
         self._kept: list[wp.array] = []
 
     @property
@@ -160,14 +164,14 @@ class Cells:
         self.begins, self.tops = (self._zeros(columns, int) for _ in range(2))
         """First active cell of each column, and the end of its active cells."""
 
-    def region(self, reach: float) -> Region:
-        """Return the region of all cells up to `reach` [m] around a solid's centre."""
+    def region(self, reach: float, wall: int) -> Region:
+        """Return the region of all cells up to `reach` [m] around the centre of a wall."""
         if not math.isfinite(reach):
             return self.whole
-        if reach not in self._regions:
+        if wall not in self._regions:
             count = 2 * math.ceil(reach / self.dx + ROOM)
-            self._regions[reach] = Region(self, np.full(3, count))
-        return self._regions[reach]
+            self._regions[wall] = Region(self, np.full(3, count))
+        return self._regions[wall]
 
     def clear_walls(self) -> None:
         """Describe cells without walls."""

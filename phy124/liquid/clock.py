@@ -37,10 +37,12 @@ class LiquidClock(Clock):
     """Rate at which velocities diffuse to a neighbouring face [1/s]."""
     wall = 0.0
     """Largest speed of a wall [m/s]."""
+    bodies = 0.0
+    """Largest speed of bodies of other materials [m/s]."""
 
     def stable(self) -> Substep:
         """Return the longest step in the current state."""
-        a, speed = self.acceleration, max(self.extremes.speed, self.wall)
+        a, speed = self.acceleration, max(self.extremes.speed, self.wall, self.bodies)
         far = CELLS * self.dx
         # The time in which the fastest particle moves that far: speed t + a t^2 / 2 = far.
         reach = speed + math.sqrt(speed * speed + 2 * a * far)

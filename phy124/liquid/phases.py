@@ -11,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 import warp as wp
 
+from phy124.kernels.arguments import types
 from phy124.kernels.liquid import (
     active,
     faces,
@@ -23,6 +24,8 @@ from phy124.kernels.liquid import (
     viscous,
 )
 from phy124.kernels.reduction import shared_out
+from phy124.liquid.bodies import STAGE as BODIES
+from phy124.liquid.bodies import Bodies
 from phy124.liquid.cells import Cells
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.projection import Projection
@@ -53,7 +56,8 @@ class Phases:
         projection: Projection,
         workers: Sequence[Worker],
         missed: wp.array,
-        bodies: FreeBodies,
+        free: FreeBodies,
+        bodies: Bodies | None,
     ) -> None:
         """Allocate the arrays that the launches of every window share.
 
@@ -63,7 +67,8 @@ class Phases:
             cells: The window of the grid.
             projection: The solutions.
             workers: The workers, whose phases are recorded.
-            bodies: Free solids.
+            free: Free solids.
+            bodies: Bodies of other materials.
             missed: 1 for each worker with a particle outside the window [W,1].
         """
         self._model, self._state, self._cells = model, state, cells
@@ -78,7 +83,10 @@ class Phases:
         self.carry = wp.ones(1, dtype=wp.float64, device=device)
         """Factor from the last pressure to the first guess of the next one."""
         density = float(model.total_mass / np.sum(model.volume.numpy(), dtype=np.float64))
-        self._density, self._solids = density, Solids(model, bodies, density, projection)
+        self._density, self._solids = density, Solids(model, free, density, projection)
+        self._bodies = bodies
+        if bodies is not None:
+            bodies.join(self._solids, projection.mobility)
         viscosity = max(getattr(section, "viscosity", 0.0) for section in model.materials)
         self.viscosity = viscosity / (density * model.dx**2)
         """Rate at which velocities diffuse to a neighbouring face [1/s]."""
@@ -133,10 +141,7 @@ class Phases:
         for phase in self._walls.describe(cells, worker, len(self._workers), move=True):
             yield "move", launches(phase)
         yield "scatter", self._push(pushes, worker, grid)
-        if solids and worker == 0:
-            yield "scatter", launches(self._solids.kick(self._tracks))
-        elif solids:
-            yield "scatter", []
+        yield "scatter", launches(self._solids.kick(self._tracks) if worker == 0 else [])
         yield "scatter", self._scatter(worker)
         yield from self._before_pressure(worker)
         for phase in solve.phases(cells, cells.pressure, worker, rigid=solids):
@@ -177,7 +182,7 @@ class Phases:
         yield [self._assemble(worker), *self._jumps(worker)]
         yield from solve.list_cells(cells, worker)
         yield from self._couple(worker)
-        yield [self._divergence(worker)]
+        yield [self._divergence(worker), *self._yields(worker)]
         if self._solids.present:
             yield solve.project(cells, cells.pressure, worker)
 
@@ -320,10 +325,25 @@ class Phases:
             return []
         return self._solids.couple(self._cells, self._walls, self._tracks, worker)
 
+    def _yields(self, worker: int) -> list[Recorded]:
+        if self._bodies is None:
+            return []
+        workers = len(self._workers)
+        return [
+            (
+                BODIES,
+                self._bodies.yields(self._cells, self._tracks.clock, worker, workers, self._model),
+            )
+        ]
+
     def _respond(self, worker: int) -> list[Recorded]:
         if worker > 0 or not self._solids.present:
             return []
-        return self._solids.respond(self._walls, self._impulses_of_walls)
+        records = self._solids.respond(self._walls, self._impulses_of_walls)
+        if self._bodies is not None:
+            step = self._impulses_of_walls.step
+            records.append((BODIES, self._bodies.answer(self._walls, step, self._model)))
+        return records
 
     def _drift(self, worker: int) -> list[Recorded]:
         return self._solids.bodies.drift() if worker == 0 else []
@@ -344,8 +364,15 @@ class Phases:
         inputs = [part, self._density, self._projection.counts, cells.listed, cells.lattice]
         inputs += [cells.window, tracks.clock, tracks.values, walls.motions]
         inputs += [cells.open, cells.distances, cells.owners, cells.pressure]
+        outputs = [self._impulses_of_walls.rows(worker)]
+        if self._bodies is None:
+            inputs.append(len(walls.all))
+            outputs.append(wp.zeros(0, dtype=types(model.real).vec3, device=model.device))
+        else:
+            inputs.append(self._solids.first(walls) + self._bodies.first)
+            outputs.append(self._bodies.pressed)
         kernel = impulses.make_wall_impulses(model.real)
-        return "walls", model.launch(kernel, parts, inputs, [self._impulses_of_walls.rows(worker)])
+        return "walls", model.launch(kernel, parts, inputs, outputs)
 
     def _spread(self, worker: int, turn: int) -> Recorded:
         cells = self._cells
@@ -374,8 +401,11 @@ class Phases:
 
     def _push_out(self, worker: int, *, stops: bool) -> list[Recorded]:
         s, run = self._state, self._run(worker)
-        sums = self._impulses_of_walls.rows(worker)
-        return self._walls.push_out(self._cells, run, s.x, s.v, sums, stops=stops)
+        sums, walls, cells = self._impulses_of_walls.rows(worker), self._walls, self._cells
+        out = []
+        if self._bodies is not None:
+            out = [(BODIES, self._bodies.push_out(cells, walls, self._model, s.x[run]))]
+        return [*out, *walls.push_out(cells, run, s.x, s.v, sums, stops=stops)]
 
     def _fill(self, worker: int) -> list[Named]:
         model, run, cells = self._model, self._run(worker), self._cells

@@ -82,7 +82,14 @@ class Projection:
         listed, equation = [self.counts, cells.listed], [cells.diagonal, cells.links]
         rows, some = [cells.which, cells.jumps, cells.turns], self.solids if rigid else 0
         inputs = [part, row, layer, some, *listed, *equation, cells.right, x, *rows, self.mobility]
-        outputs = [self._responses, cells.inverse, cells.residual, cells.z, cells.directions[1], self.sums]
+        outputs = [
+            self._responses,
+            cells.inverse,
+            cells.residual,
+            cells.z,
+            cells.directions[1],
+            self.sums,
+        ]
         phases = [[(STAGE, launch(conjugate.begin, parts, inputs, outputs))]]
         for begun, turn in ((0, 0), (1, 1), (1, 0)):
             before, after = cells.directions[1 - turn], cells.directions[turn]

@@ -108,7 +108,7 @@ class Solids:
         return STAGE, model.launch(kernels.make_jumps(model.real), count, inputs, outputs)
 
     def respond(self, walls: Walls, impulses: WallImpulses) -> list[Recorded]:
-        """Return the launches that give free solids the opposite of their impulses on the liquid."""
+        """Return the launches that give free solids the opposite of the liquid's impulses."""
         records = []
         for index, solid in enumerate(self.bodies.all):
             wall = self.first(walls) + index

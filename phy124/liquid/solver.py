@@ -10,21 +10,29 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary
+from phy124.kernels.liquid.bodies import kernels as body_kernels
 from phy124.liquid import phases, projection
+from phy124.liquid.bodies import Advance, Bodies
 from phy124.liquid.cells import Cells
 from phy124.liquid.clock import LiquidClock
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.phases import Phases
 from phy124.liquid.projection import Projection
 from phy124.liquid.solids import solid_kernels
-from phy124.liquid.walls import Walls, wall_kernels, walls_of, walls_of_solids
+from phy124.liquid.walls import (
+    Walls,
+    wall_kernels,
+    walls_of,
+    walls_of_bodies,
+    walls_of_solids,
+)
 from phy124.mpm import (
     Accumulator,
     Attachable,
@@ -69,7 +77,7 @@ BULK = 0.01
 class LiquidSolver:
     """Advances a liquid in time under forces and walls."""
 
-    projects: ClassVar[Literal[True]] = True
+    projects: ClassVar[bool] = True
     """Whether the solver makes a liquid incompressible by projection."""
 
     def __init__(
@@ -84,6 +92,8 @@ class LiquidSolver:
         planes: Sequence[Plane] = (),
         ceiling: float = math.inf,
         threads: int | None = None,
+        bodies: Bodies | None = None,
+        advance_bodies: Advance | None = None,
     ) -> None:
         """Connect forces and walls to the particles of a liquid.
 
@@ -97,6 +107,8 @@ class LiquidSolver:
             planes: Flat walls with which the free solid collides.
             ceiling: Longest step allowed [s].
             threads: Number of CPU threads; None: as many as pay.
+            bodies: Bodies of other materials.
+            advance_bodies: Moves the bodies up to a time [s].
 
         Raises:
             InputError: The region of a force holds no particle, or a wall is too thin for the grid.
@@ -113,9 +125,18 @@ class LiquidSolver:
         self.pairs, self.free = Pairs(model, (), count), FreeBodies(model, free)
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
         self.cells = Cells(model, count)
-        self.projection = Projection(model, count, len(free))
+        self._bodies, self._advance_bodies = bodies, advance_bodies
+        solids = len(free) + (len(bodies.numbers) if bodies else 0)
+        self.projection = Projection(model, count, solids)
         self._phases = Phases(
-            model, self.state, self.cells, self.projection, self.workers, self._missed, self.free
+            model,
+            self.state,
+            self.cells,
+            self.projection,
+            self.workers,
+            self._missed,
+            self.free,
+            bodies,
         )
         self.team = Team[int](count, self._run_member)
         self.clock.viscosity = self._phases.viscosity
@@ -150,7 +171,10 @@ class LiquidSolver:
         acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
         fixed = list(walls_of(boundaries, model, tracks))
-        walls = Walls(model, tracks, [*fixed, *walls_of_solids(self.free, model)])
+        surfaces = [*walls_of_solids(self.free, model)]
+        if self._bodies is not None:
+            surfaces += walls_of_bodies(self._bodies.names, model)
+        walls = Walls(model, tracks, [*fixed, *surfaces])
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
@@ -213,17 +237,24 @@ class LiquidSolver:
             run_timed(self.timings, "tracks", self._sample.launch)
         self._guess(kick)
         if self.walls.move:
-            self._move_walls()
+            self._move_walls(ahead=drift / 2)
         self._group("scatter")
+        if self._bodies is not None:
+            self._join()
+            pull = np.asarray(self.tracks.values.numpy()[0, :3], np.float64)
+            self._bodies.plan(kick, pull)
         if self._phases.viscosity > 0:
             for _ in range(self.clock.sweeps(kick)):
                 self._group("viscosity")
         self._group("equation")
         self._solve("pressure", TOLERANCE)
         self._group("gather")
-        if self.free.all:
+        if self.projection.solids:
             self._group("drift")
             self._join()
+            if self._bodies is not None and self._advance_bodies is not None:
+                self._bodies.receive(self.cells, drift)
+                self._advance_bodies(clock.time + drift)
             self._move_walls()
         self._group("fill")
         self._solve("packing", LOOSE)
@@ -245,18 +276,22 @@ class LiquidSolver:
             "cells": self.cells.snapshot(),
             "kick": self._kick,
             **({"free": self.free.snapshot()} if self.free.all else {}),
+            **({"bodies": self._bodies.snapshot()} if self._bodies else {}),
             "impulses": self.impulses.snapshot(),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot; if the number of threads differs, only to within rounding."""
-        self.state.restore(snapshot["state"])
+        if "state" in snapshot:
+            self.state.restore(snapshot["state"])
         self.clock.restore(snapshot["clock"])
         self.repair.restore(snapshot["repair"])
         self._phases.stray.zero_()
         self._missed.zero_()
         self._kick = snapshot["kick"]
         self.free.restore(snapshot.get("free", {}))
+        if self._bodies is not None:
+            self._bodies.restore(snapshot["bodies"])
         self.cells.restore(snapshot["cells"])
         self.impulses.restore(snapshot["impulses"])
         self._fitted = self.cells.count > 0
@@ -299,13 +334,24 @@ class LiquidSolver:
     def _solve(self, name: str, tolerance: float) -> None:
         self.projection.solve(self._run, self._phases.group(name)[0], tolerance)
 
-    def _move_walls(self) -> None:
-        """Update the walls' geometry in the cells, after walls have moved."""
+    def _move_walls(self, ahead: float = 0.0) -> None:
+        """Update the walls' geometry in the cells, after walls have moved.
+
+        Args:
+            ahead: Time for which bodies of other materials move on before [s].
+        """
         self._join()
         run_timed(self.timings, "walls", self.cells.restore_walls)
         self.walls.centre(self.cells)
         _launch_all(self._following)
         self._group("move")
+        if self._bodies is not None:
+            self._join()
+            run_timed(self.timings, "bodies", lambda: self._describe_bodies(ahead))
+
+    def _describe_bodies(self, ahead: float) -> None:
+        if self._bodies is not None:
+            self._bodies.describe(self.cells, self.walls, ahead)
 
     def _group(self, name: str) -> None:
         """Run all phases of a group."""
@@ -388,6 +434,8 @@ class LiquidSolver:
     def _record(self) -> None:
         """Record the launches for the current window, and write the walls into its cells."""
         self.grid.low, self.grid.size = self.cells.low, self.cells.size
+        if self._bodies is not None:
+            self._bodies.fit(self.cells)
         self._extents = [self._phases.extent(index) for index in range(len(self.workers))]
         self._phases.record(self._forces, self.walls, self.tracks, self.impulses, self.grid)
         sums = launches([(stage.name, stage.record(self.grid)) for stage in self._sums])
@@ -407,7 +455,12 @@ def _launch_all(named: Sequence[Named]) -> None:
 
 
 def kernels(
-    boundaries: Sequence[Boundary], solids: Sequence[str], real: Any, form: str
+    boundaries: Sequence[Boundary],
+    solids: Sequence[str],
+    real: Any,
+    form: str,
+    *,
+    bodies: bool = False,
 ) -> Iterator[Any]:
     """Yield the kernels that a liquid's steps launch, without forces on particles.
 
@@ -416,9 +469,12 @@ def kernels(
         solids: Shapes of free solids.
         real: wp.float32 or wp.float64.
         form: Form of the transfers, "plain" or "simd".
+        bodies: Whether other materials move in the liquid.
     """
     yield from wall_kernels(boundaries, solids, real)
-    if solids:
+    if bodies:
+        yield from body_kernels(real)
+    if solids or bodies:
         yield from solid_kernels(real)
     yield from phases.kernels(real, form)
     yield from projection.kernels()

@@ -30,7 +30,7 @@ class Wall:
     name: str
     """Name of the boundary and, if it has several parts, of the part."""
     shape: str
-    """Name of a distance function (phy124/kernels/distance.py)."""
+    """Name of a distance function (phy124/kernels/distance.py); empty for a body of particles."""
     geometry: Any
     """The three vectors that the distance function reads [m]."""
     slot: int
@@ -47,7 +47,7 @@ class Wall:
     @property
     def moves(self) -> bool:
         """Whether the wall moves or ends."""
-        return self.slot > 0 or len(self.frame) > 0
+        return self.slot > 0 or len(self.frame) > 0 or not self.shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +58,8 @@ class Group:
     moves: bool
     reach: float
     """As for a wall."""
+    first: int
+    """Number of the first wall."""
     numbers: wp.array
     """Numbers of the walls."""
     geometries: wp.array
@@ -94,6 +96,13 @@ def walls_of_solids(bodies: FreeBodies, model: Model) -> Iterator[Wall]:
         geometry = t.mat33(*np.ravel(solid.geometry()))
         reach = float(np.linalg.norm(solid.half))
         yield Wall(solid.name, solid.shape, geometry, 0, 0.0, False, frame, reach)
+
+
+def walls_of_bodies(names: Iterable[str], model: Model) -> Iterator[Wall]:
+    """Yield the surfaces of bodies of particles, on which the liquid has no friction."""
+    none = wp.zeros(0, dtype=wp.float64, device=model.device)
+    for name in names:
+        yield Wall(name, "", None, 0, 0.0, False, none)
 
 
 class Walls:
@@ -138,15 +147,15 @@ class Walls:
             for group in chosen
             for record in self._describe_group(cells, group, worker, workers)
         ]
-        regions = [cells.region(group.reach) for group in chosen] if move else [cells.whole]
-        shares = [self._share(cells, region, worker, workers) for region in regions]
+        regions = [self._region(cells, group) for group in chosen] if move else [cells.whole]
+        shares = [self.share(cells, region, worker, workers) for region in regions]
         return [records, shares]
 
     def _describe_group(
         self, cells: Cells, group: Group, worker: int, workers: int
     ) -> Iterator[Recorded]:
         """Yield a worker's launches that combine walls with those described before them."""
-        model, region = self._model, cells.region(group.reach)
+        model, region = self._model, self._region(cells, group)
         shape = [group.numbers, group.geometries, self.slots, cells.lattice, cells.window]
         shape += [self._tracks.values, group.frame, region.box]
         size = region.size
@@ -161,7 +170,10 @@ class Walls:
         kernel = kernels.make_eighths(group.shape, model.real)
         yield STAGE, model.launch(kernel, count, [first, *shape], [cells.eighths])
 
-    def _share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
+    def _region(self, cells: Cells, group: Group) -> Region:
+        return cells.region(group.reach, group.first)
+
+    def share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
         """Return a worker's launch for the B-splines in a region.
 
         For each B-spline, it computes the fraction that is inside walls.
@@ -179,9 +191,11 @@ class Walls:
 
     def centre(self, cells: Cells) -> None:
         """Move the region of a free solid to its current place."""
-        for wall in self.all:
+        for number, wall in enumerate(self.all):
             if len(wall.frame):
-                cells.region(wall.reach).centre(np.asarray(wall.frame.numpy(), np.float64)[:3])
+                cells.region(wall.reach, number).centre(
+                    np.asarray(wall.frame.numpy(), np.float64)[:3]
+                )
 
     def push_out(
         self, cells: Cells, run: slice, x: wp.array, v: wp.array, sums: wp.array, *, stops: bool
@@ -212,13 +226,18 @@ class Walls:
     def _group_walls(self) -> Iterator[Group]:
         """Yield the walls in groups that one launch treats."""
         t, device = types(self._model.real), self._model.device
-        keys = [(wall.shape, wall.moves, wall.reach) for wall in self.all]
-        for key in dict.fromkeys(keys):
+        # Each free solid is a group, since it has a frame.
+        keys = [
+            (wall.shape, wall.moves, wall.reach, number if len(wall.frame) else -1)
+            for number, wall in enumerate(self.all)
+        ]
+        for key in dict.fromkeys(key for key in keys if key[0]):
             numbers = [index for index, other in enumerate(keys) if other == key]
             group = [self.all[index] for index in numbers]
             shapes = np.array([np.array(wall.geometry) for wall in group]).reshape(-1, 3, 3)
             yield Group(
-                *key,
+                *key[:3],
+                numbers[0],
                 wp.array(np.array(numbers, np.int32), dtype=int, device=device),
                 self._model.array(shapes, t.mat33),
                 group[0].frame,

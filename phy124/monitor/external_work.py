@@ -33,9 +33,11 @@ if TYPE_CHECKING:
 
 STAGE = "external work"
 """Name of the stages that sum external work."""
-PUSH, WALL, UNIFORM = "push", "wall", "uniform"
-"""Causes of external work: forces on particles, walls, and a varying uniform acceleration."""
-SOURCES = (PUSH, WALL, UNIFORM)
+PUSH, WALL, UNIFORM, LIQUID = "push", "wall", "uniform", "liquid"
+"""Causes of external work: forces on particles, walls, a varying uniform acceleration, and walls
+on a liquid by projection.
+"""
+SOURCES = (PUSH, WALL, UNIFORM, LIQUID)
 ROOM = 16
 """Numbers reserved for the sums of a worker, so that no two workers write to the same cache line.
 """
@@ -140,7 +142,7 @@ class ExternalWork(Observer):
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver; a liquid by projection sums the work of its walls by itself."""
-        self._liquid = solver if solver.projects is True else None
+        self._liquid: Any = solver if solver.projects else None
         self._read_impulses()
 
     def change(self, scene: Scene) -> None:
@@ -149,7 +151,7 @@ class ExternalWork(Observer):
 
     def _read_impulses(self) -> None:
         if self._liquid is not None:
-            self._device[WALL] = self._liquid.impulses.total
+            self._device[LIQUID] = self._liquid.impulses.total
 
     @property
     def _varies(self) -> bool:
@@ -162,7 +164,7 @@ class ExternalWork(Observer):
             self._closed[name] = np.zeros(kernels.GIVEN)
         for sums in self._device.values():
             sums.zero_()
-        self._opened = clock.time - clock.last_dt / 2
+        self._opened = clock.time - clock.behind
 
     def store(self, energy: float) -> None:
         """Add energy [J] that is stored in the object without motion, for example by stiffening."""
@@ -183,10 +185,14 @@ class ExternalWork(Observer):
             way: Sum of mass times displacement since the start [3], kg m.
         """
         total = self._sum()
-        if not self._varies:
-            values: NDArray[Any] = self._tracks.values.numpy()
-            a = values[0, :3].astype(np.float64)
-            impulse = self._model.total_mass * a * (clock.time - clock.last_dt / 2 - self._opened)
+        values: NDArray[Any] = self._tracks.values.numpy()
+        a = values[0, :3].astype(np.float64)
+        if self._varies:
+            # The sums go to the bodies' last kick, half a substep ago; a liquid is further behind.
+            late = self._model.total_mass * (clock.behind - clock.last_dt / 2)
+            total[IMPULSES] -= late * a
+        else:
+            impulse = self._model.total_mass * a * (clock.time - clock.behind - self._opened)
             work = float(a @ way)
             total = total + np.array([*impulse, work, np.linalg.norm(impulse), abs(work)])
         work, moved, turned = total[[kernels.WORK, kernels.MOVED, kernels.TURNED]].tolist()
@@ -194,7 +200,7 @@ class ExternalWork(Observer):
 
     def of_walls(self) -> float:
         """Return the work of the walls so far [J]; for walls at rest it is friction, negative."""
-        return float(self._sum(WALL)[kernels.WORK])
+        return float(self._sum(WALL, LIQUID)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state to continue from, as plain data."""
@@ -247,7 +253,8 @@ class ExternalWork(Observer):
         """Record the launch that adds the uniform acceleration's impulse and work."""
         model, tracks, sums = self._model, self._tracks, self._accumulator(UNIFORM, grid)
         self._set_base()
-        others = [self._device.get(name, self._zeros(0)) for name in (PUSH, WALL)]
+        names = (PUSH, WALL, LIQUID)
+        others = [self._device.get(name, self._zeros(0)) for name in names]
         inputs = [model.total_mass, tracks.clock, tracks.values, self._base, *others]
         kernel = kernels.make_uniform_sums(model.real)
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
@@ -255,8 +262,8 @@ class ExternalWork(Observer):
     def _set_base(self) -> None:
         """Store the momentum without the open sums, which include the walls' last impulse."""
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
-        walls = self._open(WALL)[IMPULSES] if WALL in self._device else np.zeros(3)
-        self._walls_before.assign(walls)
+        walls = [self._open(name)[IMPULSES] for name in (WALL, LIQUID) if name in self._device]
+        self._walls_before.assign(sum(walls, np.zeros(3)))
 
     def _attach_push(
         self, stages: Sequence[Stage], model: Model, state: State

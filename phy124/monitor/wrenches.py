@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 STAGE = "wrenches"
 """Name of the stages that sum wrenches."""
+LIQUID = -1
+"""Key, among the workers, of the sums that a liquid by projection keeps."""
 Vector3 = NDArray[np.float64]
 
 
@@ -113,9 +115,13 @@ class Wrenches(Observer):
 
     def _read_impulses(self) -> None:
         """Use the sums of impulses on walls that the liquid solver keeps."""
-        if self._of_walls and self._solver.projects is True:
-            impulses = self._solver.impulses
-            self._sums = {name: {0: impulses.wrench(name)} for name in impulses.names}
+        solver: Any = self._solver
+        if self._of_walls and solver.projects:
+            impulses = solver.impulses
+            # Next to the liquid, other materials have sums by worker.
+            self._sums = {name: s for name, s in self._sums.items() if LIQUID not in s}
+            for name in impulses.names:
+                self._sums.setdefault(name, {})[LIQUID] = impulses.wrench(name)
 
     def before_attempt(self, *, closely: bool = False) -> None:
         """Set the sums to zero."""

@@ -54,6 +54,11 @@ class Clock:
         """Inputs and result of the last computation of the longest stable substep."""
 
     @property
+    def behind(self) -> float:
+        """Time by which velocities are behind positions [s]."""
+        return self.last_dt / 2
+
+    @property
     def due(self) -> bool:
         """Whether the limits must be measured before the next substep."""
         return self.since_measured >= self.interval

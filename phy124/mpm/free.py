@@ -276,7 +276,8 @@ class FreeBodies:
     @property
     def _met(self) -> list[int]:
         """Indices of the particle bodies that solids can touch."""
-        return [body for body in range(self._model.bodies) if body not in self._model.held]
+        still = self._model.held | self._model.wet
+        return [body for body in range(self._model.bodies) if body not in still]
 
     @property
     def names(self) -> tuple[str, ...]:

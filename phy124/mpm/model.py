@@ -80,6 +80,8 @@ class Model:
     """Form of the transfers: "simd" (float32 on the CPU), "plain" or "spline"."""
     held: frozenset[int] = frozenset()
     """Indices of bodies that never move."""
+    wet: frozenset[int] = frozenset()
+    """Indices of bodies of liquid, which another solver moves."""
     names: tuple[str, ...] = ()
     """Names of the bodies; empty if they have none."""
     least_stiffness: float = 1.0
@@ -97,6 +99,7 @@ class Model:
         stiffness: NDArray | None = None,
         body: NDArray | None = None,
         held: Collection[int] = (),
+        wet: Collection[int] = (),
         names: Sequence[str] = (),
         origin: Sequence[float] = (0.0, 0.0, 0.0),
         cfl: float = CFL,
@@ -118,6 +121,7 @@ class Model:
             body: Index of each particle's body [P], counted from 0 and increasing; particles of one
                 law must be consecutive in each body. None: all particles are one body.
             held: Bodies that never move: other bodies collide with them as with a wall.
+            wet: Bodies of liquid, which another solver moves.
             names: Names of the bodies, in order of their indices.
             origin: Position of node (0, 0, 0) [m].
             cfl: Fraction of the elastic limit of the substep, in (0, 1).
@@ -160,6 +164,7 @@ class Model:
             device=device,
             form=form_of(precision, device if simd else "", gradient),
             held=frozenset(held),
+            wet=frozenset(wet),
             names=tuple(names),
             least_stiffness=1.0 if stiffness is None else float(np.min(stiffness)),
         )
@@ -195,6 +200,11 @@ class Model:
         return free
 
     @property
+    def dry_groups(self) -> tuple[Group, ...]:
+        """Groups of the particles that are not those of a liquid of another solver."""
+        return tuple(group for group in self.groups if group.body not in self.wet)
+
+    @property
     def real(self) -> Any:
         """Warp's floating point type."""
         return PRECISIONS[self.precision]
@@ -202,7 +212,8 @@ class Model:
     @property
     def viscous(self) -> float:
         """Longest substep that viscosity allows [s]."""
-        slowest = min(section.viscous_limit(self.dx) for section in self.materials)
+        sections = [m for m in self.materials if not (self.wet and m.device_law.name == "fluid")]
+        slowest = min(section.viscous_limit(self.dx) for section in sections)
         return beside_elastic(self.cfl) * slowest
 
     @cached_property

@@ -70,6 +70,8 @@ class Pairs:
         self._model = model
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
+        self._added = np.zeros((len(self.all), SUMS))
+        """Sums of the impulses of a liquid, which another solver computes [pairs,6]."""
         self._begun = self._total()
         self._fill = fill_of(model)
 
@@ -79,7 +81,21 @@ class Pairs:
 
     def _total(self) -> NDArray[np.float64]:
         """Return the impulse of the first body on the second, and its moment [pairs,6]."""
-        return np.asarray(self._sums.numpy()).sum(axis=0)[:, :SUMS]
+        return np.asarray(self._sums.numpy()).sum(axis=0)[:, :SUMS] + self._added
+
+    def add(self, first: int, second: int, impulse: NDArray, moment: NDArray) -> None:
+        """Add an impulse that a liquid exchanges with a body.
+
+        Args:
+            first: Index of a body.
+            second: Index of the body on which it acts.
+            impulse: Impulse of the first body on the second [3], N s.
+            moment: Its moment about the origin [3], N m s.
+        """
+        for index, pair in enumerate(self.all):
+            if {pair.first, pair.second} == {first, second}:
+                sign = 1 if pair.first == first else -1
+                self._added[index] += sign * np.concatenate([impulse, moment])
 
     def impulse(self) -> NDArray[np.float64]:
         """Return the impulse of held bodies on all other bodies since the start [3], N s."""
@@ -103,7 +119,7 @@ class Pairs:
 
     def snapshot(self) -> dict[str, Any]:
         """Return the current sums."""
-        return {"sums": wp.clone(self._sums), "begun": self._begun}
+        return {"sums": wp.clone(self._sums), "begun": self._begun, "added": self._added.copy()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the sums; if the number of workers differs, only their total is restored."""
@@ -115,6 +131,7 @@ class Pairs:
             sums = whole
         self._sums.assign(sums)
         self._begun = np.asarray(snapshot["begun"])
+        self._added = np.array(snapshot.get("added", 0.0) + np.zeros((len(self.all), SUMS)))
 
     def record(self, grids: Sequence[Grid], worker: int, workers: int) -> list[Recorded]:
         """Record a worker's launches, one for each pair of bodies whose windows overlap.

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -56,7 +56,8 @@ CALM = 0.9
 class Solver:
     """Advances a state in time under forces and boundaries by running the phases of substeps."""
 
-    projects: ClassVar[Literal[False]] = False
+    projects: ClassVar[bool] = False
+    clock_type: ClassVar[type[Clock]] = Clock
 
     def __init__(
         self,
@@ -105,7 +106,7 @@ class Solver:
         self.state = State.of(model) if state is None else state
         self.fluctuation = Fluctuation.of(model, self.state, scheme) if scheme.passes else None
         self._rpic = usable_rpic(scheme, model.cfl)
-        self.clock = Clock(model, ceiling=ceiling, measure_every=measure_every)
+        self.clock = self.clock_type(model, ceiling=ceiling, measure_every=measure_every)
         on_device = usable(model.device) if graph is None else graph
         self.on_device = on_device and model.bodies == 1 and not free and not model.held
         """Whether frames run as graphs."""
@@ -176,8 +177,9 @@ class Solver:
 
     @property
     def grid(self) -> Grid:
-        """The grid of the first body."""
-        return self.grids[0]
+        """The grid of the first body that this solver moves."""
+        wet = self.model.wet
+        return next(grid for body, grid in enumerate(self.grids) if body not in wet)
 
     @property
     def nodes(self) -> int:
@@ -431,8 +433,14 @@ class Solver:
             return [Maxima.of(rows.max(axis=0)).corners]
         parts = self.slabs.parts if self.slabs else ()
         body = np.array([part.group.body for part in parts] or range(len(rows)))
+        none = np.full(rows.shape[1], -np.inf)
         bodies = range(len(self.grids))
-        return [Maxima.of(rows[body == number].max(axis=0)).corners for number in bodies]
+        return [
+            Maxima.of(
+                rows[body == number].max(axis=0, initial=-np.inf) if number in body else none
+            ).corners
+            for number in bodies
+        ]
 
     def _fit_slabs(self, rows: NDArray[np.float64], force: bool) -> bool:
         """Fit private nodes to their particles, or divide again; return whether slabs changed."""

@@ -158,12 +158,13 @@ class Recorder:
     @property
     def _moving(self) -> list[int]:
         """The bodies that may move."""
-        return [body for body in range(len(self.grids)) if body not in self.model.held]
+        still = self.model.held | self.model.wet
+        return [body for body in range(len(self.grids)) if body not in still]
 
     @property
     def _grid(self) -> Grid:
         """Grid for launches that do not use nodes."""
-        return self.grids[0]
+        return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
         """Return a worker's pushes; the first worker has all, unless all can be divided."""

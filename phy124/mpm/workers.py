@@ -264,7 +264,7 @@ class Slabs:
     def _share_out(self) -> None:
         """Assign the parts to the workers."""
         for index, worker in enumerate(self.workers):
-            parts = (self._part(index, group) for group in self._model.groups)
+            parts = (self._part(index, group) for group in self._model.dry_groups)
             worker.parts = [part for part in parts if part is not None]
 
     def _part(self, index: int, group: Group) -> Part | None:
@@ -289,7 +289,7 @@ def lone_worker(model: Model, grids: Sequence[Grid]) -> Worker:
     maxima = numbers(COUNT * len(grids), model)
     every = wp.zeros(0, dtype=int, device=model.device)
     parts = []
-    for group in model.groups:
+    for group in model.dry_groups:
         row = cast("wp.array", maxima[COUNT * group.body : COUNT * (group.body + 1)])
         parts.append(Part(group, group.particles, every, len(group), grids[group.body], row))
     return Worker(maxima, numbers(SPEEDS, model), parts)

@@ -73,7 +73,7 @@ class Accuracy(Section):
         exclude_if=lambda value: value == "compressible",
         description="Solver of the law fluid. compressible: particles with a pressure of their "
         "own, like other materials. projection: incompressible flow, which keeps its volume and "
-        "takes longer steps; for scenes in which everything that moves is one liquid.",
+        "takes longer steps; for scenes with one liquid, in which other materials may move.",
     )
 
     @property

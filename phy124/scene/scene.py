@@ -190,6 +190,11 @@ class Scene(Section):
         return liquid and self.resolution.liquid == "projection"
 
     @property
+    def mixes(self) -> bool:
+        """Whether a liquid by pressure projection moves together with other materials."""
+        return self.projects and any(section.law != "fluid" for section in self.materials)
+
+    @property
     def acting(self) -> list[AnyForce]:
         """Forces whose strength is not zero."""
         return [force for force in self.forces if not force.idle]

@@ -54,9 +54,12 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     scene, particles = setup.solid_scene, setup.particles
     x = particles.x.astype(np.float64)
     v, C = _initial_motion(x, particles, scene)
+    fluid = np.array([section.law == "fluid" for section in setup.materials])
     floors = [wall.height for wall in scene.boundaries if isinstance(wall, Ground)]
     bodies = [0] if particles.body is None else np.unique(particles.body).tolist()
     held = {index for index, body in enumerate(scene.every_object) if body.held}
+    number = number_bodies(particles.body)
+    wet = find_wet(fluid, particles.material, number) if scene.mixes else []
     model = Model.of(
         x,
         particles.volume,
@@ -64,7 +67,8 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         dx=scene.dx,
         material=particles.material,
         stiffness=setup.stiffness,
-        body=number_bodies(particles.body),
+        body=number,
+        wet=wet,
         names=[scene.names[index] for index in bodies],
         held=[place for place, index in enumerate(bodies) if index in held],
         origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
@@ -75,6 +79,21 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     )
     refuse_buried(scene.boundaries, model)
     ceiling = math.inf if scene.time.substep is None else scene.time.substep
+    if scene.mixes:
+        from phy124.liquid.mixed import MixedSolver
+
+        return MixedSolver(
+            model,
+            State.of(model, v, C),
+            **wrap(scene, observers),
+            pairs=list(_pairs(model.names, scene)),
+            free=setup.free,
+            ceiling=ceiling,
+            threads=setup.threads,
+            measure_every=scene.checks.measure,
+            gathered=[observer for observer in observers if observer.in_gathers],
+            scheme=scheme_of(scene),
+        )
     if scene.projects:
         from phy124.liquid.solver import LiquidSolver
 
@@ -120,12 +139,13 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
         forces = observer.wrap_forces(forces)
         walls = observer.wrap_walls(scene.boundaries, walls)
     sums = [observer for observer in observers if observer.in_substeps]
-    if scene.projects:
-        named = list(zip(wall_names(scene.boundaries), scene.boundaries, strict=True))
-        planes = planes_for_free(scene)
-        return {"forces": forces, "boundaries": named, "accumulators": sums, "planes": planes}
-    planes = planes_for_free(scene)
-    return {"forces": forces, "boundaries": walls, "accumulators": sums, "planes": planes}
+    options = {"forces": forces, "accumulators": sums, "planes": planes_for_free(scene)}
+    named = zip(wall_names(scene.boundaries), scene.boundaries, strict=True)
+    of_liquid = [(name, wall) for name, wall in named if not wall.holds and wall.object is None]
+    if scene.mixes:
+        uniform = [force for force in scene.acting if force.uniform]
+        return {**options, "boundaries": walls, "uniform": uniform, "walls": of_liquid}
+    return {**options, "boundaries": of_liquid if scene.projects else walls}
 
 
 def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
@@ -143,8 +163,10 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
         from phy124.liquid.solver import kernels as liquid_kernels
 
         solids = [body.shape or "" for body in scene.objects if body.free]
-        yield from liquid_kernels(scene.boundaries, solids, real, form)
+        bodies = scene.mixes
+        yield from liquid_kernels(scene.boundaries, solids, real, form, bodies=bodies)
         yield from free.kernels_of(solids, real)
+    if scene.projects and not scene.mixes:
         yield from repair.kernels(subject.laws, real)
         yield from deform.kernels(real, scene.binding, device)
         for observer in OBSERVERS:
@@ -172,6 +194,20 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     if scene.objects:
         yield from pairs.kernels(real)
     yield from free.kernels_of((body.shape or "" for body in scene.objects if body.free), real)
+
+
+def find_wet(fluid: NDArray, material: NDArray | None, body: NDArray | None) -> list[int]:
+    """Return the bodies that are liquid.
+
+    Args:
+        fluid: Whether each material is a liquid [M].
+        material: Material of each particle [P]; None: the first one.
+        body: Index of each particle's body [P]; None: a single body.
+    """
+    if material is None or body is None:
+        return []
+    bodies: list[int] = np.unique(body).tolist()
+    return [number for number in bodies if fluid[material[body == number]].all()]
 
 
 def scheme_of(scene: Scene) -> Scheme:

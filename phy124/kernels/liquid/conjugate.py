@@ -189,7 +189,7 @@ def add_rigid(sums: Table, solid: int, p: int, force: wp.vec3d, turn: wp.vec3d):
 
 
 @wp.func
-def turned(mobility: Table, solid: int, turn: wp.vec3d):
+def rotation_of(mobility: Table, solid: int, turn: wp.vec3d):
     """Return the angular velocity of a solid for a moment."""
     w = wp.vec3d()
     for a in range(3):
@@ -208,7 +208,7 @@ def respond(sums: Table, mobility: Table, p: int, responses: wp.array2d(dtype=wp
     for solid in range(mobility.shape[0]):
         force, turn = rigid_sums(sums, solid)
         V = mobility[solid, 0] * force
-        w = turned(mobility, solid, turn)
+        w = rotation_of(mobility, solid, turn)
         responses[p, 2 * solid] = V
         responses[p, 2 * solid + 1] = w
         product += wp.dot(force, V) + wp.dot(turn, w)

@@ -64,7 +64,10 @@ def take_row(sums: Sums, wall: int):
 
 @cache
 def make_wall_impulses(real: Any):
-    """Kernel over parts of the listed cells: adds the impulses of pressure to `sums_out`."""
+    """Kernel over parts of the listed cells: adds the impulses of pressure to `sums_out`.
+
+    From the wall with number `bodies` on, the opposite is stored in `pressed_out`.
+    """
     t = types(real)
 
     @kernel(f"phy124_liquid_impulses_{real.__name__}", real, seconds=0.4)
@@ -82,7 +85,9 @@ def make_wall_impulses(real: Any):
         distances: t.reals,
         owners: Ints,
         pressure: Doubles,
+        bodies: int,
         sums_out: wp.array2d(dtype=wp.float64),
+        pressed_out: t.vec3s,
     ):
         p = part + wp.tid()
         size = window[1]
@@ -94,6 +99,7 @@ def make_wall_impulses(real: Any):
         for k in range(span[0], span[1]):
             n = listed[k]
             cell = cell_of(n, size)
+            pressed = t.vec3()
             for axis in range(3):
                 jump = open[n + stride(axis, size)][axis] - open[n][axis]
                 if jump != real(0.0):
@@ -113,6 +119,10 @@ def make_wall_impulses(real: Any):
                         for b in range(3):
                             wp.atomic_add(sums_out, owner, 3 + b, wp.float64(turn[b]))
                         wp.atomic_add(sums_out, owner, 6, wp.float64(impulse * speed))
+                        if owner >= bodies:
+                            pressed[axis] = -impulse
+            if pressed_out.shape[0] > 0:
+                pressed_out[n] = pressed
 
     return wall_impulses
 

@@ -40,8 +40,8 @@ from phy124.kernels.liquid.conjugate import (
     clear_rigid,
     count_of,
     rigid_sums,
+    rotation_of,
     share,
-    turned,
 )
 from phy124.kernels.liquid.faces import cell_of, entry, stride
 from phy124.kernels.liquid.impulses import Sums, take_row, way_to_wall
@@ -217,7 +217,7 @@ def make_kick(real: Any):
 
 @cache
 def make_predict(real: Any):
-    """Kernel over solids: writes the motion that a solid would have without the solution's pressure.
+    """Kernel over solids: writes the motion of a solid before the pressure of the solution acts.
 
     It is the planned motion, plus the response to the sums of `make_lift`.
     """
@@ -235,7 +235,7 @@ def make_predict(real: Any):
         solid = wp.tid()
         force, turn = rigid_sums(sums, solid)
         V = plans[solid, 0] + mobility[solid, 0] * force
-        w = plans[solid, 1] + turned(mobility, solid, turn)
+        w = plans[solid, 1] + rotation_of(mobility, solid, turn)
         put_motion(motions_out, wall + solid, V, w, centres[solid])
 
     return predict

@@ -1,0 +1,359 @@
+"""Bodies: other materials in a liquid, which another solver moves between two steps of the liquid.
+
+The liquid meets a body as a wall whose shape follows from its particles. Pressures act on the
+particles at its surface during the substeps that follow. Momentum is exchanged exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.arguments import types
+from phy124.kernels.liquid import bodies as kernels
+from phy124.kernels.liquid.active import EMPTY
+from phy124.kernels.reduction import shared_out
+from phy124.liquid.cells import Cells, Region
+from phy124.liquid.solids import Solids
+from phy124.liquid.walls import Walls
+from phy124.mpm import Grid, Model, Stage, State
+from phy124.mpm.model import part_of
+from phy124.mpm.tracks import Tracks
+
+STAGE = "bodies"
+"""Name of the stages in reports."""
+FIRST, MOST = 8, 0.7
+"""Steps towards the volume of a body when it is first described, and largest shift of its surface
+[cells].
+"""
+BURST = 1.5
+"""Largest impulse of other causes in a step, relative to that of the liquid and the weight."""
+
+
+class Motion(NamedTuple):
+    """The rigid motion of a body."""
+
+    mass: float
+    """Mass [kg]."""
+    centre: NDArray[np.float64]
+    """Centre of mass [3], m."""
+    momentum: NDArray[np.float64]
+    """Momentum [3], kg m/s."""
+    angular: NDArray[np.float64]
+    """Angular momentum about the centre [3], kg m^2/s."""
+    inverse: NDArray[np.float64]
+    """Inverse of the inertia about the centre [3,3], 1/(kg m^2)."""
+
+    @classmethod
+    def of(cls, row: NDArray[np.float64], dx: float) -> Motion:
+        """Return the motion with sums of `phy124.kernels.liquid.bodies`."""
+        mass, first, momentum, angular, second = np.split(row, [1, 4, 7, 10])
+        m = float(mass[0])
+        x = first / m
+        xx, yy, zz, xy, xz, yz = second
+        moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * np.outer(x, x)
+        # The second term belongs to the particles' C.
+        inertia = (np.trace(moments) + m * dx**2 / 2) * np.eye(3) - moments
+        return cls(m, x, momentum, angular - np.cross(x, momentum), np.linalg.inv(inertia))
+
+
+class Bodies:
+    """The bodies of a run, each of which is a wall of the liquid."""
+
+    def __init__(self, model: Model, state: State, grids: Sequence[Grid]) -> None:
+        """Allocate the arrays of the particles.
+
+        Args:
+            model: All particles of the run, with the liquid's.
+            state: Their state.
+            grids: Grid of each body, whose window covers the body.
+        """
+        self._model, self._state, self._grids = model, state, grids
+        self.numbers = [body for body in range(model.bodies) if body not in model.wet]
+        """Indices of the bodies."""
+        t, device, count = types(model.real), model.device, len(self.numbers)
+        shape = (count, kernels.MOMENTS)
+        self._rows = wp.zeros(shape, dtype=wp.float64, device=device)
+        self._pushes = wp.zeros(len(model), dtype=t.vec3, device=device)
+        self._turns = wp.zeros(len(model), dtype=t.mat33, device=device)
+        self._most = wp.zeros(1, dtype=model.real, device=device)
+        self._volumes = wp.zeros(3, dtype=wp.float64, device=device)
+        self._shifts = np.full(model.bodies, np.nan)
+        """Distance by which the surface of each body is shifted outwards [cells]."""
+        self._limit, self._kick = 0.0, 0.0
+        stiff = np.array([_stiffness(model, body) for body in self.numbers])
+        self._stiffness = wp.array(stiff, dtype=wp.float64, device=device)
+        self._before: list[tuple[NDArray, NDArray]] = []
+        self._centres = np.zeros((count, 3))
+        self.impulses = np.zeros((count, 2, 3))
+        """Impulse of the liquid on each body in the last step, and its moment about the origin."""
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the bodies."""
+        called = self._model.names or tuple(map(str, range(self._model.bodies)))
+        return [called[body] for body in self.numbers]
+
+    def join(self, solids: Solids, mobility: wp.array) -> None:
+        """Connect the bodies with the arrays of all solids, of which they are the last."""
+        self._solids, self._mobility = solids, mobility
+        self.first = len(mobility) - len(self.numbers)
+        """Number of free solids, which come before the bodies."""
+        device, shape = self._model.device, (len(mobility), 2)
+        self._present = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        self._exchanged = wp.zeros(shape, dtype=wp.vec3d, device=device)
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Return the stage that applies the pressure in each substep."""
+        kernel = kernels.make_body_push(model.real)
+
+        def record(grid: Grid) -> wp.Launch | None:
+            run = grid.run(len(model))
+            inputs = [tracks.clock, self._pushes[run], self._turns[run]]
+            outputs = [state.v[run], state.C[run]]
+            return model.launch(kernel, run.stop - run.start, inputs, outputs)
+
+        def limit(start: float, end: float) -> float:
+            del start, end
+            return self._limit
+
+        return [Stage(STAGE, record, by_run=True, limit=limit)]
+
+    def fit(self, cells: Cells) -> None:
+        """Allocate the arrays of a new window."""
+        t, device, count = types(self._model.real), self._model.device, cells.count
+        self._sheet = wp.zeros(count, dtype=t.vec4, device=device)
+        self._full, self._level = (
+            wp.zeros(count, dtype=self._model.real, device=device) for _ in range(2)
+        )
+        self.pressed, self._change = (wp.zeros(count, dtype=t.vec3, device=device) for _ in "ab")
+
+    def describe(self, cells: Cells, walls: Walls, ahead: float) -> None:
+        """Write the shape and the velocity of all bodies into the cells.
+
+        Args:
+            cells: The cells.
+            walls: The walls.
+            ahead: Time for which the bodies move on before [s]. With half a step, the bodies meet
+                the pressure as in a leapfrog scheme; without, a floating body would gain energy.
+        """
+        self._ahead = ahead
+        model, state, real = self._model, self._state, self._model.real
+        self._sheet.zero_()
+        for wall, body in enumerate(self.numbers, self._solids.first(walls) + self.first):
+            self._full.zero_()
+            self._level.fill_(float(EMPTY))
+            run, region = model.particles(body), self._region(cells, body)
+            inputs = [ahead, cells.lattice, cells.window, model.mass[run], model.volume[run]]
+            inputs += [state.x[run], state.v[run], state.C[run], part_of(state.deformation, run)]
+            kernel, count = kernels.make_body_scatter(real), run.stop - run.start
+            self._launch(kernel, count, inputs, [self._sheet, self._full])
+            size, box = int(np.prod(region.size)), region.box
+            for _ in range(FIRST if np.isnan(self._shifts[body]) else 2):
+                self._shape(cells, body, box, size)
+            points = int(np.prod(2 * region.size + 1))
+            inputs = [wall, cells.lattice, cells.window, box, self._level]
+            outputs = [cells.distances, cells.owners]
+            self._launch(kernels.make_body_distance(real), points, inputs, outputs)
+            inputs, outputs = [cells.window, box, self._level], [cells.open, cells.eighths]
+            self._launch(kernels.make_body_openings(real), size, inputs, outputs)
+            for _, launch in [walls.share(cells, region, 0, 1)]:
+                if launch is not None:
+                    launch.launch()
+
+    def _shape(self, cells: Cells, body: int, box: wp.array, count: int) -> None:
+        """Compute the distance from a body's surface, and shift it towards the body's volume."""
+        real, shift = self._model.real, float(np.nan_to_num(self._shifts[body]))
+        self._volumes.zero_()
+        inputs = [shift, cells.lattice, cells.window, box, self._full]
+        outputs = [self._level, self._volumes]
+        self._launch(kernels.make_body_level(real), count, inputs, outputs)
+        inputs = [cells.window, box, self._level]
+        self._launch(kernels.make_body_volume(real), count, inputs, [self._volumes])
+        volume, inside, slope = np.asarray(self._volumes.numpy(), np.float64).tolist()
+        if volume > 0:
+            shift += (volume - inside) / max(slope, 0.1 * float(volume ** (2 / 3)))
+            self._shifts[body] = min(max(shift, -MOST), MOST)
+
+    def plan(self, kick: float, pull: NDArray[np.float64]) -> None:
+        """Predict the motion of each body in a step, without the liquid.
+
+        Other impulses than the liquid's, such as those of walls, are those of the last step.
+
+        Args:
+            kick: Duration of the step [s].
+            pull: Uniform acceleration [3], m/s^2.
+        """
+        self._rows.zero_()
+        for index, body in enumerate(self.numbers):
+            run = self._model.particles(body)
+            threads, *fraction = shared_out(run.stop - run.start, self._model.device)
+            inputs = [*fraction, run.stop - run.start, self._model.dx, self._model.mass[run]]
+            inputs += [self._state.x[run], self._state.v[run], self._state.C[run]]
+            kernel = kernels.make_moments(self._model.real)
+            self._launch(kernel, threads, inputs, [cast("wp.array", self._rows[index])])
+        rows = np.array(self._rows.numpy(), np.float64)
+        motions = [Motion.of(row, self._model.dx) for row in rows]
+        others = [self._other(index, motion, kick, pull) for index, motion in enumerate(motions)]
+        plans, present, centres, mobility = (
+            np.array(a.numpy())
+            for a in (self._solids.plans, self._present, self._solids.centres, self._mobility)
+        )
+        for index, (motion, other) in enumerate(zip(motions, others, strict=True)):
+            place = self.first + index
+            centres[place] = motion.centre + self._ahead * motion.momentum / motion.mass
+            if self.numbers[index] in self._model.held:
+                mobility[place], plans[place], present[place] = 0.0, 0.0, 0.0
+                continue
+            present[place] = motion.momentum / motion.mass, motion.inverse @ motion.angular
+            changed = motion.angular + other[1]
+            plans[place] = (motion.momentum + other[0]) / motion.mass, motion.inverse @ changed
+            scale = self._solids.scale
+            mobility[place] = [scale / motion.mass, *(scale * motion.inverse).ravel()]
+        self._solids.plans.assign(plans)
+        self._solids.centres.assign(centres)
+        self._present.assign(present)
+        self._mobility.assign(mobility)
+        self._exchanged.zero_()
+        self.pressed.zero_()
+        self._before = [(motion.momentum, motion.angular) for motion in motions]
+        self._centres = centres[self.first :]
+        self._kick = kick
+
+    def _other(
+        self, index: int, motion: Motion, kick: float, pull: NDArray[np.float64]
+    ) -> tuple[NDArray, NDArray]:
+        """Return the impulse of all other causes [N s] and its moment, as in the last step."""
+        weight = motion.mass * pull * kick
+        if not self._before or self._kick == 0:
+            return weight, np.zeros(3)
+        (impulse, moment), (before, angular) = self.impulses[index], self._before[index]
+        moment = moment - np.cross(self._centres[index], impulse)
+        # An impact of the last step does not go on in the next one.
+        size = np.sqrt(np.linalg.norm(np.linalg.inv(motion.inverse)) / motion.mass)
+        most = BURST * float(np.linalg.norm(impulse) * kick / self._kick + np.linalg.norm(weight))
+        ratio = kick / self._kick
+        other = _limit(ratio * (motion.momentum - before - impulse), most)
+        turn = _limit(ratio * (motion.angular - angular - moment), most * float(size))
+        return other, turn
+
+    def yields(
+        self, cells: Cells, clock: wp.array, worker: int, workers: int, model: Model
+    ) -> wp.Launch | None:
+        """Return a worker's launch that adds the bodies' surfaces to the pressure equation.
+
+        Args:
+            cells: The cells.
+            clock: Length of the step.
+            worker: Index of the worker.
+            workers: Number of workers.
+            model: The particles of the liquid.
+        """
+        inputs = [worker, cells.active, cells.ends, self.first, self._solids.scale, cells.lattice]
+        inputs += [cells.window, clock, self._stiffness, cells.which, cells.jumps, self._sheet]
+        inputs.append(self._present)
+        inputs += [self._solids.centres, cells.pressure]
+        kernel, count = kernels.make_yield(model.real), -(-cells.count // workers)
+        return model.launch(kernel, count, inputs, [cells.diagonal, cells.right])
+
+    def answer(self, walls: Walls, step: wp.array, model: Model) -> wp.Launch | None:
+        """Return the launch that writes the bodies' motions after the pressure."""
+        inputs = [self._solids.first(walls), self.first, self._solids.scale, self._solids.plans]
+        inputs += [self._solids.centres, self._mobility]
+        outputs = [step, walls.motions, self._exchanged]
+        return model.launch(kernels.make_answer(model.real), len(self.numbers), inputs, outputs)
+
+    def receive(self, cells: Cells, drift: float) -> None:
+        """Compute the accelerations of the particles by the pressure of a step.
+
+        Args:
+            cells: The cells.
+            drift: Duration over which the pressure acts on the bodies [s].
+        """
+        model, real = self._model, self._model.real
+        # Velocities of bodies are not half a step behind, so the first impulse is not halved.
+        total = np.asarray(self._exchanged.numpy(), np.float64)[self.first :] * drift / self._kick
+        self.impulses = total
+        self._change.zero_()
+        self._most.zero_()
+        moving = [body for body in self.numbers if body not in model.held]
+        for body in moving:
+            region = self._region(cells, body)
+            inputs = [cells.window, region.box, self._sheet, self.pressed, cells.jumps]
+            count = int(np.prod(region.size))
+            self._launch(kernels.make_body_change(real), count, inputs, [self._change])
+        for body in moving:
+            run = model.particles(body)
+            inputs = [self._ahead, self._kick, cells.lattice, cells.window]
+            inputs += [self._state.x[run], self._state.v[run], self._change]
+            outputs = [self._pushes[run], self._turns[run], self._most]
+            self._launch(kernels.make_body_gather(real), run.stop - run.start, inputs, outputs)
+        self._limit = float(self._most.numpy()[0])
+
+    def push_out(self, cells: Cells, walls: Walls, model: Model, x: Any) -> wp.Launch | None:
+        """Return the launch that moves particles of the liquid out of the bodies.
+
+        Args:
+            cells: The cells.
+            walls: The walls.
+            model: The particles of the liquid.
+            x: Positions of a worker's particles [P,3], m.
+        """
+        inputs = [self._solids.first(walls) + self.first, cells.lattice, cells.window]
+        inputs += [cells.distances, cells.owners]
+        return model.launch(kernels.make_body_push_out(model.real), len(x), inputs, [x])
+
+    def _region(self, cells: Cells, body: int) -> Region:
+        """Return the cells that a body may fill or change."""
+        grid = self._grids[body]
+        region = Region(cells, np.asarray(grid.size, int) + 2)
+        region.place(np.asarray(grid.low, int) - 1 - cells.low)
+        return region
+
+    def _launch(self, kernel: Any, count: int, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, count, inputs=inputs, outputs=outputs, device=self._model.device)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the impulses and motions of the last step."""
+        before = [[momentum.tolist(), angular.tolist()] for momentum, angular in self._before]
+        impulses, shifts = self.impulses.tolist(), self._shifts.tolist()
+        centres = self._centres.tolist()
+        return {
+            "before": before,
+            "impulses": impulses,
+            "kick": self._kick,
+            "shifts": shifts,
+            "centres": centres,
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot."""
+        self._before = [(np.array(p), np.array(L)) for p, L in snapshot["before"]]
+        self.impulses, self._kick = np.array(snapshot["impulses"]), snapshot["kick"]
+        self._shifts, self._centres = np.array(snapshot["shifts"]), np.array(snapshot["centres"])
+
+
+Advance = Callable[[float], None]
+"""Moves the bodies up to a time [s]."""
+
+
+def _stiffness(model: Model, body: int) -> float:
+    """Return the stiffness of a body per cell of its surface [N/m], by waves across the body."""
+    if body in model.held:
+        return math.inf
+    run = model.particles(body)
+    volume = float(np.sum(model.volume.numpy()[run], dtype=np.float64))
+    laws = {group.law.name for group in model.groups if group.body == body}
+    sections = [m for m in model.materials if m.device_law.name in laws]
+    modulus = min(section.density * section.wave_speed() ** 2 for section in sections)
+    return float(modulus * model.dx**2 / volume ** (1 / 3))
+
+
+def _limit(vector: NDArray[np.float64], most: float) -> NDArray[np.float64]:
+    size = float(np.linalg.norm(vector))
+    return vector if size <= most else vector * (most / size)

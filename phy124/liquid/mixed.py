@@ -1,0 +1,207 @@
+"""MixedSolver: a liquid by projection, with bodies of other materials that move by substeps.
+
+In each step of the liquid, its pressure acts on the bodies, whose rigid motions are part of the
+pressure equation; the bodies then take substeps up to the end of the step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from numpy.typing import NDArray
+
+from phy124.boundaries import Boundary
+from phy124.liquid.bodies import Bodies
+from phy124.liquid.impulses import WallImpulses
+from phy124.liquid.solver import LiquidSolver
+from phy124.mpm import Accumulator, Attachable, Clock, Model, Solver, State
+from phy124.mpm.free import Plane
+from phy124.mpm.model import part_of
+
+
+class MixedClock(Clock):
+    """The clock of the bodies' substeps, which knows how far the liquid's velocities are behind."""
+
+    liquid: Clock
+    """The clock of the liquid."""
+    share = 0.0
+    """The liquid's fraction of all mass."""
+
+    @property
+    def behind(self) -> float:
+        """Time by which velocities are behind positions, as a mean over the mass [s]."""
+        return (1 - self.share) * super().behind + self.share * self.liquid.behind
+
+    def lag(self, power: float, momentum: NDArray) -> float:
+        """Return the change of kinetic energy [J] between the times of velocities and positions."""
+        return super().lag(power, momentum) + self.liquid.lag(0.0, self.share * momentum)
+
+
+class MixedSolver(Solver):
+    """Advances a liquid and bodies of other materials in time."""
+
+    projects = True
+    clock_type = MixedClock
+
+    def __init__(
+        self,
+        model: Model,
+        state: State,
+        *,
+        forces: Sequence[Attachable] = (),
+        uniform: Sequence[Attachable] = (),
+        boundaries: Sequence[Attachable] = (),
+        walls: Sequence[tuple[str, Boundary]] = (),
+        accumulators: Sequence[Accumulator] = (),
+        planes: Sequence[Plane] = (),
+        threads: int | None = None,
+        **options: Any,
+    ) -> None:
+        """Divide the particles between two solvers.
+
+        Args:
+            model: All particles; those of the liquid are the bodies `Model.wet`.
+            state: Their initial state.
+            forces: Forces, in the order in which they act.
+            uniform: The uniform forces among them.
+            boundaries: Boundaries as the bodies meet them.
+            walls: The same boundaries with their names, as the liquid meets them.
+            accumulators: Sums that are updated in every substep.
+            planes: Flat walls with which free solids collide.
+            threads: Number of CPU threads; None: as many as pay.
+            options: Further arguments of `Solver`.
+
+        Raises:
+            InputError: The region of a force holds no particle, or a wall is too thin for the grid.
+        """
+        span = _span(model)
+        part = _liquid_model(model, span)
+        self._bodies: Bodies | None = None
+        self._liquid: LiquidSolver | None = None
+        super().__init__(
+            model, state, forces=forces, boundaries=boundaries, accumulators=accumulators,
+            planes=planes, threads=threads, graph=False, **options,
+        )  # fmt: skip
+        self._bodies = Bodies(model, state, self.grids)
+        self._liquid = LiquidSolver(
+            part, _liquid_state(state, span), forces=uniform, boundaries=walls,
+            ceiling=self.clock.ceiling, threads=threads, bodies=self._bodies,
+            advance_bodies=self._advance_bodies,
+        )  # fmt: skip
+        assert isinstance(self.clock, MixedClock)
+        self.clock.liquid = self._liquid.clock
+        self.clock.share = part.total_mass / model.total_mass
+        self._after: Callable[[], None] | None = None
+        self._each = False
+        super().bind([*forces, self._bodies], boundaries, accumulators, planes)
+
+    @property
+    def liquid(self) -> LiquidSolver:
+        """The solver of the liquid."""
+        assert self._liquid is not None
+        return self._liquid
+
+    @property
+    def impulses(self) -> WallImpulses:
+        """Impulses of the walls on the liquid."""
+        return self.liquid.impulses
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes and of cells in all windows."""
+        return super().nodes + (self._liquid.nodes if self._liquid is not None else 0)
+
+    def bind(
+        self,
+        forces: Sequence[Attachable] = (),
+        boundaries: Sequence[Attachable] = (),
+        accumulators: Sequence[Accumulator] = (),
+        planes: Sequence[Plane] = (),
+        *,
+        uniform: Sequence[Attachable] = (),
+        walls: Sequence[tuple[str, Boundary]] = (),
+    ) -> None:
+        """Replace forces, boundaries and sums; see `__init__`."""
+        if self._liquid is not None and self._bodies is not None:
+            self._liquid.bind(uniform, walls)
+            forces = [*forces, self._bodies]
+        super().bind(forces, boundaries, accumulators, planes)
+
+    def advance(
+        self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
+    ) -> None:
+        """Take steps of the liquid, each followed by substeps of the bodies.
+
+        Args:
+            until: The time at which to stop [s].
+            after: Called after each substep.
+            each: Whether `after` must be called after each substep.
+
+        Raises:
+            Unstable: A particle left the grid's window or is no longer finite.
+        """
+        self._after, self._each = after, each
+        self._measure_if_due()
+        self.liquid.clock.time, self.liquid.clock.bodies = (
+            self.clock.time,
+            self.clock.extremes.speed,
+        )
+        self.liquid.advance(until)
+        self.clock.time = until
+
+    def _advance_bodies(self, until: float) -> None:
+        """Let the bodies take substeps under the pressure of the liquid."""
+        assert self._bodies is not None
+        wet = min(self.model.wet)
+        for body, (impulse, moment) in zip(
+            self._bodies.numbers, self._bodies.impulses, strict=True
+        ):
+            self.pairs.add(wet, body, impulse, moment)
+        super().advance(until, after=self._after, each=self._each)
+        self.liquid.clock.bodies = self.clock.extremes.speed
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state that `restore` needs to continue bit for bit."""
+        liquid = self.liquid.snapshot()
+        del liquid["state"]
+        return {**super().snapshot(), "liquid": liquid}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot; if the number of threads differs, only to within rounding."""
+        super().restore(snapshot)
+        self.liquid.restore(snapshot["liquid"])
+
+
+def _span(model: Model) -> slice:
+    """Return the particles of the liquid."""
+    runs = [model.particles(body) for body in sorted(model.wet)]
+    return slice(runs[0].start, runs[-1].stop)
+
+
+def _liquid_model(model: Model, span: slice) -> Model:
+    """Return the model of the particles of a span alone, as one body."""
+    groups = [
+        replace(group, start=group.start - span.start, stop=group.stop - span.start, body=0)
+        for group in model.groups
+        if span.start <= group.start < span.stop
+    ]
+    liquids = tuple(section for section in model.materials if section.device_law.name == "fluid")
+    return replace(
+        model,
+        rest=model.rest[span],
+        mass=part_of(model.mass, span),
+        volume=part_of(model.volume, span),
+        history=model.history[span],
+        groups=tuple(groups),
+        materials=liquids,
+        held=frozenset(),
+        wet=frozenset(),
+        names=(),
+        least_stiffness=1.0,
+    )
+
+
+def _liquid_state(state: State, span: slice) -> State:
+    return State(**{name: part_of(array, span) for name, array in state.arrays().items()})

@@ -1,0 +1,145 @@
+"""Other materials in a liquid by pressure projection: floating, sinking and held bodies."""
+
+import numpy as np
+import pytest
+
+from phy124.forces import Gravity
+from phy124.liquid.mixed import MixedSolver
+from phy124.materials import Fluid, NeoHookean
+from phy124.mpm import Model, State
+from phy124.runtime.context import RunContext
+from phy124.scene import Scene
+from phy124.simulation import Simulation, prepare
+from support.shapes import ball
+from test_liquid import DENSITY, TANK, G, block
+
+CELLS, LEVEL = 16, 6.5 / 16
+DX = 1 / CELLS
+
+
+def mixed(water, body, density, *, gravity=G, held=(), walls=(TANK,), E=1e5) -> MixedSolver:
+    """Particles of water and of an elastic body, with 8 in each cell."""
+    x = np.concatenate([water, body])
+    number = np.repeat([0, 1], [len(water), len(body)])
+    materials = [Fluid(density=DENSITY), NeoHookean(density=density, E=E, nu=0.3)]
+    named = {"names": ["water", "body"], "held": held, "wet": [0]}
+    volume = np.full(len(x), DX**3 / 8)
+    model = Model.of(x, volume, materials, dx=DX, material=number, body=number, **named)
+    pull = [Gravity(g=(0, 0, -gravity))] if gravity else []
+    tanks = [(f"tank_{index}", wall) for index, wall in enumerate(walls)]
+    options = {"forces": pull, "uniform": pull, "boundaries": list(walls), "walls": tanks}
+    return MixedSolver(model, State.of(model), **options, threads=1)
+
+
+def box(middle, cells) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of a box whose sides are some numbers of cells [m]."""
+    half = np.array(cells) * DX / 2
+    return np.array(middle) - half, np.array(middle) + half
+
+
+def with_block(density, bottom, cells=(5, 5, 3), **options) -> MixedSolver:
+    """A tank of water with a block in it, whose bottom is at a height [m]."""
+    lower, upper = box((0.5, 0.5, bottom + cells[2] * DX / 2), cells)
+    water = block((0, 0, 0), (1, 1, LEVEL), CELLS)
+    inside = ((water > lower) & (water < upper)).all(axis=1)
+    return mixed(water[~inside], block(lower, upper, CELLS), density, **options)
+
+
+def run(solver: MixedSolver, frames: int, fps: int = 24) -> MixedSolver:
+    start = solver.clock.time
+    for frame in range(frames):
+        solver.advance(start + (frame + 1) / fps)
+    return solver
+
+
+def depth(solver: MixedSolver) -> float:
+    """Depth of the block's bottom below the level of the water [cells]."""
+    model, x = solver.model, solver.state.x.numpy()
+    block = model.particles(1)
+    volume = model.mass.numpy()[block].sum() / DENSITY
+    level = model.volume.numpy()[model.particles(0)].sum() + volume
+    rest = model.rest[block, 2]
+    return (level - (x[block, 2].mean() - rest.mean() + rest.min() - DX / 4)) / DX
+
+
+def test_elastic_block_floats_at_its_depth():
+    solver = run(with_block(0.5 * DENSITY, LEVEL - 1.5 * DX), 12)
+    assert depth(solver) == pytest.approx(1.5, abs=0.2)
+
+
+def test_light_and_heavy_blocks_rise_and_sink():
+    for density, sign in ((0.1 * DENSITY, 1), (2.5 * DENSITY, -1)):
+        solver = with_block(density, 0.125)
+        before = solver.state.x.numpy()[-600:, 2].mean()
+        run(solver, 6)
+        assert sign * (solver.state.x.numpy()[-600:, 2].mean() - before) > 0.02
+
+
+def test_held_block_is_lifted_by_the_water_it_displaces():
+    solver = run(with_block(DENSITY, 0.1875, cells=(6, 6, 6), held=[1]), 12)
+    np.testing.assert_array_equal(solver.state.x.numpy()[-1728:], solver.model.rest[-1728:])
+    solver.pairs.begin()
+    run(solver, 6)
+    level = solver.model.volume.numpy()[solver.model.particles(0)].sum()
+    level = (level - 36 * DX**2 * 0.1875) / (1 - 36 * DX**2)
+    lift = solver.pairs.wrenches(6 / 24)[0, 1].force[2]
+    assert lift == pytest.approx(DENSITY * G * 36 * DX**2 * (level - 0.1875), rel=0.05)
+
+
+def test_momentum_of_liquid_and_body_is_conserved():
+    lower, upper = box((0.25, 0.25, 0.7), (4, 4, 4))
+    body = block(lower, upper, CELLS)
+    water = block((0, 0, 0), (0.5, 0.5, 0.5), CELLS)
+    solver = mixed(water, body, 1000.0, gravity=0, walls=())
+    v = np.zeros((len(water) + len(body), 3))
+    v[len(water) :] = (0.5, 0, -2)
+    solver.state.v.assign(v)
+    mass = solver.model.mass.numpy().astype(float)
+    start = mass @ v
+    run(solver, 12, fps=48)
+    v = solver.state.v.numpy()
+    assert (mass[: len(water)] @ v[: len(water)])[2] < 0.2 * start[2]
+    np.testing.assert_allclose(mass @ v, start, atol=0.08 * abs(start[2]))
+
+
+def pool(**changes) -> Scene:
+    """A ball that falls into a pool."""
+    water = {"name": "pool", "shape": "box", "size": 1.5, "sides": (1.0, 1.0, 0.3)}
+    container = {
+        "kind": "container",
+        "inside": {"lower": (-0.75, -0.75, 0), "upper": (0.75, 0.75, 9)},
+    }
+    data = {
+        "accuracy": {"cells": 8, "liquid": "projection"},
+        "object": {"lift": 0.5, "velocity": (0, 0, -2)},
+        "material": {"law": "neo_hookean", "density": 400, "E": 1e5},
+        "objects": [{**water, "material": {"law": "fluid"}}],
+        "forces": [{"kind": "gravity"}],
+        "boundaries": [{**container, "friction": 0.0}],
+        "time": {"frames": 8, "fps": 24},
+        **changes,
+    }
+    return Scene.from_data(data)
+
+
+def test_ball_that_lands_in_a_pool_is_pushed_by_the_water():
+    clip = Simulation(prepare(ball(), pool(wrenches=True), RunContext(threads=1))).run()
+    assert clip.report["complete"]
+    assert clip.report["balance"]["momentum_gain"] < 0.02
+    assert clip.report["balance"]["energy_gain"] < 0.05
+    assert clip.report["pairs"]["object_on_pool"]["largest_force"] > 100
+    assert clip.report["walls"]["container_z_low"]["largest_force"] > 1000
+
+
+@pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_mixed_run_repeats_and_resumes_bit_for_bit(threads):
+    whole = Simulation(prepare(ball(), pool(), RunContext(threads=threads)))
+    for frame in range(4):
+        whole.solver.advance((frame + 1) / 24)
+        if frame == 1:
+            kept = whole.solver.snapshot()
+    other = Simulation(prepare(ball(), pool(), RunContext(threads=threads))).solver
+    other.restore(kept)
+    for frame in range(2, 4):
+        other.advance((frame + 1) / 24)
+    np.testing.assert_array_equal(other.state.x.numpy(), whole.solver.state.x.numpy())
