@@ -123,7 +123,19 @@ class MixedSolver(Solver):
         uniform: Sequence[Attachable] = (),
         walls: Sequence[tuple[str, Boundary]] = (),
     ) -> None:
-        """Replace forces, boundaries and sums; see `__init__`."""
+        """Replace forces, boundaries and sums, from the next step on.
+
+        Args:
+            forces: Forces, in the order in which they act.
+            boundaries: Boundaries as the bodies meet them.
+            accumulators: Sums that are updated in every substep.
+            planes: Flat walls with which free solids collide.
+            uniform: The uniform forces among the forces.
+            walls: The same boundaries with their names, as the liquid meets them.
+
+        Raises:
+            InputError: As in `__init__`.
+        """
         if self._liquid is not None and self._bodies is not None:
             self._liquid.bind(uniform, walls)
             forces = [*forces, self._bodies]
