@@ -177,6 +177,12 @@ class Walls:
         """Return a worker's launch for the B-splines in a region.
 
         For each B-spline, it computes the fraction that is inside walls.
+
+        Args:
+            cells: The cells.
+            region: Where the fractions are computed.
+            worker: Index of the worker.
+            workers: Number of workers.
         """
         first, count = span(int(np.prod(region.size)), worker, workers)
         inputs = [first, cells.window, cells.lattice, region.box, cells.distances, cells.eighths]
