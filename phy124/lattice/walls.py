@@ -25,7 +25,7 @@ from phy124.kernels.lattice.contact import (
     make_resist,
     make_touch,
 )
-from phy124.kernels.lattice.nodes import make_hold, make_pin, make_pin_again
+from phy124.kernels.lattice.nodes import make_hold, make_pin
 from phy124.lattice.rest import RestLattice, splines
 from phy124.lattice.surface import Surface
 from phy124.mpm.model import Model
@@ -44,9 +44,10 @@ INSET = 0.2
 """Depth inside a clamp at which the motion is made to vanish [cells]. A B-spline that vanishes at a
 surface is also flat there, so that a plate held at the surface is too short by about as much.
 """
-RESTORE = 0.1
+RESTORE = {"separate": 0.5, "slip": 0.1, "sticky": 0.1}
 """Part of their depth by which points come out of a wall in a substep, relative to the square of
 the slowest angular frequency of a body that stands on the wall, pi c / 2 H, in substeps of dx / c.
+Bodies that a wall holds also rock and shear, more slowly.
 """
 STILL = Track(((0.0, (0.0, 0.0, 0.0)),))
 """The track of a wall that never moves."""
@@ -133,14 +134,9 @@ class Walls:
         sum impulse and work.
         """
         clamps = [("clamp", launch) for clamp in self._clamps for launch in clamp.record()]
-        again = [("clamp", clamp.record_again()) for clamp in self._clamps if self._contacts]
         stages = [contact.record() for contact in self._contacts]
-        touch, resist, account = (
-            ([("contact", stage) for stage in order] for order in zip(*stages, strict=True))
-            if stages
-            else ([], [], [])
-        )
-        return [*launches(clamps), *touch, *resist, *launches(again), *account]
+        ordered = [stage for order in zip(*stages, strict=True) for stage in order]
+        return [*launches(clamps), *(("contact", stage) for stage in ordered)]
 
     def look(self) -> None:
         """Measure the distances of all surface points from the walls."""
@@ -187,8 +183,8 @@ class _Points:
     nodes: wp.array
     weights: wp.array
     rest: wp.array
-    restore: float
-    """Part of their depth by which points come out of a wall in a substep."""
+    slowest: float
+    """(pi / 2 H)^2 for a body with an extent of H cells."""
 
     @classmethod
     def of(cls, surface: Surface, lattice: RestLattice, model: Model) -> _Points:
@@ -197,8 +193,7 @@ class _Points:
         nodes = wp.array(surface.nodes, dtype=int, device=model.device)
         weights = model.array(surface.weights, model.real)
         rest = model.array(surface.x, types(model.real).vec3)
-        restore = RESTORE * (math.pi / 2 / across) ** 2
-        return cls(surface.count, nodes, weights, rest, restore)
+        return cls(surface.count, nodes, weights, rest, (math.pi / 2 / across) ** 2)
 
 
 class _Clamp:
@@ -242,13 +237,6 @@ class _Clamp:
             model.launch(make_hold(model.real), len(self._held), held, outputs),
             model.launch(make_pin(model.real), len(self._pairs), pinned, outputs),
         ]
-
-    def record_again(self) -> wp.Launch | None:
-        """Record the launch after contact: held nodes next to the surface follow their partners."""
-        tracks = self._tracks
-        inputs = [self._pairs, self._ratios, self._slot, tracks.values, tracks.rates]
-        kernel = make_pin_again(self._model.real)
-        return self._model.launch(kernel, len(self._pairs), inputs, [self._nodes.v])
 
 
 def _pins(
@@ -342,7 +330,8 @@ class _Contact:
         model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
         inputs = [
             self._list, 0, REACH * model.dx, self._shape, self._slot, points.nodes,
-            points.weights, points.rest, nodes.movable, nodes.u, tracks.clock, tracks.values,
+            points.weights, points.rest, nodes.movable, nodes.inverse, nodes.u, tracks.clock,
+            tracks.values,
         ]  # fmt: skip
         outputs = [nodes.v, self._gap, self._place, self._yields, self.force]
         kernel = make_touch(self._part.outline(), self._moving, model.real)
@@ -351,11 +340,13 @@ class _Contact:
     def _resist(self) -> wp.Launch:
         """Record the launch that corrects the impulses."""
         model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
+        response = self._part.response()
+        restore = RESTORE[response] * points.slowest
         inputs = [
-            self._list, 0, points.restore, self._part.friction, self._slot, points.nodes,
+            self._list, 0, restore, self._part.friction, self._slot, points.nodes,
             points.weights, nodes.movable, self._gap, self._yields, tracks.clock, tracks.rates,
         ]  # fmt: skip
-        kernel = make_resist(self._part.response(), self._moving, model.real)
+        kernel = make_resist(response, self._moving, model.real)
         return cast("wp.Launch", model.launch(kernel, 1, inputs, [nodes.v, self.force]))
 
     def _account(self) -> wp.Launch:
@@ -383,8 +374,7 @@ def kernels(boundaries: Sequence[Boundary], real: Any) -> Iterator[Any]:
     for boundary in boundaries:
         for part in boundary.parts():
             if boundary.holds:
-                yield from (make_hold(real), make_pin(real), make_pin_again(real))
-                yield make_distances(part.outline(), real)
+                yield from (make_hold(real), make_pin(real), make_distances(part.outline(), real))
             else:
                 yield make_account(real)
                 yield make_reach(part.outline(), part.tracked, real)

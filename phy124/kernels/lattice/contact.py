@@ -27,6 +27,8 @@ from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.work import GIVEN, add_given
 
+LOOSE = wp.constant(0.5)
+"""Smallest part of a point's mobility that clamps must leave for walls to act on it."""
 NODES = 27
 """Largest number of nodes of a surface point."""
 MOMENT, SUMS = GIVEN, 16
@@ -82,9 +84,10 @@ def strike(
 def make_touch(shape: str, moving: bool, real: Any):
     """Kernel of one thread: finds points near a wall and applies their previous impulse to them.
 
-    `force_out` holds the mean force on each point in the last substep [N]; it becomes zero where a
-    point has left. `gap_out` is the normal and the distance of each point near the wall; its
-    distance is infinite for others. `near` lists the points within reach.
+    `inverse` is zero for nodes that a clamp holds, `whole` is not. `force_out` holds the mean force
+    on each point in the last substep [N]; it becomes zero where a point has left. `gap_out` is the
+    normal and the distance of each point near the wall; its distance is infinite for others. `near`
+    lists the points within reach.
 
     Args:
         shape: Name of a distance function.
@@ -109,6 +112,7 @@ def make_touch(shape: str, moving: bool, real: Any):
         weights: wp.array2d(dtype=real),
         rest: t.vec3s,
         inverse: t.reals,
+        whole: t.reals,
         u: t.vec3s,
         clock,
         values,
@@ -128,9 +132,11 @@ def make_touch(shape: str, moving: bool, real: Any):
             y = rest[s] + moved_by(u, nodes, weights, s)
             d = distance(y - moved, geometry)
             place_out[s] = y
-            if active > real(0.0) and d[3] < reach:
+            yields = yielding(inverse, nodes, weights, s)
+            # A point that hangs almost only on held nodes would move the others violently.
+            loose = yields > real(LOOSE) * yielding(whole, nodes, weights, s)
+            if active > real(0.0) and d[3] < reach and loose:
                 gap_out[s] = d
-                yields = yielding(inverse, nodes, weights, s)
                 yields_out[s] = yields
                 impulse = clock[0] * force_out[s]
                 if wp.dot(impulse, impulse) > real(0.0):

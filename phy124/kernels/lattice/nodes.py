@@ -183,7 +183,9 @@ def make_pin(real: Any):
         movable_out[held] = inverse[held]
         movable_out[free] = inverse[free]
         if values[slot][3] > real(0.0) and inverse[held] > real(0.0) and inverse[free] > real(0.0):
+            # If contact moved one of the two, they would no longer belong together.
             movable_out[held] = real(0.0)
+            movable_out[free] = real(0.0)
             wall = wp.vec3d(wp.vector(rates[slot][0], rates[slot][1], rates[slot][2]))
             g = wp.float64(ratio[i])
             m = wp.vec2d(
@@ -193,9 +195,7 @@ def make_pin(real: Any):
             held_before = wide(v_out[held])
             free_before = wide(v_out[free])
             momentum = g * m[0] * (held_before - wall) + m[1] * (free_before - wall)
-            both = g * g * m[0] + m[1]
-            motion = momentum / both
-            movable_out[free] = real(wp.float64(1.0) / both)
+            motion = momentum / (g * g * m[0] + m[1])
             v_out[held] = t.vec3(wall + g * motion)
             v_out[free] = t.vec3(wall + motion)
             first = m[0] * (wide(v_out[held]) - held_before)
@@ -210,23 +210,6 @@ def make_pin(real: Any):
             add3(sums_out, wp.static(MOMENT), moment)
 
     return pin
-
-
-@cache
-def make_pin_again(real: Any):
-    """Kernel over the pairs of `make_pin`: the held node follows its free node after contact."""
-    t = types(real)
-
-    @kernel(f"phy124_lattice_pin_again_{real.__name__}", real, seconds=0.3)
-    def pin_again(
-        pairs: wp.array(dtype=wp.vec2i), ratio: t.reals, slot, values, rates, v_out: t.vec3s
-    ):
-        i = wp.tid()
-        if values[slot][3] > real(0.0):
-            wall = wp.vector(rates[slot][0], rates[slot][1], rates[slot][2])
-            v_out[pairs[i][0]] = wall + ratio[i] * (v_out[pairs[i][1]] - wall)
-
-    return pin_again
 
 
 @cache
