@@ -125,6 +125,19 @@ def test_flags_choose_pose_or_twist_and_the_frame_counts():
     assert np.allclose(motion.place, (0.1, 0.2, 0.7)) and np.allclose(motion.velocity, (0, 1, 0))
 
 
+def test_solids_on_a_path_have_its_state():
+    path = {"kind": "path", "times": [0, 1], "points": [[0, 0, 0], [0, 0.5, 0]]}
+    path["smooth"] = False
+    run = steered(
+        changes={**WEIGHTLESS, "objects": [{**SOLIDS[1], "static": False, "motion": path}]}
+    )
+    for _ in range(13):
+        run.advance()
+    state = serve(run, "GetEntityState")(entity="box")["state"]
+    assert [*state["pose"]["position"].values()] == pytest.approx([1.5, 0.25, 0.5])
+    assert [*state["twist"]["linear"].values()] == pytest.approx([0, 0.5, 0], abs=1e-3)
+
+
 def test_free_solids_move_at_once_and_fixed_solids_are_refused():
     free, fixed = ({**WEIGHTLESS, "objects": [solid]} for solid in SOLIDS)
     run = steered(changes=free)
@@ -147,6 +160,11 @@ def test_free_solids_move_at_once_and_fixed_solids_are_refused():
 
     run = steered(changes=fixed)
     run.advance()
+    listed = serve(run, "GetEntities")(filters=filters(categories=[5]))
+    assert listed["entities"] == ["box"]
+    assert serve(run, "GetEntityInfo")(entity="box")["info"]["category"] == {"category": 5}
+    still = serve(run, "GetEntityState")(entity="box")["state"]
+    assert [*still["pose"]["position"].values()] == pytest.approx([1.5, 0, 0.5])
     refused = serve(run, "SetEntityState")(entity="box", state=asked)["result"]
     assert refused["result"] != Code.OK and "box" in refused["error_message"]
 

@@ -157,7 +157,9 @@ class Entities:
         return scene.every_object[scene.names.index(name)]
 
     def _category(self, name: str) -> int:
-        return STATIC if self._item(name).held else DYNAMIC
+        item = self._item(name)
+        fixed = item.held or (getattr(item, "scenery", False) and not item.free)
+        return STATIC if fixed else DYNAMIC
 
     def _unknown(self, name: str) -> dict[str, Any]:
         return result(Code.NOT_FOUND, f"There is no {name!r}, only {', '.join(self._motions)}.")

@@ -342,7 +342,7 @@ class Live:
 
     @property
     def points(self) -> dict[str, NDArray[np.float64]]:
-        """Positions of the particles of each object [P,3], m, or centre of a free solid."""
+        """Positions of the particles of each object [P,3], m, or centre of a rigid object."""
         return places.list_points(self._run)
 
     @property

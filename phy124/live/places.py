@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from phy124.errors import InputError
+from phy124.gaussians import quaternions
+from phy124.io.axes import euler
 from phy124.monitor.watchdog import Watchdog
 from phy124.monitor.wrenches import pair_names
+from phy124.motion.scenery import INSTANT
 from phy124.mpm.solver import Solver
 from phy124.scene import Scene
 from phy124.schema.region import Vector
 from phy124.simulation import Simulation
+
+if TYPE_CHECKING:
+    from phy124.lattice.solver import LatticeSolver
 
 
 class NearestMaterial(NamedTuple):
@@ -60,11 +66,10 @@ def find_material(
 
 
 def list_points(run: Simulation) -> dict[str, NDArray[np.float64]]:
-    """Return the positions of each object's particles [P,3], m; a free solid has its centre."""
-    x, body, free = _positions(run), _objects(run), run.solver.free
+    """Return the positions of each object's particles [P,3], m; rigid objects have their centre."""
+    x, body = _positions(run), _objects(run)
     points = {run.scene.names[number]: x[body == number] for number in np.unique(body)}
-    centres = zip(free.all, free.poses(), strict=True)
-    return points | {solid.name: pose[None, :3] for solid, pose in centres}
+    return {name: motion.place[None] for name, motion in _list_rigid(run).items()} | points
 
 
 class Motion(NamedTuple):
@@ -81,7 +86,7 @@ class Motion(NamedTuple):
 
 
 def list_motions(run: Simulation) -> dict[str, Motion]:
-    """Return the motion of each object with particles and of each free rigid solid, by name."""
+    """Return the motion of each object by name."""
     v = np.asarray(run.solver.state.v.numpy(), dtype=np.float64)
     x, rest, mass = _positions(run), run.solver.model.rest, run.setup.particles.mass
     motions, body = {}, _objects(run)
@@ -96,7 +101,22 @@ def list_motions(run: Simulation) -> dict[str, Motion]:
         spin = np.linalg.lstsq(inertia, (m * np.cross(arm, v[mask])).sum(0), rcond=None)[0]
         quat = rotation.as_quat()[[3, 0, 1, 2]]
         motions[run.scene.names[number]] = Motion(place, quat, velocity, spin)
-    free = run.solver.free
+    return motions | _list_rigid(run)
+
+
+def _list_rigid(run: Simulation) -> dict[str, Motion]:
+    """Return the motions of the objects without particles: static, on a path, or free."""
+    scenery, free, motions = run.setup.scenery, run.solver.free, {}
+    tracks, time = dict(scenery.tracks), run.solver.clock.time
+    for number, item in enumerate(run.scene.every_object):
+        if getattr(item, "scenery", False):
+            of_item = scenery.gaussians.object_id == number
+            place = scenery.gaussians.means[of_item].mean(axis=0, dtype=np.float64)
+            velocity, quat = np.zeros(3), quaternions(euler(item.turn)[None])[0]
+            if number in tracks:
+                moved, later = tracks[number].values(np.array([time, time + INSTANT]))
+                place, velocity = place + moved, (later - moved) / INSTANT
+            motions[item.name] = Motion(place, quat, velocity, np.zeros(3))
     for solid, pose, motion in zip(free.all, free.poses(), free.motions(), strict=True):
         motions[solid.name] = Motion(pose[:3], pose[3:], motion[:3], motion[3:])
     return motions
@@ -130,13 +150,13 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
     if number is None:
         velocity, spin = motion[2:] if twist else (R @ before.velocity, R @ before.spin)
         solver.free.put(solids.index(name), (motion.place, motion.quat, velocity, spin))
-    elif solver.projects is True:
+    elif solver.projects:
         limit = "a liquid by projection cannot be moved at once."
         raise InputError("state.entity", name, limit, "Use accuracy.liquid = compressible.")
     elif isinstance(solver, Solver):
         _carry_particles(solver, _objects(run) == number, carry, R, motion if twist else None)
     else:
-        solver.carry_nodes(carry)
+        cast("LatticeSolver", solver).carry_nodes(carry)
     watchdog = run.find(Watchdog)
     if watchdog is not None:
         watchdog.restart()
