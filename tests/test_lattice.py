@@ -169,7 +169,7 @@ def test_undamped_block_stands_still_at_a_wall(contact):
     moved = (solver.state.x.numpy() - solver.model.rest)[bottom].mean(axis=0)
     assert abs(moved[2]) < 0.2 * DX
     assert contact == "slip" or np.abs(moved[:2]).max() < 0.1 * DX
-    assert np.abs(solver.state.v.numpy()).max() < 0.4
+    assert np.abs(solver.state.v.numpy()).max() < 0.6
 
 
 def test_slip_wall_holds_a_clamped_beam():
