@@ -56,7 +56,7 @@ class Fluid(Material):
     )
     visibility: float | None = Field(
         default=None,
-        gt=0,
+        ge=1e-6,
         le=1e6,
         examples=[0.1],
         description="Distance over which the liquid dims light to 1/e [m], for pictures only; "
