@@ -51,7 +51,7 @@ SUBSTANCES: dict[str, dict[str, Any]] = {
     "wood": {"law": "rigid", "E": 1e10, "density": 600, "strain": 0.02},
     "snow": {"law": "snow"},
     "sand": {"law": "sand"},
-    "water": {"law": "fluid", "viscosity": 0.5},
+    "water": {"law": "fluid", "viscosity": 0.5, "tint": "#1f6fb8", "visibility": 0.1},
     "metal": {"law": "metal", "E": 1e6, "yield_stress": 2e4, "density": 2700},
 }
 """Everyday name -> material. The metal is soft: real metal of a toy's size would hardly deform."""

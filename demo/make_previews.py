@@ -38,7 +38,7 @@ FOLDER = Path(__file__).parent
 OBJECTS = {
     "sway": "potted_plant", "drop": "pear", "bounce": "chick", "spin": "cupcake", "sand": "cupcake",
     "snow": "teddy", "water": "pear", "jelly": "cupcake", "wind": "sunflower", "foam": "mushroom",
-    "land_on_cushion": "pear", "bury": "chick", "stack": "cupcake",
+    "land_on_cushion": "pear", "bury": "chick", "stack": "cupcake", "honey": "pear", "oil": "pear",
 }  # fmt: skip
 """Preset -> example picture; all other presets use the duck."""
 FALL = 36

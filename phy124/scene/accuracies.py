@@ -68,18 +68,26 @@ class Accuracy(Section):
         "as long.",
     )
 
-    liquid: Literal["compressible", "projection"] = Field(
-        default="compressible",
-        exclude_if=lambda value: value == "compressible",
+    liquid: Literal["compressible", "projection"] | None = Field(
+        default=None,
+        examples=["projection"],
+        exclude_if=lambda value: value is None,
         description="Solver of the law fluid. compressible: particles with a pressure of their "
-        "own, like other materials. projection: incompressible flow, which keeps its volume and "
-        "takes longer steps; for scenes with one liquid, in which other materials may move.",
+        "own. projection: incompressible flow, which keeps its volume and takes longer steps; for "
+        "one liquid, also among others that move. Absent: projection for a liquid alone of 1 to "
+        "1000 Pa s, else compressible.",
     )
 
     @property
     def fraction(self) -> float:
         """Length of a substep as a fraction of the elastic limit, including RPIC damping."""
         return beside_rpic(self.cfl) if self.rpic_damping > 0 else self.cfl
+
+    @property
+    def plain(self) -> bool:
+        """Whether transfers and solver are the default ones."""
+        apic = self.transfer == "apic" and self.gradient == "affine"
+        return apic and self.solver == "mpm" and self.rpic_damping == 0
 
     @property
     def on_lattice(self) -> bool:

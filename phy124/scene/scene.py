@@ -42,6 +42,8 @@ from phy124.schema.bounds import LONGEST, Text
 from phy124.schema.refusals import explain
 from phy124.schema.section import Section
 
+VISCOUS = (1.0, 1000.0)
+"""Viscosities with which a liquid alone is computed by pressure projection by default [Pa s]."""
 MOST_OBJECTS = 16
 """Largest number of objects in a scene; objects that touch need a velocity field each."""
 
@@ -186,8 +188,16 @@ class Scene(Section):
     @property
     def projects(self) -> bool:
         """Whether a liquid is computed by pressure projection."""
-        liquid = any(section.law == "fluid" for section in self.materials)
-        return liquid and self.resolution.liquid == "projection"
+        accuracy, fluids = self.resolution, [s for s in self.materials if s.law == "fluid"]
+        if accuracy.liquid is not None or not fluids:
+            return bool(fluids) and accuracy.liquid == "projection"
+        held = any(body.held for body in self.every_object)
+        held |= any(wall.holds or wall.object is not None for wall in self.boundaries)
+        asked = self.keeps_contacts or self.stiffness_profile is not None or self.checks.energy
+        alone = len(self.materials) == 1 and not self.objects and accuracy.plain
+        if not alone or held or asked:
+            return False
+        return VISCOUS[0] <= fluids[0].viscosity <= VISCOUS[1]
 
     @property
     def mixes(self) -> bool:
