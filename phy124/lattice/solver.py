@@ -17,6 +17,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
+from phy124.lattice.itself import SelfContact
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
@@ -153,6 +154,7 @@ class LatticeSolver:
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
+        self.itself = SelfContact(self._surface, model, self.nodes_state, tracks)
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self._sample = tracks.record()
         self._sample.launch()
@@ -170,7 +172,7 @@ class LatticeSolver:
                 *before,
                 crew.force(worker, self.tracks if pushed else None),
                 crew.kick(worker, self.tracks),
-                self.walls.record() if index == 0 else [],
+                [*self.walls.record(), *self.itself.record()] if index == 0 else [],
                 crew.drift(worker, self.tracks),
             ]
         last = [(stage.name, stage.record(self.grid)) for stage in self._sums]
@@ -330,6 +332,7 @@ class LatticeSolver:
         if self._travel > TRAVEL * self.model.dx:
             self._look()
         self.walls.list_near(self._travel + 2 * WAY * self.model.dx)
+        run_timed(self.timings, "self-contact", self.itself.follow)
 
     def _read(self, elapsed: float) -> None:
         """Limit substeps by the largest speed and rate of strain; raises Unstable.
@@ -386,6 +389,7 @@ class LatticeSolver:
             "state": self.state.snapshot(),
             "nodes": {name: wp.clone(getattr(nodes, name)) for name in ("u", "residue", "v")},
             "walls": self.walls.snapshot(),
+            "itself": self.itself.snapshot(),
             "clock": self.clock.snapshot(),
             "spectrum": self._spectrum.snapshot(),
         }
@@ -396,6 +400,7 @@ class LatticeSolver:
         for name, array in snapshot["nodes"].items():
             getattr(self.nodes_state, name).assign(array)
         self.walls.restore(snapshot["walls"])
+        self.itself.restore(snapshot["itself"])
         self.clock.restore(snapshot["clock"])
         self._spectrum.restore(snapshot["spectrum"])
         self._crew.stray.zero_()

@@ -21,6 +21,8 @@ from phy124.kernels.lattice.contact import (
     SUMS,
     make_account,
     make_distances,
+    make_meet,
+    make_place,
     make_reach,
     make_resist,
     make_touch,
@@ -370,7 +372,8 @@ def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
 
 
 def kernels(boundaries: Sequence[Boundary], real: Any) -> Iterator[Any]:
-    """Yield the kernels of the walls and clamps."""
+    """Yield the kernels of walls, clamps and self-contact."""
+    yield from (make_place(real), make_meet(real), make_resist("separate", False, real))
     for boundary in boundaries:
         for part in boundary.parts():
             if boundary.holds:

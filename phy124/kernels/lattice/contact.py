@@ -46,7 +46,7 @@ def moved_by(
 ):
     """Return the sum of w_i a_i over the nodes of a surface point."""
     total = weights[s, 0] * values[nodes[s, 0]]
-    for k in range(1, wp.static(NODES)):
+    for k in range(1, weights.shape[1]):
         total += weights[s, k] * values[nodes[s, k]]
     return total
 
@@ -60,7 +60,7 @@ def yielding(
 ):
     """Return sum w_i^2 / m_i: the change of a point's velocity by an impulse of 1 N s [1/kg]."""
     total = weights[s, 0] * weights[s, 0] * inverse[nodes[s, 0]]
-    for k in range(1, wp.static(NODES)):
+    for k in range(1, weights.shape[1]):
         total += weights[s, k] * weights[s, k] * inverse[nodes[s, k]]
     return total
 
@@ -75,7 +75,7 @@ def strike(
     impulse: Any,
 ):
     """Apply an impulse [N s] to the nodes of a surface point."""
-    for k in range(wp.static(NODES)):
+    for k in range(weights.shape[1]):
         n = nodes[s, k]
         v[n] = v[n] + (weights[s, k] * inverse[n]) * impulse
 
@@ -222,6 +222,62 @@ def make_resist(response: str, moving: bool, real: Any):
                     strike(v_out, inverse, nodes, weights, s, change)
 
     return resist
+
+
+@cache
+def make_meet(real: Any):
+    """Kernel of one thread: finds the gaps of pairs of surface points, like `make_touch`.
+
+    A pair is like a point whose weights are those of one point minus those of the other, so that
+    `rest` and the nodes give the way between the two.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_meet_{real.__name__}", real, seconds=0.5)
+    def meet(
+        count: int,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        rest: t.vec3s,
+        normal: t.vec3s,
+        inverse: t.reals,
+        u: t.vec3s,
+        clock,
+        v_out: t.vec3s,
+        gap_out: t.vec4s,
+        yields_out: t.reals,
+        force_out: t.vec3s,
+    ):
+        for s in range(count):
+            n = normal[s]
+            gap = wp.dot(rest[s] + moved_by(u, nodes, weights, s), n)
+            gap_out[s] = wp.vector(n[0], n[1], n[2], gap)
+            yields_out[s] = yielding(inverse, nodes, weights, s)
+            impulse = clock[0] * force_out[s]
+            if wp.dot(impulse, impulse) > real(0.0):
+                strike(v_out, inverse, nodes, weights, s, impulse)
+
+    return meet
+
+
+@cache
+def make_place(real: Any):
+    """Kernel over some surface points: computes their positions."""
+    t = types(real)
+
+    @kernel(f"phy124_lattice_place_{real.__name__}", real, seconds=0.3)
+    def lattice_place(
+        chosen: Ints,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        rest: t.vec3s,
+        u: t.vec3s,
+        x_out: t.vec3s,
+    ):
+        s = chosen[wp.tid()]
+        x_out[wp.tid()] = rest[s] + moved_by(u, nodes, weights, s)
+
+    return lattice_place
 
 
 @cache

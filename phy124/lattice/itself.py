@@ -1,0 +1,228 @@
+"""Self-contact: surface points of parts that come near each other do not pass through each other.
+
+Every point is paired with the place opposite to it on the surface. The weights of the pair are
+those of the point, minus those of the place, so that an impulse along the surface's normal acts on
+both parts at the same position, with opposite signs. It is found like the impulses of walls.
+
+Pairs are listed again when a part has moved by a quarter of a cell relative to the rest. A sample
+of the surface shows whether parts are near each other; if not, nothing else is computed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from phy124.kernels.arguments import types
+from phy124.kernels.lattice.contact import NODES, make_meet, make_place, make_resist
+from phy124.lattice.surface import Surface
+from phy124.lattice.walls import Nodes
+from phy124.mpm.model import Model
+from phy124.mpm.stage import Named
+from phy124.mpm.tracks import Tracks
+
+SAMPLED, MOVED = 1.0, 0.25
+"""Distance of sampled points, and relative way after which parts are compared again [cells]."""
+FAR, REACH, BESIDE = 2.2, 1.25, 0.75
+"""Distance of sampled points, and of points and their distance along the surface, within which they
+may meet [cells].
+"""
+APART, FACING = 3.0, 1.0
+"""Distance at rest from which two points belong to different parts; and depth from which each is in
+front of the other one at rest, across a gap [cells].
+"""
+OPPOSED = -0.2
+"""Largest cosine between the normals of parts that meet."""
+FRICTION = 0.5
+"""Coefficient of friction, the default of pairs of objects."""
+
+
+class SelfContact:
+    """Contact of a body's surface with itself."""
+
+    def __init__(self, surface: Surface, model: Model, nodes: Nodes, tracks: Tracks) -> None:
+        """Prepare contact without any pair.
+
+        Args:
+            surface: Points that may touch.
+            model: The constants of the run.
+            nodes: Arrays of the nodes.
+            tracks: The tracks, which hold the clock.
+        """
+        self._surface, self._model, self._nodes, self._tracks = surface, model, nodes, tracks
+        cube = np.floor(surface.x / (SAMPLED * model.dx)).astype(np.int64)
+        _, self._sample = np.unique(cube, axis=0, return_index=True)
+        self._nearest = KDTree(surface.x[self._sample]).query(surface.x)[1]
+        t, count = types(model.real), surface.count
+        self._points: NDArray[np.int64] = np.zeros(0, np.int64)
+        """Points that have a partner [K]."""
+        self.most = 0
+        """Largest number of pairs."""
+
+        def zeros(kind: Any, *shape: int) -> wp.array:
+            return wp.zeros(shape, dtype=kind, device=model.device)
+
+        self._pairs = {
+            "nodes": zeros(int, count, 2 * NODES),
+            "weights": zeros(model.real, count, 2 * NODES),
+            "rest": zeros(t.vec3, count),
+            "normal": zeros(t.vec3, count),
+            "force": zeros(t.vec3, count),
+        }
+        """Nodes, weights, distance at rest, normal and mean force of each pair."""
+        self._gap, self._yields = zeros(t.vec4, count), zeros(model.real, count)
+        self._x = zeros(t.vec3, len(self._sample))
+        self._place = model.launch(
+            make_place(model.real),
+            len(self._sample),
+            [
+                wp.array(self._sample.astype(np.int32), dtype=int, device=model.device),
+                wp.array(surface.nodes, dtype=int, device=model.device),
+                model.array(surface.weights, model.real),
+                model.array(surface.x, t.vec3),
+                nodes.u,
+            ],
+            [self._x],
+        )
+        self._seen: NDArray[np.float64] = surface.x[self._sample]
+
+    def record(self) -> list[Named]:
+        """Return the stages that apply the previous impulses, and correct them."""
+        if not self._surface.count:
+            return []
+        pairs, nodes, clock = self._pairs, self._nodes, self._tracks.clock
+        real, device = self._model.real, self._model.device
+        every = wp.array(np.arange(self._surface.count, dtype=np.int32), dtype=int, device=device)
+        of_points = [pairs["nodes"], pairs["weights"]]
+        meet = self._model.launch(
+            make_meet(real),
+            1,
+            [0, *of_points, pairs["rest"], pairs["normal"], nodes.movable, nodes.u, clock],
+            [nodes.v, self._gap, self._yields, pairs["force"]],
+        )
+        tail = [nodes.movable, self._gap, self._yields, clock, self._tracks.rates]
+        resist = self._model.launch(
+            make_resist("separate", False, real),
+            1,
+            [every, 0, FRICTION, 0, *of_points, *tail],
+            [nodes.v, pairs["force"]],
+        )
+
+        def repeat(launch: Any, place: int) -> Named:
+            def act() -> None:
+                if len(self._points):
+                    launch.set_param_at_index(place, len(self._points))
+                    launch.launch()
+
+            return "self-contact", act
+
+        return [repeat(meet, 0), repeat(resist, 1)]
+
+    def follow(self) -> None:
+        """List the pairs again if parts have moved relative to each other."""
+        if self._place is None:
+            return
+        self._place.launch()
+        x: NDArray[Any] = self._x.numpy()
+        moved = x - self._seen
+        moved -= moved.mean(axis=0)
+        if np.abs(moved).max() > MOVED * self._model.dx:
+            self._look(x.astype(np.float64))
+
+    def _look(self, x: NDArray[np.float64]) -> None:
+        """List the pairs.
+
+        Args:
+            x: Current positions of the sampled points [K,3], m.
+        """
+        self._seen = x
+        near = KDTree(x).query_pairs(FAR * self._model.dx, output_type="ndarray")
+        near = near[self._may_meet(*self._sample[near].T)]
+        if len(near):
+            flagged: NDArray[np.bool_] = np.zeros(len(self._sample), bool)
+            flagged[near] = True
+            self._list(*self._partners(np.flatnonzero(flagged[self._nearest])))
+        elif len(self._points):
+            self._points = self._points[:0]
+
+    def _may_meet(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return whether points [K] and [K] belong to parts that may meet."""
+        dx, x, normal = self._model.dx, self._surface.x, self._surface.normal
+        way = (x[b] - x[a]) / dx
+        ahead = np.minimum((way * normal[a]).sum(axis=1), -(way * normal[b]).sum(axis=1))
+        result: NDArray[np.bool_] = (np.square(way).sum(axis=1) > APART**2) | (ahead > FACING)
+        return result
+
+    def _partners(self, points: NDArray[np.int64]) -> tuple[NDArray[np.int64], dict[str, NDArray]]:
+        """Return the points among some points that have a partner, and their pairs."""
+        surface, dx = self._surface, self._model.dx
+        nodes, weights = surface.nodes[points], surface.weights[points]
+        rest, u = (a.numpy().astype(np.float64)[nodes] for a in (self._nodes.rest, self._nodes.u))
+        arm = (rest - surface.x[points][:, None]) * (weights != 0)[:, :, None]
+        x = surface.x[points] + np.einsum("pk,pki->pi", weights, u)
+        moments = np.einsum("pk,pki,pkj->pij", weights, arm, arm)
+        inverse = np.linalg.pinv(moments, rcond=1e-6, hermitian=True)
+        F = np.eye(3) + np.einsum("pk,pki,pkj->pij", weights, u, arm) @ inverse
+        normal = np.einsum("pij,pj->pi", _cofactors(F), surface.normal[points])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        near = KDTree(x).query_pairs(REACH * dx, output_type="ndarray")
+        near = np.concatenate([near, near[:, ::-1]])
+        near = near[self._may_meet(*points[near].T)]
+        a, b = near.T
+        way = x[a] - x[b]
+        distance = np.linalg.norm(way, axis=1)
+        out = np.where(normal[b].any(axis=1)[:, None], normal[b], way / distance[:, None])
+        opposed = (normal[a] * out).sum(axis=1)
+        gap = (way * out).sum(axis=1)
+        beside = way - gap[:, None] * out
+        fits = (opposed < OPPOSED) | ~normal[a].any(axis=1)
+        fits &= np.linalg.norm(beside, axis=1) < BESIDE * dx
+        order = np.flatnonzero(fits)
+        order = order[np.lexsort((distance[order], a[order]))]
+        _, first = np.unique(a[order], return_index=True)
+        chosen = order[first]
+        a, b, out, beside = a[chosen], b[chosen], out[chosen], beside[chosen]
+        # The place opposite to the point is beside the partner; its weights are linear in the way.
+        shift = np.einsum("pij,pj->pi", np.linalg.pinv(F[b]), beside)
+        shift *= np.minimum(1, BESIDE * dx / np.maximum(np.linalg.norm(shift, axis=1), 1e-30))[:, None]
+        factor = 1 + np.einsum("pki,pij,pj->pk", arm[b], inverse[b], shift)
+        return points[a], {
+            "nodes": np.concatenate([nodes[a], nodes[b]], axis=1),
+            "weights": np.concatenate([weights[a], -weights[b] * factor], axis=1),
+            "rest": surface.x[points[a]] - surface.x[points[b]] - shift,
+            "normal": out,
+        }
+
+    def _list(self, points: NDArray[np.int64], pairs: dict[str, NDArray]) -> None:
+        """List pairs; points that already had a partner keep their forces."""
+        forces = np.zeros((self._surface.count, 3))
+        forces[self._points] = self._pairs["force"].numpy()[: len(self._points)]
+        self._fill(points, {**pairs, "force": forces[points]})
+
+    def _fill(self, points: NDArray[np.int64], pairs: dict[str, NDArray]) -> None:
+        """Copy pairs to the device."""
+        self._points, self.most = points, max(self.most, len(points))
+        if len(points):
+            for name, array in self._pairs.items():
+                array[: len(points)].assign(pairs[name])
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the pairs and their forces."""
+        count = len(self._points)
+        pairs = {name: array.numpy()[:count].copy() for name, array in self._pairs.items()}
+        return {"points": self._points.copy(), "seen": self._seen.copy(), **pairs}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot."""
+        self._seen = np.array(snapshot["seen"])
+        self._fill(np.array(snapshot["points"]), snapshot)
+
+
+def _cofactors(F: NDArray) -> NDArray[np.float64]:
+    """Return the cofactors of matrices [K,3,3]."""
+    rows = [np.cross(F[:, (i + 1) % 3], F[:, (i + 2) % 3]) for i in range(3)]
+    return np.stack(rows, axis=1)
