@@ -1,15 +1,17 @@
 """Self-contact: surface points of parts that come near each other do not pass through each other.
 
-Every point is paired with the place opposite to it on the surface. The weights of the pair are
-those of the point, minus those of the place, so that an impulse along the surface's normal acts on
-both parts at the same position, with opposite signs. It is found like the impulses of walls.
+Every point is paired with the place opposite to it on the surface, which starts at the nearest
+surface point and follows the point along the surface. The weights of the pair are those of the
+point, minus those of the place, so that an impulse along the surface's normal acts on both parts on
+one line, with opposite signs. It is found like the impulses of walls.
 
-Pairs are listed again when a part has moved by a quarter of a cell relative to the rest. A sample
+Pairs are listed again when a part has moved by 0.4 cells relative to the whole body. A sample
 of the surface shows whether parts are near each other; if not, nothing else is computed.
 """
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,9 +27,9 @@ from phy124.mpm.model import Model
 from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
-SAMPLED, MOVED = 1.0, 0.25
+SAMPLED, MOVED = 1.0, 0.4
 """Distance of sampled points, and relative way after which parts are compared again [cells]."""
-FAR, REACH, BESIDE = 2.2, 1.25, 0.75
+FAR, REACH, SIDEWAYS = 2.2, 1.25, 0.75
 """Distance of sampled points, and of points and their distance along the surface, within which they
 may meet [cells].
 """
@@ -37,6 +39,8 @@ front of the other one at rest, across a gap [cells].
 """
 OPPOSED = -0.2
 """Largest cosine between the normals of parts that meet."""
+FLAT = 0.05
+"""Least volume ratio with which ways on the surface are taken back to the body at rest."""
 FRICTION = 0.5
 """Coefficient of friction, the default of pairs of objects."""
 
@@ -44,7 +48,9 @@ FRICTION = 0.5
 class SelfContact:
     """Contact of a body's surface with itself."""
 
-    def __init__(self, surface: Surface, model: Model, nodes: Nodes, tracks: Tracks) -> None:
+    def __init__(
+        self, surface: Surface, model: Model, nodes: Nodes, tracks: Tracks, restore: float
+    ) -> None:
         """Prepare contact without any pair.
 
         Args:
@@ -52,11 +58,14 @@ class SelfContact:
             model: The constants of the run.
             nodes: Arrays of the nodes.
             tracks: The tracks, which hold the clock.
+            restore: Part of their depth by which points come out of each other in a substep.
         """
+        self._restore = restore
         self._surface, self._model, self._nodes, self._tracks = surface, model, nodes, tracks
         cube = np.floor(surface.x / (SAMPLED * model.dx)).astype(np.int64)
         _, self._sample = np.unique(cube, axis=0, return_index=True)
-        self._nearest = KDTree(surface.x[self._sample]).query(surface.x)[1]
+        points = surface.x[self._sample]
+        self._nearest = KDTree(points).query(surface.x)[1] if len(points) else self._sample
         t, count = types(model.real), surface.count
         self._points: NDArray[np.int64] = np.zeros(0, np.int64)
         """Points that have a partner [K]."""
@@ -70,10 +79,13 @@ class SelfContact:
             "nodes": zeros(int, count, 2 * NODES),
             "weights": zeros(model.real, count, 2 * NODES),
             "rest": zeros(t.vec3, count),
+            "shift": zeros(t.vec3, count),
             "normal": zeros(t.vec3, count),
+            "slopes": zeros(t.vec3, count, NODES),
+            "back": zeros(t.mat33, count),
             "force": zeros(t.vec3, count),
         }
-        """Nodes, weights, distance at rest, normal and mean force of each pair."""
+        """Arguments of `make_meet` for each pair, and the mean force on its point."""
         self._gap, self._yields = zeros(t.vec4, count), zeros(model.real, count)
         self._x = zeros(t.vec3, len(self._sample))
         self._place = model.launch(
@@ -97,18 +109,20 @@ class SelfContact:
         pairs, nodes, clock = self._pairs, self._nodes, self._tracks.clock
         real, device = self._model.real, self._model.device
         every = wp.array(np.arange(self._surface.count, dtype=np.int32), dtype=int, device=device)
-        of_points = [pairs["nodes"], pairs["weights"]]
+        far = SIDEWAYS * self._model.dx
+        read = [pairs[name] for name in ("nodes", "normal", "slopes", "back")]
+        changed = [pairs[name] for name in ("weights", "rest", "shift")]
         meet = self._model.launch(
             make_meet(real),
             1,
-            [0, *of_points, pairs["rest"], pairs["normal"], nodes.movable, nodes.u, clock],
-            [nodes.v, self._gap, self._yields, pairs["force"]],
+            [0, far, *read, nodes.movable, nodes.u, clock],
+            [*changed, nodes.v, self._gap, self._yields, pairs["force"]],
         )
         tail = [nodes.movable, self._gap, self._yields, clock, self._tracks.rates]
         resist = self._model.launch(
             make_resist("separate", False, real),
             1,
-            [every, 0, FRICTION, 0, *of_points, *tail],
+            [every, 0, self._restore, FRICTION, 0, pairs["nodes"], pairs["weights"], *tail],
             [nodes.v, pairs["force"]],
         )
 
@@ -161,13 +175,12 @@ class SelfContact:
         """Return the points among some points that have a partner, and their pairs."""
         surface, dx = self._surface, self._model.dx
         nodes, weights = surface.nodes[points], surface.weights[points]
-        rest, u = (a.numpy().astype(np.float64)[nodes] for a in (self._nodes.rest, self._nodes.u))
-        arm = (rest - surface.x[points][:, None]) * (weights != 0)[:, :, None]
-        x = surface.x[points] + np.einsum("pk,pki->pi", weights, u)
-        moments = np.einsum("pk,pki,pkj->pij", weights, arm, arm)
-        inverse = np.linalg.pinv(moments, rcond=1e-6, hermitian=True)
-        F = np.eye(3) + np.einsum("pk,pki,pkj->pij", weights, u, arm) @ inverse
-        normal = np.einsum("pij,pj->pi", _cofactors(F), surface.normal[points])
+        u = self._nodes.u.numpy()[nodes].astype(np.float64)
+        slopes = self._slopes[points]
+        x = surface.x[points] + (weights[:, None] @ u)[:, 0]
+        F = np.eye(3) + np.swapaxes(u, 1, 2) @ slopes
+        turned = _cofactors(F)
+        normal = (turned @ surface.normal[points][:, :, None])[:, :, 0]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         near = KDTree(x).query_pairs(REACH * dx, output_type="ndarray")
         near = np.concatenate([near, near[:, ::-1]])
@@ -178,24 +191,35 @@ class SelfContact:
         out = np.where(normal[b].any(axis=1)[:, None], normal[b], way / distance[:, None])
         opposed = (normal[a] * out).sum(axis=1)
         gap = (way * out).sum(axis=1)
-        beside = way - gap[:, None] * out
+        sideways = way - gap[:, None] * out
         fits = (opposed < OPPOSED) | ~normal[a].any(axis=1)
-        fits &= np.linalg.norm(beside, axis=1) < BESIDE * dx
+        fits &= np.linalg.norm(sideways, axis=1) < SIDEWAYS * dx
         order = np.flatnonzero(fits)
         order = order[np.lexsort((distance[order], a[order]))]
         _, first = np.unique(a[order], return_index=True)
         chosen = order[first]
-        a, b, out, beside = a[chosen], b[chosen], out[chosen], beside[chosen]
-        # The place opposite to the point is beside the partner; its weights are linear in the way.
-        shift = np.einsum("pij,pj->pi", np.linalg.pinv(F[b]), beside)
-        shift *= np.minimum(1, BESIDE * dx / np.maximum(np.linalg.norm(shift, axis=1), 1e-30))[:, None]
-        factor = 1 + np.einsum("pki,pij,pj->pk", arm[b], inverse[b], shift)
+        a, b = a[chosen], b[chosen]
+        J = np.maximum((F[b, 0] * turned[b, 0]).sum(axis=1), FLAT)
         return points[a], {
             "nodes": np.concatenate([nodes[a], nodes[b]], axis=1),
-            "weights": np.concatenate([weights[a], -weights[b] * factor], axis=1),
-            "rest": surface.x[points[a]] - surface.x[points[b]] - shift,
-            "normal": out,
+            "weights": np.concatenate([weights[a], -weights[b]], axis=1),
+            "rest": surface.x[points[a]] - surface.x[points[b]],
+            "shift": np.zeros((len(a), 3)),
+            "normal": out[chosen],
+            "slopes": slopes[b],
+            "back": np.swapaxes(turned[b], 1, 2) / J[:, None, None],
         }
+
+    @cached_property
+    def _slopes(self) -> NDArray[np.float64]:
+        """Weights of the nodes in the gradient at each surface point [S,27,3], 1/m."""
+        surface = self._surface
+        arm = self._nodes.rest.numpy()[surface.nodes] - surface.x[:, None]
+        arm *= (surface.weights != 0)[:, :, None]
+        weighted = surface.weights[:, :, None] * arm
+        moments = np.swapaxes(weighted, 1, 2) @ arm
+        slopes: NDArray[np.float64] = weighted @ np.linalg.pinv(moments, rcond=1e-6, hermitian=True)
+        return slopes
 
     def _list(self, points: NDArray[np.int64], pairs: dict[str, NDArray]) -> None:
         """List pairs; points that already had a partner keep their forces."""

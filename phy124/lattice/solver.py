@@ -150,11 +150,12 @@ class LatticeSolver:
         model, state = self.model, self.state
         tracks = Tracks(real=model.real, device=model.device)
         acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
-        walls = Walls(boundaries, model, self.lattice, self._surface, self.nodes_state, tracks)
+        surface, nodes = self._surface, self.nodes_state
+        walls = Walls(boundaries, model, self.lattice, surface, nodes, tracks)
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
-        self.itself = SelfContact(self._surface, model, self.nodes_state, tracks)
+        self.itself = SelfContact(surface, model, nodes, tracks, walls.restore)
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self._sample = tracks.record()
         self._sample.launch()

@@ -76,8 +76,8 @@ class Spectrum:
     def stiffness(self) -> float:
         """dx^2 / dt^2 [m^2/s^2] of the longest stable substep, as last measured."""
         z = math.sqrt(self.square) * self._delay
-        shorter = math.sqrt(1 + z * z) - z
-        return self.square * (self._model.dx / 2 / shorter) ** 2
+        longer = math.sqrt(1 + z * z) + z
+        return self.square * (self._model.dx / 2 * longer) ** 2
 
     def follow(self) -> None:
         """Measure the current state, in which the forces of all points have been summed."""

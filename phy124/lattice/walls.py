@@ -117,13 +117,16 @@ class Walls:
         """
         self._dx, self._listed = model.dx, 0
         points = _Points.of(surface, lattice, model)
+        self.restore = RESTORE["separate"] * points.slowest
+        """Part of their depth by which points come out of a wall in a substep."""
         self._clamps, self._contacts = [], []
         for number, (holds, part) in enumerate(simple):
             sums = cast("wp.array", self.sums[number])
             if holds:
                 self._clamps.append(_Clamp(part, model, lattice, nodes, tracks, sums))
             elif points.count:
-                self._contacts.append(_Contact(part, model, points, nodes, tracks, sums))
+                contact = _Contact(part, model, points, nodes, tracks, sums)
+                self._contacts.append(contact)
 
     def __bool__(self) -> bool:
         """Return whether there is any wall or clamp."""

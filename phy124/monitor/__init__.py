@@ -6,6 +6,7 @@ from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.interior import Interior
 from phy124.monitor.lattice import (
     LatticeMethod,
+    LatticeSelfContact,
     LatticeWatchdog,
     LatticeWork,
     LatticeWrenches,
@@ -36,6 +37,7 @@ frames.
 """
 LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeMethod,
+    LatticeSelfContact,
     Softening,
     LatticeWrenches,
     LatticeWork,

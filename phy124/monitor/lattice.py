@@ -21,7 +21,7 @@ from phy124.kernels.lattice.contact import MOMENT
 from phy124.kernels.lattice.nodes import make_node_totals
 from phy124.monitor.diagnostics import Diagnostics, Totals
 from phy124.monitor.external_work import WALL, ExternalWork
-from phy124.monitor.observer import Effect, Observer, Subject
+from phy124.monitor.observer import Cost, Effect, Observer, Subject
 from phy124.monitor.watchdog import Watchdog
 from phy124.monitor.wrenches import Wrenches, summary, wall_names
 from phy124.mpm import Attachable, Clock
@@ -189,3 +189,26 @@ class LatticeMethod(Observer):
         return Effect(
             "rest lattice (accuracy.solver = lattice): no transfers, no tearing, no sorting"
         )
+
+
+class LatticeSelfContact(Observer):
+    """The row of the effects report for contact of a body with itself."""
+
+    LOOKING = Cost(fixed=40e3)
+    """Cost of looking for parts near each other, on an object of 50,000 points."""
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row before a run."""
+        del subject
+        return Effect("self-contact, if parts come near each other", cost=cls.LOOKING)
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, whose pairs are reported."""
+        self._solver = solver
+
+    def finished_effect(self, subject: Subject) -> Effect:
+        """Return the row after a run."""
+        most = self._solver.itself.most
+        name = f"self-contact of at most {most} pairs of points" if most else "self-contact"
+        return Effect(name, most > 0, "no parts came near each other", self.LOOKING)

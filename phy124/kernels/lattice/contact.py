@@ -228,21 +228,28 @@ def make_resist(response: str, moving: bool, real: Any):
 def make_meet(real: Any):
     """Kernel of one thread: finds the gaps of pairs of surface points, like `make_touch`.
 
-    A pair is like a point whose weights are those of one point minus those of the other, so that
-    `rest` and the nodes give the way between the two.
+    A pair is like a point whose weights are those of a point, minus those of the place opposite to
+    it, so that `rest_out` and the nodes give the way between the two. The place follows the point
+    on the surface, so that the impulses have no moment: its weights change by `slopes` times the
+    way in the body at rest, which is `back` times the way along the surface. A place that moves
+    farther than `far` is no longer opposite.
     """
     t = types(real)
 
     @kernel(f"phy124_lattice_meet_{real.__name__}", real, seconds=0.5)
     def meet(
         count: int,
+        far: real,
         nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        rest: t.vec3s,
         normal: t.vec3s,
+        slopes: wp.array2d(dtype=t.vec3),
+        back: wp.array(dtype=t.mat33),
         inverse: t.reals,
         u: t.vec3s,
         clock,
+        weights_out: wp.array2d(dtype=real),
+        rest_out: t.vec3s,
+        shift_out: t.vec3s,
         v_out: t.vec3s,
         gap_out: t.vec4s,
         yields_out: t.reals,
@@ -250,12 +257,24 @@ def make_meet(real: Any):
     ):
         for s in range(count):
             n = normal[s]
-            gap = wp.dot(rest[s] + moved_by(u, nodes, weights, s), n)
-            gap_out[s] = wp.vector(n[0], n[1], n[2], gap)
-            yields_out[s] = yielding(inverse, nodes, weights, s)
-            impulse = clock[0] * force_out[s]
-            if wp.dot(impulse, impulse) > real(0.0):
-                strike(v_out, inverse, nodes, weights, s, impulse)
+            way = rest_out[s] + moved_by(u, nodes, weights_out, s)
+            gap = wp.dot(way, n)
+            step = back[s] * (way - gap * n)
+            shift = shift_out[s] + step
+            if wp.dot(shift, shift) < far * far:
+                shift_out[s] = shift
+                rest_out[s] = rest_out[s] - step
+                for k in range(wp.static(NODES)):
+                    place = wp.static(NODES) + k
+                    weights_out[s, place] = weights_out[s, place] - wp.dot(slopes[s, k], step)
+                gap_out[s] = wp.vector(n[0], n[1], n[2], gap)
+                yields_out[s] = yielding(inverse, nodes, weights_out, s)
+                impulse = clock[0] * force_out[s]
+                if wp.dot(impulse, impulse) > real(0.0):
+                    strike(v_out, inverse, nodes, weights_out, s, impulse)
+            else:
+                gap_out[s] = wp.vector(n[0], n[1], n[2], real(wp.inf))
+                force_out[s] = t.vec3()
 
     return meet
 
