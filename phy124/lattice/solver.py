@@ -155,7 +155,7 @@ class LatticeSolver:
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
-        self.itself = SelfContact(surface, model, nodes, tracks, walls.restore)
+        self.itself = SelfContact(surface, model, nodes, tracks, walls.recovery)
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self._sample = tracks.record()
         self._sample.launch()

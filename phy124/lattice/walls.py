@@ -117,7 +117,7 @@ class Walls:
         """
         self._dx, self._listed = model.dx, 0
         points = _Points.of(surface, lattice, model)
-        self.restore = RESTORE["separate"] * points.slowest
+        self.recovery = RESTORE["separate"] * points.slowest
         """Part of their depth by which points come out of a wall in a substep."""
         self._clamps, self._contacts = [], []
         for number, (holds, part) in enumerate(simple):
