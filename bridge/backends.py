@@ -15,11 +15,12 @@ from phy124.schema.plugins import list_plugins, load_plugin
 from . import PROGRAM
 from .options import Options
 from .parameters import RUNNING, RUNNING_LIVE
+from .ros_node import require_rclpy
 from .sink import LiveSink
 from .sinks.dds import DdsSink, require_cyclonedds
 from .sinks.foxglove import PORT, FoxgloveSink, require_foxglove
 from .sinks.mcap import require_mcap
-from .sinks.rclpy import RclpySink, require_rclpy
+from .sinks.rclpy import RclpySink
 from .topics import Controls
 
 OWN = ("rclpy", "dds", "foxglove")

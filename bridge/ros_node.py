@@ -28,6 +28,7 @@ def ros_node(
         name: Name of the node.
         make: Makes the node from its name and namespace; None: a plain node.
     """
+    require_rclpy()
     import rclpy
     from rclpy.node import Node
     from rclpy.signals import SignalHandlerOptions
@@ -45,6 +46,20 @@ def ros_node(
             node.destroy_node()
     finally:
         rclpy.try_shutdown()
+
+
+def require_rclpy() -> None:
+    """Check that rclpy can be imported.
+
+    Raises:
+        InputError: rclpy cannot be imported.
+    """
+    try:
+        import rclpy  # noqa: F401
+    except ImportError as error:
+        limit = f"rclpy cannot be imported ({error}); it comes with ROS 2, not from PyPI."
+        remedy = "Source your ROS 2 installation (`source /opt/ros/jazzy/setup.bash`)."
+        raise InputError("backend", "rclpy", limit, remedy) from error
 
 
 def _start(start: Callable[[], Any]) -> Any:

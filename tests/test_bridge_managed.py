@@ -1,8 +1,10 @@
 """The managed node in the states of its lifecycle, against a double of rclpy."""
 
+import sys
+
 import pytest
 
-from bridge import managed
+from bridge import managed, node
 from support.clips import random_clip
 from support.ros_double import Node
 from support.ros_messages import statuses, values
@@ -104,3 +106,11 @@ def test_wrong_parameter_ends_the_node_with_a_sentence(ros, clip, capsys):
         manage(ros, clip, speed=-1.0)
     assert ended.value.code == 1
     assert "speed = -1.0: It must lie between 0.01 and 100." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("main", [node.main, managed.main])
+def test_without_rclpy_a_node_says_where_it_comes_from(monkeypatch, capsys, main):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    with pytest.raises(SystemExit):
+        main()
+    assert "it comes with ROS 2, not from PyPI" in capsys.readouterr().err

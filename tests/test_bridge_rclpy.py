@@ -10,7 +10,8 @@ from bridge.backends import open_sink
 from bridge.options import Options
 from bridge.player import Player
 from bridge.reports import CLOCK_RATE
-from bridge.sinks.rclpy import RclpySink, require_rclpy
+from bridge.ros_node import require_rclpy
+from bridge.sinks.rclpy import RclpySink
 from bridge.steering.loop import FLOOD, _Listening, controls
 from bridge.topics import POINTS, PUSH, Controls, Message, Service, contact
 from phy124.errors import InputError

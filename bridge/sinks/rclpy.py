@@ -24,7 +24,7 @@ from ..encoder import FrameEncoder
 from ..options import Options, live_points
 from ..parameters import RUNNING, Parameter, Running, declare
 from ..reports import Audience, Reports
-from ..ros_node import ros_node
+from ..ros_node import require_rclpy, ros_node
 from ..services import Services, offer_standard
 from ..sink import Obey, Playback
 from ..topics import COMMAND, NAMESPACE, Controls, Hear, Message, Topic
@@ -293,17 +293,3 @@ def quality(topic: Topic) -> Any:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST, depth=topic.depth, reliability=reliable, durability=kept
     )
-
-
-def require_rclpy() -> None:
-    """Check that rclpy can be imported.
-
-    Raises:
-        InputError: rclpy cannot be imported.
-    """
-    try:
-        import rclpy  # noqa: F401
-    except ImportError as error:
-        limit = f"rclpy cannot be imported ({error}); it comes with ROS 2, not from PyPI."
-        remedy = "Source your ROS 2 installation (`source /opt/ros/jazzy/setup.bash`)."
-        raise InputError("backend", "rclpy", limit, remedy) from error
