@@ -39,6 +39,10 @@ SH_COEFFICIENTS = (1, 4, 9, 16)
 """Allowed K in `sh [N,K,3]`: degrees 0 to 3."""
 
 
+BLOCK = 1 << 15
+"""Number of rows that are processed at a time, so that they stay in the cache."""
+
+
 @dataclass(frozen=True, eq=False)
 class Gaussians:
     """N anisotropic 3D Gaussians, Sigma = R(q) diag(s)^2 R(q)^T.
@@ -157,6 +161,19 @@ class Gaussians:
         """Return covariance matrices [N,3,3], m^2, in double precision."""
         axes = rotation_matrices(self.quats) * self.scales[:, None, :].astype(np.float64)
         return axes @ axes.transpose(0, 2, 1)
+
+
+def finite_rows(array: NDArray) -> NDArray[np.bool_]:
+    """Return the mask of the rows of an array [N,...] whose values are all finite."""
+    flat, finite = array.reshape(len(array), -1), np.ones(len(array), bool)
+    with np.errstate(invalid="ignore"):
+        for start in range(0, len(flat), BLOCK):
+            part = flat[start : start + BLOCK]
+            total = np.zeros(len(part))  # NaN or infinite if any value is
+            for column in part.T:
+                total += column
+            finite[start : start + BLOCK] = np.isfinite(total)
+    return finite
 
 
 def join(sets: Sequence[Gaussians]) -> Gaussians:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import SH_COEFFICIENTS, Gaussians
+from phy124.gaussians import BLOCK, SH_COEFFICIENTS, Gaussians, finite_rows
 from phy124.io.opening import obstacle
 from phy124.runtime.memory import free_memory
 
@@ -157,8 +157,7 @@ def drop_non_finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:
     good = np.ones(len(raw["means"]), bool)
     with np.errstate(over="ignore", invalid="ignore"):
         for value in raw.values():
-            # The sum of a row with a NaN is NaN; summing is quicker than testing each value.
-            good &= np.isfinite(value.reshape(len(value), -1).sum(axis=1, dtype=np.float64))
+            good &= finite_rows(value)
     kept = {name: value[good] for name, value in raw.items()} if not good.all() else raw
     gaussians = Gaussians(**{**kept, "quats": normalise_quats(kept["quats"])})
     return gaussians, int(np.count_nonzero(~good))
@@ -166,11 +165,14 @@ def drop_non_finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:
 
 def normalise_quats(quats: NDArray) -> NDArray[np.float32]:
     """Normalise quaternions [N,4]; quaternions of length 0 become the identity."""
-    length = np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
-    zero = length[:, 0] < 1e-12
-    with np.errstate(invalid="ignore"):  # infinite values become NaN
-        units = (quats / np.where(length > 0, length, 1)).astype(np.float32)
-    units[zero] = 1, 0, 0, 0
+    units = np.empty(quats.shape, np.float32)
+    for start in range(0, len(quats), BLOCK):
+        some = quats[start : start + BLOCK]
+        length = np.linalg.norm(some.astype(np.float64), axis=1, keepdims=True)
+        with np.errstate(invalid="ignore"):  # infinite values become NaN
+            unit = (some / np.where(length > 0, length, 1)).astype(np.float32)
+        unit[length[:, 0] < 1e-12] = 1, 0, 0, 0
+        units[start : start + BLOCK] = unit
     return units
 
 
@@ -205,7 +207,7 @@ def content_of(
     ids, remarks = assign_objects(raw.get(OBJECT), means)
     with np.errstate(over="ignore", invalid="ignore"):  # values beyond float32 become infinite
         names = raw.keys() - {"means", OBJECT}
-        others = {name: raw[name].astype(np.float32) for name in names}
+        others = {name: raw[name].astype(np.float32, copy=False) for name in names}
     gaussians, dropped = drop_non_finite({"means": means, **others, **ids})
     if not len(gaussians):
         limit = "none of its Gaussians has finite values."
@@ -277,7 +279,7 @@ def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float6
         origin = np.rint(middle / normalise_quats) * normalise_quats
     with np.errstate(over="ignore", invalid="ignore"):
         near = means.astype(np.float64) - origin if origin.any() else means
-        return near.astype(np.float32), origin
+        return near.astype(np.float32, copy=False), origin
 
 
 def move_back(

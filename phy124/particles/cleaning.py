@@ -24,7 +24,7 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import Gaussians, rotation_matrices
+from phy124.gaussians import BLOCK, Gaussians, finite_rows, rotation_matrices
 
 INVISIBLE = 1 / 255
 THINNEST = 1e-6
@@ -170,39 +170,54 @@ def size_transform(
 
 
 def _are_finite(gaussians: Gaussians) -> NDArray[np.bool_]:
-    keep = np.ones(len(gaussians), bool)
-    for name in ("means", "quats", "scales", "opacities", "sh"):
-        finite = np.isfinite(getattr(gaussians, name))
-        keep &= finite.all(axis=tuple(range(1, finite.ndim)))
-    return keep
+    names = ("means", "quats", "scales", "opacities", "sh")
+    masks = [finite_rows(getattr(gaussians, name)) for name in names]
+    return np.logical_and.reduce(masks)
 
 
 def _repair(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
-    absolute = replace(gaussians, scales=np.abs(gaussians.scales))
-    scales = np.maximum(absolute.scales, THINNEST * absolute.longest[:, None])
-    length = np.linalg.norm(gaussians.quats.astype(np.float64), axis=1, keepdims=True)
-    off = np.abs(length[:, 0] - 1) > 1e-6
-    zero = length[:, 0] == 0
-    quats = gaussians.quats.copy()
-    quats[off] /= np.where(length[off] == 0, 1, length[off])
-    quats[zero] = (1, 0, 0, 0)
-    opacities = np.minimum(gaussians.opacities, 1)
-    counts = {
-        "repaired_scales": int((scales != gaussians.scales).any(axis=1).sum()),
-        "repaired_quats": int(zero.sum()),
-        "repaired_opacities": int((opacities != gaussians.opacities).sum()),
-    }
-    repaired = replace(gaussians, quats=quats, scales=scales, opacities=opacities)
-    return repaired, counts
+    """Return repaired Gaussians and the counts; arrays without a change are not copied."""
+    arrays = {name: getattr(gaussians, name) for name in ("quats", "scales", "opacities")}
+    repaired, counts = dict(arrays), dict.fromkeys(arrays, 0)
+    for start in range(0, len(gaussians), BLOCK):
+        block = slice(start, start + BLOCK)
+        quats, scales, opacities = (array[block] for array in arrays.values())
+        x, y, z = np.abs(scales).T
+        least = THINNEST * np.maximum(np.maximum(x, y), z)
+        length = np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
+        zero, off = length[:, 0] == 0, np.abs(length[:, 0] - 1) > 1e-6
+        unit = quats.copy()
+        unit[off] /= np.where(length[off] == 0, 1, length[off])
+        unit[zero] = (1, 0, 0, 0)
+        better = {
+            "quats": unit,
+            "scales": np.stack([np.maximum(axis, least) for axis in (x, y, z)], axis=1),
+            "opacities": np.minimum(opacities, 1),
+        }
+        counts["quats"] += int(zero.sum())
+        for name, values in better.items():
+            changed = values != arrays[name][block]
+            if not changed.any():
+                continue
+            if name != "quats":
+                counts[name] += int(changed.reshape(len(changed), -1).any(axis=1).sum())
+            if repaired[name] is arrays[name]:
+                repaired[name] = arrays[name].copy()
+            repaired[name][block] = values
+    counts = {f"repaired_{name}": count for name, count in counts.items()}
+    return replace(gaussians, **repaired), counts
 
 
 def _are_gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
     if len(gaussians) == 0:
         return np.zeros(0, bool)
     longest = gaussians.longest.astype(np.float64)
+    large = longest > 20 * np.median(longest)
+    if not large.any():
+        return large
     low = weighted_quantile(gaussians.means, gaussians.opacities, 0.001)
     high = -weighted_quantile(-gaussians.means, gaussians.opacities, 0.001)
-    return (longest > GIGANTIC * (high - low).max()) & (longest > 20 * np.median(longest))
+    return large & (longest > GIGANTIC * (high - low).max())
 
 
 def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ MPM: its time-step limit depends on stiffness and density, not on the volume.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,8 @@ BINDINGS = ("lattice", "particles")
 MAX_PARTICLES = 8_000_000
 THIN = 4
 """Largest width of a part that counts as thin, in particle spacings."""
+MOST_CELLS = 50_000_000
+"""Largest number of cells of a grid that is held in memory."""
 SMALLEST = 0.01
 """Smallest volume of a particle, relative to the mean volume."""
 
@@ -136,15 +139,43 @@ def _lattice_with_gaussians(
     thin = shape.thin(means, THIN * spacing)
     close, others = _cell_means(means[thin], 0.5 * spacing), means[~thin]
     lattice = _keep_apart(lattice, close, 0.5 * spacing) if len(close) else lattice
-    missed = _keep_apart(others, lattice, spacing) if len(lattice) else others
+    if len(lattice):
+        # A Gaussian in the cell of a lattice point is nearer to it than the spacing.
+        missed = _keep_apart(_outside_cells(others, lattice, spacing), lattice, spacing)
+    else:
+        missed = others
     return np.concatenate([lattice, close, _cell_means(missed, spacing)])
+
+
+def _outside_cells(points: NDArray, lattice: NDArray, side: float) -> NDArray[np.float64]:
+    """Return the points in cells without a point of a lattice whose points are `side` apart."""
+    place = np.floor(lattice / side).astype(np.int64)
+    low = place.min(axis=0)
+    shape = place.max(axis=0) - low + 1
+    if shape.prod() > MOST_CELLS:
+        return points
+    full = np.zeros(shape, bool)
+    full[tuple((place - low).T)] = True
+    cells = np.floor(points / side).astype(np.int64) - low
+    inside = ((cells >= 0) & (cells < shape)).all(axis=1)
+    inside[inside] = full[tuple(cells[inside].T)]
+    return points[~inside]
 
 
 def _cell_means(points: NDArray, side: float) -> NDArray[np.float64]:
     """Return the mean of the points in each occupied cell of a grid; `side` is the cell's side."""
+    if not len(points):
+        return points
     cells = np.floor(points / side).astype(np.int64)
-    _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    which = which.reshape(-1)
+    low = cells.min(axis=0)
+    shape = tuple(cells.max(axis=0) - low + 1)
+    flat = np.ravel_multi_index(tuple((cells - low).T), shape)
+    if math.prod(shape) <= MOST_CELLS:
+        every = np.bincount(flat)
+        count = every[every > 0]
+        which = (np.cumsum(every > 0) - 1)[flat]
+    else:
+        _, which, count = np.unique(flat, return_inverse=True, return_counts=True)
     sums = [np.bincount(which, points[:, k], minlength=len(count)) for k in range(3)]
     return np.stack(sums, axis=1) / count[:, None]
 

@@ -35,7 +35,6 @@ from phy124.progress import Progress
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras as cameras
 from phy124.rendering.framing import still_camera
-from phy124.rendering.nearest import Sample
 from phy124.rendering.outputs import refuse_outputs, refuse_unkept, write_outputs
 from phy124.rendering.shine import Shine, add_gloss, make_shine
 from phy124.rendering.stage.build import Stage, make_stage, pack_stage
@@ -251,8 +250,7 @@ def _images(
     context: RunContext,
 ) -> Generator[Picture, None, None]:
     """Render the pictures of all sides, frame by frame."""
-    sample = Sample.of(clip)
-    seen = list(zip(*(cameras(clip, view, side, sample) for side in sides), strict=True))
+    seen = list(zip(*(cameras(clip, view, side) for side in sides), strict=True))
     frames = context.watch.each("deform", (clip.frame(k) for k in loop.order))
     pairs = ((frame, at) for frame in frames for at in seen[frame.index])
     shown = (frame if shine is None else shine.illuminate(frame, at) for frame, at in pairs)

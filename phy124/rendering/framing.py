@@ -28,25 +28,19 @@ FARTHEST = 100.0
 """Largest allowed distance of a view, in object sizes."""
 
 
-def cameras(clip: Clip, view: View, side: str, sample: Sample | None = None) -> list[Camera]:
+def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
     """Return the camera of each frame from one side: fixed, circling, moving, or following.
 
     Unless the distance is set (`View.fits`), the camera is as near as possible while it shows the
     whole motion; if the motion would then look too small, the camera follows the object. With
     several objects it moves in and out.
-
-    Args:
-        clip: The clip.
-        view: Sides, distance and size of the pictures.
-        side: Name of the side.
-        sample: `Sample.of(clip)`, if it is known.
     """
     camera, poses = view.camera(side), _poses(clip, view, side)
     if view.fits and not (camera is not None and camera.chosen):
-        return _nearest(clip, view, poses, sample or Sample.of(clip))
+        return _nearest(clip, view, poses)
     low, high = _box(clip, view)
     size = float((high - low).max())
-    path = (sample or Sample.of(clip)).path if view.follow else 0.0
+    path = Sample.of(clip).path if view.follow else 0.0
     targets = (low + high) / 2 + size * poses.target + path
     width, height = view.size
     # A portrait camera stands farther away, to show as much width as a square picture does.
@@ -59,11 +53,11 @@ def still_camera(clip: Clip, view: View, side: str) -> Camera:
     return cameras(clip, view.model_copy(update={"follow": False}), side)[0]
 
 
-def _nearest(clip: Clip, view: View, poses: Poses, sample: Sample) -> list[Camera]:
+def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
     """Place cameras as near as possible to show the motion, up to `LARGEST` object sizes of it."""
     low, high = _box(clip, view)
     size = float((high - low).max())
-    count = len(clip)
+    sample, count = Sample.of(clip), len(clip)
     follow = sample.has_rare_moment(LARGEST * size) if view.follow is None else view.follow
     seen, path = (sample.follow(), sample.path) if follow else (sample, 0.0)
     around = _make_cameras(view, poses, np.ones(count), np.tile(seen.middle, (count, 1)))
@@ -127,24 +121,21 @@ class Departure:
     """Camera distance at which the whole object would be visible, in object sizes."""
 
 
-def departures(clip: Clip, view: View, sample: Sample | None = None) -> list[Departure]:
+def departures(clip: Clip, view: View) -> list[Departure]:
     """Return the sides from which part of the object leaves the picture.
 
     A camera is not checked if the user set its distance, field of view or target.
     """
     chosen = {camera.name for camera in view.cameras if camera.chosen}
-    sample = sample or Sample.of(clip)
     sides = (side for side in view.sides if side not in chosen)
-    checked = (_find_departure(clip, sample, view, side) for side in sides)
+    checked = (_find_departure(clip, view, side) for side in sides)
     return [departure for departure in checked if departure is not None]
 
 
 def describe_framing(clip: Clip, view: View) -> dict[str, Any]:
     """Return the `departures`, and `notes` on them and on camera paths longer than the clip."""
-    sample = Sample.of(clip)
-    left = departures(clip, view, sample)
-    every = _note_departures(clip, view, left, sample), _note_cut(clip, view)
-    notes = [note for note in every if note]
+    left = departures(clip, view)
+    notes = [note for note in (_note_departures(clip, view, left), _note_cut(clip, view)) if note]
     return {"departures": [asdict(departure) for departure in left], "notes": notes}
 
 
@@ -161,7 +152,7 @@ def _note_cut(clip: Clip, view: View) -> str | None:
     )
 
 
-def _note_departures(clip: Clip, view: View, left: list[Departure], sample: Sample) -> str | None:
+def _note_departures(clip: Clip, view: View, left: list[Departure]) -> str | None:
     if not left:
         return None
     sides = ", ".join(
@@ -173,22 +164,23 @@ def _note_departures(clip: Clip, view: View, left: list[Departure], sample: Samp
     if distance <= FARTHEST:
         remedies.append(f"view.distance = {distance:g}")
     following = view.model_copy(update={"follow": True})
-    if not view.follow and not departures(clip, following, sample):
+    if not view.follow and not departures(clip, following):
         remedies.append("view.follow = true")
     remedy = " or ".join(remedies) or "a wider view.fov"
     return f"The object leaves the picture: {sides}. Film it again with {remedy}."
 
 
-def _find_departure(clip: Clip, sample: Sample, view: View, side: str) -> Departure | None:
-    """Return the departure of a sample from the picture of a side, or None."""
-    seen, points = cameras(clip, view, side, sample), sample.means[:, sample.moving]
+def _find_departure(clip: Clip, view: View, side: str) -> Departure | None:
+    """Return the departure of the object from the picture of a side, or None."""
+    sample, seen = Sample.of(clip), cameras(clip, view, side)
+    points = sample.means[:, sample.moving]
     needed = _radii(points, seen)
     radii = np.array([math.dist(camera.eye, camera.target) for camera in seen])
     outside = (needed > radii[:, None] * (1 + 1e-9)).mean(axis=1)
     if not (outside > OUTSIDE).any():
         return None
     still = view.model_copy(update={"fit": False, "follow": bool(view.follow)})
-    usual = cameras(clip, still, side, sample)
+    usual = cameras(clip, still, side)
     enough = np.quantile(_radii(points, usual), 1 - OUTSIDE, axis=1, method="higher").max()
     ratio = float(enough) / math.dist(usual[0].eye, usual[0].target)
     distance = math.ceil(ratio * view.distance / STEP) * STEP
@@ -209,13 +201,11 @@ def _radii(points: Values, cameras: list[Camera]) -> Values:
 
 def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
     """Return the corners of the resting object's box, down to the ground if it can fall."""
-    # One row per axis: minimum and maximum of long contiguous rows are faster.
-    rest = np.ascontiguousarray(clip.means[0][clip.object_mask].T)
-    first = np.compress(np.isfinite(rest).all(axis=0), rest, axis=1)
-    if not first.size:
+    corners = Sample.of(clip).corners
+    if corners is None:
         limit = "all Gaussians of its first frame have NaN or infinite values."
         raise InputError("clip", f"{len(clip)} frames", limit, "Simulate it once more.")
-    low, high = first.min(axis=1), first.max(axis=1)
+    low, high = corners
     floors = [b["height"] for b in clip.scene.get("boundaries", []) if b["kind"] == "ground"]
     if floors and not view.follow:
         low = np.minimum(low, [np.inf, np.inf, max(floors)])

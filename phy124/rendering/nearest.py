@@ -58,6 +58,9 @@ class Sample:
     """Centres [T,S,3], m; values that are not finite are replaced by those of the first frame."""
     covariances: Values
     """Covariance matrices [T,S,3,3], m^2."""
+    corners: tuple[NDArray, NDArray] | None = None
+    """Corners of the box around all of the object's centres in the first frame [3], [3], m; None if
+    no centre is finite."""
 
     @classmethod
     def of(cls, clip: Clip) -> Sample:
@@ -70,6 +73,10 @@ class Sample:
     def _of(cls, clip: Clip) -> Sample:
         visible = np.flatnonzero(clip.object_mask & (clip.opacities >= VISIBLE))
         chosen = visible if len(visible) else np.flatnonzero(clip.object_mask)
+        # One row per axis: minimum and maximum of long contiguous rows are faster.
+        rest = np.ascontiguousarray(clip.means[0].T)
+        rest = np.compress(clip.object_mask & np.isfinite(rest).all(axis=0), rest, axis=1)
+        corners = (rest.min(axis=1), rest.max(axis=1)) if rest.size else None
         chosen = chosen[:: 1 + len(chosen) // min(SAMPLE, max(MOST_VALUES // len(clip), FEWEST))]
         chosen = chosen[np.isfinite(clip.means[0, chosen]).all(axis=1)]
         means = clip.means[:, chosen].astype(np.float64)
@@ -81,7 +88,7 @@ class Sample:
             sound = np.isfinite(means[index]).all(axis=1) & np.isfinite(shape).all(axis=(1, 2))
             shapes[index] = np.where(sound[:, None, None], shape, 0.0)
             means[index] = np.where(sound[:, None], means[index], means[0])
-        return cls(means, shapes)
+        return cls(means, shapes, corners)
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
