@@ -7,6 +7,7 @@ scales in metres). The field names are gsplat's.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -165,7 +166,8 @@ class Gaussians:
 
 def finite_rows(array: NDArray) -> NDArray[np.bool_]:
     """Return the mask of the rows of an array [N,...] whose values are all finite."""
-    flat, finite = array.reshape(len(array), -1), np.ones(len(array), bool)
+    flat = array.reshape(len(array), math.prod(array.shape[1:]))
+    finite = np.ones(len(array), bool)
     with np.errstate(invalid="ignore"):
         for start in range(0, len(flat), BLOCK):
             part = flat[start : start + BLOCK]

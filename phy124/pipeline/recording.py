@@ -24,6 +24,7 @@ from phy124.io.clip import Clip
 from phy124.io.growing import Growing, Unlike
 from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
+from phy124.runtime.memory import trim
 from phy124.simulation import Simulation
 
 PAUSE = "pause.safetensors"
@@ -34,6 +35,8 @@ COST = 0.01
 """Largest fraction of the run's time that may be spent on writing the state."""
 GUESS = 4e8
 """Assumed write speed of the state until a speed has been measured [bytes/s]."""
+TRIM = 32
+"""Number of frames after which freed memory is returned to the system."""
 HEADER, PER_FRAME = 32_000, 120
 """Space reserved in the clip for the report, and for the report's entries of each frame [bytes]."""
 
@@ -181,6 +184,8 @@ class Recording:
                 plain = replace(before.gaussians, sh=run.setup.shown.sh)
                 run.frames[place - 1] = replace(before, gaussians=plain)
         self._put = run.count
+        if run.count % TRIM == 0:
+            trim()
 
     def _header(self, run: Simulation) -> int:
         """Return the space for the header of the clip's file [bytes]."""

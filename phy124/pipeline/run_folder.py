@@ -37,6 +37,7 @@ from phy124.rendering.film import rate as rate
 from phy124.rendering.framing import describe_framing
 from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure
+from phy124.runtime.memory import trim
 from phy124.scene import Scene, View
 from phy124.simulation import Interrupted, Simulation
 
@@ -181,6 +182,7 @@ class RunFolder:
         """
         if not self.films:
             return False, None
+        trim()
         try:
             film(clip, scene.view, folder, self.context)
         except Cancelled:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import mmap
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,16 @@ def release(array: object) -> None:
     mapped: Any = getattr(array, "_mmap", None)
     if hasattr(mapped, "madvise") and hasattr(mmap, "MADV_DONTNEED"):
         mapped.madvise(mmap.MADV_DONTNEED)
+
+
+def trim() -> None:
+    """Return freed memory to the system.
+
+    The C library keeps the gaps between small objects that are left by the arrays of each frame; in
+    a long run they add up to the size of all frames.
+    """
+    with suppress(OSError, AttributeError):  # only the GNU C library has this function
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def free_memory(device: str = "cpu") -> float:
