@@ -194,7 +194,8 @@ def make_resist(response: str, moving: bool, real: Any):
                 n = wp.vector(g[0], g[1], g[2])
                 relative = moved_by(v_out, nodes, weights, s) - wall
                 last = clock[0] * force_out[s]
-                bias = g[3] / clock[1]
+                # A very short drift must not make a point leave the wall fast.
+                bias = g[3] / wp.max(clock[0], clock[1])
                 speed = wp.dot(relative, n)
                 along = relative - speed * n
                 pressed = wp.dot(last, n)

@@ -30,6 +30,8 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     beam.ELASTICA,
     beam.SPLINE_ELASTICA,
     beam.HEAVY_ELASTICA,
+    beam.LATTICE_ELASTICA,
+    beam.LATTICE_HEAVY_ELASTICA,
     pressed_block.EXPERIMENT,
     hertz.EXPERIMENT,
     restitution.EXPERIMENT,

@@ -14,11 +14,13 @@ import numpy as np
 
 from phy124.boundaries import Held
 from phy124.forces import Force, Gravity, TotalForce
+from phy124.lattice.solver import LatticeSolver
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver
 from phy124.mpm.tracks import Keyframes
+from phy124.particles.solid import Solid
 from phy124.schema.region import Region
-from phy124.studies.validation.bodies import plane, sheet
+from phy124.studies.validation.bodies import make_lattice_solver, plane, sheet
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
 
 LENGTH, THICKNESS = 1.2, 0.1
@@ -125,7 +127,7 @@ def load_all(width: float, profile: Keyframes, end: Region) -> Force:
 
 
 def make_band(
-    loads: Sequence[float], exact: Callable[[float], float], name: str
+    loads: Sequence[float], exact: Callable[[float], float], name: str, stretch: float = 0.0
 ) -> tuple[Quantity, ...]:
     """Return the tip deflection for each load, with its band.
 
@@ -136,10 +138,13 @@ def make_band(
         loads: Dimensionless loads.
         exact: Returns the tip deflection of a slender beam for a load, divided by the length.
         name: Symbol of the load.
+        stretch: Mean pull on the beam, as a fraction of the load, by which a beam that hangs is
+            longer; 0: the band neglects this.
     """
+    longer = stretch / 12 * (THICKNESS / LENGTH) ** 2
     pairs = [(load, exact(load)) for load in loads]
     return tuple(
-        Quantity(f"{name} = {load:g}", drop, drop, drop * (1 + 2 * SOFTER), load)
+        Quantity(f"{name} = {load:g}", drop, drop, drop * (1 + 2 * SOFTER + longer * load), load)
         for load, drop in pairs
     )
 
@@ -187,6 +192,44 @@ def measure_drops(
     return tuple(drops)
 
 
+def measure_lattice_drops(
+    cells: int,
+    loads: Sequence[float],
+    bending: Bending,
+    *,
+    stiffer: float = 1.0,
+    beyond: float = 0.0,
+) -> Values:
+    """Measure the same on the lattice solver, with a beam as wide as thick.
+
+    Args:
+        cells: Cells across the beam's thickness.
+        loads: Factors of the force, in ascending order.
+        bending: Makes the force.
+        stiffer: Factor on E, for the control.
+        beyond: Length of the beam beyond its end, so that a load acts on a cell around it [cells].
+    """
+    dx = THICKNESS / cells
+    root, clamped = beyond * dx, 3
+    counts = round(2 * (LENGTH / dx + 2 * beyond + clamped)), 2 * cells, 2 * cells
+    solid = Solid(np.array([-2 * clamped, 0, 0]), dx / 2, np.ones(counts, np.float32))
+    at = root + LENGTH
+    end = Region(lower=(at - dx / 2 - 1e-9, -1, -1), upper=(at + dx / 2 + 1e-9, 1, 1))
+    hold = REST * 2 * math.pi / first_frequency()
+    force = bending(THICKNESS, _steps(loads, hold), end)
+    rubber = NeoHookean(E=stiffer * E, nu=0.0, density=DENSITY)
+    clamp = Held(lower=(-1, -1, -1), upper=(root, 1, 1))
+    solver = make_lattice_solver(solid, dx, rubber, forces=[force], boundaries=[clamp], threads=1)
+    away, drops = solver.model.rest[:, 0] - at, []
+    tip = away > -1.5 * dx
+    for load in range(1, len(loads) + 1):
+        _settle(solver, load * hold)
+        solver.follow()
+        sunk = (solver.model.rest - solver.state.x.numpy())[tip, 2]
+        drops.append(float(np.polyfit(away[tip], sunk, 1)[1]) / LENGTH)
+    return tuple(drops)
+
+
 def _steps(loads: Sequence[float], hold: float) -> Keyframes:
     """Return a profile that applies the loads one after another, each for the time `hold` [s].
 
@@ -199,15 +242,20 @@ def _steps(loads: Sequence[float], hold: float) -> Keyframes:
     return Keyframes(times=tuple(times), factors=tuple(factors))
 
 
-def _settle(solver: Solver, until: float) -> None:
+def _settle(solver: Solver | LatticeSolver, until: float) -> None:
     """Advance with critical damping of the first mode, which prevents oscillations."""
     omega = first_frequency()
     piece = 2 * math.pi / omega / PIECES
     slower = math.exp(-2 * omega * piece)
     while solver.clock.time < until - 1e-9:
         solver.advance(min(solver.clock.time + piece, until))
-        solver.state.v.assign(solver.state.v.numpy() * slower)
-        solver.state.C.assign(solver.state.C.numpy() * slower)
+        rates = (
+            [solver.nodes_state.v]
+            if isinstance(solver, LatticeSolver)
+            else [solver.state.v, solver.state.C]
+        )
+        for rate in rates:
+            rate.assign(rate.numpy() * slower)
 
 
 ELASTICA = Experiment(
@@ -244,6 +292,19 @@ SPLINE_ELASTICA = replace(
     "1.0, 0.7 and 0.5 % too small on 2, 3 and 4 cells, so it converges. With 4 particles, "
     "the two errors cancel, which the extrapolation cannot detect.",
 )
+_on_tip = partial(measure_lattice_drops, loads=TIP_LOADS, bending=load_tip, beyond=0.5)
+LATTICE_ELASTICA = replace(
+    ELASTICA,
+    name="elastica-lattice",
+    title="Elastica on the lattice solver",
+    measured='The loads of `elastica`, with accuracy.solver = "lattice".',
+    published=partial(make_band, TIP_LOADS, elastica_drop, "PL²/EI", 1.0),
+    band="as for `elastica`, and longer by up to the stretch of a hanging beam",
+    run=_on_tip,
+    control=partial(_on_tip, stiffer=1.2),
+    seconds=50,
+    reason="",
+)
 HEAVY_ELASTICA = replace(
     ELASTICA,
     name="heavy-elastica",
@@ -256,4 +317,17 @@ HEAVY_ELASTICA = replace(
     mistake="E is 40 % too large",
     axis="ρ g A L³ / E I",
     seconds=50,
+)
+_on_all = partial(measure_lattice_drops, loads=OWN_LOADS, bending=load_all)
+LATTICE_HEAVY_ELASTICA = replace(
+    HEAVY_ELASTICA,
+    name="heavy-elastica-lattice",
+    title="Heavy elastica on the lattice solver",
+    measured='The loads of `heavy-elastica`, with accuracy.solver = "lattice".',
+    published=partial(make_band, OWN_LOADS, heavy_elastica_drop, "ρgAL³/EI", 0.5),
+    band="as for `elastica`, and longer by up to the stretch of a hanging beam",
+    run=_on_all,
+    control=partial(_on_all, stiffer=1.4),
+    seconds=10,
+    reason="",
 )
