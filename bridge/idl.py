@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from functools import cache
 from typing import Any
 
@@ -25,6 +26,15 @@ SCALARS: dict[str, Any] = {
     "float64": types.float64,
 }
 
+LATER: dict[str, dict[str, Any]] = {
+    "simulation_interfaces/srv/SetEntityState_Request": {
+        "set_pose": bool,
+        "set_twist": bool,
+        "set_acceleration": bool,
+    }
+}
+"""Request -> members that version 2 of its package, that of Lyrical, has after the others."""
+
 
 @cache
 def idl_type(name: str) -> type[IdlStruct]:
@@ -34,15 +44,32 @@ def idl_type(name: str) -> type[IdlStruct]:
 
 @cache
 def service_type(name: str) -> type[IdlStruct]:
-    """Return the type of a service's request or response, after rmw_cyclonedds_cpp's header."""
-    return _struct(name, {"client": types.uint64, "number": types.int64})
+    """Return the type of a service's request or response, after rmw_cyclonedds_cpp's header.
+
+    Requests may also have the flags of `LATER`.
+    """
+    header = {"client": types.uint64, "number": types.int64}
+    kind = _struct(name, header)
+    if name in LATER:
+        later, only_earlier = _struct(name, header, LATER[name]), kind.deserialize
+
+        def deserialize(data: bytes, *args: Any, **options: Any) -> Any:
+            try:
+                return later.deserialize(data, *args, **options)
+            except struct.error:  # The message ends before the flags.
+                return only_earlier(data, *args, **options)
+
+        setattr(kind, "deserialize", staticmethod(deserialize))  # noqa: B010
+    return kind
 
 
-def _struct(name: str, before: dict[str, Any]) -> type[IdlStruct]:
+def _struct(
+    name: str, before: dict[str, Any], after: dict[str, Any] | None = None
+) -> type[IdlStruct]:
     package, kind, base = name.split("/")
     members = {member.name: _member(member) for member in fields(name)}
     mangled = f"{package}::{kind}::dds_::{base}_"
-    return annotations.final(make_idl_struct(base, mangled, {**before, **members}))
+    return annotations.final(make_idl_struct(base, mangled, {**before, **members, **(after or {})}))
 
 
 @cache

@@ -16,13 +16,15 @@ from support.waiting import until
 pytest.importorskip("cyclonedds")
 
 from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import types
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
+from bridge import cdr
 from bridge.discovery import Discovery
-from bridge.idl import idl_type, service_type
+from bridge.idl import LATER, _struct, idl_type, service_type
 from bridge.sinks.dds import DdsSink
 from bridge.steering.loop import controls, steer
 from bridge.steering.run import State
@@ -91,6 +93,21 @@ def domain(monkeypatch):
 
 def opened(run):
     return DdsSink(OPTIONS, controls=controls(run, OPTIONS, "coarse", action=False))
+
+
+def test_requests_of_both_versions_are_read():
+    name = "simulation_interfaces/srv/SetEntityState_Request"
+    header = {"client": types.uint64, "number": types.int64}
+    for flags in ({}, {"set_pose": True, "set_twist": False, "set_acceleration": True}):
+        kind = _struct(name, header, LATER[name] if flags else {})
+        state = idl_type("simulation_interfaces/msg/EntityState")
+        empty = cdr.encode(
+            "simulation_interfaces/msg/EntityState", {"pose": {"position": {"x": 3}}}
+        )
+        sent = kind(1, 2, "ball", state.deserialize(empty), *flags.values())
+        read = service_type(name).deserialize(sent.serialize(use_version_2=False))
+        assert (read.number, read.entity, read.state.pose.position.x) == (2, "ball", 3)
+        assert {key: getattr(read, key) for key in LATER[name] if hasattr(read, key)} == flags
 
 
 def test_a_peer_pauses_steps_and_pushes(domain):
