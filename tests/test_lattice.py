@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import KDTree
 
 from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.boundaries.motion import Path
@@ -73,6 +74,23 @@ def test_surface_points_lie_on_a_box():
     out = np.maximum(-rows[:, :3], rows[:, :3] - (0.4, 0.3, 0.3))
     assert np.allclose(out.max(axis=1), 0)
     assert {tuple(x) for x in np.round(rows[:, :3], 9)} >= {(0.4, 0.3, 0.3)}
+
+
+@pytest.mark.parametrize("per", [1.3, 1.7, 2.3, 3.1])
+def test_surface_points_cover_a_ball_of_resampled_voxels(per):
+    radius, fine = 0.42, DX / per
+    steps = (np.arange(-20, 20) + 0.5) * fine
+    distance = np.linalg.norm(np.stack(np.meshgrid(steps, steps, steps)), axis=0)
+    filled = np.clip((radius - distance) / fine + 0.5, 0, 1).astype(np.float32)
+    ball = Solid(np.full(3, -20), fine, filled).resample(DX / 2)
+    rows = surface_points(ball, DX)
+    away = np.linalg.norm(rows[:, :3], axis=1) - radius
+    assert np.abs(away).max() < 0.2 * DX
+    rng = np.random.default_rng(1)
+    around = rng.normal(size=(2000, 3))
+    around *= radius / np.linalg.norm(around, axis=1, keepdims=True)
+    gap, _ = KDTree(rows[:, :3]).query(around)
+    assert gap.max() < 0.6 * DX
 
 
 def test_ties_extrapolate_linear_motions():

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from phy124.errors import InputError
 from phy124.particles.seeding import MAX_PARTICLES, Particles
@@ -25,6 +26,8 @@ SMALLEST = 1e-3
 """Smallest part of a cell that gets points, as a fraction of the cell."""
 HAZE = 0.05
 """Filled part of a cell below which it has no surface points: single Gaussians around the body."""
+TRACE = 0.1
+"""Fraction below which a voxel beside a voxel of twice its fraction has no surface points."""
 SLIVER = 0.15
 """Filled part of a cell below which it is merged with a neighbour."""
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
@@ -150,17 +153,14 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
     The normal is zero on sheets, which have no single outward side.
     """
     index, fraction, normal = _find_voxels(solid)
-    padded = np.pad(solid.fraction, 1)
-    at = index + 1
-    outside = np.zeros(len(index), bool)
-    for axis in range(3):
-        for step in (-1, 1):
-            neighbour = at.copy()
-            neighbour[:, axis] += step
-            outside |= padded[tuple(neighbour.T)] <= 0
+    # Resampling leaves voxels of almost no material around the body, which are not its surface.
+    fullest = ndimage.maximum_filter(solid.fraction, 3, mode="constant")
+    filled = solid.fraction >= np.clip(fullest / 2, SMALLEST, TRACE)
+    outside = (filled & ~ndimage.binary_erosion(filled))[tuple(index.T)]
     place = np.floor((index + solid.first) * (solid.voxel / dx) + 1e-9).astype(np.int64)
-    _, cell = _cells(place)
-    outside &= (np.bincount(cell, fraction) * (solid.voxel / dx) ** 3 >= HAZE)[cell]
+    part = fraction * (solid.voxel / dx) ** 3
+    _, cell = _cells(_merge_slivers(place, part))
+    outside &= (np.bincount(cell, part) >= HAZE)[cell]
     index, fraction, normal = index[outside], fraction[outside], normal[outside]
     across = solid.voxel * np.abs(normal).sum(axis=1)
     out = normal * ((fraction - 0.5) * across)[:, None]
