@@ -143,3 +143,22 @@ def test_mixed_run_repeats_and_resumes_bit_for_bit(threads):
     for frame in range(2, 4):
         other.advance((frame + 1) / 24)
     np.testing.assert_array_equal(other.state.x.numpy(), whole.solver.state.x.numpy())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [0.3, 0.5, 0.7])
+def test_elastic_cube_floats_within_a_part_of_its_height(ratio):
+    solver = run(with_block(ratio * DENSITY, LEVEL - 6 * ratio * DX, cells=(6, 6, 6)), 72)
+    depths = [depth(run(solver, 1)) for _ in range(48)]
+    assert np.mean(depths) == pytest.approx(6 * ratio, abs=0.03 * 6)
+
+
+@pytest.mark.slow
+def test_stone_presses_on_the_floor_with_its_weight_less_its_buoyancy():
+    """The mean acceleration is zero, so the floor carries what the liquid does not."""
+    solver = run(with_block(2.5 * DENSITY, 0.1), 48)
+    solver.pairs.begin()
+    run(solver, 24)
+    lift = solver.pairs.wrenches(1.0)[0, 1].force[2]
+    assert lift == pytest.approx(DENSITY * G * 75 * DX**3, rel=0.1)
+    assert abs(solver.state.v.numpy()[-600:, 2].mean()) < 0.02

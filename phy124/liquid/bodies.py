@@ -31,8 +31,6 @@ FIRST, MOST = 8, 0.7
 """Steps towards the volume of a body when it is first described, and largest shift of its surface
 [cells].
 """
-BURST = 1.5
-"""Largest impulse of other causes in a step, relative to that of the liquid and the weight."""
 
 
 class Motion(NamedTuple):
@@ -89,7 +87,12 @@ class Bodies:
         stiff = np.array([_stiffness(model, body) for body in self.numbers])
         self._stiffness = wp.array(stiff, dtype=wp.float64, device=device)
         self._before: list[tuple[NDArray, NDArray]] = []
-        self._centres = np.zeros((count, 3))
+        self._films = np.zeros((count, 2, 3))
+        """Impulses and moments of films in the last step, which are part of `impulses`."""
+        self._centres, self._forces = np.zeros((count, 3)), np.zeros((count, 2, 3))
+        """Centre of mass of each body [m]; force [N] and torque [N m] in the last step, of causes
+        other than the liquid and the weight.
+        """
         self.impulses = np.zeros((count, 2, 3))
         """Impulse of the liquid on each body in the last step, and its moment about the origin."""
 
@@ -131,7 +134,9 @@ class Bodies:
         self._full, self._level = (
             wp.zeros(count, dtype=self._model.real, device=device) for _ in range(2)
         )
-        self.pressed, self._change = (wp.zeros(count, dtype=t.vec3, device=device) for _ in "ab")
+        self.pressed, self._change, self._contact = (
+            wp.zeros(count, dtype=t.vec3, device=device) for _ in range(3)
+        )
 
     def describe(self, cells: Cells, walls: Walls, ahead: float) -> None:
         """Write the shape and the velocity of all bodies into the cells.
@@ -145,6 +150,7 @@ class Bodies:
         self._ahead = ahead
         model, state, real = self._model, self._state, self._model.real
         self._sheet.zero_()
+        self._contact.zero_()
         for wall, body in enumerate(self.numbers, self._solids.first(walls) + self.first):
             self._full.zero_()
             self._level.fill_(float(EMPTY))
@@ -162,6 +168,8 @@ class Bodies:
             self._launch(kernels.make_body_distance(real), points, inputs, outputs)
             inputs, outputs = [cells.window, box, self._level], [cells.open, cells.eighths]
             self._launch(kernels.make_body_openings(real), size, inputs, outputs)
+            inputs = [cells.window, box, self._level, cells.still[0], cells.open]
+            self._launch(kernels.make_contact(real), size, inputs, [self._contact])
             for _, launch in [walls.share(cells, region, 0, 1)]:
                 if launch is not None:
                     launch.launch()
@@ -182,8 +190,6 @@ class Bodies:
 
     def plan(self, kick: float, pull: NDArray[np.float64]) -> None:
         """Predict the motion of each body in a step, without the liquid.
-
-        Other impulses than the liquid's, such as those of walls, are those of the last step.
 
         Args:
             kick: Duration of the step [s].
@@ -228,18 +234,24 @@ class Bodies:
     def _other(
         self, index: int, motion: Motion, kick: float, pull: NDArray[np.float64]
     ) -> tuple[NDArray, NDArray]:
-        """Return the impulse of all other causes [N s] and its moment, as in the last step."""
-        weight = motion.mass * pull * kick
+        """Return the impulse of all other causes than the liquid [N s], and its moment.
+
+        Forces apart from the weight count as far as they acted in both of the last steps, so an
+        impact does not go on in the next step.
+        """
+        weight = np.stack([motion.mass * pull, np.zeros(3)])
         if not self._before or self._kick == 0:
-            return weight, np.zeros(3)
-        (impulse, moment), (before, angular) = self.impulses[index], self._before[index]
+            return kick * weight[0], kick * weight[1]
+        impulse, moment = self.impulses[index]
         moment = moment - np.cross(self._centres[index], impulse)
-        # An impact of the last step does not go on in the next one.
-        size = np.sqrt(np.linalg.norm(np.linalg.inv(motion.inverse)) / motion.mass)
-        most = BURST * float(np.linalg.norm(impulse) * kick / self._kick + np.linalg.norm(weight))
-        ratio = kick / self._kick
-        other = _limit(ratio * (motion.momentum - before - impulse), most)
-        turn = _limit(ratio * (motion.angular - angular - moment), most * float(size))
+        before, angular = self._before[index]
+        change = np.stack([motion.momentum - before - impulse, motion.angular - angular - moment])
+        last, now = self._forces[index].copy(), change / self._kick - weight
+        self._forces[index] = now
+        both = np.where(last * now > 0, np.sign(now) * np.minimum(abs(now), abs(last)), 0.0)
+        film = self._films[index] * kick / self._kick
+        other, turn = kick * (weight + both) + film
+        turn = turn - np.cross(self._centres[index], film[0])
         return other, turn
 
     def yields(
@@ -268,16 +280,22 @@ class Bodies:
         outputs = [step, walls.motions, self._exchanged]
         return model.launch(kernels.make_answer(model.real), len(self.numbers), inputs, outputs)
 
-    def receive(self, cells: Cells, drift: float) -> None:
+    def receive(self, cells: Cells, tracks: Tracks, sums: wp.array, drift: float) -> None:
         """Compute the accelerations of the particles by the pressure of a step.
 
         Args:
             cells: The cells.
+            tracks: Quantities that change over time.
+            sums: Sums of the walls' impulses, to which those of films are added.
             drift: Duration over which the pressure acts on the bodies [s].
         """
         model, real = self._model, self._model.real
+        before = np.array(self._exchanged.numpy(), np.float64)[self.first :]
+        for index in range(len(self.numbers)):
+            self._press_film(cells, tracks, sums, index)
         # Velocities of bodies are not half a step behind, so the first impulse is not halved.
         total = np.asarray(self._exchanged.numpy(), np.float64)[self.first :] * drift / self._kick
+        self._films = total - before * drift / self._kick
         self.impulses = total
         self._change.zero_()
         self._most.zero_()
@@ -294,6 +312,23 @@ class Bodies:
             outputs = [self._pushes[run], self._turns[run], self._most]
             self._launch(kernels.make_body_gather(real), run.stop - run.start, inputs, outputs)
         self._limit = float(self._most.numpy()[0])
+
+    def _press_film(self, cells: Cells, tracks: Tracks, sums: wp.array, index: int) -> None:
+        """Add the pressure of the film between a body and walls that never move."""
+        real, solid = self._model.real, self.first + index
+        region = self._region(cells, self.numbers[index])
+        count, box = int(np.prod(region.size)), region.box
+        self._volumes.zero_()
+        grid = [box, cells.lattice, cells.window, tracks.clock, tracks.values]
+        surface = [cells.which, cells.liquid, cells.jumps, cells.pressure]
+        inputs = [solid, *grid, *surface]
+        self._launch(kernels.make_head(real), count, inputs, [self._volumes])
+        total, area, _ = np.asarray(self._volumes.numpy(), np.float64).tolist()
+        if area > 0:
+            inputs = [solid, total / area, self._solids.scale, *grid, *surface]
+            inputs += [cells.still[1], self._contact]
+            outputs = [self.pressed, sums, self._exchanged]
+            self._launch(kernels.make_film(real), count, inputs, outputs)
 
     def push_out(self, cells: Cells, walls: Walls, model: Model, x: Any) -> wp.Launch | None:
         """Return the launch that moves particles of the liquid out of the bodies.
@@ -329,6 +364,8 @@ class Bodies:
             "kick": self._kick,
             "shifts": shifts,
             "centres": centres,
+            "forces": self._forces.tolist(),
+            "films": self._films.tolist(),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -336,6 +373,7 @@ class Bodies:
         self._before = [(np.array(p), np.array(L)) for p, L in snapshot["before"]]
         self.impulses, self._kick = np.array(snapshot["impulses"]), snapshot["kick"]
         self._shifts, self._centres = np.array(snapshot["shifts"]), np.array(snapshot["centres"])
+        self._forces, self._films = (np.array(snapshot[name]) for name in ("forces", "films"))
 
 
 Advance = Callable[[float], None]
@@ -352,8 +390,3 @@ def _stiffness(model: Model, body: int) -> float:
     sections = [m for m in model.materials if m.device_law.name in laws]
     modulus = min(section.density * section.wave_speed() ** 2 for section in sections)
     return float(modulus * model.dx**2 / volume ** (1 / 3))
-
-
-def _limit(vector: NDArray[np.float64], most: float) -> NDArray[np.float64]:
-    size = float(np.linalg.norm(vector))
-    return vector if size <= most else vector * (most / size)

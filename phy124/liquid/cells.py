@@ -181,6 +181,11 @@ class Cells:
         self.open.fill_(1.0)
         self.shares.zero_()
 
+    @property
+    def still(self) -> tuple[wp.array, wp.array]:
+        """Open shares, and owners of distances, of the walls that never move."""
+        return self._kept[3], self._kept[1]
+
     def keep_walls(self) -> None:
         """Store the description of all walls that never move."""
         self._kept = [wp.clone(array) for array in self._walls]

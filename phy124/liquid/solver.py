@@ -253,7 +253,8 @@ class LiquidSolver:
             self._group("drift")
             self._join()
             if self._bodies is not None and self._advance_bodies is not None:
-                self._bodies.receive(self.cells, drift)
+                rows = self.impulses.rows(0)
+                self._bodies.receive(self.cells, self.tracks, rows, drift)
                 self._advance_bodies(clock.time + drift)
             self._move_walls()
         self._group("fill")

@@ -22,7 +22,7 @@ from phy124.kernels.liquid.faces import cell_at, cell_of, entry, inner, local, n
 from phy124.kernels.liquid.impulses import Sums, take_row
 from phy124.kernels.liquid.solids import put_motion
 from phy124.kernels.liquid.surface import depth
-from phy124.kernels.liquid.walls import GAP, SHUT, centre_of, halves, square
+from phy124.kernels.liquid.walls import GAP, SHUT, centre_of, halves, solid_face, square
 
 MOMENTS = 16
 """Sums of a body: mass, mass times position [3], momentum [3], angular momentum about the origin
@@ -448,6 +448,139 @@ def make_body_change(real: Any):
 
 
 @cache
+def make_contact(real: Any):
+    """Kernel over the cells of a region: the area of a body that lies on walls which never move.
+
+    `still` has the open shares without bodies. The rows have the signs of `make_jumps`.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_contact_{real.__name__}", real, seconds=0.2)
+    def contact(
+        window,
+        region: Box,
+        level: t.reals,
+        still: t.vec4s,
+        open: t.vec4s,
+        contact_out: t.vec3s,
+    ):
+        cell = cell_of(wp.tid(), region[1]) + region[0]
+        size = window[1]
+        if not inner(cell, size, 2):
+            return
+        n = number(cell, size)
+        if level[n] >= real(EMPTY):
+            return
+        row = contact_out[n]
+        for axis in range(3):
+            m = n + stride(axis, size)
+            wall = still[m][axis] - still[n][axis]
+            if wall != real(0.0):
+                row[axis] = wall - open[m][axis] + open[n][axis]
+        contact_out[n] = row
+
+    return contact
+
+
+@cache
+def make_head(real: Any):
+    """Kernel over cells: sums the mean of q - a x dt / dx at the surface of a body.
+
+    `rows_out` gets the sum over all cells of the body's surface, and its area.
+    """
+
+    @kernel(f"phy124_liquid_head_{real.__name__}", real, seconds=0.2)
+    def head(
+        solid: int,
+        region: Box,
+        lattice,
+        window,
+        clock,
+        values,
+        which: Ints,
+        liquid: Ints,
+        jumps: Vectors,
+        x_guess: Doubles,
+        rows_out: Doubles,
+    ):
+        cell = cell_of(wp.tid(), region[1]) + region[0]
+        size = window[1]
+        if not inner(cell, size, 2):
+            return
+        n = number(cell, size)
+        if liquid[n] == 1 and which[n] == solid:
+            a = wp.vector(values[0][0], values[0][1], values[0][2])
+            x = centre_of(cell, lattice, window[0])
+            weight = wp.float64(clock[0] / lattice[3] * wp.dot(a, x))
+            area = wp.length(jumps[n])
+            wp.atomic_add(rows_out, 0, area * (x_guess[n] - weight))
+            wp.atomic_add(rows_out, 1, area)
+
+    return head
+
+
+@cache
+def make_film(real: Any):
+    """Kernel over the cells of a region: pressure of a film of liquid between a body and walls.
+
+    A body that lies on a wall has the hydrostatic pressure of the liquid around it there, too. In a
+    cell of liquid between both, of which no face is more open than the opposite one, it has that of
+    the cell.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_film_{real.__name__}", real, seconds=0.3)
+    def film(
+        solid: int,
+        rise: real,
+        scale: real,
+        region: Box,
+        lattice,
+        window,
+        clock,
+        values,
+        which: Ints,
+        liquid: Ints,
+        jumps: Vectors,
+        x_guess: Doubles,
+        owners: Ints,
+        contact: t.vec3s,
+        pressed_out: t.vec3s,
+        sums_out: wp.array2d(dtype=wp.float64),
+        exchanged_out: Motions,
+    ):
+        cell = cell_of(wp.tid(), region[1]) + region[0]
+        size = window[1]
+        if not inner(cell, size, 2):
+            return
+        n = number(cell, size)
+        a = wp.vector(values[0][0], values[0][1], values[0][2])
+        for axis in range(3):
+            row = contact[n][axis]
+            if row != real(0.0) and liquid[n] == 1 and which[n] == solid:
+                row -= real(jumps[n][axis])
+            if row != real(0.0):
+                x = centre_of(cell, lattice, window[0])
+                x[axis] = x[axis] - real(0.5) * lattice[3] * wp.sign(row)
+                q = wp.max(rise + clock[0] / lattice[3] * wp.dot(a, x), real(0.0))
+                if liquid[n] == 1:
+                    q = real(x_guess[n])
+                impulse = t.vec3()
+                impulse[axis] = q * scale * row
+                pressed_out[n] = pressed_out[n] + impulse
+                moment = wide(wp.cross(x, impulse))
+                wp.atomic_add(exchanged_out, solid, 0, wide(impulse))
+                wp.atomic_add(exchanged_out, solid, 1, moment)
+                wall = owners[solid_face(cell, axis, row, size)]
+                if wall >= 0:
+                    wp.atomic_add(sums_out, wall, axis, wp.float64(impulse[axis]))
+                    for b in range(3):
+                        wp.atomic_add(sums_out, wall, 3 + b, moment[b])
+
+    return film
+
+
+@cache
 def make_body_gather(real: Any):
     """Kernel: computes the rates at which the pressure changes v and C of a body's particles.
 
@@ -547,7 +680,7 @@ def make_body_push_out(real: Any):
 def kernels(real: Any) -> list[Any]:
     """Return the kernels of bodies in a liquid."""
     makers = (make_moments, make_body_scatter, make_body_level, make_body_volume)
-    makers += (make_body_distance,)
+    makers += (make_body_distance, make_contact, make_head, make_film)
     makers += (make_body_openings, make_yield, make_answer, make_body_change)
     makers += (make_body_gather, make_body_push, make_body_push_out)
     return [make(real) for make in makers]
