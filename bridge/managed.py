@@ -19,10 +19,11 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
+from phy124.errors import InputError
 from phy124.runtime.failures import failure
 
 from .cameras import Cameras
-from .live import play
+from .live import command, play
 from .node import CLIP_PARAMETERS, live_through, opened_clip
 from .parameters import convert, declare
 from .ros_node import temporary_entities
@@ -30,6 +31,8 @@ from .sink import LONGEST_WAIT
 from .sinks.rclpy import RclpySink
 
 INACTIVE = "The node is inactive: activate it first."
+RUNNING = ("speed ", "rate ", "loop ")
+"""Beginnings of the commands that change parameters."""
 log = logging.getLogger(__name__)
 
 
@@ -100,10 +103,20 @@ class Work:
                     going = lambda: self._active  # noqa: E731
                     play(self._clip, self._sink, self._player, look=self._look, going=going)
                 else:
-                    self._sink.listen(LONGEST_WAIT, lambda text: INACTIVE)
+                    self._sink.listen(LONGEST_WAIT, self._obey_inactive)
         finally:
             self.clean_up()
             executor.shutdown()
+
+    def _obey_inactive(self, text: str) -> str | None:
+        """Carry out a change of a parameter; refuse all other commands."""
+        if not text.startswith(RUNNING):
+            return INACTIVE
+        try:
+            command(self._player, text, time.monotonic())
+        except InputError as error:
+            return str(error)
+        return None
 
 
 def managed_player(name: str, *, namespace: str) -> Any:

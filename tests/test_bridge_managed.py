@@ -84,6 +84,17 @@ def test_parameters_are_read_by_each_configure(ros, clip, tmp_path):
     assert made.declared["speed"].value == 2.0
 
 
+def test_parameters_that_are_set_while_inactive_are_kept(ros, clip):
+    def slow_down(made):
+        return made.param_set("speed", 0.5).successful
+
+    def speed(made):
+        return values(statuses(made)[-1])["speed"], made.declared["speed"].value
+
+    _, done = manage(ros, clip, "configure", slow_down, "activate", speed)
+    assert done[-1] == ("0.5", 0.5)
+
+
 def test_failed_configure_says_why_and_can_be_repeated(ros, clip):
     def correct(made):
         return made.param_set("clip", clip).successful
