@@ -77,18 +77,30 @@ def pack(
     """
     if not len(clip) or not clip.opacities.size:
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
-    rest = np.maximum(clip.scales[0], 1e-9)
-    ratios = np.log(np.maximum(clip.scales, 1e-9) / rest)
-    head = {"splats": len(clip.opacities), "times": clip.times.tolist(), **measure(clip)}
+    rest, count = np.maximum(clip.scales[0], 1e-9), len(clip.opacities)
+    head = {"splats": count, "times": clip.times.tolist(), **measure(clip)}
     head |= _describe(clip, camera, background, stage, shine)
     shades = [] if stage is None else [_differences(stage[1])]
+    low, high = np.array(head["low"]), np.array(head["high"])
+    centres = np.empty((len(clip), 3, count), "<u2")
+    quats = np.empty((len(clip), 4, count), np.int8)
+    ratios, speeds = (
+        np.empty((len(clip), 3, count), np.uint8),
+        np.empty((len(clip), count), np.uint8),
+    )
+    # Frame by frame: a clip of floats may be larger than the memory.
+    for index in range(len(clip)):
+        centres[index] = _centres(clip.means[index], low, high).T
+        quats[index] = np.rint(clip.quats[index] * 127).clip(-127, 127).T
+        ratio = np.log(np.maximum(clip.scales[index], 1e-9) / rest)
+        ratios[index] = _quantise(ratio, *head["ratio"]).T
+    for index, speed in enumerate(measure_speeds(clip)):
+        speeds[index] = _quantise(speed, 0.0, head["speed"])
     arrays = [
         _colours(clip),
         rest.astype("<f4"),
-        *_split(_centres(clip.means, np.array(head["low"]), np.array(head["high"]))),
-        _differences(_planar(np.rint(clip.quats * 127).clip(-127, 127).astype(np.int8))),
-        _differences(_planar(_quantise(ratios, *head["ratio"]))),
-        _differences(_quantise(measure_speeds(clip), 0.0, head["speed"])),
+        *_split(_differences(centres)),
+        *map(_differences, (quats, ratios, speeds)),
         *shades,
         *([_differences(_planar(shine["hues"]))] if shine and "hues" in shine else []),
     ]
@@ -152,7 +164,8 @@ def _pack_smallest(
 ) -> bytes:
     """Return a P4D file of all Gaussians, or a pack if the P4D file would be inexact or larger."""
     packed = pack(clip, camera, background=background, stage=stage, shine=shine)
-    if not np.isfinite(clip.means).all() or (shine and "hues" in shine):
+    finite = all(np.isfinite(means).all() for means in clip.means)
+    if not finite or (shine and "hues" in shine):
         return packed
     shades = b"" if stage is None else zlib.compress(_differences(stage[1]).tobytes(), 9)
     player = _describe(clip, camera, background, stage, shine)
@@ -238,10 +251,8 @@ def _colours(clip: Clip) -> NDArray[np.uint8]:
 
 
 def _centres(means: NDArray, low: NDArray, high: NDArray) -> NDArray[np.uint16]:
-    """Quantise positions to 16 bits over the box, as differences between frames [T,3,N]."""
-    width = np.maximum(high - low, 1e-12)
-    steps = np.rint((means - low) / width * 65535).astype("<u2")
-    return _differences(_planar(steps))
+    """Quantise positions to 16 bits over the box."""
+    return np.rint((means - low) / np.maximum(high - low, 1e-12) * 65535).astype("<u2")
 
 
 def _split(values: NDArray[np.uint16]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
@@ -257,7 +268,8 @@ def _planar(values: NDArray) -> NDArray:
 def _differences(values: NDArray) -> NDArray:
     """Subtract the previous frame from each frame, modulo the range of the integer type."""
     out = values.copy()
-    out[1:] -= values[:-1]
+    for index in range(1, len(out)):
+        out[index] -= values[index - 1]
     return out
 
 

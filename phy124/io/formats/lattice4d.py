@@ -31,6 +31,7 @@ import json
 import os
 import tempfile
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -217,27 +218,46 @@ def measure(clip: Clip) -> dict[str, Any]:
     largest speed, and the ends of the colour ramp for stretch, which are symmetric about 1. Stretch
     is the longest axis of a Gaussian divided by its longest axis at rest.
     """
-    ratios = np.log(np.maximum(clip.scales, 1e-9) / np.maximum(clip.scales[0], 1e-9))
-    longest = clip.scales.max(axis=2)
-    stretch = longest / np.maximum(longest[0], 1e-9)
-    low, high = np.percentile(stretch, PERCENTILES).tolist()
+    rest = np.maximum(clip.scales[0], 1e-9)
+    stretch, ends = np.empty((len(clip), len(rest)), np.float32), []
+    # Frame by frame: a clip may be larger than the memory.
+    for index in range(len(clip)):
+        means, scales = clip.means[index], clip.scales[index]
+        ratios = np.log(np.maximum(scales, 1e-9) / rest)
+        ends.append((means.min(axis=0), means.max(axis=0), ratios.min(), ratios.max()))
+        stretch[index] = scales.max(axis=1) / rest.max(axis=1)
+    lowest, highest, shrunk, grown = zip(*ends, strict=True)
+    low, high = np.percentile(stretch, PERCENTILES, overwrite_input=True).tolist()
     half = max(1 - low, high - 1, 0.01)
     return {
-        "low": clip.means.min(axis=(0, 1)).tolist(),
-        "high": clip.means.max(axis=(0, 1)).tolist(),
-        "ratio": [max(float(ratios.min()), -TALLEST), min(float(ratios.max()), TALLEST)],
-        "speed": float(measure_speeds(clip).max()),
+        "low": np.min(lowest, axis=0).tolist(),
+        "high": np.max(highest, axis=0).tolist(),
+        "ratio": [max(float(min(shrunk)), -TALLEST), min(float(max(grown)), TALLEST)],
+        "speed": max(float(speeds.max()) for speeds in measure_speeds(clip)),
         "stretch": [1 - half, 1 + half],
     }
 
 
-def measure_speeds(clip: Clip) -> NDArray:
-    """Return speeds [T,N], m/s, from the clip's velocities, or from its positions without them."""
-    if clip.velocities is not None:
-        return np.linalg.norm(clip.velocities, axis=2)
-    if len(clip) < 2:
-        return np.zeros(clip.means.shape[:2])
-    return np.linalg.norm(np.gradient(clip.means, clip.times, axis=0), axis=2)
+def measure_speeds(clip: Clip) -> Iterator[NDArray]:
+    """Yield the speeds of each frame [N], m/s.
+
+    They come from the clip's velocities, or without them from the positions of adjacent frames.
+    """
+    if clip.velocities is not None or len(clip) < 2:
+        for index in range(len(clip)):
+            still = np.zeros_like(clip.means[index])
+            yield np.linalg.norm(
+                still if clip.velocities is None else clip.velocities[index], axis=1
+            )
+        return
+    before, now = None, clip.means[0]
+    for index in range(len(clip)):
+        after = clip.means[index + 1] if index + 1 < len(clip) else None
+        near = np.stack([means for means in (before, now, after) if means is not None])
+        times = clip.times[max(index - 1, 0) : index + 2]
+        slopes = np.gradient(near, times, axis=0)
+        yield np.linalg.norm(slopes[min(index, 1)], axis=1)
+        before, now = now, after
 
 
 def _shape_errors(
