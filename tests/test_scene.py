@@ -250,6 +250,10 @@ def test_a_scene_is_said_in_one_line():
     said = summarise(scene)
     assert said.startswith("foam (density ")
     assert "viscosity 50 Pa s^n, flow_index 0.7); parts static; gravity; ground, press" in said
+    fluid = summarise(Scene().replaced({"material.law": "fluid"}))
+    assert "viscosity 0 Pa s)" in fluid, "what changes only the look is left out"
+    sand = summarise(Scene().replaced({"material.law": "sand"}))
+    assert "repose" not in sand
     assert said.endswith(
         "1 m over 32 cells, 1.5 particles per cell and axis, float32, "
         "Gaussians on a lattice of particles; 22 frames at 24/s"

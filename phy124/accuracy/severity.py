@@ -15,7 +15,7 @@ MEASURED_FORCES = ("gravity", "acceleration")
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "yield_stress"}
 """Fields of a material that may differ from their defaults; these fields affect the severity,
 `yielding`, `damping` or `poisson`."""
-LOOKS = {"tint"}
+LOOKS = {"tint", "visibility"}
 """Fields of a material that do not affect the motion."""
 
 

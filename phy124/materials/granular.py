@@ -44,11 +44,28 @@ class Sand(Logarithmic):
     )
     nu: float = Field(default=0.2, ge=0, le=0.4999, description="Poisson's ratio.")
     friction_angle: float = Field(
-        default=35.0, ge=1, le=60, description="Angle of internal friction [degrees]."
+        default=35.0,
+        ge=1,
+        le=60,
+        description="Angle of internal friction in triaxial compression [degrees]; heaps are up to "
+        "5 degrees steeper.",
+    )
+    repose_angle: float | None = Field(
+        default=None,
+        ge=1,
+        le=60,
+        examples=[34.0],
+        description="Slope of its heaps [degrees]; absent: friction_angle determines it.",
     )
 
     def theta(self) -> tuple[float, ...]:
-        """Return (mu, lambda, alpha); alpha is the slope of the cone."""
+        """Return (mu, lambda, alpha); alpha is the slope of the cone.
+
+        An infinite slope fails without change of volume where its shear stress is 3 alpha / sqrt(2)
+        times the pressure.
+        """
+        if self.repose_angle is not None:
+            return *self.lame, math.sqrt(2) / 3 * math.tan(math.radians(self.repose_angle))
         sine = math.sin(math.radians(self.friction_angle))
         return *self.lame, math.sqrt(2 / 3) * 2 * sine / (3 - sine)
 

@@ -44,8 +44,10 @@ def _describe_material(material: AnyMaterial) -> str:
     values = []
     for name, info in type(material).model_fields.items():
         unit = re.search(r"\[(.*)\]", info.description or "")
-        if name not in ("law", "tint"):  # a tint changes the look, not the motion
-            value = format_number(getattr(material, name))
+        number = getattr(material, name)
+        # Tint and visibility change the look, not the motion.
+        if name not in ("law", "tint", "visibility") and number is not None:
+            value = format_number(number)
             values.append(f"{name} {value} {unit[1]}" if unit else f"{name} {value}")
     return f"{material.law} ({', '.join(values)})"
 
