@@ -158,10 +158,17 @@ def launched(monkeypatch):
         def perform(self, context):
             return context[self.name]
 
+    class IfCondition:
+        def __init__(self, predicate):
+            self.predicate = predicate
+
+        def evaluate(self, context):
+            return context[self.predicate.name].lower() in ("true", "1")
+
     modules = {
         "launch": ["LaunchDescription"],
         "launch.actions": ["DeclareLaunchArgument", "EmitEvent", "LogInfo", "OpaqueFunction"],
-        "launch.conditions": ["IfCondition"],
+        "launch.conditions": [],
         "launch.events": ["Shutdown"],
         "launch.substitutions": ["PathJoinSubstitution"],
         "launch_ros.actions": ["Node"],
@@ -174,6 +181,7 @@ def launched(monkeypatch):
         vars(made).update({kind: remember(kind) for kind in classes})
         monkeypatch.setitem(sys.modules, name, made)
     sys.modules["launch.substitutions"].LaunchConfiguration = LaunchConfiguration
+    sys.modules["launch.conditions"].IfCondition = IfCondition
     ament = sys.modules["ament_index_python.packages"]
     ament.PackageNotFoundError, ament.get_package_prefix = Missing, prefix
 
@@ -223,6 +231,14 @@ def test_launch_ends_with_the_player(launched):
     assert player.on_exit(ended(returncode=0), None).event.kind == "Shutdown"
     with pytest.raises(RuntimeError, match="exit status 1"):
         player.on_exit(ended(returncode=1), None)
+
+
+def test_launch_starts_the_managed_node(launched):
+    managed, _ = nodes(launched(clip="a.safetensors", managed="true", loop="false"))
+    assert (managed.executable, managed.name) == ("managed", PLAYER)
+    assert given(managed) == {"clip": "clip", "loop": "loop"}
+    with pytest.raises(ValueError, match="managed:=true needs clip:="):
+        launched(source="p.png", managed="true")
 
 
 def test_launch_simulates_a_picture(launched):

@@ -49,6 +49,11 @@ def generate_launch_description():
                 description="Namespace of the node and its topics; RViz uses the same namespace.",
             ),
             DeclareLaunchArgument(
+                "managed",
+                default_value="false",
+                description="With clip: start the lifecycle node, which a manager activates.",
+            ),
+            DeclareLaunchArgument(
                 "rviz", default_value="true", description="Also open RViz if it is installed."
             ),
             OpaqueFunction(function=_nodes),
@@ -64,6 +69,10 @@ def _nodes(context):
         raise ValueError("Give clip:=/path/clip.safetensors, or source:=/path/photo.png.")
     namespace = "/" + LaunchConfiguration("namespace").perform(context).strip("/")
     executable, names = ("simulate", SIMULATED) if values["source"] else ("player", PLAYER)
+    if IfCondition(LaunchConfiguration("managed")).evaluate(context):
+        if values["source"]:
+            raise ValueError("managed:=true needs clip:=/path/clip.safetensors.")
+        executable = "managed"
     parameters = {
         name: ParameterValue(LaunchConfiguration(name), value_type=PARAMETERS[name][0])
         for name in names
