@@ -99,6 +99,7 @@ class Recorded:
         motion: Motion,
         chosen: NDArray | None = None,
         measure: Callable[[dict[str, Array]], Any] | None = None,
+        threads: int | None = None,
     ) -> None:
         """Prepare to compute frames; nothing is computed before the first frame is read.
 
@@ -106,8 +107,10 @@ class Recorded:
             motion: The motion.
             chosen: Indices of the Gaussians of the frames [M]; None: all.
             measure: Called once with the arrays of each frame that is computed.
+            threads: Number of CPU threads; None: one per core.
         """
         self.motion, self.chosen = motion, chosen
+        self._threads = threads
         self._measure, self._measured = measure, dict[int, Any]()
         self.count = len(motion.gaussians) if chosen is None else len(chosen)
         self._deformer: Deformer | None = None
@@ -225,7 +228,11 @@ class Recorded:
         )
         self._scenery = Scenery(gaussians, moves, tracks, motion.free)
         self._deformer = Deformer(
-            self._scenery.moving, particles, **limits, binding=binding, threads=cores()
+            self._scenery.moving,
+            particles,
+            **limits,
+            binding=binding,
+            threads=self._threads or cores(),
         )
         self._x = np.zeros((len(particles.x), 3), np.float32)
         self._F = np.zeros((len(particles.x), 3, 3), np.float32)

@@ -309,7 +309,8 @@ class Simulation:
         motion = self._motion(np.array([frame.time for frame in self.frames]))
         if self._moved is None:
             measure = self.setup.appearance.elongation(self.setup.materials)
-            self._moved = Recorded(motion, measure=measure)
+            threads = self.setup.context.threads
+            self._moved = Recorded(motion, measure=measure, threads=threads)
         self._moved.motion = motion
         return self._moved
 
