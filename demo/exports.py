@@ -17,6 +17,7 @@ from phy124.io.files import staging
 from phy124.io.formats import FORMATS, Format, written_formats
 from phy124.io.sequence import write_ply_sequence
 from phy124.rendering.film import write_player
+from phy124.rendering.shine import drawn_frames
 from phy124.scene import View
 
 from .room import all_taken
@@ -109,7 +110,9 @@ def _html(done: Done, path: Path) -> None:
 
 
 def _ply(done: Done, path: Path) -> None:
-    write_ply_sequence(path, Clip.load(done.clip / "clip.safetensors"), name="phy124")
+    clip = Clip.load(done.clip / "clip.safetensors")
+    frames = drawn_frames(clip, View.model_validate(clip.scene["view"]))
+    write_ply_sequence(path, clip, name="phy124", frames=frames)
 
 
 def _mcap(done: Done, path: Path) -> None:

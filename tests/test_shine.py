@@ -157,6 +157,19 @@ def test_the_player_gets_discs_whose_normals_point_outwards(water):
     assert runs_of(np.array([2, 3, 4, 9])) == [[2, 5], [9, 10]]
 
 
+def test_exported_files_hold_liquids_as_they_are_drawn(water, tmp_path):
+    from phy124.io.ply import read_ply
+
+    view = Scene().view.model_copy(update={"formats": ("ply",)})
+    film(water, view, tmp_path)
+    read = read_ply(tmp_path / "clip-ply/frame_0002.ply").gaussians
+    drawn = Shine(water).shape(water.frame(1)).gaussians
+    np.testing.assert_allclose(read.opacities, drawn.opacities, atol=1e-3)
+    np.testing.assert_allclose(read.scales, drawn.scales, rtol=1e-3)
+    merged = replace(water, report={**water.report, "shine": {}})
+    assert make_shine(merged, view) is None
+
+
 def test_broken_places_leave_the_others_as_they_are(water):
     means = water.means[0].copy()
     means[3] = np.nan

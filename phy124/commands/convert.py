@@ -29,6 +29,8 @@ from phy124.io.formats import (
 from phy124.io.formats.moving_mesh import fit_to_clip, write_moved
 from phy124.io.growing import write_frames_clip
 from phy124.particles.merging import merge_clip_to, merge_to
+from phy124.rendering.shine import drawn_frames, make_shine
+from phy124.scene import View
 
 MERGE = tyro.conf.arg(metavar="N")
 AXIS = tyro.conf.arg(metavar="AXIS")
@@ -164,12 +166,16 @@ class Export:
             return [path]
         if self.all:
             path = self.out or self.clip.with_name(f"{self.clip.stem}-{chosen.name}")
-            names = write_frames(path, clip, chosen, name=self.clip.stem, progress=bars)
+            frames = drawn_frames(clip, View())
+            names = write_frames(
+                path, clip, chosen, name=self.clip.stem, frames=frames, progress=bars
+            )
             return [path] if path.is_file() else [path / name for name in names]
         index = self.frame or 0
         name = f"{self.clip.stem}_{index + 1:04}{chosen.suffix}"
         path = self.out or self.clip.with_name(name)
-        chosen.write(path, clip.frame(index).gaussians)
+        shine, frame = make_shine(clip, View()), clip.frame(index)
+        chosen.write(path, (frame if shine is None else shine.shape(frame)).gaussians)
         return [path]
 
 

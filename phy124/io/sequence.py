@@ -10,12 +10,12 @@ from __future__ import annotations
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from phy124.errors import SHORT_CODES, InputError
-from phy124.gaussians import Gaussians
+from phy124.gaussians import Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.io.files import replacing, resolve_links
 from phy124.io.ply import write_ply
@@ -23,7 +23,12 @@ from phy124.progress import Progress, silent
 
 
 def write_ply_sequence(
-    path: str | os.PathLike[str], clip: Clip, *, name: str = "frame", progress: Progress = silent
+    path: str | os.PathLike[str],
+    clip: Clip,
+    *,
+    name: str = "frame",
+    frames: Iterable[Frame] | None = None,
+    progress: Progress = silent,
 ) -> list[str]:
     """Write one 3DGS PLY per frame with `write_sequence`, and return the file names.
 
@@ -31,9 +36,12 @@ def write_ply_sequence(
         path: A new or empty folder, or a name ending in .zip.
         clip: The clip whose frames are written.
         name: Prefix of the file names.
+        frames: The clip's frames as they are drawn; None: as they moved.
         progress: Called as progress("export", frames done, total frames).
     """
-    return write_sequence(path, clip, write_ply, ".ply", name=name, progress=progress)
+    return write_sequence(
+        path, clip, write_ply, ".ply", name=name, frames=frames, progress=progress
+    )
 
 
 def write_sequence(
@@ -43,6 +51,7 @@ def write_sequence(
     suffix: str,
     *,
     name: str = "frame",
+    frames: Iterable[Frame] | None = None,
     progress: Progress = silent,
 ) -> list[str]:
     """Write one file per frame, numbered from 1, and return the file names.
@@ -56,6 +65,7 @@ def write_sequence(
         write: Function that writes the Gaussians of one frame to a path.
         suffix: Extension of the file names, with its dot.
         name: Prefix of the file names.
+        frames: The clip's frames as they are drawn; None: as they moved.
         progress: Called as progress("export", frames done, total frames).
 
     Raises:
@@ -72,7 +82,7 @@ def write_sequence(
     def write_numbered(folder: Path) -> Iterator[Path]:
         # All numbers have the same number of digits, since players sort the names as text.
         digits = max(4, len(str(len(clip))))
-        for done, frame in enumerate(clip.frames(), 1):
+        for done, frame in enumerate(clip.frames() if frames is None else frames, 1):
             file = folder / f"{name}_{done:0{digits}}{suffix}"
             write(file, frame.gaussians)
             yield file

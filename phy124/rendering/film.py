@@ -36,7 +36,7 @@ from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras as cameras
 from phy124.rendering.framing import still_camera
 from phy124.rendering.outputs import refuse_outputs, refuse_unkept, write_outputs
-from phy124.rendering.shine import Shine, add_gloss, make_shine
+from phy124.rendering.shine import Shine, add_gloss, drawn_frames, make_shine
 from phy124.rendering.stage.build import Stage, make_stage, pack_stage
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene, View
@@ -314,8 +314,8 @@ def _usd(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
 
 
 def _ply(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
-    del view
-    write_ply_sequence(folder / "clip-ply", clip, progress=progress)
+    frames = drawn_frames(clip, view)
+    write_ply_sequence(folder / "clip-ply", clip, frames=frames, progress=progress)
     return folder / "clip-ply"
 
 

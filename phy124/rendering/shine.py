@@ -11,6 +11,7 @@ metal are the shortest axes of its Gaussians.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -71,7 +72,7 @@ class Shine:
         self._liquids = [
             (which, Liquid(_finite(clip.means[0][which]), self._cell, liquid["visibility"]))
             for liquid in clip.report.get("liquids") or [whole]
-            if self._cell > 0 and len(which := _indices(liquid["runs"]))
+            if "fluid" in self._parts and self._cell > 0 and len(which := _indices(liquid["runs"]))
         ]
         self.seconds = 0.0
         """Time spent on gloss so far [s]."""
@@ -169,6 +170,12 @@ def add_gloss(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
     """Return the clip and its gloss for the player; the unchanged clip if nothing is glossy."""
     shine = make_shine(clip, view)
     return (clip, None) if shine is None else shine.pack(clip)
+
+
+def drawn_frames(clip: Clip, view: View) -> Iterator[Frame]:
+    """Yield the frames of a clip with its liquids as they are drawn, without reflections."""
+    shine = make_shine(clip, view)
+    return clip.frames() if shine is None else map(shine.shape, clip.frames())
 
 
 def runs_of(which: NDArray) -> list[list[int]]:

@@ -412,7 +412,13 @@ def is_file_of_gaussians(name: str | os.PathLike[str]) -> bool:
 
 
 def write_frames(
-    path: Path, clip: Clip, chosen: Format, *, name: str = "frame", progress: Progress = silent
+    path: Path,
+    clip: Clip,
+    chosen: Format,
+    *,
+    name: str = "frame",
+    frames: Iterable[Frame] | None = None,
+    progress: Progress = silent,
 ) -> list[str]:
     """Write one file per frame with `write_sequence`, and return the file names.
 
@@ -421,6 +427,9 @@ def write_frames(
         clip: The clip whose frames are written.
         chosen: The format of the files.
         name: Prefix of the file names.
+        frames: The clip's frames as they are drawn; None: as they moved.
         progress: Called as progress("export", frames done, total frames).
     """
-    return write_sequence(path, clip, chosen.write, chosen.suffix, name=name, progress=progress)
+    return write_sequence(
+        path, clip, chosen.write, chosen.suffix, name=name, frames=frames, progress=progress
+    )
