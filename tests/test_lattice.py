@@ -28,7 +28,7 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
-from phy124.studies.validation.bodies import surface_of_ball
+from phy124.studies.validation.bodies import fill_solid, surface_of_ball
 
 DX = 0.1
 SOFT = NeoHookean(E=1e5, nu=0.3, density=1000)
@@ -67,6 +67,26 @@ def test_cut_cells_keep_volume_centre_and_moments():
     assert np.allclose(centre, low + size / 2)
     second = np.einsum("p,pi,pj->ij", volume, x - centre, x - centre) / volume.sum()
     assert np.allclose(second, np.diag(size**2 / 12), atol=1e-12)
+
+
+@pytest.mark.parametrize(("thick", "degrees"), [(0.5, 20), (0.5, 45), (1.0, 20), (1.0, 45)])
+def test_turned_plates_keep_their_moments(thick, degrees):
+    """Plates of 0.5 and 1 cells on voxels of half a cell, as the pipeline makes them."""
+    half = np.array([0.6, 0.2, thick * DX / 2])
+    angle, middle = math.radians(degrees), np.array([0.013, 0.02, 0.031])
+    turn = np.array([[math.cos(angle), 0, -math.sin(angle)], [0, 1, 0], [math.sin(angle), 0, 0]])
+    turn[2, 2] = math.cos(angle)
+
+    def distance(x):
+        return (np.abs((x - middle) @ turn) - half).max(axis=-1)
+
+    reach = np.abs(turn) @ half
+    solid = fill_solid(distance, middle - reach, middle + reach, DX / 2)
+    x, volume = integration_points(solid, DX)
+    place = (x - middle) @ turn
+    inner = np.abs(place[:, 0]) < 0.4
+    second = volume[inner] @ place[inner, 2] ** 2 / volume[inner].sum()
+    assert second == pytest.approx((thick * DX) ** 2 / 12, rel=0.08)
 
 
 def test_surface_points_lie_on_a_box():

@@ -38,6 +38,14 @@ SHEET = 0.25
 """Length of the gradient of the filled fraction [1/voxel] below which a voxel is part of a sheet,
 which has no single outward normal.
 """
+SAMPLES = 6
+"""Number of sample points along each axis of a voxel that is filled in part."""
+HALVINGS = 12
+"""Number of halvings by which the surface in a voxel is found."""
+THIN = 1.2
+"""Thickness below which a part is a sheet with two surfaces in a voxel [voxels]."""
+FULL = 0.999
+"""Filled part of a voxel that no sheet has."""
 ALIGNED = 1e-7
 """Difference of second moments [cells^2] below which the points lie along the lattice."""
 CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -117,13 +125,9 @@ def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], ND
     """Return the points of all cells [8C,3], m, and their volumes [8C], m^3; x varies slowest."""
     index, fraction, normal = _find_voxels(solid)
     side = solid.voxel
-    across = side * np.abs(normal).sum(axis=1)
-    # A voxel that is partly inside counts at the centre of its filled part, as thick as that is.
-    shift = normal * ((1 - fraction) * across / 2)[:, None]
-    middle = (index + solid.first + 0.5) * side - shift
-    thinner = (np.minimum(fraction * across, side) ** 2 - side**2) / 12
-    spread = thinner[:, None, None] * normal[:, :, None] * normal[:, None, :]
-    spread += np.eye(3) * side**2 / 12
+    shift, spread = _filled_parts(solid, index, fraction, normal)
+    middle = (index + solid.first + 0.5 + shift) * side
+    spread *= side**2
     place = np.floor((index + solid.first) * (side / dx) + 1e-9).astype(np.int64)
     place = _merge_slivers(place, fraction * (side / dx) ** 3)
     cells, cell = _cells(place)
@@ -145,6 +149,87 @@ def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], ND
         kept[:] = True
     volume = volume[kept] * (solid.volume / volume[kept].sum())
     return x[kept].reshape(-1, 3), np.repeat(volume / PER_CELL, PER_CELL)
+
+
+def _filled_parts(
+    solid: Solid, index: NDArray, fraction: NDArray, normal: NDArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the centre of the filled part of each voxel, and its second moments about the centre.
+
+    The filled part lies on one side of a plane, or, in a sheet, between two planes. It is found
+    from `SAMPLES` points per axis; points at its surface count in part.
+
+    Args:
+        solid: The body.
+        index: Indices of the voxels that are not empty [V,3].
+        fraction: Their filled fractions [V].
+        normal: Their outward normals [V,3]; zero in sheets.
+
+    Returns:
+        Offsets from the middles of the voxels [V,3], and second moments [V,3,3], in voxels.
+    """
+    shift = np.zeros((len(index), 3))
+    spread = np.tile(np.eye(3) / 12, (len(index), 1, 1))
+    cut = np.flatnonzero(fraction < 1)
+    across, offset, thickness = _sheets(solid, index[cut])
+    sheet = (thickness < THIN) | ~normal[cut].any(axis=1)
+    across[~sheet], offset[~sheet] = normal[cut][~sheet], -np.inf
+    line = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    points = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+    own = np.eye(3) / (12 * SAMPLES**2)
+    for rows in np.array_split(np.arange(len(cut)), max(1, len(cut) // 20_000)):
+        some, flat = cut[rows], sheet[rows]
+        height = across[rows] @ points.T
+        height[flat] = np.abs(height[flat] - offset[rows][flat, None])
+        width = np.abs(across[rows]).sum(axis=1)[:, None] / SAMPLES
+        low, high = (end(axis=1)[:, None] for end in (height.min, height.max))
+        low, high, share = low - width, high + width, height
+        for _ in range(HALVINGS):
+            level = (low + high) / 2
+            share = np.clip((level - height) / width + 0.5, 0, 1)
+            more = share.mean(axis=1, keepdims=True) < fraction[some, None]
+            low, high = np.where(more, level, low), np.where(more, high, level)
+        share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-9)
+        shift[some] = share @ points
+        second = share @ (points[:, :, None] * points[:, None, :]).reshape(-1, 9)
+        middle = shift[some][:, :, None] * shift[some][:, None, :]
+        spread[some] = second.reshape(-1, 3, 3) - middle + own
+    return shift, spread
+
+
+def _sheets(
+    solid: Solid, index: NDArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the sheets of which some voxels would be part, in voxels.
+
+    Args:
+        solid: The body.
+        index: Indices of the voxels [V,3].
+
+    Returns:
+        Normals [V,3], in which the filled parts of the 125 voxels around extend least; distances of
+        the sheets from the voxels' middles [V]; and thicknesses [V], infinite next to a full voxel.
+    """
+    padded = np.pad(solid.fraction.astype(np.float64), 2)
+
+    def around(reach: int) -> tuple[NDArray, NDArray, NDArray]:
+        """Return steps to all voxels within a reach, their filled parts, and the centres."""
+        line = np.arange(-reach, reach + 1)
+        steps = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+        near = index[:, None] + 2 + steps
+        weight = padded[tuple(np.moveaxis(near, -1, 0))]
+        total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
+        return steps, weight, weight @ steps / total
+
+    # Two layers of voxels would not tell a sheet's normal from a direction across its rim.
+    steps, weight, centre = around(2)
+    arm = steps - centre[:, None]
+    _, axes = np.linalg.eigh(np.einsum("vn,vna,vnb->vab", weight, arm, arm))
+    normal = axes[:, :, 0]
+    _, weight, centre = around(1)
+    offset = np.einsum("vi,vi->v", centre, normal)
+    thickness = weight.sum(axis=1) / 9 * np.abs(normal).max(axis=1)
+    return normal, offset, np.where(weight.max(axis=1) < FULL, thickness, np.inf)
 
 
 def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
@@ -213,11 +298,11 @@ def _find_voxels(
     """Return indices [V,3], fractions [V] and outward normals [V,3] of the voxels not empty."""
     padded = np.pad(solid.fraction.astype(np.float64), 1)
     index = np.argwhere(solid.fraction > 0)
-    normal = np.empty((len(index), 3))
-    for axis in range(3):
-        step = np.eye(3, dtype=np.int64)[axis]
-        ahead, behind = (padded[tuple((index + 1 + way).T)] for way in (step, -step))
-        normal[:, axis] = behind - ahead
+    # Neighbours count by 1 / distance^2; a plane along the lattice has a gradient of length 1.
+    normal = np.zeros((len(index), 3))
+    for step in AROUND:
+        there = padded[tuple((index + 1 + step).T)] / (step @ step)
+        normal -= there[:, None] * step * (3 / 13)
     length = np.linalg.norm(normal, axis=1)
     normal[length < SHEET] = 0
     normal /= np.maximum(length, SHEET)[:, None]
