@@ -58,9 +58,9 @@ def full(monkeypatch, *folders: Path):
         refuse(path)
         return begin(path, *arguments, **options)
 
-    def save(clip, path) -> None:
+    def save(clip, path, packed=None) -> None:
         refuse(path)
-        saved(clip, path)
+        saved(clip, path, packed)
 
     begin, saved = Growing.like, Clip.save
     with monkeypatch.context() as patch:
@@ -253,8 +253,8 @@ def test_a_folder_that_became_read_only_hides_no_sentence(tmp_path, every_frame,
 
         saved = Clip.save
 
-        def only_in_temporary(clip, path) -> None:
-            saved(clip, path) if Path(path).is_relative_to(temporary) else refuse()
+        def only_in_temporary(clip, path, packed=None) -> None:
+            saved(clip, path, packed) if Path(path).is_relative_to(temporary) else refuse()
 
         with pytest.raises(Incomplete, match=r"are kept in .*phy124-kept-"):
             pipeline.simulate(ball(300), SCENE, tmp_path / "out", each=each)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -26,7 +27,7 @@ from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutout import Cutout
 from phy124.imaging.painted import WHOLE
 from phy124.io.clip import Clip
-from phy124.io.video import refuse_missing_encoder
+from phy124.io.video import encoder_problem, refuse_missing_encoder
 from phy124.particles.thinning import check_count
 from phy124.pipeline.capture import Capture, adapt_scene, capture
 from phy124.rendering.compose import compose, photograph_of
@@ -69,7 +70,7 @@ class Generate:
         return self._run()
 
     def _run(self) -> int:
-        import_lightly(*SCIPY)
+        get_ready()
         scene = self.options.resolve()
         pipeline.check_sources(scene, self.more)
         out = self.out or default_out(str(self.image), self.options.scene)
@@ -203,7 +204,7 @@ class Simulate:
 
     def run(self) -> int:
         """Simulate the object; print files and durations."""
-        import_lightly(*SCIPY)
+        get_ready()
         scene = self.options.resolve()
         pipeline.check_sources(scene, self.more)
         out = self.out or default_out(str(self.file), self.options.scene)
@@ -264,6 +265,13 @@ class Simulate:
             study=study,
             as_json=self.options.json,
         )
+
+
+def get_ready() -> None:
+    """Import SciPy while the encoder encodes its test frame; the result is kept."""
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(encoder_problem)
+        import_lightly(*SCIPY)
 
 
 def go_on(out: Path, options: SceneOptions, scene: Scene, study: str, plan: PlanOptions) -> int:

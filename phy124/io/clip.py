@@ -23,7 +23,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians, of_walls, rotate_sh, stack_wrenches
 from phy124.io.files import replacing
 from phy124.io.opening import obstacle
-from phy124.motion.packing import pack, unpack
+from phy124.motion.packing import Packed, pack, unpack
 from phy124.motion.recorded import Computed, Motion, Recorded, make_arrays
 
 FORMAT = "phy124-clip"
@@ -247,20 +247,29 @@ class Clip:
         }
         return {**texts, "objects": json.dumps(self.objects)} if self.objects else texts
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def pack(self) -> Packed | None:
+        """Return the packed motion; None if the clip stores the values of every frame."""
+        return None if self.motion is None else pack(self.motion)
+
+    def save(self, path: str | os.PathLike[str], packed: Packed | None = None) -> None:
         """Write the clip to one safetensors file, which appears whole or not at all.
+
+        Args:
+            path: The file.
+            packed: The packed motion, if it is known.
 
         Raises:
             InputError: If the folder is missing or the file cannot be created.
             OSError: If the disk is full.
         """
         metadata = self.metadata()
-        if self.motion is None:
+        packed = packed or self.pack()
+        if packed is None:
             tensors = self.tensors()
         else:
-            packed, facts = pack(self.motion)
+            arrays, facts = packed
             metadata |= {"version": MOTION, "motion": json.dumps(facts)}
-            tensors = self.tensors({*REQUIRED, "rotations", OBJECT} - {"times"}) | packed
+            tensors = self.tensors({*REQUIRED, "rotations", OBJECT} - {"times"}) | arrays
         spare = {"spare": SPARE} if self.motion is not None else {}
         with replacing(path) as temporary:
             save_tensors(tensors, temporary, {**metadata, **spare})

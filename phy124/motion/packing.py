@@ -33,11 +33,13 @@ LEVELS = 9, 1
 BITS = 10
 """Cells of the Hilbert curve along each axis, as a power of two."""
 Tensors = dict[str, NDArray]
+Packed = tuple[Tensors, dict[str, Any]]
+"""Arrays [bytes] by name, and the facts that `unpack` needs."""
 STATIC = ("means", "quats", "scales", "opacities", "sh", "object_id")
 
 
-def pack(motion: Motion) -> tuple[Tensors, dict[str, Any]]:
-    """Return the arrays [bytes] of a motion by name, and the facts that `unpack` needs."""
+def pack(motion: Motion) -> Packed:
+    """Pack the arrays of a motion."""
     still, particles = motion.gaussians, motion.particles
     exact = {name: getattr(still, name) for name in STATIC}
     volumes = _mean_volumes(particles)

@@ -22,6 +22,7 @@ from phy124.errors import InputError
 from phy124.io import files as disk
 from phy124.io.clip import Clip
 from phy124.io.growing import Growing, Unlike
+from phy124.motion.packing import Packed
 from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.runtime.memory import trim
@@ -111,8 +112,8 @@ class Recording:
         self.saved, self._last = run.count, time.perf_counter()
         self._cost = self._last - begun
 
-    def finish(self, clip: Clip, path: Path) -> None:
-        """Complete the clip's file; usually the frames are written and only the header is missing.
+    def finish(self, clip: Clip, path: Path, packed: Packed | None) -> None:
+        """Complete the clip's file from its packed motion, or from the frames that are on disk.
 
         Raises:
             OSError: The disk is full.
@@ -121,7 +122,7 @@ class Recording:
             frames = self.frames if clip.motion is None and not self.failed else None
             if frames is not None and frames.finish(clip, path):
                 return
-        clip.save(path)
+        clip.save(path, packed)
 
     def discard(self) -> None:
         """Remove the files of pause and frames; in a folder that became read-only both stay."""

@@ -11,6 +11,7 @@ import platform
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -219,7 +220,9 @@ class RunFolder:
     def _write(
         self, folder: Path, run: Simulation, clip: Clip, interrupted: bool
     ) -> dict[str, Any]:
-        report = self._report(clip, run.setup.cleaned_scene, interrupted)
+        with ThreadPoolExecutor(1, "pack") as pool:
+            packing = pool.submit(clip.pack)
+            report = self._report(clip, run.setup.cleaned_scene, interrupted)
         names = {SCENE, REPORT, CLIP, PLY, *self.files}
         if interrupted and not run.scene.unregistered:
             names.add(PAUSE)
@@ -227,7 +230,7 @@ class RunFolder:
         with self.context.watch.stage("save"):
             write_whole(folder / SCENE, _scene_file(run.setup.cleaned_scene))
             write_json(folder / REPORT, report)
-            self.recording.finish(clip.with_report(report), folder / CLIP)
+            self.recording.finish(clip.with_report(report), folder / CLIP, packing.result())
             if interrupted:
                 self._pause(folder, run)
             write_ply(folder / PLY, run.setup.gaussians)
