@@ -82,4 +82,4 @@ git -C "$root" archive HEAD | tar -x -C "$folder/phy124"
 inside "cd /phy124 && pip install --quiet --constraint constraints.txt --editable '.[$extras]' $others"
 inside python --version
 [ $# -gt 0 ] || set -- 'tests/test_bridge_*.py'
-inside "cd /phy124 && python -m pytest -q $*"
+inside "cd /phy124 && pytest -q $*"

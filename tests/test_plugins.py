@@ -231,7 +231,9 @@ def test_a_registered_sink_is_chosen_by_name(installed):
         sink.listen(0.0, pytest.fail)
     with pytest.raises(InputError, match="lamp does not publish /clock"):
         open_sink("lamp", options, clock=True)
-    assert not isinstance(open_sink("dds", options), Lamp), "the bridge's own names stay its own"
+    assert not isinstance(open_sink("foxglove", options), Lamp), (
+        "the bridge's own names stay its own"
+    )
 
 
 @pytest.mark.parametrize(
