@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from phy124.accuracy.probe import run_pilot
 from phy124.boundaries import Box, Container, HalfSpace, Path
 from phy124.budget.cost import count_substeps
 from phy124.budget.effects import Effects
@@ -91,6 +92,7 @@ def test_still_tank_keeps_level_and_pressure(offset):
     solver = run(liquid(block((0, 0, 0), (1, 1, 0.5), 8), 8, [TANK], offset=offset), 24)
     level = heights(solver)
     assert level.mean() == pytest.approx(0.5, rel=0.005)
+    assert solver.crowding < 0.01
     assert np.ptp(level) < 0.05 * solver.model.dx
     z = solver.model.origin[2] + (solver.cells.low[2] + np.arange(solver.cells.size[2]) + 0.5) / 8
     pressure = field(solver, "pressure") * DENSITY * solver.model.dx / solver.clock.last_dt
@@ -333,6 +335,7 @@ def test_box_that_shrinks_below_its_liquid_does_not_explode():
         run(solver, 12)
         fastest = max(fastest, np.linalg.norm(solver.state.v.numpy(), axis=1).max())
     x = solver.state.x.numpy()
+    assert solver.crowding > 0.1
     assert fastest < 3
     assert ((x > 0) & (x < (0.5, 1, 1))).all()
     assert np.linalg.norm(solver.state.v.numpy(), axis=1).mean() < 0.1
@@ -390,3 +393,10 @@ def test_slow_liquid_is_described_with_a_remedy():
     sentence = describe_substep(solver.model, solver.state, solver.clock)
     assert "limited by the waves on its surface" in sentence
     assert find_speedups(Scene.named("water"), "wave", 0.5)
+
+
+def test_pilot_counts_the_steps_that_waves_limit():
+    changes = {"accuracy": {"cells": 8, "liquid": "projection"}, "time.frames": 4}
+    steps, limiters = run_pilot(ball(), Scene.named("water").replaced(changes)).substeps(8)
+    assert steps >= 3
+    assert limiters["wave"] > 0

@@ -126,6 +126,10 @@ SABOTAGE = {
     34: Sabotage("bodies touch half a cell too late", "kernels/pairs.py",
                  "return is_closed(here, more)",
                  "return is_closed(here + type(here)(0.5), more)"),
+    35: Sabotage("the pressure of a liquid has the wrong sign", "kernels/liquid/pressure.py",
+                 "right_out[n] = -wp.float64(flux)", "right_out[n] = wp.float64(flux)"),
+    36: Sabotage("a liquid pulls bodies", "kernels/liquid/bodies.py",
+                 "pushes_out[p] = total / duration", "pushes_out[p] = -total / duration"),
 }  # fmt: skip
 """One deliberate error per case, by its number."""
 
@@ -149,7 +153,7 @@ def test_equal_bits_are_asked_of_a_cpu_only():
 
 
 def test_every_case_has_a_sabotage():
-    assert set(SABOTAGE) == {case.number for case in CASES} == set(range(1, 35))
+    assert set(SABOTAGE) == {case.number for case in CASES} == set(range(1, 37))
 
 
 @pytest.mark.parametrize("number", SABOTAGE)

@@ -254,7 +254,7 @@ CELLS = 16
 """Cells across the object in the pilot run."""
 EXCESS = 0.8
 """Exponent: substeps in excess of those at rest are assumed to grow as cells^(1 + EXCESS)."""
-LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
+LIMITERS = ("elastic", "speed", "gradient", "viscous", "user", "wave")
 
 
 @dataclass(frozen=True)
@@ -287,6 +287,7 @@ class Pilot:
             **self.counts,
             "elastic": at_rest * scale + excess * scale ** (1 + EXCESS),
             "speed": self.counts["speed"] * scale,
+            "wave": self.counts.get("wave", 0.0) * np.sqrt(scale),
         }
         others = np.sum([n for name, n in counts.items() if name != "viscous"], axis=0)
         is_viscous = others < self.viscous * scale**2

@@ -135,7 +135,7 @@ class Work:
         """
         slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
         slower *= 1 + PASS * scene.resolution.passes
-        slower *= STEP if scene.projects else 1.0
+        slower *= STEP if scene.projects and not scene.mixes else 1.0
         views, nodes = len(scene.view.sides), count_nodes(scene) if nodes is None else nodes
         return cls(
             substeps=substeps,
@@ -150,7 +150,7 @@ class Work:
 def count_substeps(scene: Scene) -> int:
     """Estimate the substeps until the last frame, from stability limits and the expected speed."""
     length = (scene.time.frames - 1) / scene.time.fps
-    cells = CELLS if scene.projects else CELLS_PER_STEP
+    cells = CELLS if scene.projects and not scene.mixes else CELLS_PER_STEP
     speed = cells * scene.dx / max(_max_speed(scene, length), 1e-9)
     steps = np.minimum(longest_substeps(scene), speed)
     # Each frame has a whole number of substeps.
@@ -193,21 +193,25 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
 
     Stiffness, viscosity, the initial spin and `time.substep` limit the substep.
     """
-    if scene.projects:
+    materials = scene.materials
+    if scene.mixes:
+        # The substeps of the other materials; the liquid takes fewer steps.
+        materials = [section for section in materials if section.law != "fluid"]
+    elif scene.projects:
         ceiling = math.inf if scene.time.substep is None else scene.time.substep
         # `viscous_limit` is the time in which an eighth of the velocity diffuses.
         viscous = 8 * DIFFUSED * min(section.viscous_limit(scene.dx) for section in scene.materials)
         longest = min(WAVES * math.sqrt(scene.dx / GRAVITY), viscous, ceiling)
         return np.full(scene.time.frames - 1, longest)
     fraction = scene.resolution.fraction
-    viscous = min(section.viscous_limit(scene.dx) for section in scene.materials)
+    viscous = min(section.viscous_limit(scene.dx) for section in materials)
     longest = beside_elastic(fraction) * viscous
     rotation = math.sqrt(2) * max(math.hypot(*body.spin) for body in scene.every_object)
     if rotation > 0:
         longest = min(longest, STRAIN_PER_STEP / rotation)
     if scene.time.substep is not None:
         longest = min(longest, scene.time.substep)
-    elastic = fraction * scene.dx / max(section.wave_speed() for section in scene.materials)
+    elastic = fraction * scene.dx / max(section.wave_speed() for section in materials)
     factors = scene.softnesses(np.arange(scene.time.frames - 1) / scene.time.fps)
     return np.minimum(elastic / np.sqrt(factors), longest)
 

@@ -40,6 +40,10 @@ class LiquidClock(Clock):
     bodies = 0.0
     """Largest speed of bodies of other materials [m/s]."""
 
+    def diffuse(self, rate: float) -> None:
+        """Limit steps by a viscosity, as the rate at which velocities diffuse to a face [1/s]."""
+        self.viscosity, self.viscous = rate, DIFFUSED / rate if rate > 0 else math.inf
+
     def stable(self) -> Substep:
         """Return the longest step in the current state."""
         a, speed = self.acceleration, max(self.extremes.speed, self.wall, self.bodies)
@@ -50,7 +54,7 @@ class LiquidClock(Clock):
             "speed": 2 * far / reach if reach > 0 else math.inf,
             "wave": WAVES * math.sqrt(self.dx / a) if a > 0 else math.inf,
             "user": self.ceiling,
-            "viscous": DIFFUSED / self.viscosity if self.viscosity > 0 else math.inf,
+            "viscous": self.viscous,
         }
         limiter = min(limits, key=limits.__getitem__)
         return Substep(limits[limiter], limiter)

@@ -109,6 +109,11 @@ class MixedSolver(Solver):
         return self.liquid.impulses
 
     @property
+    def crowding(self) -> float:
+        """Largest mean excess of the liquid's density over that at rest, as a fraction."""
+        return self.liquid.crowding
+
+    @property
     def nodes(self) -> int:
         """Number of nodes and of cells in all windows."""
         return super().nodes + (self._liquid.nodes if self._liquid is not None else 0)

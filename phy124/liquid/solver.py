@@ -139,10 +139,12 @@ class LiquidSolver:
             bodies,
         )
         self.team = Team[int](count, self._run_member)
-        self.clock.viscosity = self._phases.viscosity
+        self.clock.diffuse(self._phases.viscosity)
         self._kick = 0.0
         """Duration over which the current pressure acted [s]."""
         self._fitted = False
+        self.crowding = 0.0
+        """Largest mean excess of the liquid's density over that at rest, as a fraction."""
         self.impulses = WallImpulses((), 0, count, model.device)
         """Impulses of the walls."""
         self.bind(forces, boundaries, accumulators, planes)
@@ -224,6 +226,9 @@ class LiquidSolver:
                 self._stable_step(until)
                 if after is not None:
                     run_timed(self.timings, FOLLOW, after)
+        filled = self.cells.hats.numpy()[self.cells.liquid.numpy() == 1]
+        if len(filled):
+            self.crowding = max(self.crowding, float(np.maximum(filled - 1, 0).mean()))
         between = self.timings.setdefault(SCHEDULE, [0.0, 0])
         between[0] += time.perf_counter() - started - (self._seconds() - named)
         between[1] += 1
@@ -276,6 +281,7 @@ class LiquidSolver:
             "repair": self.repair.snapshot(),
             "cells": self.cells.snapshot(),
             "kick": self._kick,
+            "crowding": self.crowding,
             **({"free": self.free.snapshot()} if self.free.all else {}),
             **({"bodies": self._bodies.snapshot()} if self._bodies else {}),
             "impulses": self.impulses.snapshot(),
@@ -289,7 +295,7 @@ class LiquidSolver:
         self.repair.restore(snapshot["repair"])
         self._phases.stray.zero_()
         self._missed.zero_()
-        self._kick = snapshot["kick"]
+        self._kick, self.crowding = snapshot["kick"], snapshot.get("crowding", 0.0)
         self.free.restore(snapshot.get("free", {}))
         if self._bodies is not None:
             self._bodies.restore(snapshot["bodies"])

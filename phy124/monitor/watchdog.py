@@ -52,6 +52,8 @@ PROJECTED = 0.1
 """The same for a liquid by projection: the pressure on walls is known at the centres of cells only,
 so the impulses of walls differ from the momentum that the liquid loses.
 """
+CROWDED = 0.1
+"""Mean excess of the density of a liquid by projection above which its walls leave it no room."""
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 """Fraction of the sum of absolute work that rounding may lose."""
 QUIET = 1e-9
@@ -238,6 +240,12 @@ class Watchdog(Observer):
                 f"Somewhere the material swelled to {self.max_J:.2g} times its volume; a real "
                 "solid would have broken. The motion is too fast for the stiffness; a "
                 "slower motion or a stiffer material avoids this."
+            )
+        solver: Any = self._solver
+        if solver.projects and solver.crowding > CROWDED:
+            notes.append(
+                f"The walls left the liquid less room than its volume: its density rose by "
+                f"{solver.crowding:.0%}. Let the walls leave it more room."
             )
         trembles = self.balance.trembles
         if trembles:

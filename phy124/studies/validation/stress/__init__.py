@@ -15,6 +15,7 @@ from phy124.studies.validation.stress import (
     inputs,
     laws,
     limits,
+    liquids,
     tips,
     world,
 )
@@ -55,6 +56,8 @@ CASES = (
     Case(32, "free solids, light and heavy", impact.free),
     Case(33, "tips, edges, legs and hairs", tips.tips),
     Case(34, "tips, edges and hairs on another body", tips.tips_on_body),
+    Case(35, "liquids in tanks that move, blow and shrink", liquids.tanks),
+    Case(36, "light, soft and heavy bodies in a liquid", liquids.bodies),
 )
 """All cases, by number."""
 

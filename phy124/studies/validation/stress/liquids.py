@@ -1,0 +1,125 @@
+"""Liquids by pressure projection: fountain, waves, a box without room, films, light bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from phy124.boundaries import Boundary, Container, HalfSpace, Path
+from phy124.forces import Gravity, ZoneForce
+from phy124.liquid.mixed import MixedSolver
+from phy124.liquid.solver import LiquidSolver
+from phy124.materials import Fluid, NeoHookean
+from phy124.mpm import Model, State
+from phy124.schema.region import Region
+from phy124.studies.validation.stress.bodies import Array, host
+from phy124.studies.validation.stress.case import Check, Setting, at_most
+
+DX = 0.125
+"""Grid spacing [m]."""
+TANK = Container(inside=Region(lower=(0, 0, 0), upper=(1, 1, 1e9)), contact="slip")
+WATER = Fluid(density=1000.0)
+
+
+def tanks(setting: Setting) -> list[Check]:
+    """Check that a liquid stays in its tank, and gains no energy, whatever moves it."""
+    still, pool = (), _block((0, 0, 0), (1, 1, 0.375))
+    upwards = Region(lower=(0.25, 0.25, 0.0), upper=(0.75, 0.75, 0.5))
+    blow = ZoneForce(place=upwards, a=(0.0, 0.0, 20.0))
+    waves = HalfSpace(point=(0, 0, 0), normal=(1, 0, 0), contact="slip", motion=_swing())
+    lower = Path(times=(0.0, 1.0), points=((0.0, 0.0, 0.0), (0.0, 0.0, -0.5)))
+    lid = HalfSpace(point=(0, 0, 1), normal=(0, 0, -1), contact="slip", motion=lower)
+    full = _block((0, 0, 0), (1, 1, 0.875))
+    film, drop = _block((0, 0, 0), (1, 1, DX / 2)), np.array([[0.5, 0.5, 0.4]])
+    checks = []
+    for name, x, forces, walls, time, speed in (
+        ("fountain", pool, [blow], still, 20.0 if setting.long else 2.0, 12.0),
+        ("wave machine", pool, [], [waves], 60.0 if setting.long else 2.0, 6.0),
+        ("no room", full, [], [lid], 2.0, 4.0),
+        ("film of half a cell", film, [], still, 1.0, 0.05),
+        ("one particle", drop, [], still, 1.0, 0.01),
+    ):
+        solver = _liquid(setting, x, forces, [TANK, *walls])
+        fastest = _advance(solver, time)
+        x = host(solver.state.x)
+        out = -min(float(np.quantile(x, 0.001)), float(np.quantile(1 - x[:, :2], 0.001)))
+        checks += [
+            at_most(f"{name}: beyond the tank [cells]", out / DX, 0.25),
+            at_most(f"{name}: largest speed, at last [m/s]", fastest, speed),
+        ]
+    return checks
+
+
+def bodies(setting: Setting) -> list[Check]:
+    """Check that light, soft and heavy bodies neither explode nor sink into the liquid."""
+    checks = []
+    for name, density, E in (
+        ("sponge", 100.0, 3e3),
+        ("a hundredth of the density", 10.0, 1e3),
+        ("stone", 2500.0, 1e5),
+    ):
+        x, body = _block((0, 0, 0), (1, 1, 0.375)), _block((0.25, 0.25, 0.5), (0.75, 0.75, 1))
+        solver = _mixed(setting, x, body, NeoHookean(density=density, E=E, nu=0.3, damping=5.0))
+        energy = _energy(solver)
+        _advance(solver, 6.0 if setting.long else 1.5)
+        z = host(solver.state.x)[len(x) :, 2]
+        bottom = 0.375 - density / 1000 * 0.5 * (1 - 0.25)
+        checks += [
+            at_most(f"{name}: energy over that at the start", _energy(solver) / energy, 1.0),
+            at_most(f"{name}: sunk too deep [cells]", (max(bottom, 0) - z.min()) / DX, 1.5),
+        ]
+    return checks
+
+
+def _swing() -> Path:
+    times = np.linspace(0, 60, 601)
+    return Path(
+        times=tuple(times.tolist()),
+        points=tuple((0.05 * (1 - np.cos(5 * t)), 0.0, 0.0) for t in times.tolist()),
+    )
+
+
+def _block(low: Sequence[float], high: Sequence[float]) -> Array:
+    """Return particles between two corners, 8 in each cell [P,3], m."""
+    step = DX / 2
+    axes = [np.arange(a + step / 2, b, step) for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+
+
+def _model(setting: Setting, x: Array, materials: list[Any], **options: Any) -> Model:
+    volume = np.full(len(x), DX**3 / 8)
+    return Model.of(x, volume, materials, dx=DX, **options, **setting.options)
+
+
+def _liquid(setting: Setting, x: Array, forces: list[Any], walls: list[Boundary]) -> LiquidSolver:
+    model = _model(setting, x, [WATER])
+    named = [(f"wall_{index}", wall) for index, wall in enumerate(walls)]
+    acting = [Gravity(), *forces]
+    return LiquidSolver(model, State.of(model), forces=acting, boundaries=named, threads=1)
+
+
+def _mixed(setting: Setting, water: Array, body: Array, material: NeoHookean) -> MixedSolver:
+    number = np.repeat([0, 1], [len(water), len(body)])
+    named = {"material": number, "body": number, "wet": [0], "names": ("water", "body")}
+    model = _model(setting, np.concatenate([water, body]), [WATER, material], **named)
+    pull, walls = [Gravity()], [("tank", TANK)]
+    options = {"forces": pull, "uniform": pull, "boundaries": [TANK], "walls": walls}
+    return MixedSolver(model, State.of(model), **options, threads=1)
+
+
+def _advance(solver: LiquidSolver | MixedSolver, time: float) -> float:
+    """Simulate for a time [s] in frames; return the largest speed in the last quarter [m/s]."""
+    fastest, frames = 0.0, round(24 * time)
+    for frame in range(frames):
+        solver.advance((frame + 1) / 24)
+        if frame >= 3 * frames // 4:
+            fastest = max(fastest, float(np.linalg.norm(host(solver.state.v), axis=1).max()))
+    return fastest
+
+
+def _energy(solver: MixedSolver) -> float:
+    """Return kinetic energy and potential energy over the floor [J]."""
+    mass, x, v = (host(a) for a in (solver.model.mass, solver.state.x, solver.state.v))
+    return float(mass @ (9.81 * x[:, 2] + (v**2).sum(axis=1) / 2))
