@@ -61,7 +61,7 @@ def bodies(setting: Setting) -> list[Check]:
         ("stone", 2500.0, 1e5),
     ):
         x, body = _block((0, 0, 0), (1, 1, 0.375)), _block((0.25, 0.25, 0.5), (0.75, 0.75, 1))
-        solver = _mixed(setting, x, body, NeoHookean(density=density, E=E, nu=0.3, damping=5.0))
+        solver = _join(setting, x, body, NeoHookean(density=density, E=E, nu=0.3, damping=5.0))
         energy = _energy(solver)
         _advance(solver, 6.0 if setting.long else 1.5)
         z = host(solver.state.x)[len(x) :, 2]
@@ -100,7 +100,7 @@ def _liquid(setting: Setting, x: Array, forces: list[Any], walls: list[Boundary]
     return LiquidSolver(model, State.of(model), forces=acting, boundaries=named, threads=1)
 
 
-def _mixed(setting: Setting, water: Array, body: Array, material: NeoHookean) -> MixedSolver:
+def _join(setting: Setting, water: Array, body: Array, material: NeoHookean) -> MixedSolver:
     number = np.repeat([0, 1], [len(water), len(body)])
     named = {"material": number, "body": number, "wet": [0], "names": ("water", "body")}
     model = _model(setting, np.concatenate([water, body]), [WATER, material], **named)
