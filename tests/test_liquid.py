@@ -92,7 +92,7 @@ def test_still_tank_keeps_level_and_pressure(offset):
     solver = run(liquid(block((0, 0, 0), (1, 1, 0.5), 8), 8, [TANK], offset=offset), 24)
     level = heights(solver)
     assert level.mean() == pytest.approx(0.5, rel=0.005)
-    assert solver.crowding < 0.01
+    assert solver.crowding < 0.05
     assert np.ptp(level) < 0.05 * solver.model.dx
     z = solver.model.origin[2] + (solver.cells.low[2] + np.arange(solver.cells.size[2]) + 0.5) / 8
     pressure = field(solver, "pressure") * DENSITY * solver.model.dx / solver.clock.last_dt
