@@ -367,6 +367,17 @@ def test_default_liquid_is_compressible():
     assert not Scene.named("water").projects
 
 
+def test_viscous_liquids_alone_are_projected_by_default():
+    assert Scene.named("honey").replaced({"accuracy": "draft"}).projects
+    assert not Scene.named("oil").projects, "two liquids"
+    assert not Scene.named("honey").replaced({"accuracy.liquid": "compressible"}).projects
+
+
+def test_kick_without_duration_needs_one_sweep():
+    honey = liquid(block((0.2,) * 3, (0.4,) * 3, 8), 8, viscosity=10.0)
+    assert honey.clock.sweeps(0.0) == 1 < honey.clock.sweeps(1.0)
+
+
 def test_estimate_counts_the_steps_of_a_projected_liquid():
     scene = Scene.named("water")
     projected = scene.replaced({"accuracy": {"cells": 16, "liquid": "projection"}})

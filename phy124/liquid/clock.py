@@ -72,6 +72,8 @@ class LiquidClock(Clock):
     def sweeps(self, kick: float) -> int:
         """Return the pairs of steps of Jacobi's method that leave a thousandth of the error."""
         k = 6 * self.viscosity * kick
+        if k == 0:  # the first kick of a probe has no duration
+            return 1
         return max(1, math.ceil(math.log(1e-3) / math.log(k / (1 + k)) / 2))
 
     def set_speed(self, speed: float) -> None:
