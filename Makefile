@@ -53,8 +53,8 @@ gpu: .venv/test
 
 accuracy: .venv/test
 	$(BIN)/python tests/benchmarks/forecast.py --docs
-	$(BIN)/python tests/benchmarks/promises.py measure --minutes 300
-	$(BIN)/python tests/benchmarks/promises.py table
+	$(BIN)/python tests/benchmarks/zoo.py --objects ../shared/objects --minutes 300
+	$(BIN)/python tests/benchmarks/expectations.py
 	$(BIN)/python tests/benchmarks/accuracy.py --docs
 	$(BIN)/python tests/benchmarks/summaries.py
 

@@ -17,6 +17,7 @@ from phy124.accuracy.promises import Promise, promise, why_broken
 from phy124.budget.cost import GAUSSIANS, Rates, Work, count_particles
 from phy124.budget.limits import duration
 from phy124.gaussians import Gaussians
+from phy124.particles.thickness import Proportions
 from phy124.runtime.context import RunContext
 from phy124.scene import PRESETS, Scene
 
@@ -45,8 +46,8 @@ class Estimate:
     """Load of this machine by other programs."""
     measured: bool = False
     """Whether the time was measured by a probe of this object."""
-    thickness: float | None = None
-    """Local thickness of the object relative to its size, if it was probed."""
+    proportions: Proportions | None = None
+    """Proportions of the object, if it was probed."""
     compiling: float = 0.0
     """Time to compile missing kernels [s]."""
     unloaded: float = 0.0
@@ -193,7 +194,7 @@ class Estimator:
         scene: Scene,
         *,
         gaussians: int = GAUSSIANS,
-        thickness: float | None = None,
+        proportions: Proportions | None = None,
         seconds: float | None = None,
         study: Measurement | None = None,
     ) -> list[Stop]:
@@ -202,7 +203,7 @@ class Estimator:
         Args:
             scene: The scene.
             gaussians: Number of Gaussians.
-            thickness: Local thickness of the object relative to its size, if known.
+            proportions: Proportions of the object, if known.
             seconds: Time measured at the scene's own accuracy [s]; None: not measured.
             study: Errors measured on this scene; None: not measured.
         """
@@ -211,7 +212,7 @@ class Estimator:
         for name in PRESETS:
             other = scene.model_copy(update={"accuracy": name})
             took = scale * self(other, gaussians=gaussians).seconds
-            stops.append(Stop.of(other, took, promise_of(other, thickness, study)))
+            stops.append(Stop.of(other, took, promise_of(other, proportions, study)))
         return stops
 
 
@@ -238,17 +239,17 @@ def probe_estimate(gaussians: Gaussians, scene: Scene, device: str, rest: float)
         probe.seconds + rest,
         probe.substeps,
         probe.particles,
-        promise(scene, probe.thickness),
+        promise(scene, probe.proportions),
         probe.caveat,
         probe.load,
         measured=True,
-        thickness=probe.thickness,
+        proportions=probe.proportions,
     )
 
 
 def promise_of(
     scene: Scene,
-    thickness: float | None,
+    proportions: Proportions | None,
     study: Measurement | None,
     report: Mapping[str, Any] | None = None,
 ) -> Promise:
@@ -256,12 +257,12 @@ def promise_of(
 
     Args:
         scene: The scene.
-        thickness: Local thickness of the object relative to its size, if known.
+        proportions: Proportions of the object, if known.
         study: Errors measured on this scene; None: errors of similar scenes are used.
         report: Report of the scene's run, which may rule out an error bound.
     """
     if study is None or why_broken(report or {}):
-        return promise(scene, thickness, report)
+        return promise(scene, proportions, report)
     return study.promise(scene.resolution.cells)
 
 

@@ -21,6 +21,7 @@ from phy124.budget.cost import GAUSSIANS, USUAL, Work
 from phy124.errors import InputError
 from phy124.imaging.objects import Point
 from phy124.io.formats import is_file_of_gaussians
+from phy124.particles.thickness import Proportions
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
@@ -220,7 +221,7 @@ class Studio:
             rest = rates.rest + rates.pixel * ready["composed"]
             forecast = probe_estimate(gaussians, order.scene, device, rest)
             visitor.forecasts[key(scene.data())] = forecast.seconds
-            visitor.thickness[str(made_gaussians(order))] = forecast.thickness
+            visitor.proportions[str(made_gaussians(order))] = forecast.proportions
         finally:
             DEVICE.release()
         return self._with_error(forecast, name, source, scene, extras)
@@ -230,7 +231,7 @@ class Studio:
     ) -> Estimate:
         """Return a forecast with the error bound of this object, or the error measured on it."""
         about = (name, source, scene, extras)
-        promise = promise_of(scene, self.thickness(*about), self.study(*about))
+        promise = promise_of(scene, self.proportions(*about), self.study(*about))
         return replace(estimate, promise=promise)
 
     def check_extras(self, name: str, extras: Any) -> ExtraInputs:
@@ -314,10 +315,10 @@ class Studio:
         order = self.order((visitor, source, scene), self.check_extras(name, extras))
         return read_study(study_file(order))
 
-    def thickness(
+    def proportions(
         self, name: str, source: Source | None, scene: Scene, extras: Any = None
-    ) -> float | None:
-        """Return the local thickness of this visitor's object relative to its size, if known.
+    ) -> Proportions | None:
+        """Return the proportions of this visitor's object, if known.
 
         Args:
             name: The visitor's name.
@@ -329,7 +330,7 @@ class Studio:
         if visitor is None or source is None or not is_there(source):
             return None
         order = self.order((visitor, source, scene), self.check_extras(name, extras))
-        return visitor.thickness.get(str(made_gaussians(order)))
+        return visitor.proportions.get(str(made_gaussians(order)))
 
     def study_seconds(
         self, name: str, source: Source | None, scene: Scene, extras: Any = None
@@ -420,7 +421,7 @@ class Studio:
                 visitor.trim(self.visitors.room)
         if done is not None:
             job.tell(done)  # after `writing`: the visitor may ask for more files at once
-            visitor.thickness[str(made_gaussians(order))] = done.report.get("thickness")
+            visitor.proportions[str(made_gaussians(order))] = Proportions.of_report(done.report)
             if "simulate" not in job.progress.reused:
                 self.forecaster.learn(done.report, order.scene, load)
 

@@ -60,7 +60,7 @@ def as_html(
         stops: Time and error of each named accuracy.
         study: Errors measured on this scene, if any.
     """
-    promise, parts = promise_of(Scene.from_data(scene), report.get("thickness"), study, report), []
+    promise, parts = promise_of(Scene.from_data(scene), None, study, report), []
     if report.get("stopped"):
         parts.append(f'<p class="notice">Stopped early: {escape(str(report["stopped"]))}</p>')
     parts += [f'<p class="note">{escape(str(note))}</p>' for note in report.get("notes", [])]

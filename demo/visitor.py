@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from .room import Room, change_time, newest_first, remove, size_of
 
 if TYPE_CHECKING:
+    from phy124.particles.thickness import Proportions
+
     from .line import Job
 
 STAGES = ("cutouts", "objects", "gaussians", "clips", "films", "exports", "studies", "fits")
@@ -31,8 +33,8 @@ class Visitor:
         self.seen = time.time()
         self.forecasts: dict[str, float] = {}
         """Key of a scene -> time forecast by a probe [s]."""
-        self.thickness: dict[str, float | None] = {}
-        """File of an object's Gaussians -> local thickness relative to the object's size."""
+        self.proportions: dict[str, Proportions | None] = {}
+        """File of an object's Gaussians -> proportions of the object."""
         self.jobs: dict[str, Job] = {}
         """The latest jobs by name, in the order of their start."""
         self.shared: dict[str, Path] = {}

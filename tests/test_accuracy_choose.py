@@ -14,6 +14,7 @@ from phy124.accuracy.goal import UNIT
 from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.monitor.tearing import Tearing
+from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
@@ -77,12 +78,14 @@ def test_the_promise_of_a_run_with_a_goal_is_its_own(quick, goal):
     """One error, however it is asked for: not that of other objects."""
     reached = reach(Goal.error(goal), ball(600), quick)
     about = reached.about
-    said = promise(reached.simulation.scene, 0.5, {"goal": about, "complete": True})
+    said = promise(
+        reached.simulation.scene, Proportions(0.5, 0.3), {"goal": about, "complete": True}
+    )
     assert said.of_scene and said.error == about["fraction"]
     assert about["fraction"] == pytest.approx(about["error"] / UNIT[about["unit"]](quick))
     assert said.sentence.startswith("This run is off by about ")
     unknown = about | {"error": None, "fraction": None, "why_not": "not converging"}
-    assert promise(reached.simulation.scene, 0.5, {"goal": unknown}).error is None
+    assert promise(reached.simulation.scene, Proportions(0.5, 0.3), {"goal": unknown}).error is None
 
 
 def test_a_guessed_order_takes_a_small_step(quick, monkeypatch):

@@ -7,6 +7,7 @@ from phy124.accuracy import companion
 from phy124.accuracy.companion import Factors, estimate, forecast, with_own_error
 from phy124.accuracy.promises import promise
 from phy124.errors import Cancelled
+from phy124.particles.thickness import Proportions
 from phy124.pipeline import simulate
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
@@ -51,7 +52,7 @@ def test_own_error_leaves_the_run_unchanged(run, monkeypatch):
         k: v for k, v in clip.report.items() if k not in same
     }
     assert "own error, from D/8" in after.report["effects"]["ran"][-1]
-    told = promise(SCENE, 0.5, after.report)
+    told = promise(SCENE, Proportions(0.5, 0.3), after.report)
     assert told.error == own["at_most"] and told.about == own["about"]
     assert told.sentence.startswith("This run is off by about ")
 
@@ -84,7 +85,7 @@ def test_missing_own_error_has_a_reason(run, monkeypatch, change, why):
         monkeypatch.setattr(companion, "_follow", stop)
     report = with_own_error(simulation, clip, omit=change.get("omit", "")).report
     assert report["error"]["about"] is None and why in report["error"]["why_not"]
-    assert not promise(SCENE, 0.5, report).of_scene
+    assert not promise(SCENE, Proportions(0.5, 0.3), report).of_scene
 
 
 def test_small_runs_have_no_companion(run):

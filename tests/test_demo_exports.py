@@ -32,6 +32,7 @@ from phy124.imaging.grabcut import apply_marks
 from phy124.io.clip import Clip, read_shape
 from phy124.io.formats import FORMATS, read_gaussians
 from phy124.io.html import LICENCE, READER, SCRIPTS, STYLE, VIEWER
+from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 from support.quantisation import many
 
@@ -289,6 +290,7 @@ def _report() -> dict:
         "gaussians": 10,
         "particles": 20,
         "thickness": 0.5,
+        "compliance": 0.3,
         "substeps": 30,
         "device": "cpu",
         "substep_stages": [{"name": "p2g", "seconds": 1.5, "launches": 30}],
@@ -304,7 +306,8 @@ def _report() -> dict:
 
 def test_report_shows_promise_time_effects_and_stability():
     text = as_html(_report(), Scene.named("press").data(), predicted=4.0)
-    promised = f"at most {promise(Scene.named('press'), 0.5).error:.1%} of the object&#x27;s size"
+    error = promise(Scene.named("press"), Proportions(0.5, 0.3)).error
+    promised = f"at most {error:.1%} of the object&#x27;s size"
     for said in (promised, "4.0 s", "3.0 s", "0.700", "2.00 m/s", "colliders", "p2g"):
         assert said in text, said
 
@@ -319,9 +322,9 @@ def test_the_report_says_how_the_object_was_cut_out():
 
 def test_the_report_shows_the_point_reached_among_the_stops():
     scene = Scene.named("press")
-    stops = Estimator().stops(scene, thickness=0.5)
+    stops = Estimator().stops(scene, proportions=Proportions(0.5, 0.3))
     text = as_html(_report(), scene.data(), 4.0, stops)
-    error = promise(scene, 0.5).error
+    error = promise(scene, Proportions(0.5, 0.3)).error
     assert f"this run: 3.0 s, error at most about {error:.1%} of the size" in text
     assert text.count('class="stop"') == 3 and text.count('class="reached"') == 1
     for stop in stops:

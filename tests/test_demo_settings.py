@@ -19,6 +19,7 @@ from phy124.budget.cost import Work, count_substeps
 from phy124.errors import InputError
 from phy124.forces import FORCES
 from phy124.materials import LAWS
+from phy124.particles.thickness import Proportions
 from phy124.rendering.nearest import ROOM
 from phy124.runtime.installation import install_command
 from phy124.scene import Scene, preset_names
@@ -243,12 +244,12 @@ def test_a_page_that_is_not_warmed_up_is_ready_at_once(tmp_path):
 
 def test_accuracy_levels_follow_measurements_of_the_scene():
     forecaster, scene = Estimator(), Scene.named("press").replaced({"accuracy": "draft"})
-    stops = forecaster.stops(scene, thickness=0.5)
+    stops = forecaster.stops(scene, proportions=Proportions(0.5, 0.3))
     assert [stop.name for stop in stops] == ["draft", "standard", "fine"]
     assert stops[0].seconds == forecaster(scene).seconds
     assert sorted(stop.seconds for stop in stops) == [stop.seconds for stop in stops]
     assert stops[0].pixels == pytest.approx(stops[0].error * 512 / ROOM)
-    twice = forecaster.stops(scene, thickness=0.5, seconds=2 * stops[0].seconds)
+    twice = forecaster.stops(scene, proportions=Proportions(0.5, 0.3), seconds=2 * stops[0].seconds)
     assert [b.seconds / a.seconds for a, b in zip(stops, twice, strict=True)] == [2, 2, 2]
     table = stops_table(stops, scene.accuracy)
     assert table.count("<tr") == 3 and table.count("class=chosen") == 1
@@ -262,9 +263,9 @@ def test_what_was_not_measured_is_not_promised():
     assert forecast.promise.error is None
     assert "Expected error: not measured for fluid" in forecast.sentence
     assert (
-        stops_table(Estimator().stops(scene, thickness=0.5), scene.accuracy).count(
-            "error not measured"
-        )
+        stops_table(
+            Estimator().stops(scene, proportions=Proportions(0.5, 0.3)), scene.accuracy
+        ).count("error not measured")
         == 3
     )
 

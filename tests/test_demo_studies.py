@@ -18,6 +18,7 @@ from demo.work import DEVICE, steps, study_file
 from demo.work.limits import Limits
 from phy124.errors import Cancelled, InputError
 from phy124.monitor.tearing import Tearing
+from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 from support.orders import small_order
 
@@ -135,8 +136,8 @@ def test_study_is_offered_where_nothing_was_measured(visit, handlers, monkeypatc
         return handlers.run.with_stops(studio, "a", cutout, data, None, estimate)
 
     drop = Scene.named("drop")
-    assert "whose thickness is not known yet" in shown(drop.replaced({"time.frames": 14}).data())
-    monkeypatch.setattr(studio, "thickness", lambda *about: 0.5)
+    assert "whose proportions are not known yet" in shown(drop.replaced({"time.frames": 14}).data())
+    monkeypatch.setattr(studio, "proportions", lambda *about: Proportions(0.3, 0.3))
     assert "data-measure" not in shown(drop.replaced({"time.frames": 14}).data())
     assert "data-measure" in shown(drop.data())
     before = shown(data)
@@ -165,7 +166,7 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch):
     shown = run.progress.result
     report = handlers.results.report_of(studio, run)
     assert report["sentences"][1]["text"] == "How far it is off has not been measured."
-    assert "not measured for hencky" in report["tables"]
+    assert "not measured for" in report["tables"]
     study = Job("measure", studio.visitors.get("a").new_stop_file())
     studio.visitors.get("a").remember(study)
     shown.study.write_text(_found(0.08, 0.06, 0.04).model_dump_json(), "utf-8")

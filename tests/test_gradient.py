@@ -7,6 +7,7 @@ from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Solver, State
+from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 from phy124.simulation.solver import kernels
 from phy124.studies.validation.bodies import lattice
@@ -43,7 +44,7 @@ def test_stress_gives_no_momentum():
 
 
 def test_no_error_is_promised_that_was_not_measured():
-    said = promise(Scene().replaced({"accuracy.gradient": "spline"}), 0.5)
+    said = promise(Scene().replaced({"accuracy.gradient": "spline"}), Proportions(0.5, 0.3))
     assert said.error is None and said.unmeasured == "accuracy.gradient = spline"
 
 

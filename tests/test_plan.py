@@ -11,7 +11,7 @@ from phy124.commands.plan import PlanOptions
 from phy124.errors import InputError
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
-from phy124.simulation.bodies import thickness_of
+from phy124.simulation.bodies import proportions_of
 from support.shapes import ball
 
 SMALL = ["--frames", "2", "--size", "16", "--views", "front", "--device", "cpu"]
@@ -34,7 +34,7 @@ def test_a_dry_run_says_what_would_run_and_writes_nothing(file, tmp_path, capsys
     assert main([*arguments, "--dry-run"]) == 0
     said = capsys.readouterr().out
     scene = Scene.named("press").replaced({"accuracy": "draft", "time.frames": 2})
-    promised = promise(scene, thickness_of(ball(100), scene))
+    promised = promise(scene, proportions_of(ball(100), scene))
     for words in ("scene: neo_hookean (", "particles, ", "s, likely ", promised.sentence):
         assert words in said
     assert main([*arguments, "--dry-run", "--json"]) == 0

@@ -14,6 +14,7 @@ from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.content import COARSE, centre_means, describe_coarseness, move_back
 from phy124.io.formats import read_as_is, read_gaussians, write_gaussians
 from phy124.io.ply import raw_table, read_ply
+from phy124.particles.thickness import Proportions
 from phy124.pipeline.capture import capture
 from phy124.scene import Scene
 from support.captures import captured
@@ -224,7 +225,9 @@ def test_no_error_is_promised_for_a_file_that_is_too_coarse(tmp_path, kind):
     read = capture(PlyFile(str(far_ply(tmp_path, EARTH, kind))), Scene())
     assert read.about["capture"]["coarse"] == (kind == "f4")
     report = {"capture": read.about["capture"]}
-    assert (promise(Scene.named("drop"), 0.5, report).error is None) == (kind == "f4")
+    assert (promise(Scene.named("drop"), Proportions(0.5, 0.3), report).error is None) == (
+        kind == "f4"
+    )
 
 
 def test_a_single_gaussian_is_not_called_coarse(tmp_path, three_gaussians):

@@ -63,7 +63,7 @@ def make_live(
     from phy124.runtime.context import RunContext
     from phy124.runtime.device import pick_device
     from phy124.scene import parse_changes
-    from phy124.simulation.bodies import thickness_of
+    from phy124.simulation.bodies import proportions_of
 
     refuse_unopened(source)
     # This hides Warp's messages during compilation.
@@ -73,7 +73,7 @@ def make_live(
     scene = scene.replaced({"velocities": velocities})
     context = RunContext(device=device, threads=options.threads)
     if "accuracy" in {name.split(".")[0] for name in parse_changes(options.set)}:
-        promised = promise(scene, thickness_of(gaussians, scene))
+        promised = promise(scene, proportions_of(gaussians, scene))
         said = f"{scene.resolution.cells} cells across the object. {promised.brief}"
         return Live(gaussians, scene, context), said
     encoder = FrameEncoder(messages.live())

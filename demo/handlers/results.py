@@ -13,6 +13,7 @@ from phy124.camera import VIEWS
 from phy124.errors import InputError
 from phy124.io.clip import read_scene, read_shape
 from phy124.io.formats import FORMATS
+from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 
 from ..exports import EXPORTS, export
@@ -156,9 +157,10 @@ def report_of(studio: Studio, job: Job) -> dict[str, Any]:
     done: Done = job.progress.result
     report, study = done.report, read_study(done.study)
     data = read_scene(done.clip / "clip.safetensors")
-    scene, count, thickness = Scene.from_data(data), report["gaussians"], report.get("thickness")
-    stops = studio.forecaster.stops(scene, gaussians=count, thickness=thickness, study=study)
-    promise = promise_of(scene, thickness, study, report)
+    scene, count = Scene.from_data(data), report["gaussians"]
+    proportions = Proportions.of_report(report)
+    stops = studio.forecaster.stops(scene, gaussians=count, proportions=proportions, study=study)
+    promise = promise_of(scene, proportions, study, report)
     return {
         "sentences": summarise(report, promise),
         "finer": _describe_finer(job, stops),

@@ -104,7 +104,7 @@ def with_stops(
         gaussians=studio.count(source),
         seconds=visitor.forecasts.get(key(scene.data())) if visitor else None,
         study=study,
-        thickness=studio.thickness(name, source, scene, extras),
+        proportions=studio.proportions(name, source, scene, extras),
     )
     table = stops_table(stops, scene.accuracy)
     if study is not None:

@@ -57,10 +57,20 @@ RATIO = 0.5
 
 With 5/8 the estimate would be less sharp and cost twice as much (docs/lab/own-error.md).
 """
-HIT, BENT, LOOSE = Factors(0.55, 1.0), Factors(0.65, 1.6), Factors(1.6, 2.4)
-"""Factors of motions that hit or squeeze the object, that bend it, and of fluid and snow."""
-COARSE = 16
-"""Cells of the companion below which the factors grow, as the square root of the cell's width."""
+FACTORS = {
+    "free": Factors(0.27, 0.85),
+    "held": Factors(0.4, 1.3),
+    "squeezed": Factors(0.5, 1.0),
+    "landing": Factors(0.48, 1.4),
+    "standing": Factors(0.55, 2.1),
+    "plasticine": Factors(0.7, 1.7),
+    "sand": Factors(0.85, 1.0),
+    "snow": Factors(0.8, 4.5),
+    "fluid": Factors(1.3, 2.1),
+}
+"""Factors of the laws that were measured by themselves; those of other laws by kind of motion."""
+USUAL_CELLS = 16
+"""Cells of the companion for which the factors hold; they are larger on finer and coarser grids."""
 FLOOR = 2e-4
 """Error, in object sizes, that is always added to the bound."""
 
@@ -151,11 +161,13 @@ def forecast(run: Simulation, particles: float) -> float:
 
 def factors_of(scene: Scene, cells: int) -> Factors:
     """Return the factors for a scene whose companion has this number of cells."""
-    about, at_most = BENT if motion_of(scene) in ("held", "standing") else HIT
-    if any(section.law in ("fluid", "snow") for section in scene.materials):
-        about, at_most = LOOSE
-    scale = max(1.0, COARSE / cells) ** 0.5
-    return Factors(scale * about, scale * at_most)
+    keys = [
+        section.law if section.law in FACTORS else motion_of(scene) for section in scene.materials
+    ]
+    scale = max((cells / USUAL_CELLS) ** 0.5, (USUAL_CELLS / cells) ** 0.25)
+    return Factors(
+        *(scale * max(each) for each in zip(*(FACTORS[key] for key in keys), strict=True))
+    )
 
 
 def estimate(

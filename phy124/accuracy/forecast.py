@@ -33,6 +33,7 @@ from phy124.accuracy.probe import (
 from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
+from phy124.particles.thickness import Proportions
 from phy124.rendering.nearest import ROOM
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import cores
@@ -200,8 +201,8 @@ class Forecast:
     """Reason why the predicted time is only a guess; None if it is not."""
     load: Load = QUIET
     """Load from other programs on this machine when the probes ran."""
-    thickness: float | None = None
-    """Local thickness of the object relative to its size; None in scenes of several objects."""
+    proportions: Proportions | None = None
+    """Proportions of the object; None in scenes of several objects."""
     device: str = "cpu"
     """Device of the run."""
 
@@ -393,7 +394,7 @@ class Forecaster:
             memory=simulation.setup.estimate.memory,
             caveat=_caveat(pilot, limiters),
             load=load or self._meter.load(),
-            thickness=self._thickness(simulation),
+            proportions=self._proportions(simulation),
             device=simulation.device,
         )
 
@@ -405,12 +406,12 @@ class Forecaster:
         chosen = scene.model_copy(update={"accuracy": name})
         key = (id(gaussians), _physics(chosen))
         made: Forecast = self._remember(key, lambda: self.forecast(gaussians, chosen), gaussians)
-        return Stop.of(chosen, made.seconds, promise(chosen, made.thickness), made)
+        return Stop.of(chosen, made.seconds, promise(chosen, made.proportions), made)
 
-    def _thickness(self, simulation: Simulation) -> float | None:
+    def _proportions(self, simulation: Simulation) -> Proportions | None:
         size = simulation.scene.object.size
-        key = ("thickness", size, *_sample(simulation.setup.gaussians))
-        return self._remember(key, lambda: simulation.setup.thickness)
+        key = ("proportions", size, *_sample(simulation.setup.gaussians))
+        return self._remember(key, lambda: simulation.setup.proportions)
 
     def _pilot(self, simulation: Simulation) -> Pilot:
         gaussians, scene, crop = simulation.setup.gaussians, simulation.scene, simulation.setup.crop

@@ -1,66 +1,23 @@
-"""Determines an error bound for a scene ("promise") from measured errors of similar scenes.
+"""The error of a scene or of a run ("promise"), and all messages about errors.
 
-`make accuracy` simulates each material law in each kind of motion, for many objects and several
-grids. It writes the errors, the objects' thickness, and the severity and duration of the scenes to
-measured.json. The severity (`violence`) of a scene is its energy relative to the material's
-stiffness.
-
-The bound is the largest measured error, times a safety factor, for the scene's law and kind of
-motion. Only objects about as thick as the scene's object, or thicker, are considered. The error is
-that on the finest measured grid that is not finer than the scene's grid. The scene must not be more
-severe than the measured scenes. If it lasts longer, the bound holds only for the measured duration.
-If no measured scene is similar, there is no bound: the error is "not measured". A study of the
-scene itself (`phy124 accuracy`) can measure it.
-
-This module contains all messages about errors, for the command line and the page.
+There is one error for each state of knowledge, and `promise` returns it. Before a run it is the
+expectation of a model fitted to many objects (phy124/accuracy/expectation.py). After a run it is
+the run's own error (phy124/accuracy/companion.py), or the error that was measured for a goal. If
+none of them is known, the error is "not measured". A study of the scene (`phy124 accuracy`) can
+measure it.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 from typing import Any
 
-from phy124.accuracy.severity import (
-    Motion,
-    damping,
-    duration,
-    find_difference,
-    length,
-    motion_of,
-    poisson,
-    unit,
-    violence,
-    yielding,
-)
+from phy124.accuracy.expectation import MARGIN, expect
+from phy124.accuracy.severity import duration, length, unit
+from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 
-WORDS: dict[Motion, str] = {
-    "squeezed": "pressed or gripped",
-    "landing": "falling or thrown onto something",
-    "standing": "standing on something",
-    "held": "held at a part of it",
-    "free": "touching nothing",
-}
-"""Kind of motion -> its description in messages."""
-MARGIN = 1.25
-"""Maximum ratio of a scene's duration, severity or `yielding` to the measured value.
-
-It is also the maximum ratio of the measured damping to the scene's damping.
-"""
-NEARBY = 0.02
-"""Maximum excess of Poisson's ratio over the measured value."""
-NEARLY = 0.8
-"""Minimum thickness of measured objects that count as equally thick.
-
-It is relative to the thickness of the scene's object.
-"""
-FEWEST = 6
-"""Minimum number of measured objects for a bound; if too few are thick enough, the thickest are
-used."""
 UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
 """The command that measures a user's own scene."""
@@ -156,52 +113,6 @@ class Promise:
         return "" if self.seconds is None else f" in the first {self.seconds:.2f} s"
 
 
-def _describe_beyond(scene: Scene, laws: Sequence[str]) -> str:
-    """Describe a feature of the scene that no measured scene has; empty if there is none."""
-    if scene.objects:
-        return "scenes of several objects"
-    if len(laws) > 1:
-        return "scenes of several materials"
-    if scene.stiffness is not None or scene.properties is not None:
-        return "materials that vary from point to point"
-    if scene.resolution.gradient != "affine":
-        return f"accuracy.gradient = {scene.resolution.gradient}"
-    if scene.resolution.rpic_damping > 0:
-        return "motion that accuracy.rpic_damping damps"
-    return find_difference(scene)
-
-
-def _describe_harder(scene: Scene, kind: Mapping[str, Any]) -> str:
-    """Describe a property by which a scene is harder to simulate than the measured scenes.
-
-    The result is empty if there is no such property.
-    """
-    if violence(scene) > MARGIN * kind["violence"]:
-        return "with so fast a motion or so soft a material"
-    if yielding(scene) > MARGIN * kind["yielding"]:
-        return "with so large a plastic deformation"
-    if damping(scene) * MARGIN < kind["damping"]:
-        return "with so little damping"
-    if poisson(scene) > kind["nu"] + NEARBY:
-        return f"with Poisson's ratio above {kind['nu']:g}"
-    return ""
-
-
-def _describe_outside(scene: Scene, such: str, kind: Mapping[str, Any]) -> str:
-    """Describe a property of the scene outside the range of the measured scenes of its kind.
-
-    The result is empty if there is no such property.
-    """
-    harder = _describe_harder(scene, kind)
-    if harder:
-        return f"{such} {harder}"
-    if scene.particles_per_axis < kind["particles_per_axis"]:
-        return f"{such} with fewer than {kind['particles_per_axis']:g} particles per cell and axis"
-    if scene.resolution.cells < min(kind["levels"]):
-        return f"{such} on so coarse a grid"
-    return ""
-
-
 def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
     """Return the error or the reason for none in a run's report; None if the report has neither."""
     broken = why_broken(report)
@@ -219,96 +130,27 @@ def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
 
 
 def promise(
-    scene: Scene, thickness: float | None, report: Mapping[str, Any] | None = None
+    scene: Scene, proportions: Proportions | None, report: Mapping[str, Any] | None = None
 ) -> Promise:
     """Return the error bound for a scene.
 
     Args:
         scene: The scene.
-        thickness: Local thickness of the object relative to its size
-            (`phy124.particles.thickness`); None: the object is not known yet.
-        report: The report of the scene's run. It may exclude a bound, or contain the error that was
-            measured for a goal.
+        proportions: Proportions of the object (`phy124.particles.thickness`); None: those in the
+            report, or unknown.
+        report: The report of the scene's run. It may exclude a bound, or contain the error of the
+            run or the error that was measured for a goal.
     """
     if report and (settled := _promise_of_run(report)):
         return settled
-    laws, motion = sorted({section.law for section in scene.materials}), motion_of(scene)
-    such = f"{laws[0]} {WORDS[motion]}"
-    kind = table()["scenes"].get(f"{laws[0]} {motion}")
-    unknown = _describe_beyond(scene, laws) or (
-        _describe_outside(scene, such, kind) if kind else such
-    )
-    if unknown:
-        return _unknown(unknown)
-    if thickness is None:
-        return _unknown("an object whose thickness is not known yet")
-    level = max(cells for cells in kind["levels"] if cells <= scene.resolution.cells)
-    error, count = largest_error(kind, table()["objects"], thickness, level)
-    if error is None:
-        cells = thickness * scene.resolution.cells
-        return _unknown(f"{such} that is so thin ({cells:.1f} cells of this grid)")
-    known, cells = _measured_level(kind, error, level), scene.resolution.cells
-    stays = known < level or level == kind["levels"][-1] < cells
-    finer = f" (D/{cells} has no smaller expected error yet)" if stays else ""
-    error *= table()["safety"]
-    why = (
-        f"Measured at D/{known}{finer} for {such} ({', '.join(kind['from'])}; objects about as "
-        f"thick or thicker: {count})."
-    )
-    if length(scene) <= MARGIN * kind["length"]:
-        return Promise(error, why)
+    expected = expect(scene, proportions or Proportions.of_report(report or {}))
+    if expected.error is None:
+        return _unknown(expected.unmeasured)
+    why = f"Fitted to {expected.objects} measured objects: {expected.such}."
+    if length(scene) <= MARGIN * expected.length:
+        return Promise(expected.error, why)
     why += f" What follows, up to {duration(scene):.2f} s, was not measured."
-    return Promise(error, why, seconds=kind["length"] * unit(scene))
-
-
-def largest_error(
-    kind: Mapping[str, Any], thick: Mapping[str, float], thickness: float, cells: int
-) -> tuple[float | None, int]:
-    """Return the largest error of measured objects that are thick enough, and their number.
-
-    The error of a measured object is its largest error on the grid with `cells` and on finer grids.
-    If it was measured on neither, its error on the finest measured grid is used.
-
-    Args:
-        kind: The measurements of a kind of scene: `levels`, and `errors` of each object per level.
-        thick: Name of a measured object -> its thickness relative to its size.
-        thickness: Thickness of the scene's object relative to its size.
-        cells: One of the levels.
-
-    Returns:
-        The error, None if the scene's object is thinner than all measured objects; and the number
-        of measured objects considered.
-    """
-    errors = {}
-    for name, each in kind["errors"].items():
-        pairs = zip(kind["levels"], each, strict=True)
-        known = [(level, error) for level, error in pairs if error is not None]
-        finer = (error for level, error in known if level >= cells)
-        errors[name] = max(finer, default=known[-1][1])
-    widths = sorted((thick[name] for name in errors), reverse=True)
-    if not widths or thickness < widths[-1]:
-        return None, 0
-    least = min(NEARLY * thickness, widths[min(FEWEST, len(widths)) - 1])
-    near = [error for name, error in errors.items() if thick[name] >= least]
-    return max(near), len(near)
-
-
-def _measured_level(kind: Mapping[str, Any], error: float, cells: int) -> int:
-    """Return the finest level, up to `cells`, of the objects whose errors contain `error`."""
-    return max(
-        level
-        for each in kind["errors"].values()
-        if error in each
-        for level, measured in zip(kind["levels"], each, strict=True)
-        if measured is not None and level <= cells
-    )
-
-
-@cache
-def table() -> dict[str, Any]:
-    """Return the data of measured.json: errors, with the machine and commits that measured them."""
-    file = resources.files("phy124") / "accuracy" / "measured.json"
-    return json.loads(file.read_text("utf-8"))
+    return Promise(expected.error, why, seconds=expected.length * unit(scene))
 
 
 def refuse_promise(why: str) -> Promise:

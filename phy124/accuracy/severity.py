@@ -6,37 +6,45 @@ import math
 from typing import Any, Literal
 
 from phy124.boundaries import Press
+from phy124.forces.held import Grab
 from phy124.materials import AnyMaterial
 from phy124.materials.base import Elastic
 from phy124.scene import Scene
 
-MEASURED_FORCES = ("gravity", "acceleration")
-"""Kinds of forces in the measured scenes; the forces are constant and act on the whole object."""
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "yield_stress"}
 """Fields of a material that may differ from their defaults; these fields affect the severity,
 `yielding`, `damping` or `poisson`."""
 LOOKS = {"tint", "visibility"}
 """Fields of a material that do not affect the motion."""
+FILLED = 0.4
+"""Typical volume of an object, divided by size^3 and its relative thickness."""
+USUAL_THICKNESS = 0.2
+"""Relative thickness of an object whose thickness is unknown."""
 
 
-def violence(scene: Scene) -> float:
+def violence(scene: Scene, thickness: float | None = None) -> float:
     """Return the severity of a scene, its energy relative to the stiffness: 2 e / c^2 + s^2.
 
     2 e is twice the energy per mass (see `energy`). c is the speed of waves in a bar of the
-    object's softest material. s is the fraction of its height by which the object is pressed.
+    object's softest material. s is the fraction of its size by which walls and hands deform it.
+
+    Args:
+        scene: The scene.
+        thickness: Local thickness of the object relative to its size; None: unknown.
     """
     slowest = min(bar_speed(section) for section in scene.materials)
-    return energy(scene) / max(slowest, 1e-9) ** 2 + _squeeze(scene) ** 2
+    return energy(scene, thickness) / max(slowest, 1e-9) ** 2 + _strain(scene) ** 2
 
 
-def yielding(scene: Scene) -> float:
+def yielding(scene: Scene, thickness: float | None = None) -> float:
     """Return the energy relative to the yield stress, 2 e rho / sigma; 0 if no material yields.
 
     2 e is twice the energy per mass (see `energy`). The largest ratio of all materials is returned.
     """
+    supplied = energy(scene, thickness)
     yields = [getattr(section, "yield_stress", math.inf) for section in scene.materials]
     pairs = zip(scene.materials, yields, strict=True)
-    return energy(scene) * max(section.density / max(stress, 1e-9) for section, stress in pairs)
+    return supplied * max(section.density / max(stress, 1e-9) for section, stress in pairs)
 
 
 def damping(scene: Scene) -> float:
@@ -56,17 +64,62 @@ def poisson(scene: Scene) -> float:
     return max(getattr(section, "nu", 0.0) for section in scene.materials)
 
 
-def energy(scene: Scene) -> float:
+def energy(scene: Scene, thickness: float | None = None) -> float:
     """Return twice the energy per mass that a scene may convert to strain [m^2/s^2].
 
-    It is v^2 + 2 a h + a L + p^2: v is the initial speed (with spin), a the acceleration by forces,
-    h the object's lift, L the object's size, and p the speed of presses.
+    It is v^2 + p^2 + 2 a h + sum(min(a L, a^2 t^2)): v is the initial speed (with spin) and the
+    speed that impacts give, p the speed of walls and hands, a the acceleration by forces, t the
+    time for which a force acts, h the object's lift, and L the object's size.
     """
-    body = scene.object
-    pull = sum(math.hypot(*_vector(force)) for force in scene.forces)
-    speed = math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
-    plates = sum(_plate_speed(wall, body.size) for wall in scene.boundaries)
-    return speed**2 + 2 * pull * body.lift + pull * body.size + plates**2
+    bodies, size, end = (scene.object, *scene.objects), scene.object.size, duration(scene)
+    mass = _mass(scene, thickness)
+    lift = max(getattr(body, "lift", 0.0) for body in bodies)
+    speed = max(_speed(body, size) for body in bodies)
+    squares, walls = 0.0, sum(_wall_speed(wall, size, end) for wall in scene.boundaries)
+    for force in scene.acting:
+        if isinstance(force, Grab):
+            walls += force.target().fastest(0.0, end)
+            continue
+        peak = force.track((1.0, 0.0, 0.0)).largest(0.0, end)
+        kick, pull = _effect(force, mass, scene)
+        lasts = max(0.0, (end if force.end is None else min(force.end, end)) - force.start)
+        speed += peak * kick
+        squares += min(peak * pull * size, (peak * pull * lasts) ** 2) + 2 * peak * pull * lift
+    return speed**2 + walls**2 + squares
+
+
+def _speed(body: Any, size: float) -> float:
+    """Return the initial speed of an object, with its spin [m/s]."""
+    spin = math.hypot(*getattr(body, "spin", (0.0,))) * size / 2
+    return math.hypot(*getattr(body, "velocity", (0.0,))) + spin
+
+
+def _effect(force: Any, mass: float, scene: Scene) -> tuple[float, float]:
+    """Return the speed [m/s] and the acceleration [m/s^2] that a force gives at full strength."""
+    size = scene.object.size
+    match force.kind:
+        case "impulse":
+            return math.hypot(*force.p) / mass, 0.0
+        case "set_velocity":
+            return _speed(force, size) + math.hypot(*force.v), 0.0
+        case "force":
+            return 0.0, math.hypot(*force.f) / mass
+        case "particle_force":
+            spacing = size / scene.resolution.cells / scene.particles_per_axis
+            densest = max(section.density for section in scene.materials)
+            return 0.0, math.hypot(*force.f) / (densest * spacing**3)
+        case "wrench":
+            return 0.0, (math.hypot(*force.force) + math.hypot(*force.torque) / size) / mass
+        case "wind":
+            return 0.0, force.rate * math.hypot(*force.v)
+    value = next((getattr(force, name) for name in ("g", "a") if hasattr(force, name)), 0.0)
+    return 0.0, math.hypot(*value) if isinstance(value, tuple) else abs(value)
+
+
+def _mass(scene: Scene, thickness: float | None) -> float:
+    """Return a rough mass of the object [kg], from its size and thickness."""
+    part = FILLED * (thickness or USUAL_THICKNESS)
+    return min(section.density for section in scene.materials) * part * scene.object.size**3
 
 
 def bar_speed(section: AnyMaterial) -> float:
@@ -80,20 +133,7 @@ def bar_speed(section: AnyMaterial) -> float:
 
 
 def find_difference(scene: Scene) -> str:
-    """Describe a feature of the forces, walls or materials that no measured scene has.
-
-    The result is empty if there is no such feature.
-    """
-    for force in scene.acting:
-        if force.kind not in MEASURED_FORCES:
-            return f"a force of the kind {force.kind}"
-        if force.region is not None:
-            return f"{force.kind} on a region"
-        if force.profile.kind != "constant":
-            return f"a force that follows a {force.profile.kind}"
-    for wall in scene.boundaries:
-        if wall.moves and not isinstance(wall, Press):
-            return f"a {wall.kind} that moves"
+    """Describe a value of the materials that no measured scene has; empty if there is none."""
     for section in scene.materials:
         for name, field in type(section).model_fields.items():
             usual = field.get_default(call_default_factory=True)
@@ -102,25 +142,21 @@ def find_difference(scene: Scene) -> str:
     return ""
 
 
-def _plate_speed(wall: Any, size: float) -> float:
-    """Return the largest speed of a press on an object of this size [m/s]; 0 for other walls.
-
-    The position of the press follows a cosine in time.
-    """
-    if not isinstance(wall, Press):
-        return 0.0
-    return math.pi / 2 * wall.depth * size / min(wall.down, wall.up)
+def _wall_speed(wall: Any, size: float, end: float) -> float:
+    """Return the largest speed of a wall [m/s]; that of a press follows a cosine in time."""
+    if isinstance(wall, Press):
+        return math.pi / 2 * wall.depth * size / min(wall.down, wall.up)
+    motion = getattr(wall, "motion", None)
+    return 0.0 if motion is None else motion.track().fastest(0.0, end)
 
 
-def _squeeze(scene: Scene) -> float:
-    """Return the largest distance by which a press compresses the object, in object heights."""
-    return max((wall.depth for wall in scene.boundaries if isinstance(wall, Press)), default=0.0)
-
-
-def _vector(force: Any) -> tuple[float, ...]:
-    """Return the acceleration by a force [m/s^2]; zero for a force without one."""
-    value = next((getattr(force, name) for name in ("g", "a") if hasattr(force, name)), 0.0)
-    return tuple(value) if isinstance(value, tuple) else (float(value),)
+def _strain(scene: Scene) -> float:
+    """Return the largest fraction of its size by which a press or a hand deforms the object."""
+    presses = [wall.depth for wall in scene.boundaries if isinstance(wall, Press)]
+    held = any(wall.holds for wall in scene.boundaries)
+    hands = [force.target() for force in scene.acting if isinstance(force, Grab) and held]
+    drawn = [math.dist(value, hand.keys[0][1]) for hand in hands for _, value in hand.keys]
+    return max([*presses, *(distance / scene.object.size for distance in drawn)], default=0.0)
 
 
 Motion = Literal["squeezed", "landing", "standing", "held", "free"]
@@ -129,7 +165,7 @@ Motion = Literal["squeezed", "landing", "standing", "held", "free"]
 def motion_of(scene: Scene) -> Motion:
     """Return the kind of motion of a scene, from its walls and the object's initial state."""
     walls = [b for b in scene.boundaries if not b.holds]
-    if any(b.moves for b in scene.boundaries):
+    if any(wall.moves for wall in walls):
         return "squeezed"
     if len(walls) < len(scene.boundaries):
         return "held"

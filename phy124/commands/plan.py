@@ -105,7 +105,7 @@ def predict(
         forecast = forecast.with_predicted("generate", effort.seconds, STOOD_IN)
     for name, seconds in reversed(spent.items()):
         forecast = forecast.with_measured(name, seconds)
-    promised = promise(scene, forecast.thickness)
+    promised = promise(scene, forecast.proportions)
     if as_json:
         more = {
             "scene": scene.data(),

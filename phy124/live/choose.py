@@ -11,10 +11,11 @@ from phy124.accuracy.promises import Promise, promise
 from phy124.gaussians import Frame, Gaussians
 from phy124.live.engine import Live
 from phy124.live.limits import check_number
+from phy124.particles.thickness import Proportions
 from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
-from phy124.simulation.bodies import thickness_of
+from phy124.simulation.bodies import proportions_of
 
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32)
 """Cells across the object that may be chosen."""
@@ -84,16 +85,16 @@ def held_rate(
         InputError: The object or the scene cannot be used, or a number is out of bounds.
     """
     rate, context = check_number("rate", rate, 0.01, 100), context or RunContext()
-    thickness = thickness_of(gaussians, scene)
+    proportions = proportions_of(gaussians, scene)
     if max_error is None:
         cost = _trial(gaussians, _on(scene, TRIED), context, shapes, show)
         allowed = SPARE / (scene.time.fps * rate)
         cells = max((n for n in CELLS if cost.on(n) <= allowed), default=CELLS[0])
     else:
-        cells = _exact_enough(scene, thickness, check_number("max_error", max_error, 1e-6, 1))
+        cells = _exact_enough(scene, proportions, check_number("max_error", max_error, 1e-6, 1))
         cost = _trial(gaussians, _on(scene, cells), context, shapes, show)
     chosen = _on(scene, cells)
-    return Choice(chosen, 1 / (scene.time.fps * cost.on(cells)), promise(chosen, thickness))
+    return Choice(chosen, 1 / (scene.time.fps * cost.on(cells)), promise(chosen, proportions))
 
 
 def _on(scene: Scene, cells: int) -> Scene:
@@ -102,10 +103,10 @@ def _on(scene: Scene, cells: int) -> Scene:
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 
 
-def _exact_enough(scene: Scene, thickness: float | None, error: float) -> int:
+def _exact_enough(scene: Scene, proportions: Proportions | None, error: float) -> int:
     """Return the coarsest grid whose error bound is at most `error`; the finest grid if none is."""
     for cells in CELLS:
-        promised = promise(_on(scene, cells), thickness).error
+        promised = promise(_on(scene, cells), proportions).error
         if promised is not None and promised <= error:
             return cells
     return CELLS[-1]

@@ -224,7 +224,9 @@ class Report(TypedDict):
     mass: float
     """Mass of all particles [kg]."""
     thickness: float | None
-    """Local thickness relative to the object's size, exceeded by three quarters of its volume."""
+    """Local thickness relative to the object's size, exceeded by nine tenths of its volume."""
+    compliance: float | None
+    """Deflection of the object as a beam under its weight sideways (docs/lab/own-error.md)."""
     objects: NotRequired[dict[str, Any]]
     """Counts, mass [kg] and position [m] of each object, and poses of free rigid ones."""
     pairs: NotRequired[dict[str, Any]]

@@ -296,7 +296,7 @@ class RunFolder:
         report = {**about, **clip.report, "cleaning": cleaning}
         report |= view_report(clip, scene.view) if self.films else {}
         report["notes"] = [*_source_notes(about), *report["notes"]]
-        report["promise"] = asdict(promise(scene, report["thickness"], report))
+        report["promise"] = asdict(promise(scene, None, report))
         return self._update(report, (), interrupted=interrupted)
 
     def _update(

@@ -30,7 +30,7 @@ from phy124.mpm import FreeBody
 from phy124.particles import Cleaning, Particles, clean, make_particles
 from phy124.particles.lattice import cells_of, lattice_of, points_of, repeat_for_points
 from phy124.particles.solid import Solid, find_interior
-from phy124.particles.thickness import relative_thickness
+from phy124.particles.thickness import Proportions, measure_proportions
 from phy124.scene import Scene, SceneObject
 from phy124.scene.objects import ANY, find_pair
 from phy124.simulation.appearance import Appearance, make_appearance
@@ -109,8 +109,8 @@ def make_body(gaussians: Gaussians, scene: Scene, crop: Crop) -> Body:
     return _join(bodies, scene)
 
 
-def thickness_of(gaussians: Gaussians, scene: Scene) -> float | None:
-    """Return the local thickness of a scene's object relative to its size.
+def proportions_of(gaussians: Gaussians, scene: Scene) -> Proportions | None:
+    """Return the proportions of a scene's object.
 
     Returns None for scenes of several objects.
 
@@ -125,7 +125,7 @@ def thickness_of(gaussians: Gaussians, scene: Scene) -> float | None:
         return None
     placed = _clean_and_place(gaussians.of_object(0), scene, WHOLE)
     interior = find_interior(placed.gaussians.select(placed.belonging))
-    return relative_thickness(interior, scene.object.size)
+    return measure_proportions(interior, scene.object.size)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from phy124.budget.limits import note_stiffest_part
 from phy124.io.clip import Clip
 from phy124.monitor.sleep import Sleep
 from phy124.mpm.timestep import CFL, beside_elastic
+from phy124.particles.thickness import Proportions
 from phy124.simulation import bodies, overlap
 from phy124.simulation.setup import Setup
 
@@ -38,7 +39,7 @@ def report_run(run: Run) -> dict[str, Any]:
         "grains": len(setup.shown) - len(setup.gaussians),
         "particles": len(particles),
         "mass": float(particles.mass.sum()),
-        "thickness": setup.thickness,
+        **dict(zip(Proportions._fields, setup.proportions or (None, None), strict=True)),
         "cleaning": setup.cleaning,
         "notes": _notes(run),
         "unregistered": [*run.scene.unregistered],

@@ -27,7 +27,7 @@ from phy124.mpm import FreeBody
 from phy124.mpm.workers import layers, usable_workers
 from phy124.particles import Particles
 from phy124.particles.solid import Solid
-from phy124.particles.thickness import relative_thickness
+from phy124.particles.thickness import Proportions, measure_proportions
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
 from phy124.scene import Scene
@@ -92,12 +92,12 @@ class Setup:
         return self.appearance.gaussians
 
     @cached_property
-    def thickness(self) -> float | None:
-        """Local thickness of the object relative to its size; None in scenes of several objects."""
+    def proportions(self) -> Proportions | None:
+        """Proportions of the object; None in scenes of several objects."""
         if self.interior is None:
             return None
         with self.context.watch.stage("thickness"):
-            return relative_thickness(self.interior, self.scene.object.size)
+            return measure_proportions(self.interior, self.scene.object.size)
 
     @property
     def subject(self) -> Subject:

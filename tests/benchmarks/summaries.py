@@ -13,9 +13,6 @@ from matplotlib.figure import Figure
 from tables import DOCS, fill_block, markdown
 
 IMAGES = DOCS / "images/results"
-EXPECTED = {"draft": "D/16: 0.2", "standard": "D/32: 0.2"}
-"""Columns of the expected errors of objects whose local thickness is 0.2."""
-MOTIONS = ("landing", "squeezed", "held", "free")
 EXPERIMENTS = "| experiment | in the band | largest miss | control | seconds |"
 FARTHEST = 4.0
 """Half ranges from the middle of a published range to the edge of the plot."""
@@ -79,12 +76,8 @@ def tabulate_times() -> str:
 
 def tabulate_expected_errors() -> str:
     """Return the expected errors by law and kind of motion, at draft and at standard."""
-    heads, *rows = read_table("error-bounds.md", "<!-- promises -->")
-    columns = [heads.index(level) for level in EXPECTED.values()]
-    errors = {(row[0], row[1]): " / ".join(row[i] for i in columns) for row in rows}
-    laws = dict.fromkeys(row[0] for row in rows)
-    table = [[f"`{law}`", *(errors.get((law, each), "") for each in MOTIONS)] for law in laws]
-    return markdown(["material", *MOTIONS], table)
+    heads, *rows = read_table("own-error.md", "<!-- expected -->")
+    return markdown(heads, rows)
 
 
 def tabulate_forecasts() -> str:
@@ -191,8 +184,8 @@ BLOCKS: dict[str, dict[str, Callable[[], str]]] = {
 }
 """Tables of each page of docs/results, by the name of their marks."""
 NUMBERS: dict[str, Callable[[], str]] = {
-    "exceeded": lambda: quote("error-bounds.md", r"The error exceeded (\d+ of \d+) bounds"),
-    "caution": lambda: quote("error-bounds.md", r"In the median the bound is (\w+) times"),
+    "exceeded": lambda: quote("own-error.md", r"before the run: (\d+ of \d+) bounds held"),
+    "caution": lambda: quote("own-error.md", r"in the median ([\d.]+) times the error"),
     "speed-up": lambda: quote("benchmarks.md", r"\| \| 16 \| [\d,]+ \| ([\d.]+) \|"),
     "process": lambda: compute_memory(process=True),
     "particle": lambda: compute_memory(process=False),

@@ -1,9 +1,9 @@
-"""The zoo: objects in scenes on several grids, to measure errors and to check what is told of them.
+"""The zoo: objects in scenes on several grids, to measure errors and to fit the expected errors.
 
-`measure` adds a row to zoo.jsonl for each object and scene that has none, so it can be stopped and
-started again; a slice ends after some minutes. `table` rewrites docs/lab/own-error.md:
+This script adds a row to zoo.jsonl for each object and scene that has none, so it can be stopped
+and started again; a slice ends after some minutes:
 
-    nice python tests/benchmarks/zoo.py measure --objects ../shared/objects --minutes 50
+    nice python tests/benchmarks/zoo.py --objects ../shared/objects --minutes 50
 
 A row has the distances of all pairs of grids in each frame. The finest grid, at least twice as fine
 as the one that is judged, is the truth. Objects are the files of a folder, which stand on -y, the
@@ -20,7 +20,7 @@ from collections.abc import Callable
 from functools import cache
 from itertools import combinations, product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -29,33 +29,29 @@ from numpy.typing import NDArray
 from trimesh import Trimesh, creation
 
 from phy124 import pipeline
-from phy124.accuracy.companion import FLOOR, RATIO, estimate, factors_of
-from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.mesh import mesh
 from phy124.io.clip import Clip
 from phy124.io.formats import read_gaussians
-from phy124.particles.solid import ACROSS, find_solid
-from phy124.particles.thickness import local_thickness
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
+from phy124.simulation.bodies import proportions_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from presets import beginning
-from tables import DOCS, markdown, processor, replace_block
+from tables import processor
 
 ROOT = Path(__file__).parents[2]
 ROWS = Path(__file__).with_suffix(".jsonl")
 GRIDS = {"draft": (8, 16, 32), "standard": (10, 16, 20, 32, 64), "fine": (24, 48, 96)}
 """Name -> cells across the object: companions, the grid that is judged, and last the truth."""
 COLOUR = (0.6, 0.4, 0.3)
-QUANTILES = (0.05, 0.1, 0.25, 0.5)
-"""Fractions of the volume of which the local thickness is measured."""
 TOP = {"lower": (-1e9, -1e9, 0.5)}
 PUSH = {"kind": "acceleration", "a": (0.0, 6.0, 0.0), "end": 0.15, "region": TOP}
 Change = dict[str, Any]
+Row = dict[str, Any]
 SCENES: dict[str, tuple[str, Change]] = {
     **{name: (name, {}) for name in ("press", "drop", "sway", "spin", "bounce", "collide")},
     "wind": ("wind", {"binding": "lattice"}),
@@ -66,6 +62,65 @@ SCENES: dict[str, tuple[str, Change]] = {
     "fluid drop": ("drop", {"material": {"law": "fluid"}}),
 }
 """Name -> preset and changes to its beginning."""
+HAND = {"kind": "grab", "point": (0, 0, 0.8), "radius": 0.3, "times": (0, 0.3)}
+HAND |= {"targets": ((0, 0, 0.8), (0, 0.25, 0.8)), "strength": 400.0, "damping": 50.0}
+TOUCH = {"kind": "grab", "point": (0, 0, 0.5), "radius": 0.5, "times": (0, 0.3)}
+TOUCH |= {"targets": ((0, 0, 0.5), (0, 0.3, 0.7)), "strength": 3000.0, "damping": 300.0}
+SWING = {"kind": "swing", "amplitude": (0, 0.05, 0), "frequency": 2.0}
+RAM = {"kind": "path", "times": (0, 0.4), "points": ((0, 0, 0), (0, 0.5, 0))}
+WALL = {"kind": "half_space", "point": (0, -0.5, 0), "normal": (0, 1, 0), "motion": RAM}
+
+
+def law(preset: str, name: str) -> tuple[str, Change]:
+    """Return a preset with another law, which has its default values."""
+    return preset, {"material": {"law": name}}
+
+
+def forces(preset: str, *forces: Change, gravity: bool = False) -> tuple[str, Change]:
+    """Return a preset with other forces."""
+    return preset, {"forces": [*([{"kind": "gravity"}] if gravity else []), *forces]}
+
+
+VARIANTS: dict[str, tuple[str, Change]] = {
+    "soft drop": ("drop", {"material.E": 5e4}),
+    "high drop": ("drop", {"object.lift": 0.9}),
+    "undamped drop": ("drop", {"material.damping": 0.0}),
+    "soft press": ("press", {"material.E": 1e4}),
+    "fast press": ("press", {"boundaries.1.down": 0.08}),
+    "slight press": ("press", {"boundaries.1.depth": 0.15}),
+    "soft sway": ("sway", {"material.E": 4e4}),
+    "damped sway": ("sway", {"material.damping": 50.0}),
+    "soft spin": ("spin", {"material.E": 2.5e4}),
+    "stiff spin": ("spin", {"material.E": 1e6, "material.damping": 100.0}),
+    "long sway": ("sway", {"time.frames": 41}),
+    "long drop": ("drop", {"time.frames": 41}),
+    "long spin": ("spin", {"time.frames": 41}),
+    "gusts": ("wind", {"binding": "lattice", "forces.0.v": (0, 10, 0)}),
+    "hard": ("bounce", {"material.nu": 0.45}),
+    "pulled": forces("sway", HAND),
+    "lifted": forces("drop", TOUCH, gravity=True),
+    "thrown": forces("spin", {"kind": "impulse", "p": (0, 30, 0), "region": TOP}),
+    "set off": forces("sway", {"kind": "set_velocity", "v": (0, 1.0, 0), "end": 0.05}),
+    "twisted": forces("sway", {"kind": "wrench", "force": (0, 0, 0), "torque": (0, 0, 10.0)}),
+    "loaded": forces("sway", {"kind": "force", "f": (0, 30, 0), "region": TOP}),
+    "blown": forces("drop", {"kind": "zone", "a": (0, 12, 0)}, gravity=True),
+    "drawn": forces("drop", {"kind": "attraction", "g": 10.0, "centre": (0, 0.6, 0.6)}),
+    "shaken": ("sway", {"forces": [], "boundaries.0.motion": SWING}),
+    "rammed": ("drop", {"object.lift": 0.0, "boundaries": [{"kind": "ground"}, WALL]}),
+    "metal drop": law("drop", "metal"),
+    "metal press": law("press", "metal"),
+    "foam drop": law("drop", "foam"),
+    "foam press": law("press", "foam"),
+    "plasticine drop": law("drop", "plasticine"),
+    "sand press": law("press", "sand"),
+    "snow press": law("press", "snow"),
+    "fluid press": law("press", "fluid"),
+    "hencky drop": law("drop", "hencky"),
+    "corotated sway": law("sway", "fixed_corotated"),
+    "loose particles": ("drop", {"binding": "particles"}),
+}
+"""Further scenes, for coarse grids, which show how errors depend on the values of a scene."""
+ALL = {**SCENES, **VARIANTS}
 
 
 def ball(radius: float, *centre: float) -> Trimesh:
@@ -137,7 +192,7 @@ def gaussians_of(name: str, path: Path | None) -> Gaussians:
 
 def scene_of(name: str, solver: str = "mpm") -> Scene:
     """Return a scene of the zoo for a solver of elastic bodies."""
-    preset, changes = SCENES[name]
+    preset, changes = ALL[name]
     return beginning(preset).replaced({**changes, "accuracy": {"solver": solver}})
 
 
@@ -179,17 +234,6 @@ def measured(gaussians: Gaussians, base: Scene, levels: tuple[int, ...]) -> dict
     return {"runs": runs, "levels": whole, "apart": apart(clips, base.object.size)}
 
 
-def thicknesses(gaussians: Gaussians) -> list[float]:
-    """Return quantiles of the local thickness of an object, relative to its size."""
-    scene = beginning("spin")
-    shape = find_solid(_placed(gaussians, scene), scene.object.size / ACROSS)
-    return [round(local_thickness(shape, part) / scene.object.size, 4) for part in QUANTILES]
-
-
-def _placed(gaussians: Gaussians, scene: Scene) -> Gaussians:
-    return prepare(gaussians, scene.replaced({"accuracy.cells": 8})).gaussians
-
-
 @cache
 def commit() -> str:
     """Return the commit of the code that runs."""
@@ -197,7 +241,7 @@ def commit() -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def rows() -> list[dict[str, Any]]:
+def rows() -> list[Row]:
     """The rows that were measured."""
     return [json.loads(line) for line in ROWS.read_text().splitlines()] if ROWS.exists() else []
 
@@ -222,7 +266,7 @@ def measure(args: argparse.Namespace) -> None:
         try:
             if name not in made:
                 gaussians = gaussians_of(name, known[name])
-                made[name] = gaussians, thicknesses(gaussians)
+                made[name] = gaussians, proportions_of(gaussians, beginning("spin"))
             result = measured(made[name][0], scene_of(words, args.solver), GRIDS[args.grids])
         except InputError as refusal:
             print(f"{name} {words}: {refusal}", file=sys.stderr)
@@ -232,7 +276,7 @@ def measure(args: argparse.Namespace) -> None:
             "scene": words,
             "solver": args.solver,
             "grids": args.grids,
-            "thickness": made[name][1],
+            "proportions": [round(value, 4) for value in made[name][1]],
             **result,
             "machine": processor(),
             "date": time.strftime("%Y-%m-%d"),
@@ -243,126 +287,18 @@ def measure(args: argparse.Namespace) -> None:
         print(f"{name} {words}", flush=True)
 
 
-class Pair(NamedTuple):
-    """An object in a scene on a grid: its error, and what its run and the scene tell of it."""
-
-    grids: str
-    scene: str
-    object: str
-    error: float
-    distance: float
-    """RMS distance from the companion, in object sizes."""
-    at_most: float
-    """Bound that the run tells for itself."""
-    before: float | None
-    """Bound that was told before the run; None: not measured."""
-    until: float | None
-
-
-def pair_of(row: dict[str, Any]) -> Pair | None:
-    """Return the pair of a row; None without an error, such as for a torn grid."""
-    *_, grid, truth = GRIDS[row["grids"]]
-    coarse, scene = round(RATIO * grid), scene_of(row["scene"], row["solver"])
-    runs = [run for run in row["runs"] if run["cells"] in (coarse, grid, truth)]
-    if any(run["torn"] or not run["complete"] for run in runs):
-        return None
-    apart = dict(zip(combinations(row["levels"], 2), map(np.array, row["apart"]), strict=True))
-    distances, errors = apart[coarse, grid], apart[grid, truth]
-    times = np.arange(len(distances)) / scene.time.fps
-    _, at_most, until = estimate(distances, times, factors_of(scene, coarse))
-    if at_most is None:
-        return None
-    count = len(times) if until is None else int(np.searchsorted(times, until - 1e-9))
-    distance, error = (float(np.sqrt((d[:count] ** 2).mean())) for d in (distances, errors))
-    told = promise(scene.replaced({"accuracy": row["grids"]}), row["thickness"][2])
-    return Pair(
-        row["grids"], row["scene"], row["object"], error, distance, at_most, told.error, until
-    )
-
-
-def leave_out(pairs: list[Pair]) -> list[float]:
-    """Return error / bound of each pair, with a bound fitted to all other objects."""
-    ratios = np.array([pair.error / (pair.at_most - FLOOR) for pair in pairs])
-    names = np.array([pair.object for pair in pairs])
-    return [
-        pair.error
-        / (np.quantile(ratios[names != pair.object], 0.95) * (pair.at_most - FLOOR) + FLOOR)
-        for pair in pairs
-    ]
-
-
-def summary(title: str, pairs: list[Pair]) -> list[str]:
-    """Return a line of the page's table."""
-    ratios = np.array([pair.error / pair.at_most for pair in pairs])
-    rest = np.array(leave_out(pairs)) if len(pairs) > 9 else np.array([np.nan])
-    known = [pair for pair in pairs if pair.before is not None]
-    before = np.array([pair.error / (pair.before or np.inf) for pair in known])
-    broken = [pair for pair in known if pair.error > (pair.before or np.inf)]
-    seen = sum(pair.at_most > (pair.before or np.inf) for pair in broken)
-    return [
-        title,
-        f"{len(pairs)} ({len({pair.object for pair in pairs})})",
-        f"{np.mean(ratios <= 1):.0%}",
-        f"{np.mean(rest <= 1):.0%}" if len(pairs) > 9 else "-",
-        f"{np.median(1 / ratios):.1f}",
-        f"{ratios.max():.1f}",
-        f"{np.mean(before <= 1):.0%} of {len(known)}" if known else "not measured",
-        f"{np.median(1 / before):.1f}" if known else "-",
-        f"{seen} of {len(broken)}",
-    ]
-
-
-def table(_: argparse.Namespace) -> None:
-    """Rewrite the table and the plot of docs/lab/own-error.md."""
-    import matplotlib.pyplot as plt  # the extra `plots`
-
-    known = rows()
-    pairs = [pair for pair in map(pair_of, known) if pair is not None]
-    lines = []
-    for grids in GRIDS:
-        group = [pair for pair in pairs if pair.grids == grids]
-        lines += [summary(f"**{grids}**", group)] if group else []
-        for name in SCENES:
-            each = [pair for pair in group if pair.scene == name]
-            lines += [summary(f"{grids}: {name}", each)] if len(each) > 2 else []
-    heads = ["pairs", "pairs (objects)", "held", "held, left out", "told / true", "worst"]
-    heads += ["before: held", "before: told / true", "broken promises foreseen"]
-    days, where = {row["date"] for row in known}, {row["machine"] for row in known}
-    parted = sum(pair.until is not None for pair in pairs)
-    text = (
-        f"Measured on {' and '.join(sorted(where))}; {' to '.join(sorted(days))}. "
-        f"{len(known)} rows, {len(pairs)} with an error; "
-        f"in {parted} of them the grids part before the end."
-    )
-    replace_block(DOCS / "lab/own-error.md", "zoo", f"{markdown(heads, lines)}\n\n{text}")
-    figure, axes = plt.subplots(figsize=(6, 5))
-    for grids in GRIDS:
-        group = [pair for pair in pairs if pair.grids == grids]
-        axes.loglog([p.error for p in group], [p.at_most for p in group], ".", label=grids)
-    ends = np.array([1e-5, 0.3])
-    axes.loglog(ends, ends, "k-", lw=1, label="told = true")
-    axes.loglog(ends, 2 * ends, "k:", lw=1, label="told = 2 x true")
-    axes.set(xlabel="true error [object sizes]", ylabel="told: at most [object sizes]")
-    axes.legend()
-    figure.savefig(DOCS / "images/results/own-error.png", dpi=110, bbox_inches="tight")
-
-
 def main() -> None:
-    """Measure what is missing, or rewrite the page."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    commands = parser.add_subparsers(required=True)
-    commands.add_parser("table", help="rewrite the page").set_defaults(run=table)
-    how = commands.add_parser("measure", help="add rows")
-    how.set_defaults(run=measure)
+    """Measure what is missing."""
+    how = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     how.add_argument("--objects", type=Path, help="folder of .splat files")
     how.add_argument("--names", nargs="+", help="names of objects; default all")
-    how.add_argument("--scenes", nargs="+", default=list(SCENES), choices=list(SCENES))
+    how.add_argument("--scenes", nargs="+", default=list(SCENES), choices=list(ALL))
     how.add_argument("--solver", default="mpm", choices=("mpm", "lattice"))
     how.add_argument("--grids", default="standard", choices=list(GRIDS))
     how.add_argument("--minutes", type=float, default=50)
-    args = parser.parse_args()
+    args = how.parse_args()
     wp.config.log_level = wp.LOG_ERROR
-    args.run(args)
+    measure(args)
 
 
 if __name__ == "__main__":

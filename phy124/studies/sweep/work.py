@@ -263,7 +263,7 @@ def _make_clip(order: Order, source: Made, storage: Storage, context: RunContext
             recording.leave()
             raise
         recording.discard()
-    promised = promise(scene, report["thickness"], report)
+    promised = promise(scene, None, report)
     return {
         "status": "done" if report["complete"] else "stopped",
         "sentence": report["stopped"],

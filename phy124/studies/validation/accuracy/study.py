@@ -29,6 +29,7 @@ from phy124.io.clip import Clip
 from phy124.monitor.diagnostics import Diagnostics, diagnose
 from phy124.monitor.dissipation import Loss, split_seconds
 from phy124.monitor.tearing import Tearing
+from phy124.particles.thickness import Proportions
 from phy124.progress import Progress
 from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure, is_stop
@@ -171,7 +172,7 @@ class Study:
     def __post_init__(self) -> None:
         self._forecaster = Forecaster(self.context)
         self._splits = self.thorough and _can_split(self.scene)
-        self._thickness: float | None = None
+        self._proportions: Proportions | None = None
 
     def run(self) -> Report:
         """Run all settings.
@@ -263,7 +264,7 @@ class Study:
         """
         context = replace(self.context.aside(), progress=progress)
         simulation = Simulation(prepare(self.gaussians, scene, context, crop=self.crop))
-        self._thickness = self._thickness or simulation.setup.thickness
+        self._proportions = self._proportions or simulation.setup.proportions
         predicted = self._forecast(simulation) if self.thorough else None
         before = diagnose(simulation.solver)
         clip = simulation.run()
@@ -335,7 +336,7 @@ class Study:
             convergence,
             size,
             recommend(judged, convergence, (frames - 1, len(times) - 1)),
-            kept_promises(self.scene, self._thickness, judged, convergence, until),
+            kept_promises(self.scene, self._proportions, judged, convergence, until),
             until=until,
             closest=float(finest[0, 1]) / size if len(clips) > 1 else None,
         )
@@ -345,7 +346,7 @@ class Study:
     ) -> Report:
         """Return the report without errors, with the reason."""
         none, size = Convergence(None, why_not=why), self.scene.object.size
-        promises = kept_promises(self.scene, self._thickness, tuple(rows), none)
+        promises = kept_promises(self.scene, self._proportions, tuple(rows), none)
         return Report(tuple(rows), skipped, none, size, why, promises)
 
     def _compare(
@@ -468,7 +469,7 @@ def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int,
 
 def kept_promises(
     scene: Scene,
-    thickness: float | None,
+    proportions: Proportions | None,
     rows: tuple[Row, ...],
     convergence: Convergence,
     until: float | None = None,
@@ -477,7 +478,7 @@ def kept_promises(
 
     Args:
         scene: The scene.
-        thickness: Local thickness of the object relative to its size; None if unknown.
+        proportions: Proportions of the object; None if unknown.
         rows: The settings that were run.
         convergence: The convergence of the levels.
         until: Time up to which the errors hold [s]; None: the whole motion.
@@ -492,7 +493,7 @@ def kept_promises(
         elif convergence.error is None or row.error is None:
             sentences[name] = f"cannot be judged: {convergence.why_not}"
         else:
-            promised = promise(scene.model_copy(update={"accuracy": name}), thickness)
+            promised = promise(scene.model_copy(update={"accuracy": name}), proportions)
             sentences[name] = check_promise(promised, row.error, until)
     return sentences
 

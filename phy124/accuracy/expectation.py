@@ -1,0 +1,239 @@
+"""Predicts the error of a scene before it runs, from a model fitted to measured errors.
+
+The logarithm of the error bound is linear in the logarithms of a few properties of the scene, of
+its grid and of its object (`properties`). The coefficients are sums over the groups to which the
+scene belongs (`groups`), such as its kind of motion and its material law. tests/benchmarks/zoo.py
+measures the errors, and tests/benchmarks/expectations.py fits the model and writes measured.json.
+
+A scene has a prediction only within the range of the measured scenes of its law and kind of motion.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import resources
+from typing import Any, NamedTuple
+
+from phy124.accuracy.severity import (
+    Motion,
+    damping,
+    find_difference,
+    length,
+    motion_of,
+    poisson,
+    violence,
+    yielding,
+)
+from phy124.materials.elastic import Springy
+from phy124.particles.thickness import Proportions
+from phy124.scene import Scene
+
+WORDS: dict[Motion, str] = {
+    "squeezed": "pressed or gripped",
+    "landing": "falling or thrown onto something",
+    "standing": "standing on something",
+    "held": "held at a part of it",
+    "free": "touching nothing",
+}
+"""Kind of motion -> its description in messages."""
+MARGIN = 1.25
+"""Maximum ratio by which a scene may exceed the measured range of a property."""
+NEARBY = 0.02
+"""Maximum excess of Poisson's ratio over the measured value."""
+HARDER = {
+    "violence": "with so fast a motion or so soft a material",
+    "yielding": "with so large a plastic deformation",
+}
+"""Property -> description of scenes whose value exceeds the measured range."""
+THINNEST = 0.7
+"""Thickness, in cells, below which an object does not become harder to resolve."""
+SOLID = Proportions(thickness=1.0, compliance=0.1)
+"""Proportions of an object that no grid is too coarse for."""
+STIFFEST, SOFTEST = 0.02, 100.0
+"""Range of compliances that make a difference."""
+
+
+class Expectation(NamedTuple):
+    """The predicted error of a scene, or the reason why there is none."""
+
+    error: float | None
+    """Bound on the RMS distance of the Gaussians from the exact motion, in object sizes."""
+    unmeasured: str = ""
+    """The kind of scene that was not measured."""
+    such: str = ""
+    """Law and kind of motion, in words."""
+    objects: int = 0
+    """Number of measured objects of this law and kind of motion."""
+    length: float = math.inf
+    """Longest measured duration, in units of sqrt(size / 9.81 m/s^2)."""
+
+
+def law_of(scene: Scene) -> str:
+    """Return the name of a scene's law; "elastic" for the laws without flow."""
+    sections = scene.materials
+    laws = {"elastic" if isinstance(each, Springy) else each.law for each in sections}
+    return " and ".join(sorted(laws))
+
+
+def kind_of(scene: Scene) -> str:
+    """Return the law and the kind of motion of a scene, such as "elastic landing"."""
+    return f"{law_of(scene)} {motion_of(scene)}"
+
+
+def groups(scene: Scene) -> list[str]:
+    """Return the names of the groups of a scene, whose coefficients are added."""
+    motion, law = motion_of(scene), law_of(scene)
+    names = ["all", motion, law, f"{law} {motion}", *features(scene)]
+    return [*names, "several objects"] if scene.objects else names
+
+
+def features(scene: Scene) -> list[str]:
+    """Return the special features of a scene, which must have been measured."""
+    forces = [force for force in scene.acting if force.kind not in ("gravity", "acceleration")]
+    names = {f"a force of the kind {force.kind}" for force in forces}
+    if any(force.region is not None for force in scene.acting):
+        names.add("a force on a region")
+    for wall in scene.boundaries:
+        if wall.moves and wall.kind != "press":
+            names.add("a clamp that moves" if wall.holds else "a wall that moves")
+    if scene.binding == "particles":
+        names.add("binding = particles")
+    if scene.resolution.on_lattice:
+        names.add("accuracy.solver = lattice")
+    return sorted(names)
+
+
+def properties(scene: Scene, proportions: Proportions) -> dict[str, float]:
+    """Return the properties of a scene that determine its error.
+
+    Args:
+        scene: The scene.
+        proportions: Proportions of its object.
+    """
+    cells, thickness = scene.resolution.cells, proportions.thickness
+    return {
+        "cells": float(cells),
+        "thickness": max(thickness * cells, THINNEST),
+        "compliance": min(max(proportions.compliance, STIFFEST), SOFTEST),
+        "violence": violence(scene, thickness),
+        "yielding": yielding(scene, thickness),
+        "damping": damping(scene),
+        "nu": poisson(scene),
+        "length": length(scene),
+    }
+
+
+def regressors(values: Mapping[str, float]) -> dict[str, float]:
+    """Return the terms of the linear model from the properties of a scene."""
+    return {
+        "one": 1.0,
+        "cells": math.log(values["cells"] / 32),
+        "thickness": math.log(values["thickness"] / 5),
+        "compliance": math.log(values["compliance"] / 0.5),
+        "violence": math.log(max(values["violence"], 1e-4) / 0.1),
+        "yielding": math.log1p(values["yielding"]),
+        "damping": math.log1p(values["damping"] / 0.01),
+        "nu": -math.log1p(-2 * min(values["nu"], 0.495)),
+        "length": math.log(values["length"] / 2),
+    }
+
+
+def expect(
+    scene: Scene, proportions: Proportions | None, model: Mapping[str, Any] | None = None
+) -> Expectation:
+    """Predict the error bound of a scene.
+
+    Args:
+        scene: The scene.
+        proportions: Proportions of its object; None: unknown.
+        model: The coefficients and the measured ranges; None: those of measured.json.
+    """
+    model = model or table()
+    law, motion = law_of(scene), motion_of(scene)
+    such, measured = f"{law} {WORDS[motion]}", model["kinds"].get(f"{law} {motion}")
+    unknown = _describe_beyond(scene, model["features"])
+    if unknown or measured is None:
+        return Expectation(None, unknown or such)
+    values = properties(scene, proportions or SOLID)
+    outside = _describe_outside(scene, values, measured)
+    if outside:
+        return Expectation(None, f"{such} {outside}")
+    if proportions is None:
+        return Expectation(None, "an object whose proportions are not known yet")
+    # A coarser grid is never expected to err less than the finest one that was measured.
+    finest = measured["cells"][1]
+    grids = [
+        values | {"cells": cells, "thickness": max(proportions.thickness * cells, THINNEST)}
+        for cells in (min(values["cells"], finest), finest)
+    ]
+    names = groups(scene)
+    error = max(predict(model["coefficients"], names, _clamp(each, measured)) for each in grids)
+    return Expectation(error, "", such, measured["objects"], measured["length"][1])
+
+
+def predict(
+    coefficients: Mapping[str, Mapping[str, float]], names: list[str], values: Mapping[str, float]
+) -> float:
+    """Return the error bound of a scene with these groups and properties, in object sizes."""
+    terms = regressors(values)
+    each = (coefficients.get(name, {}) for name in names)
+    return math.exp(sum(c * terms[term] for group in each for term, c in group.items()))
+
+
+def _clamp(values: Mapping[str, float], measured: Mapping[str, Any]) -> dict[str, float]:
+    """Return the properties within the measured range, so that the model never extrapolates."""
+    return {
+        name: min(max(value, measured[name][0]), measured[name][1])
+        for name, value in values.items()
+    }
+
+
+def _describe_beyond(scene: Scene, known: Sequence[str]) -> str:
+    """Describe a feature of the scene that is not among the known ones; empty if there is none."""
+    if len({section.law for section in scene.materials}) > 1:
+        return "scenes of several laws"
+    if scene.stiffness is not None or scene.properties is not None:
+        return "materials that vary from point to point"
+    accuracy = scene.resolution
+    if accuracy.rpic_damping > 0:
+        return "motion that accuracy.rpic_damping damps"
+    for name in ("gradient", "liquid"):
+        if getattr(accuracy, name) != type(accuracy).model_fields[name].default:
+            return f"accuracy.{name} = {getattr(accuracy, name)}"
+    new = [name for name in groups(scene)[4:] if name not in known]
+    return new[0] if new else find_difference(scene)
+
+
+def _describe_outside(
+    scene: Scene, values: Mapping[str, float], measured: Mapping[str, Any]
+) -> str:
+    """Describe a property of the scene outside the measured range, empty if there is none.
+
+    Only values that make the error larger count, since others are replaced by the nearest
+    measured value.
+    """
+    for name, words in HARDER.items():
+        if values[name] > MARGIN * measured[name][1]:
+            return words
+    if values["damping"] * MARGIN < measured["damping"][0]:
+        return "with so little damping"
+    if values["nu"] > measured["nu"][1] + NEARBY:
+        return f"with Poisson's ratio above {measured['nu'][1]:g}"
+    if scene.particles_per_axis < measured["particles_per_axis"]:
+        least = measured["particles_per_axis"]
+        return f"with fewer than {least:g} particles per cell and axis"
+    if values["cells"] < measured["cells"][0]:
+        return "on so coarse a grid"
+    if values["thickness"] * MARGIN < measured["thickness"][0]:
+        return f"that is so thin ({values['thickness']:.1f} cells of this grid)"
+    return ""
+
+
+@cache
+def table() -> dict[str, Any]:
+    """Return measured.json: the coefficients, the measured ranges, and what measured them."""
+    file = resources.files("phy124") / "accuracy" / "measured.json"
+    return json.loads(file.read_text("utf-8"))
