@@ -5,7 +5,7 @@ surface point and follows the point along the surface. The weights of the pair a
 point, minus those of the place, so that an impulse along the surface's normal acts on both parts on
 one line, with opposite signs. It is found like the impulses of walls.
 
-Pairs are listed again when a part has moved by 0.4 cells relative to the whole body. A sample
+Pairs are listed again when a part has moved by 0.6 cells relative to the whole body. A sample
 of the surface shows whether parts are near each other; if not, nothing else is computed.
 """
 
@@ -27,9 +27,9 @@ from phy124.mpm.model import Model
 from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
-SAMPLED, MOVED = 1.0, 0.4
+SAMPLED, MOVED = 1.5, 0.6
 """Distance of sampled points, and relative way after which parts are compared again [cells]."""
-FAR, REACH, SIDEWAYS = 2.2, 1.25, 0.75
+FAR, REACH, SIDEWAYS = 3.0, 1.4, 0.75
 """Distance of sampled points, and of points and their distance along the surface, within which they
 may meet [cells].
 """
@@ -37,6 +37,10 @@ APART, FACING = 3.0, 1.0
 """Distance at rest from which two points belong to different parts; and depth from which each is in
 front of the other one at rest, across a gap [cells].
 """
+SLID = 0.4
+"""Way of a point along the surface of the other part after which pairs are listed again [cells]."""
+NEARER = 0.6
+"""Largest distance of sampled points that may meet, relative to their distance at rest."""
 OPPOSED = -0.2
 """Largest cosine between the normals of parts that meet."""
 FLAT = 0.05
@@ -101,6 +105,8 @@ class SelfContact:
             [self._x],
         )
         self._seen: NDArray[np.float64] = surface.x[self._sample]
+        self._flagged: NDArray[np.bool_] = np.zeros(len(self._sample), bool)
+        """Sampled points near which pairs were listed."""
 
     def record(self) -> list[Named]:
         """Return the stages that apply the previous impulses, and correct them."""
@@ -156,12 +162,20 @@ class SelfContact:
         self._seen = x
         near = KDTree(x).query_pairs(FAR * self._model.dx, output_type="ndarray")
         near = near[self._may_meet(*self._sample[near].T)]
-        if len(near):
-            flagged: NDArray[np.bool_] = np.zeros(len(self._sample), bool)
-            flagged[near] = True
+        a, b = near.T
+        still = self._surface.x[self._sample]
+        now, rest = (np.linalg.norm(values[a] - values[b], axis=1) for values in (x, still))
+        near = near[now < NEARER * rest]
+        flagged: NDArray[np.bool_] = np.zeros(len(self._sample), bool)
+        flagged[near] = True
+        if not len(near):
+            self._points, self._flagged = self._points[:0], flagged
+            return
+        shift = self._pairs["shift"].numpy()[: len(self._points)]
+        slid = np.abs(shift).max(initial=0.0) > SLID * self._model.dx
+        if slid or (flagged & ~self._flagged).any():
+            self._flagged = flagged
             self._list(*self._partners(np.flatnonzero(flagged[self._nearest])))
-        elif len(self._points):
-            self._points = self._points[:0]
 
     def _may_meet(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return whether points [K] and [K] belong to parts that may meet."""
@@ -177,10 +191,10 @@ class SelfContact:
         nodes, weights = surface.nodes[points], surface.weights[points]
         u = self._nodes.u.numpy()[nodes].astype(np.float64)
         slopes = self._slopes[points]
-        x = surface.x[points] + (weights[:, None] @ u)[:, 0]
-        F = np.eye(3) + np.swapaxes(u, 1, 2) @ slopes
+        x = surface.x[points] + np.einsum("pk,pki->pi", weights, u)
+        F = np.eye(3) + np.einsum("pki,pkj->pij", u, slopes)
         turned = _cofactors(F)
-        normal = (turned @ surface.normal[points][:, :, None])[:, :, 0]
+        normal = np.einsum("pij,pj->pi", turned, surface.normal[points])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         near = KDTree(x).query_pairs(REACH * dx, output_type="ndarray")
         near = np.concatenate([near, near[:, ::-1]])
@@ -238,11 +252,12 @@ class SelfContact:
         """Return the pairs and their forces."""
         count = len(self._points)
         pairs = {name: array.numpy()[:count].copy() for name, array in self._pairs.items()}
-        return {"points": self._points.copy(), "seen": self._seen.copy(), **pairs}
+        places = {"seen": self._seen.copy(), "flagged": self._flagged.copy()}
+        return {"points": self._points.copy(), **places, **pairs}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot."""
-        self._seen = np.array(snapshot["seen"])
+        self._seen, self._flagged = (np.array(snapshot[name]) for name in ("seen", "flagged"))
         self._fill(np.array(snapshot["points"]), snapshot)
 
 

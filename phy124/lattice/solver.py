@@ -39,10 +39,6 @@ from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_work
 
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
-GENTLE = 0.5
-"""Factor on the measured rate of strain: it may strain the body by 0.4 / GENTLE in a substep, since
-F follows the nodes exactly.
-"""
 STRAIN, WAY = 0.2, 0.25
 """Largest strain, and largest way of a point [cells], between two measurements."""
 TRAVEL = 3.0
@@ -332,7 +328,7 @@ class LatticeSolver:
         clock.interval = self._interval()
         if self._travel > TRAVEL * self.model.dx:
             self._look()
-        self.walls.list_near(self._travel + 2 * WAY * self.model.dx)
+        self._list_near()
         run_timed(self.timings, "self-contact", self.itself.follow)
 
     def _read(self, elapsed: float) -> None:
@@ -349,8 +345,8 @@ class LatticeSolver:
         self._travel += elapsed * (fastest + elapsed * pull)
         # The rate grows while a point is squeezed by the last substep.
         gradient /= max(0.1, 1 - gradient * self.clock.last_dt)
-        self.clock.extremes = extremes._replace(speed=speed, gradient=GENTLE * gradient)
-        if gradient * elapsed > 2 * VIOLENT:
+        self.clock.extremes = extremes._replace(speed=speed, gradient=gradient)
+        if gradient * elapsed > VIOLENT:
             self.clock.expire()
 
     def _measure_frequency(self) -> None:
@@ -367,7 +363,14 @@ class LatticeSolver:
         """Measure the distances of all surface points from the walls."""
         self._travel, self._measured = 0.0, self.clock.time
         run_timed(self.timings, "near", self.walls.look)
-        self.walls.list_near(2 * WAY * self.model.dx)
+        self._list_near()
+
+    def _list_near(self) -> None:
+        """List the surface points that walls may touch until the next measurement."""
+        speed = self.clock.extremes.speed + self.rejection.wall
+        dt = self.clock.stable().dt
+        step = speed * dt if math.isfinite(dt) else math.inf
+        self.walls.list_near(self._travel + 2 * WAY * self.model.dx, step)
 
     def _interval(self) -> int:
         """Return the number of substeps until the limits must be measured."""
@@ -380,7 +383,7 @@ class LatticeSolver:
         steps.append(STRAIN / max(clock.extremes.gradient * dt, 1e-9))
         steps.append(WAY * dx / max(speed * dt, 1e-30))
         steps.append(math.sqrt(2 * WAY * dx / max(self.rejection.acceleration, 1e-30)) / dt)
-        violent = clock.extremes.gradient * dt > GENTLE * VIOLENT
+        violent = clock.extremes.gradient * dt > VIOLENT
         return 1 if violent else max(MEASURE_EVERY, int(min(steps)))
 
     def snapshot(self) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from phy124.kernels.lattice.contact import (
     make_reach,
     make_resist,
     make_touch,
+    make_yields,
 )
 from phy124.kernels.lattice.nodes import make_hold, make_pin
 from phy124.lattice.rest import RestLattice, splines
@@ -35,7 +36,9 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Track, Tracks
 
 REACH = 0.6
-"""Distance from a wall within which contact is computed [cells]."""
+"""Largest distance from a wall within which contact is computed [cells]."""
+AHEAD, CLOSE = 2.0, 0.1
+"""Distance within which contact is computed: in ways of a substep, and added to them [cells]."""
 STEP = 0.5
 """Step by which the distance grows within which points are listed [cells]."""
 HELD = 0.5
@@ -125,8 +128,9 @@ class Walls:
             if holds:
                 self._clamps.append(_Clamp(part, model, lattice, nodes, tracks, sums))
             elif points.count:
-                contact = _Contact(part, model, points, nodes, tracks, sums)
-                self._contacts.append(contact)
+                self._contacts.append(_Contact(part, model, points, nodes, tracks, sums))
+        for contact in self._contacts:
+            contact.clamped = bool(self._clamps)
 
     def __bool__(self) -> bool:
         """Return whether there is any wall or clamp."""
@@ -149,19 +153,22 @@ class Walls:
         for contact in self._contacts:
             contact.look()
 
-    def list_near(self, approach: float) -> None:
+    def list_near(self, approach: float, step: float) -> None:
         """List the points that may touch a wall.
 
         Args:
             approach: Largest distance by which a point may have approached a wall since the last
                 call of `look` [m].
+            step: Largest distance by which a point approaches a wall in a substep [m].
         """
-        step = STEP * self._dx
-        steps = math.ceil(approach / step)
+        for contact in self._contacts:
+            contact.reach = min(REACH * self._dx, AHEAD * step + CLOSE * self._dx)
+        width = STEP * self._dx
+        steps = math.ceil(approach / width)
         if steps > self._listed:
             self._listed = steps
             for contact in self._contacts:
-                contact.list_near(steps * step)
+                contact.list_near(steps * width)
 
     def forget(self) -> None:
         """Set the contact forces of the last substep to zero."""
@@ -287,6 +294,10 @@ class _Contact:
         self._slot = 0 if track is None else tracks.add(track)
         self._shape = t.mat33(*np.ravel(part.geometry(model)))
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
+        self.reach = REACH * model.dx
+        """Distance from the wall within which contact is computed [m]."""
+        self.clamped = False
+        """Whether clamps may hold nodes, so that the points yield differently in each substep."""
         count, device = points.count, model.device
         self._list = wp.zeros(count, dtype=int, device=device)
         self._gaps = wp.zeros(count, dtype=model.real, device=device)
@@ -319,26 +330,43 @@ class _Contact:
         def repeat(launch: wp.Launch) -> Callable[[], None]:
             return lambda: launch.launch() if len(self._near) else None
 
-        self._launches = [self._touch(), self._resist(), self._account()]
+        def touch() -> None:
+            if len(self._near):
+                if self.clamped:
+                    yields.launch()
+                first.set_param_at_index(2, self.reach)
+                first.launch()
+
+        self._launches = [self._yield(), self._touch(), self._resist(), self._account()]
         self._count()
-        return [repeat(launch) for launch in self._launches]
+        yields, first, *others = self._launches
+        return [touch, *(repeat(launch) for launch in others)]
 
     def _count(self) -> None:
-        """Pass the number of listed points to the launches."""
-        *passes, account = self._launches
+        """Pass the number of listed points to the launches, and compute how these yield."""
+        yields, *passes, account = self._launches
         for launch in passes:
             launch.set_param_at_index(1, len(self._near))
-        account.set_dim(max(1, len(self._near)))
+        for launch in (yields, account):
+            launch.set_dim(max(1, len(self._near)))
+        yields.launch()
+
+    def _yield(self) -> wp.Launch:
+        """Record the launch that computes how the points yield to impulses."""
+        points, nodes = self._points, self._nodes
+        inputs = [self._list, points.nodes, points.weights, nodes.movable, nodes.inverse]
+        kernel = make_yields(self._model.real)
+        return cast("wp.Launch", self._model.launch(kernel, points.count, inputs, [self._yields]))
 
     def _touch(self) -> wp.Launch:
         """Record the launch that finds touching points and applies their previous impulses."""
         model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
         inputs = [
             self._list, 0, REACH * model.dx, self._shape, self._slot, points.nodes,
-            points.weights, points.rest, nodes.movable, nodes.inverse, nodes.u, tracks.clock,
+            points.weights, points.rest, nodes.movable, self._yields, nodes.u, tracks.clock,
             tracks.values,
         ]  # fmt: skip
-        outputs = [nodes.v, self._gap, self._place, self._yields, self.force]
+        outputs = [nodes.v, self._gap, self._place, self.force]
         kernel = make_touch(self._part.outline(), self._moving, model.real)
         return cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))
 
@@ -382,7 +410,7 @@ def kernels(boundaries: Sequence[Boundary], real: Any) -> Iterator[Any]:
             if boundary.holds:
                 yield from (make_hold(real), make_pin(real), make_distances(part.outline(), real))
             else:
-                yield make_account(real)
+                yield from (make_account(real), make_yields(real))
                 yield make_reach(part.outline(), part.tracked, real)
                 yield make_touch(part.outline(), part.tracked, real)
                 yield make_resist(part.response(), part.tracked, real)

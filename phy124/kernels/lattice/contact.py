@@ -84,7 +84,7 @@ def strike(
 def make_touch(shape: str, moving: bool, real: Any):
     """Kernel of one thread: finds points near a wall and applies their previous impulse to them.
 
-    `inverse` is zero for nodes that a clamp holds, `whole` is not. `force_out` holds the mean force
+    `inverse` is zero for nodes that a clamp holds. `force_out` holds the mean force
     on each point in the last substep [N]; it becomes zero where a point has left. `gap_out` is the
     normal and the distance of each point near the wall; its distance is infinite for others. `near`
     lists the points within reach.
@@ -112,14 +112,13 @@ def make_touch(shape: str, moving: bool, real: Any):
         weights: wp.array2d(dtype=real),
         rest: t.vec3s,
         inverse: t.reals,
-        whole: t.reals,
+        yields: t.reals,
         u: t.vec3s,
         clock,
         values,
         v_out: t.vec3s,
         gap_out: t.vec4s,
         place_out: t.vec3s,
-        yields_out: t.reals,
         force_out: t.vec3s,
     ):
         moved = t.vec3()
@@ -132,12 +131,8 @@ def make_touch(shape: str, moving: bool, real: Any):
             y = rest[s] + moved_by(u, nodes, weights, s)
             d = distance(y - moved, geometry)
             place_out[s] = y
-            yields = yielding(inverse, nodes, weights, s)
-            # A point that hangs almost only on held nodes would move the others violently.
-            loose = yields > real(LOOSE) * yielding(whole, nodes, weights, s)
-            if active > real(0.0) and d[3] < reach and loose:
+            if active > real(0.0) and d[3] < reach and yields[s] > real(0.0):
                 gap_out[s] = d
-                yields_out[s] = yields
                 impulse = clock[0] * force_out[s]
                 if wp.dot(impulse, impulse) > real(0.0):
                     strike(v_out, inverse, nodes, weights, s, impulse)
@@ -146,6 +141,34 @@ def make_touch(shape: str, moving: bool, real: Any):
                 force_out[s] = t.vec3()
 
     return touch
+
+
+@cache
+def make_yields(real: Any):
+    """Kernel over the points near a wall: computes the change of their velocities by 1 N s [1/kg].
+
+    It is zero for points that hang almost only on nodes that a clamp holds, for which `inverse` is
+    zero but `whole` is not: these points would move the other nodes violently.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_yields_{real.__name__}", real, seconds=0.3)
+    def lattice_yields(
+        near: Ints,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        inverse: t.reals,
+        whole: t.reals,
+        yields_out: t.reals,
+    ):
+        s = near[wp.tid()]
+        yields = yielding(inverse, nodes, weights, s)
+        if yields > real(LOOSE) * yielding(whole, nodes, weights, s):
+            yields_out[s] = yields
+        else:
+            yields_out[s] = real(0.0)
+
+    return lattice_yields
 
 
 @cache
