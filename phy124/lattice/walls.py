@@ -162,7 +162,8 @@ class Walls:
             step: Largest distance by which a point approaches a wall in a substep [m].
         """
         for contact in self._contacts:
-            contact.reach = min(REACH * self._dx, AHEAD * step + CLOSE * self._dx)
+            if contact.separates:
+                contact.reach = min(REACH * self._dx, AHEAD * step + CLOSE * self._dx)
         width = STEP * self._dx
         steps = math.ceil(approach / width)
         if steps > self._listed:
@@ -296,6 +297,8 @@ class _Contact:
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
         self.reach = REACH * model.dx
         """Distance from the wall within which contact is computed [m]."""
+        self.separates = part.response() == "separate"
+        """Whether points may leave the wall."""
         self.clamped = False
         """Whether clamps may hold nodes, so that the points yield differently in each substep."""
         count, device = points.count, model.device
