@@ -6,7 +6,7 @@ its last good frame and named on the standard output. Objects have fewer Gaussia
 the accuracy is draft. The sheet `objects` shows real objects, credited in docs/gallery.md, in
 several scenes, a row for each object; their files are no part of the repository: they are read from
 $PHY124_OBJECTS or ../shared/objects, and without them the sheet is not made. Run
-`python docs/images/gallery.py [presets, PRESET or objects]`.
+`python docs/images/gallery.py [presets, water, PRESET or objects]`; `water` is the duck as water.
 """
 
 import os
@@ -58,10 +58,13 @@ def made_of(name: str) -> Gaussians:
     return relief(cutout, count=GAUSSIANS)
 
 
-def shown(clip: Clip, scene: Scene, size: int = SIZE) -> list[np.ndarray]:
-    """The middle frame and the last one, on a stage."""
+def shown(
+    clip: Clip, scene: Scene, size: int = SIZE, index: tuple[int, ...] = ()
+) -> list[np.ndarray]:
+    """Some frames on a stage; by default the middle one and the last one."""
     view = scene.view.model_copy(update={"size": (size, size), "stage": "studio"})
-    index, seen = [len(clip) // 2, len(clip) - 1], pipeline.cameras(clip, view, "front")
+    seen = pipeline.cameras(clip, view, "front")
+    index = index or (len(clip) // 2, len(clip) - 1)
     stage, shine = make_stage(clip, view), make_shine(clip, view)
     frames, chosen = [clip.frame(i) for i in index], [seen[i] for i in index]
     if shine is not None:
@@ -117,6 +120,15 @@ def labelled(words: str, width: int = LABEL, height: int = SIZE) -> np.ndarray:
     return np.asarray(cell)
 
 
+def water() -> list[np.ndarray]:
+    """Return eight instants of the duck as water, at standard accuracy, in two rows."""
+    scene = Scene.named("water")
+    duck = relief(cut_out(HERE.parents[1] / "demo/examples/duck.png").picture, count=2 * GAUSSIANS)
+    clip = Simulation(prepare(duck, scene)).run()
+    cells = shown(clip, scene, 400, (0, 5, 8, 11, 15, 20, 30, 47))
+    return [np.concatenate(cells[k : k + 4], axis=1) for k in (0, 4)]
+
+
 def real(name: str) -> np.ndarray:
     """The middle frame of a real object in each scene, with its name in front."""
     cells = [labelled(name, height=SMALL)]
@@ -143,6 +155,8 @@ def sheet(preset: str) -> str:
         rows = real_objects()
     elif preset == "presets":
         rows = all_presets()
+    elif preset == "water":
+        rows = water()
     else:
         objects = [made_of(name) for name in PICTURES]
         rows = [row(preset, law, objects) for law in LAWS.by_name]
@@ -154,5 +168,5 @@ def sheet(preset: str) -> str:
 
 if __name__ == "__main__":
     with ProcessPoolExecutor(2) as pool:
-        for done in pool.map(sheet, sys.argv[1:] or ("presets", *PRESETS, "objects")):
+        for done in pool.map(sheet, sys.argv[1:] or ("presets", "water", *PRESETS, "objects")):
             print(done, flush=True)
