@@ -214,6 +214,14 @@ def test_undamped_block_stands_still_at_a_wall(contact):
     assert np.abs(solver.state.v.numpy()).max() < 0.6
 
 
+def test_very_short_substep_throws_no_point_off_a_wall():
+    floor = HalfSpace(contact="sticky")
+    solver = make(block((0.4, 0.4, 0.4)), forces=[Gravity(g=(0, 0, -9.0))], boundaries=[floor])
+    solver.advance(0.05)
+    solver.advance(0.05 + 1e-10)
+    assert np.abs(solver.state.v.numpy()).max() < 1
+
+
 def test_slip_wall_holds_a_clamped_beam():
     clamp = Held(lower=(-1, -1, -1), upper=(0.15, 1, 1))
     wall = HalfSpace(normal=(0, 1.0, 0), contact="slip")
