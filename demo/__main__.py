@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
-import platform
 import sys
 import threading
 from argparse import ArgumentParser
@@ -14,14 +12,10 @@ from importlib.util import find_spec
 from phy124.errors import InputError
 from phy124.runtime.failures import Kind, failure
 from phy124.runtime.installation import install_command
-from phy124.runtime.memory import refuse_narrow
+from phy124.runtime.memory import refuse_narrow, share_heap
 from phy124.runtime.streams import steady_streams
 
 from .settings import PREFIX, Settings
-
-M_ARENA_MAX = -8
-"""Constant of glibc's malloc.h."""
-CHOSEN = "MALLOC_ARENA_MAX"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -85,16 +79,6 @@ def read_options(arguments: Sequence[str] | None) -> dict[str, str]:
         typed.pop()
     options = vars(parser.parse_args(typed))
     return {variable: value for variable, value in options.items() if value is not None}
-
-
-def share_heap() -> None:
-    """Make all threads share one heap, which keeps the server's memory constant.
-
-    By default glibc opens up to eight heaps per core, and rarely returns their memory. Call this
-    before the first thread starts, because existing heaps stay. MALLOC_ARENA_MAX takes precedence.
-    """
-    if platform.libc_ver()[0] == "glibc" and CHOSEN not in os.environ:
-        ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from typing import Any
 from phy124 import __version__
 from phy124.runtime.failures import failure
 from phy124.runtime.light_imports import import_lightly
-from phy124.runtime.memory import refuse_narrow
+from phy124.runtime.memory import refuse_narrow, share_heap
 from phy124.runtime.signals import handling, interrupt
 from phy124.runtime.streams import steady_streams
 from phy124.schema.arguments.parsing import Answered
@@ -113,6 +113,7 @@ def _parse(arguments: list[str]) -> Any:
     if asks_for_commands(arguments):
         commands = outline()
     else:
+        share_heap()
         refuse_narrow()  # before a command's module imports NumPy
         with suppress(ImportError):  # another version of tyro may not need it
             import_lightly("typeguard")

@@ -10,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import TypeVar
 
+from phy124.runtime.memory import share_heap
 from phy124.runtime.startup import start
 
 BEAT = 0.2
@@ -65,5 +66,6 @@ def as_done(
 
 def _begin() -> None:
     """Start Warp, and ignore Ctrl-C, which the parent process handles."""
+    share_heap()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     start()

@@ -1,4 +1,4 @@
-"""The heaps of the server's process."""
+"""The heaps of a process that runs many simulations."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import sys
 
 import pytest
 
-from demo.__main__ import CHOSEN
+from phy124.runtime.memory import HEAPS
 
 COUNT = """
 import ctypes, sys, threading
-from demo.__main__ import share_heap
+from phy124.runtime.memory import share_heap
 share_heap()
 libc = ctypes.CDLL(None)
 libc.malloc.restype, libc.fopen.restype = ctypes.c_void_p, ctypes.c_void_p
@@ -35,8 +35,8 @@ libc.fclose(ctypes.c_void_p(out))
 @pytest.mark.parametrize("chosen", ["", "4"])
 def test_threads_share_a_heap_unless_another_number_is_chosen(tmp_path, chosen):
     told = tmp_path / "heaps.xml"
-    environment = {name: value for name, value in os.environ.items() if name != CHOSEN}
-    environment |= {CHOSEN: chosen} if chosen else {}
+    environment = {name: value for name, value in os.environ.items() if name != HEAPS}
+    environment |= {HEAPS: chosen} if chosen else {}
     subprocess.run([sys.executable, "-c", COUNT, told], env=environment, check=True)
     heaps = told.read_text().count("<heap nr=")
     assert heaps > 1 if chosen else heaps == 1
