@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from phy124.errors import InputError
 from phy124.particles.seeding import MAX_PARTICLES, Particles
@@ -239,9 +239,9 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
     """
     index, fraction, normal = _find_voxels(solid)
     # Resampling leaves voxels of almost no material around the body, which are not its surface.
-    fullest = ndimage.maximum_filter(solid.fraction, 3, mode="constant")
+    fullest = scipy.ndimage.maximum_filter(solid.fraction, 3, mode="constant")
     filled = solid.fraction >= np.clip(fullest / 2, SMALLEST, TRACE)
-    outside = (filled & ~ndimage.binary_erosion(filled))[tuple(index.T)]
+    outside = (filled & ~scipy.ndimage.binary_erosion(filled))[tuple(index.T)]
     place = np.floor((index + solid.first) * (solid.voxel / dx) + 1e-9).astype(np.int64)
     part = fraction * (solid.voxel / dx) ** 3
     _, cell = _cells(_merge_slivers(place, part))
