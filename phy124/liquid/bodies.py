@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
 from phy124.kernels.liquid import bodies as kernels
+from phy124.kernels.liquid import shapes
 from phy124.kernels.liquid.active import EMPTY
 from phy124.kernels.reduction import shared_out
 from phy124.liquid.cells import Cells, Region
@@ -157,7 +158,7 @@ class Bodies:
             run, region = model.particles(body), self._region(cells, body)
             inputs = [ahead, cells.lattice, cells.window, model.mass[run], model.volume[run]]
             inputs += [state.x[run], state.v[run], state.C[run], part_of(state.deformation, run)]
-            kernel, count = kernels.make_body_scatter(real), run.stop - run.start
+            kernel, count = shapes.make_body_scatter(real), run.stop - run.start
             self._launch(kernel, count, inputs, [self._sheet, self._full])
             size, box = int(np.prod(region.size)), region.box
             for _ in range(FIRST if np.isnan(self._shifts[body]) else 2):
@@ -165,9 +166,9 @@ class Bodies:
             points = int(np.prod(2 * region.size + 1))
             inputs = [wall, cells.lattice, cells.window, box, self._level]
             outputs = [cells.distances, cells.owners]
-            self._launch(kernels.make_body_distance(real), points, inputs, outputs)
+            self._launch(shapes.make_body_distance(real), points, inputs, outputs)
             inputs, outputs = [cells.window, box, self._level], [cells.open, cells.eighths]
-            self._launch(kernels.make_body_openings(real), size, inputs, outputs)
+            self._launch(shapes.make_body_openings(real), size, inputs, outputs)
             inputs = [cells.window, box, self._level, cells.still[0], cells.open]
             self._launch(kernels.make_contact(real), size, inputs, [self._contact])
             for _, launch in [walls.share(cells, region, 0, 1)]:
@@ -180,9 +181,9 @@ class Bodies:
         self._volumes.zero_()
         inputs = [shift, cells.lattice, cells.window, box, self._full]
         outputs = [self._level, self._volumes]
-        self._launch(kernels.make_body_level(real), count, inputs, outputs)
+        self._launch(shapes.make_body_level(real), count, inputs, outputs)
         inputs = [cells.window, box, self._level]
-        self._launch(kernels.make_body_volume(real), count, inputs, [self._volumes])
+        self._launch(shapes.make_body_volume(real), count, inputs, [self._volumes])
         volume, inside, slope = np.asarray(self._volumes.numpy(), np.float64).tolist()
         if volume > 0:
             shift += (volume - inside) / max(slope, 0.1 * float(volume ** (2 / 3)))
@@ -341,7 +342,7 @@ class Bodies:
         """
         inputs = [self._solids.first(walls) + self.first, cells.lattice, cells.window]
         inputs += [cells.distances, cells.owners]
-        return model.launch(kernels.make_body_push_out(model.real), len(x), inputs, [x])
+        return model.launch(shapes.make_body_push_out(model.real), len(x), inputs, [x])
 
     def _region(self, cells: Cells, body: int) -> Region:
         """Return the cells that a body may fill or change."""

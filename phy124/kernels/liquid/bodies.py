@@ -1,11 +1,9 @@
-"""Bodies of particles in a liquid: their shape as a wall, and the push of the pressure on them.
+"""Bodies of particles in a liquid: their part in the pressure equation, and the pressure on them.
 
-The distance from a body's surface follows from the share of each cell that the body fills, as that
-from the surface of the liquid does (`surface`). This rounds edges off, so the surface is shifted
-outwards until the volume inside is the body's. The pressure gives a body two responses: that of
-its rigid motion (`solids`), and that of the layer of mass at its surface to the change of the
-pressure since the last step (a Robin condition: Fernandez, Mullaert and Vidrascu 2013). The second
-one is zero at rest; without it, the deformation of a light or soft body would become unstable.
+The pressure gives a body two responses: that of its rigid motion (`solids`), and that of the layer
+of mass at its surface to the change of the pressure since the last step (a Robin condition:
+Fernandez, Mullaert and Vidrascu 2013). The second one is zero at rest; without it, the deformation
+of a light or soft body would become unstable.
 """
 
 from functools import cache
@@ -16,13 +14,14 @@ import warp as wp
 from phy124.kernels.arguments import Box, Doubles, Ints, types
 from phy124.kernels.build import kernel
 from phy124.kernels.diagnostics import wide
+from phy124.kernels.liquid import shapes
 from phy124.kernels.liquid.active import EMPTY
 from phy124.kernels.liquid.conjugate import Vectors
 from phy124.kernels.liquid.faces import cell_at, cell_of, entry, inner, local, number, stride
 from phy124.kernels.liquid.impulses import Sums, take_row
+from phy124.kernels.liquid.shapes import spline
 from phy124.kernels.liquid.solids import put_motion
-from phy124.kernels.liquid.surface import depth
-from phy124.kernels.liquid.walls import GAP, SHUT, centre_of, halves, solid_face, square
+from phy124.kernels.liquid.walls import centre_of, solid_face
 
 MOMENTS = 16
 """Sums of a body: mass, mass times position [3], momentum [3], angular momentum about the origin
@@ -67,245 +66,6 @@ def make_moments(real: Any):
             wp.atomic_add(rows_out, k, sums[k])
 
     return moments
-
-
-@wp.func
-def spline(s: Any, cell: wp.vec3i, a: int, b: int, c: int):
-    """Return the quadratic B-spline of the cell (a, b, c) - 1 next to `cell` at a point."""
-    weight = type(s[0])(1.0)
-    at = wp.vec3i(a, b, c)
-    for axis in range(3):
-        d = wp.abs(s[axis] - type(s[0])(cell[axis] + at[axis]) + type(s[0])(0.5))
-        if d < type(s[0])(0.5):
-            weight *= type(s[0])(0.75) - d * d
-        else:
-            far = wp.max(type(s[0])(1.5) - d, type(s[0])(0.0))
-            weight *= type(s[0])(0.5) * far * far
-    return weight
-
-
-@cache
-def make_body_scatter(real: Any):
-    """Kernel: adds momentum, mass and volume of a body's particles to the cells.
-
-    Positions are those that the velocities lead to in the time `ahead` [s].
-    """
-    t = types(real)
-
-    @kernel(f"phy124_liquid_body_scatter_{real.__name__}", real, seconds=0.4)
-    def body_scatter(
-        ahead: real,
-        lattice,
-        window,
-        mass,
-        volume,
-        x,
-        v,
-        C,
-        F,
-        sheet_out: t.vec4s,
-        full_out: t.reals,
-    ):
-        p = wp.tid()
-        size = window[1]
-        place = x[p] + ahead * v[p]
-        s = local(place, lattice, window)
-        cell = cell_at(s)
-        if not inner(cell, size, 2):
-            return
-        filled = volume[p] * wp.clamp(wp.determinant(F[p]), real(0.1), real(3.0))
-        for a in range(3):
-            for b in range(3):
-                for c in range(3):
-                    at = cell + wp.vec3i(a - 1, b - 1, c - 1)
-                    w = spline(s, cell, a, b, c)
-                    n = number(at, size)
-                    there = v[p] + C[p] @ (centre_of(at, lattice, window[0]) - place)
-                    m = w * mass[p]
-                    row = wp.vector(m * there[0], m * there[1], m * there[2], m)
-                    wp.atomic_add(sheet_out, n, row)
-                    wp.atomic_add(full_out, n, w * filled)
-
-    return body_scatter
-
-
-@wp.func
-def eighth(cell: wp.vec3i, a: int, b: int, c: int, like: Any):
-    """Return the centre of an eighth of a cell, in cells from the window's corner."""
-    half = type(like)(0.5)
-    quarter = type(like)(0.25)
-    return wp.vector(
-        type(like)(cell[0]) + quarter + half * type(like)(a),
-        type(like)(cell[1]) + quarter + half * type(like)(b),
-        type(like)(cell[2]) + quarter + half * type(like)(c),
-    )
-
-
-@cache
-def make_body_level(real: Any):
-    """Kernel over the cells of a region: computes the distance from a body's surface [cells].
-
-    The surface is shifted outwards by `shift` [cells]. The body's volume [cells] is added to
-    `volumes_out`.
-    """
-    t = types(real)
-
-    @kernel(f"phy124_liquid_body_level_{real.__name__}", real, seconds=0.3)
-    def body_level(
-        shift: real,
-        lattice,
-        window,
-        region: Box,
-        full: t.reals,
-        level_out: t.reals,
-        volumes_out: Doubles,
-    ):
-        cell = cell_of(wp.tid(), region[1]) + region[0]
-        if inner(cell, window[1], 0):
-            n = number(cell, window[1])
-            dx = lattice[3]
-            fill = full[n] / (dx * dx * dx)
-            if fill > real(0.0):
-                level_out[n] = -depth(fill) - shift
-                wp.atomic_add(volumes_out, 0, wp.float64(fill))
-
-    return body_level
-
-
-@wp.func
-def level_at(level: wp.array(dtype=Any), s: Any, size: wp.vec3i):
-    """Return the distance from a body [cells] at a point, linear between the centres of cells."""
-    half = type(s[0])(0.5)
-    low = cell_at(s - wp.vector(half, half, half))
-    total = type(s[0])(EMPTY)
-    if inner(low, size, 1):
-        total = type(s[0])(0.0)
-        u = s - wp.vector(half, half, half)
-        u -= wp.vector(type(s[0])(low[0]), type(s[0])(low[1]), type(s[0])(low[2]))
-        unit = type(s[0])(1.0)
-        for a in range(2):
-            for b in range(2):
-                for c in range(2):
-                    w = wp.where(a == 1, u[0], unit - u[0]) * wp.where(b == 1, u[1], unit - u[1])
-                    w *= wp.where(c == 1, u[2], unit - u[2])
-                    total += w * level[number(low + wp.vec3i(a, b, c), size)]
-    return total
-
-
-@cache
-def make_body_volume(real: Any):
-    """Kernel over the cells of a region: sums the volume inside a body's surface [cells].
-
-    `volumes_out` also gets the change of this volume per cell by which the surface is shifted.
-    """
-    t = types(real)
-
-    @kernel(f"phy124_liquid_body_volume_{real.__name__}", real, seconds=0.3)
-    def body_volume(window, region: Box, level: t.reals, volumes_out: Doubles):
-        cell = cell_of(wp.tid(), region[1]) + region[0]
-        size = window[1]
-        if not inner(cell, size, 2):
-            return
-        here = level[number(cell, size)]
-        if here >= real(EMPTY):
-            return
-        half = real(0.5)
-        inside = real(0.0)
-        slope = real(0.0)
-        parts = int(2)
-        for a in range(parts):
-            for b in range(parts):
-                for c in range(parts):
-                    d = level_at(level, eighth(cell, a, b, c, here), size)
-                    share = half - real(2.0) * d
-                    inside += real(0.125) * wp.clamp(share, real(0.0), real(1.0))
-                    if share > real(0.0) and share < real(1.0):
-                        slope += real(0.25)
-        wp.atomic_add(volumes_out, 1, wp.float64(inside))
-        wp.atomic_add(volumes_out, 2, wp.float64(slope))
-
-    return body_volume
-
-
-@cache
-def make_body_distance(real: Any):
-    """Kernel over points at half the spacing: stores distances from a body if they are smaller."""
-    t = types(real)
-
-    @kernel(f"phy124_liquid_body_distance_{real.__name__}", real, seconds=0.3)
-    def body_distance(
-        wall: int,
-        lattice,
-        window,
-        region: Box,
-        level: t.reals,
-        distances_out: t.reals,
-        owners_out: Ints,
-    ):
-        at = cell_of(wp.tid(), halves(region[1])) + 2 * region[0]
-        if not inner(at, halves(window[1]), 0):
-            return
-        n = number(at, halves(window[1]))
-        half = real(0.5)
-        s = wp.vector(half * real(at[0]), half * real(at[1]), half * real(at[2]))
-        d = level_at(level, s, window[1])
-        if d < real(0.98) * real(EMPTY) and d * lattice[3] < distances_out[n]:
-            distances_out[n] = d * lattice[3]
-            owners_out[n] = wall
-
-    return body_distance
-
-
-@cache
-def make_body_openings(real: Any):
-    """Kernel over the cells of a region: multiplies open shares by what a body leaves open.
-
-    The shares are those of the low faces, and of the eighths of the cell.
-    """
-    t = types(real)
-
-    @kernel(f"phy124_liquid_body_openings_{real.__name__}", real, seconds=0.5)
-    def body_openings(window, region: Box, level: t.reals, open_out: t.vec4s, vacant_out: t.reals):
-        cell = cell_of(wp.tid(), region[1]) + region[0]
-        size = window[1]
-        if not inner(cell, size, 2):
-            return
-        n = number(cell, size)
-        if level[n] >= real(EMPTY):
-            return
-        half = real(0.5)
-        low = wp.vector(real(cell[0]), real(cell[1]), real(cell[2]))
-        share = open_out[n]
-        for axis in range(3):
-            e = t.vec3()
-            f = t.vec3()
-            e[(axis + 1) % 3] = real(1.0)
-            f[(axis + 2) % 3] = real(1.0)
-            part = square(
-                level_at(level, low, size),
-                level_at(level, low + e, size),
-                level_at(level, low + e + f, size),
-                level_at(level, low + f, size),
-                level_at(level, low + half * (e + f), size),
-            )
-            share[axis] = share[axis] * part
-            if share[axis] < real(SHUT):
-                share[axis] = real(0.0)
-            if share[axis] > real(1.0) - real(SHUT):
-                share[axis] = real(1.0)
-        open_out[n] = share
-        twice = 2 * size
-        parts = int(2)
-        for a in range(parts):
-            for b in range(parts):
-                for c in range(parts):
-                    d = level_at(level, eighth(cell, a, b, c, half), size)
-                    m = number(2 * cell + wp.vec3i(a, b, c), twice)
-                    vacant_out[m] = vacant_out[m] * wp.clamp(
-                        half + real(2.0) * d, real(0.0), real(1.0)
-                    )
-
-    return body_openings
 
 
 @wp.func
@@ -638,49 +398,10 @@ def make_body_push(real: Any):
     return body_push
 
 
-@cache
-def make_body_push_out(real: Any):
-    """Kernel: moves particles of the liquid out of bodies; the first body has the number `wall`."""
-    t = types(real)
-
-    @kernel(f"phy124_liquid_body_push_out_{real.__name__}", real, seconds=0.4)
-    def body_push_out(wall: int, lattice, window, distances: t.reals, owners: Ints, x_out):
-        p = wp.tid()
-        size = window[1]
-        dx = lattice[3]
-        s = local(x_out[p], lattice, window)
-        if not inner(cell_at(s), size, 1):
-            return
-        near = number(cell_at(real(2.0) * s + t.vec3(real(0.5))), halves(size))
-        if owners[near] < wall or distances[near] > dx:
-            return
-        low = cell_at(real(2.0) * s)
-        u = real(2.0) * s - wp.vector(real(low[0]), real(low[1]), real(low[2]))
-        d = real(0.0)
-        slope = t.vec3()
-        for a in range(2):
-            for b in range(2):
-                for c in range(2):
-                    at = wp.vec3i(a, b, c)
-                    here = distances[number(low + at, halves(size))]
-                    w = t.vec3()
-                    for axis in range(3):
-                        w[axis] = wp.where(at[axis] == 1, u[axis], real(1.0) - u[axis])
-                    d += w[0] * w[1] * w[2] * here
-                    for axis in range(3):
-                        side = wp.where(at[axis] == 1, real(1.0), real(-1.0))
-                        slope[axis] += side * w[(axis + 1) % 3] * w[(axis + 2) % 3] * here
-        deep = real(GAP) * dx - d
-        if deep > real(0.0) and wp.length(slope) > real(0.0):
-            x_out[p] = x_out[p] + wp.min(deep, real(0.5) * dx) * wp.normalize(slope)
-
-    return body_push_out
-
-
 def kernels(real: Any) -> list[Any]:
     """Return the kernels of bodies in a liquid."""
-    makers = (make_moments, make_body_scatter, make_body_level, make_body_volume)
-    makers += (make_body_distance, make_contact, make_head, make_film)
-    makers += (make_body_openings, make_yield, make_answer, make_body_change)
-    makers += (make_body_gather, make_body_push, make_body_push_out)
+    makers = (make_moments, make_contact, make_head, make_film, make_yield, make_answer)
+    makers += (make_body_change, make_body_gather, make_body_push, shapes.make_body_scatter)
+    makers += (shapes.make_body_level, shapes.make_body_volume, shapes.make_body_distance)
+    makers += (shapes.make_body_openings, shapes.make_body_push_out)
     return [make(real) for make in makers]
