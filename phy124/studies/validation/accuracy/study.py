@@ -389,6 +389,8 @@ class Study:
 
 def _can_split(scene: Scene) -> bool:
     """Return whether the energy loss of a scene can be split by cause."""
+    if scene.projects:
+        return False
     try:
         scene.replaced({"checks.balance": True, "checks.energy": True})
     except InputError:
