@@ -39,6 +39,7 @@ from phy124.rendering.framing import describe_framing
 from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure
 from phy124.runtime.memory import trim
+from phy124.runtime.memory import trim
 from phy124.scene import Scene, View
 from phy124.simulation import Interrupted, Simulation
 
@@ -108,6 +109,7 @@ class RunFolder:
                 return self._save_and_film(folder, before, run, clip, interrupted)
         finally:
             self.recording.leave()
+            trim()
 
     def _save_and_film(
         self, folder: Path, before: set[str], run: Simulation, clip: Clip, interrupted: bool
