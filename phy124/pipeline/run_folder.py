@@ -39,7 +39,6 @@ from phy124.rendering.framing import describe_framing
 from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure
 from phy124.runtime.memory import trim
-from phy124.runtime.memory import trim
 from phy124.scene import Scene, View
 from phy124.simulation import Interrupted, Simulation
 
