@@ -14,6 +14,7 @@ from phy124.live import Live, RealTime, choose, held_rate
 from phy124.live.inputs import GrabRecord, Inputs
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
+from phy124.simulation import Stopped
 from support.pages import ROOT
 
 GROUND = [{"kind": "ground"}, {"kind": "sphere", "centre": [0, 0.8, 0.2], "radius": 0.25}]
@@ -156,8 +157,6 @@ def test_a_frame_that_fails_drops_the_inputs_and_goes_on(monkeypatch):
 
     def step(self):
         if next(fails, False):
-            from phy124.simulation import Stopped
-
             raise Stopped("frame 15 is not sound.", ())
         return sound(self)
 
@@ -167,6 +166,30 @@ def test_a_frame_that_fails_drops_the_inputs_and_goes_on(monkeypatch):
     assert frame.index == 12 and "frame 15 is not sound" in run.notes[0]
     assert not [f for f in run.session().forces if f.kind == "wrench"]
     assert np.isfinite(frame.gaussians.means).all()
+
+
+@pytest.mark.parametrize("broken", [1, 14])
+def test_second_failure_at_a_frame_ends_the_run(monkeypatch, broken):
+    run = live()
+    sound = type(run._run).step
+
+    def step(self):
+        if self.count == broken:
+            raise Stopped(f"frame {broken} is not sound.")
+        return sound(self)
+
+    monkeypatch.setattr(type(run._run), "step", step)
+    with pytest.raises(Stopped, match=f"frame {broken} is not sound. .* again"):
+        list(run.frames(40))
+    assert len(run.notes) < 6
+
+
+def test_liquid_falls_while_inputs_are_possible():
+    accuracy = {"cells": 8, "liquid": "projection"}
+    run = live(material={"law": "fluid"}, accuracy=accuracy, boundaries=[{"kind": "ground"}])
+    heights = [run.centre[2] for _ in run.frames(4)]
+    assert not run.notes
+    assert heights[0] - heights[-1] == pytest.approx(9.81 * (3 / 24) ** 2 / 2, rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,10 @@ class LiquidClock(Clock):
             momentum: Momentum of all particles [3], kg m/s.
         """
         del power
+        return self.uniform_work(momentum)
+
+    def uniform_work(self, momentum: NDArray) -> float:
+        """Return the work of the uniform acceleration in the half step since the last kick [J]."""
         return self.last_dt / 2 * float(self.pull @ momentum)
 
     def sweeps(self, kick: float) -> int:

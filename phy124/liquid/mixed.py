@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary
 from phy124.liquid.bodies import Bodies
+from phy124.liquid.clock import LiquidClock
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.solver import LiquidSolver
 from phy124.mpm import Accumulator, Attachable, Clock, Model, Solver, State
@@ -24,7 +25,7 @@ from phy124.mpm.model import part_of
 class MixedClock(Clock):
     """The clock of the bodies' substeps, which knows how far the liquid's velocities are behind."""
 
-    liquid: Clock
+    liquid: LiquidClock
     """The clock of the liquid."""
     share = 0.0
     """The liquid's fraction of all mass."""
@@ -37,6 +38,10 @@ class MixedClock(Clock):
     def lag(self, power: float, momentum: NDArray) -> float:
         """Return the change of kinetic energy [J] between the times of velocities and positions."""
         return super().lag(power, momentum) + self.liquid.lag(0.0, self.share * momentum)
+
+    def uniform_work(self, momentum: NDArray) -> float:
+        """Return the work on the liquid [J] since the last kick of the bodies."""
+        return self.last_dt / 2 * self.share * float(self.liquid.pull @ momentum)
 
 
 class MixedSolver(Solver):

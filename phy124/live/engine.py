@@ -1,7 +1,7 @@
 """Run a scene frame by frame while inputs act on it.
 
 If the watchdog rejects a frame, the run notes this, drops the inputs, and continues from the last
-valid frame.
+valid frame. If it must go back further and then fails again at the same frame, it ends.
 """
 
 from __future__ import annotations
@@ -95,6 +95,8 @@ class Live:
         self._offsets: dict[int, Vector] = {}
         self._named: dict[str, WrenchForce] = {}
         self._changed = False
+        self._failed = 0
+        """Number of the frame that failed even without inputs; 0 if the run has passed it."""
         self._kept: list[tuple[float, dict[str, Any]]] = []
 
     @property
@@ -147,7 +149,11 @@ class Live:
             yield self.step()
 
     def step(self) -> Frame:
-        """Compute the next frame; if it is not valid, continue from the last valid state."""
+        """Compute the next frame; if it is not valid, continue from the last valid state.
+
+        Raises:
+            Stopped: A frame failed without inputs, and again after the run went back.
+        """
         if self._run.count:
             self._lead()
         self._apply()
@@ -160,6 +166,8 @@ class Live:
             self.reset()
             frame = self._run.step()
         self._frame = frame
+        if frame.index >= self._failed:
+            self._failed = 0
         if self._run.count % KEPT_EVERY == 0:
             self._kept = [*self._kept[-1:], (self.time, self._run.snapshot())]
         return frame
@@ -414,18 +422,32 @@ class Live:
             self._changed = False
 
     def _go_back(self, why: str) -> Frame:
-        """Drop the inputs; continue from the last state, or an earlier state, or the start."""
+        """Drop the inputs; continue from the last state, or an earlier state, or the start.
+
+        Raises:
+            Stopped: The run went back before, and has not passed the failed frame since.
+        """
+        index, failed = self._run.count, self._failed
         self._note(f"{why} The inputs are dropped.")
         for time, snapshot in [(self.time, None), *reversed(self._kept)]:
             if snapshot is not None:
                 self._run.restore(snapshot)
             self._drop(time)
             try:
-                return self._run.step()
-            except Stopped:
+                frame = self._run.step()
+            except Stopped as stop:
+                why = str(stop)
+                if failed:
+                    raise Stopped(
+                        f"{why} The frame fails again without inputs, so the live run ends."
+                    ) from stop
                 continue
+            if snapshot is not None:
+                self._failed = index
+            return frame
         self._note("No earlier state could be continued either: the run starts again.")
         self.reset()
+        self._failed = index
         return self._run.step()
 
     def _drop(self, time: float) -> None:

@@ -177,12 +177,13 @@ class ExternalWork(Observer):
             self._momentum = momentum - self._sum()[IMPULSES]
             self._set_base()
 
-    def total(self, clock: Clock, way: Sums) -> Exchange:
+    def total(self, clock: Clock, way: Sums, momentum: Sums) -> Exchange:
         """Return impulse and work so far.
 
         Args:
             clock: Current time, for the impulse of a steady acceleration.
             way: Sum of mass times displacement since the start [3], kg m.
+            momentum: Current momentum of the object [3], kg m/s.
         """
         total = self._sum()
         values: NDArray[Any] = self._tracks.values.numpy()
@@ -191,6 +192,7 @@ class ExternalWork(Observer):
             # The sums go to the bodies' last kick, half a substep ago; a liquid is further behind.
             late = self._model.total_mass * (clock.behind - clock.last_dt / 2)
             total[IMPULSES] -= late * a
+            total[kernels.WORK] += clock.uniform_work(momentum)
         else:
             impulse = self._model.total_mass * a * (clock.time - clock.behind - self._opened)
             work = float(a @ way)

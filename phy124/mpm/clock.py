@@ -81,6 +81,15 @@ class Clock:
         del momentum
         return -self.last_dt / 2 * power
 
+    def uniform_work(self, momentum: NDArray) -> float:
+        """Return the work of the uniform acceleration since the last kick [J] that `lag` contains.
+
+        Args:
+            momentum: Momentum of all particles after that kick [3], kg m/s.
+        """
+        del momentum
+        return 0.0
+
     def expire(self) -> None:
         """Require a complete measurement before the next substep."""
         self.since_measured, self.strain = self.interval, math.inf
