@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
-from phy124.io.files import replacing
+from phy124.io.files import refuse_unwritable, replacing
 
 from .backends import choose, open_sink, sink_names
 from .cameras import Cameras
@@ -127,6 +127,8 @@ class Play:
     """Continue to accept commands after the last frame."""
     record: Path | None = None
     """Also record the frames that are shown, to this bag folder or .mcap file."""
+    overwrite: bool = False
+    """With --record: replace an older recording."""
     network: bool = False
     """Also reach other machines; otherwise only this one."""
     clock: bool = False
@@ -156,7 +158,8 @@ class Play:
                 stay = (lambda: True) if self.stay else None
                 play(clip, sink, player, records=records, look=cameras.look, going=stay)
         finally:
-            say(player.report())
+            if player.shown:
+                say(player.report())
         return 0
 
     def _follow(self, say: Say) -> int:
@@ -165,6 +168,8 @@ class Play:
             limit = "A running simulation has no such option."
             raise InputError(asked[0], getattr(self, asked[0]), limit, "Leave it out.")
         run = LiveRun(self.source, self.simulated)
+        if self.record:
+            McapSink(self.record, self.messages, overwrite=self.overwrite).check()
         run.prepare()
         about = {"scene": run.scene.data(), "report": run.report}
         with (
@@ -185,7 +190,7 @@ class Play:
         with ExitStack() as stack:
             records: list[Sink] = []
             if self.record:
-                bag = McapSink(self.record, self.messages, **about)
+                bag = McapSink(self.record, self.messages, overwrite=self.overwrite, **about)
                 records = [stack.enter_context(Background(bag))]
             sink = open_sink(
                 backend,
@@ -227,6 +232,8 @@ class Steer:
     """File for the session at the end: a scene that `phy124 generate --scene` repeats."""
     record: Path | None = None
     """Also record the frames to this bag folder or .mcap file."""
+    overwrite: bool = False
+    """With --record: replace an older recording."""
     network: bool = False
     """Also reach other machines; otherwise only this one."""
     port: int = PORT
@@ -240,17 +247,30 @@ class Steer:
 
     def run(self, say: Say) -> int:
         """Simulate until a command or Ctrl-C ends the simulation."""
+        from phy124.simulation import Stopped
+
         checked_speed(self.speed)
         checked_duration("push_seconds", self.push_seconds)
         checked_duration("grab_seconds", self.grab_seconds)
         checked_duration("oldest_stamp", self.oldest_stamp)
+        if self.frames is not None and self.frames < 1:
+            limit = "it must be at least 1."
+            raise InputError("frames", self.frames, limit, "Leave it out for no limit.")
+        if self.session is not None:
+            refuse_unwritable(self.session)
         backend = choose(self.backend)
         messages = self.messages
+        if self.record is not None:
+            McapSink(self.record, messages, overwrite=self.overwrite).check()
         recorded = self.record is not None and messages.profile is None  # in the profile `full`
         velocities = messages.profile == "full" or recorded
-        live, accuracy = make_live(
-            self.source, self.simulated, messages, speed=self.speed, velocities=velocities
-        )
+        try:
+            live, accuracy = make_live(
+                self.source, self.simulated, messages, speed=self.speed, velocities=velocities
+            )
+        except Stopped as stop:
+            log.error("The simulation cannot run live. %s", stop)
+            return STOPPED_EARLY
         say(accuracy)
         run = SteeredRun(
             live,
@@ -284,7 +304,7 @@ class Steer:
                 with replacing(self.session) as temporary:
                     temporary.write_text(live.session().to_toml(), encoding="utf-8")
                 say(f"{run.shown} frames shown; the session is in {self.session}")
-        return 0
+        return _status(run)
 
     def _records(
         self, stack: ExitStack, messages: Options, live: Any, topics: Sequence[Topic]
@@ -293,7 +313,8 @@ class Steer:
             return []
         recorded = [topic for topic in topics if topic is not FACTOR]
         scene = live.scene.data()
-        bag = McapSink(self.record, messages, scene=scene, topics=recorded, node=STEERED)
+        about = {"scene": scene, "topics": recorded, "node": STEERED}
+        bag = McapSink(self.record, messages, overwrite=self.overwrite, **about)
         return [stack.enter_context(Background(bag, depth=16 * (1 + len(topics))))]
 
 
@@ -350,7 +371,7 @@ COMMANDS = {
 """Name of a command -> its class."""
 
 
-def _status(run: LiveRun) -> int:
+def _status(run: LiveRun | SteeredRun) -> int:
     if run.stopped is None:
         return 0
     log.error("The simulation stopped early; its good frames are kept. %s", run.stopped)

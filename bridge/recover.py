@@ -55,6 +55,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
     if others:
         limit = f"It is split into {1 + len(others)} files, so this program did not record it."
         raise InputError("recover", path, limit, "Use `ros2 bag reindex -s mcap` for it.")
+    _refuse_foreign(source)
     whole, frames = _inspect(source)
     if whole and _is_finished(Path(path), source) and output is None:
         return Recovery(Path(path), frames, repaired=False)
@@ -110,6 +111,17 @@ def _is_finished(path: Path, source: Path) -> bool:
     return source.suffix == bag.SUFFIX and (
         path.suffix == bag.SUFFIX or (path / bag.METADATA).is_file()
     )
+
+
+def _refuse_foreign(file: Path) -> None:
+    """Raise InputError if the file does not begin as an MCAP file."""
+    from mcap.writer import MCAP0_MAGIC
+
+    with open(file, "rb") as stream:
+        start = stream.read(len(MCAP0_MAGIC))
+    if not MCAP0_MAGIC.startswith(start):
+        limit = "It is no recording: it does not begin as an MCAP file."
+        raise InputError("recover", file, limit, "Give a bag folder or an .mcap file.")
 
 
 def _inspect(file: Path) -> tuple[bool, int]:

@@ -125,6 +125,12 @@ def test_taken_port():
         FoxgloveSink(port=first.port).__enter__()
 
 
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_port_out_of_range_is_refused(port):
+    with pytest.raises(InputError, match="whole number up to 65535"):
+        FoxgloveSink(port=port)
+
+
 def quit_after(client, run):
     client.wait()
     run.state = State.QUITTING

@@ -169,7 +169,8 @@ def test_full_disk_while_recovering_keeps_the_damaged_file(tmp_path, monkeypatch
     [
         (None, "There is no recording"),
         (b"", "Not even its first frame is complete"),
-        (b"not an mcap file at all", "Not even its first frame is complete"),
+        (b"\x89MCAP0\r\n", "Not even its first frame is complete"),
+        (b"not an mcap file at all", "does not begin as an MCAP file"),
     ],
 )
 def test_nothing_to_recover(tmp_path, content, sentence):

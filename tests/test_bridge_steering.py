@@ -20,9 +20,10 @@ from bridge.steering.transforms import Transforms
 from bridge.topics import FACTOR
 from phy124.errors import InputError
 from phy124.generators.shapes import ball
+from phy124.live import Live
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
-from phy124.simulation import Simulation, prepare
+from phy124.simulation import Simulation, Stopped, prepare
 from support.ros_messages import JAZZY
 from support.steered import (
     EPOCH,
@@ -87,6 +88,20 @@ def test_states_and_resets():
     features = standard.features(None)["features"]["features"]
     assert Feature.STEP_SIMULATION_ACTION in features
     assert len(Standard(run, OPTIONS, action=False).features(None)["features"]["features"]) == 13
+
+
+def test_failed_simulation_ends_the_run(monkeypatch):
+    run = steered()
+    run.advance()
+
+    def fail():
+        raise Stopped("frame 1 is not sound.")
+
+    monkeypatch.setattr(run.live, "step", fail)
+    answer = Standard(run, OPTIONS, action=False).step(asked(steps=2))["result"]
+    assert answer["result"] == Code.OPERATION_FAILED and "not sound" in answer["error_message"]
+    run.enter(State.PLAYING)
+    assert run.finished and run.stopped == "frame 1 is not sound." and run.shown == 1
 
 
 def test_commands_are_those_of_the_services():
@@ -371,7 +386,7 @@ def test_topics_and_frames_name_the_object(tmp_path, monkeypatch):
     assert all(cloud.fields[-1].name == "object_id" for cloud in clouds)
 
 
-def test_command_steers_an_object_and_keeps_the_session(tmp_path, capsys):
+def test_command_steers_an_object_and_keeps_the_session(tmp_path, capsys, monkeypatch):
     clip, session = tmp_path / "clip.safetensors", tmp_path / "session.toml"
     own = scene(**{"time.frames": 2})
     Simulation(prepare(ball(400), own, RunContext(threads=1))).run().save(clip)
@@ -398,6 +413,20 @@ def test_command_steers_an_object_and_keeps_the_session(tmp_path, capsys):
     assert [one.header.frame_id for one in wrenches] == 3 * ["phy124_com"]
     kept = Scene.named(str(session))
     assert kept.time.frames == 3 and kept.object == own.object
+    assert main(["live", str(clip), *given, *coarse, "--record", str(bag)]) == 2
+    sound = Live.step
+
+    def step(live):
+        if live.count == 2:
+            raise Stopped("frame 2 is not sound.")
+        return sound(live)
+
+    monkeypatch.setattr(Live, "step", step)
+    again = ["--record", str(bag), "--overwrite"]
+    assert main(["live", str(clip), *given, *coarse, *again]) == 3
+    assert "its good frames are kept. frame 2 is not sound." in capsys.readouterr().err
+    assert Scene.named(str(session)).time.frames == 2 and recover(bag).frames == 2
+    assert main(["live", str(clip), *given]) == 3, "while the grid is chosen"
     for wrong in (["--speed", "nan"], ["--push-seconds", "-1"]):
         assert main(["live", str(clip), *wrong]) == 2
     assert main(["live", str(tmp_path / "nothing.png")]) == 2

@@ -21,13 +21,14 @@ from demo.guard import COOKIE, Doorkeeper
 from demo.settings import Settings
 from demo.touch import Table, lattice, relay, socket_route
 from demo.touch.lattice import Lattice, Walls
-from demo.touch.player import BINDING, FRAME, HEAD, Player
+from demo.touch.player import BINDING, FRAME, HEAD, Player, play
 from demo.touch.table import FORCES, limits_of, shorten_session
 from phy124.errors import InputError
 from phy124.generators.shapes import ball
 from phy124.live import Live
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
+from phy124.simulation import Stopped
 from support import touching
 
 ORDER = SimpleNamespace(gaussians=1000, scene=SimpleNamespace(names=["object"]))
@@ -301,6 +302,18 @@ def player(monkeypatch, tmp_path):
     )
     line = Spoken()
     return Player(type("Play", (), {"order": order, "most": Settings(max_frames=4)})(), line), line
+
+
+def test_failed_simulation_is_reported(player, monkeypatch):
+    run, line = player
+
+    def fail():
+        raise Stopped("frame 1 is not sound.")
+
+    monkeypatch.setattr(run.live, "step", fail)
+    monkeypatch.setattr("demo.touch.player.Player", lambda what, line: run)
+    play(run._what, line)
+    assert b'"ended"' in line.told[-1][1] and b"not sound" in line.told[-1][1]
 
 
 def test_orders_that_cannot_be_done_are_said_and_the_run_goes_on(player):

@@ -26,8 +26,8 @@ from ..topics import NAMESPACE, Controls, Message, Topic, full_name
 from .foxglove_clients import ENCODING as JSON
 from .foxglove_clients import Clients, Job
 
-PORT = 8765
-"""Default port of Foxglove."""
+PORT, PORTS = 8765, 65535
+"""Default port of Foxglove, and largest port."""
 
 
 class FoxgloveSink:
@@ -53,9 +53,12 @@ class FoxgloveSink:
             controls: Inputs, topics and services in addition to frames; None: those of a player.
 
         Raises:
-            InputError: foxglove-sdk is missing.
+            InputError: foxglove-sdk is missing, or there is no such port.
         """
         require_foxglove()
+        if not 0 <= port <= PORTS:
+            limit = f"it must be a whole number up to {PORTS}."
+            raise InputError("port", port, limit, f"The default is {PORT}.")
         self.monotonic = duration is None
         self.port = port
         self._encoder = FrameEncoder((options or Options()).live())

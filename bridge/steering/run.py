@@ -94,6 +94,8 @@ class SteeredRun:
             now=lambda: self.epoch + self.position,
         )
         self.state = State.PAUSED if paused else State.PLAYING
+        self.stopped: str | None = None
+        """Reason for an early end, if any."""
         self.speed = checked_speed(speed)
         self.shown, self.position = 0, 0.0
         self.show: Callable[[Frame], object] = lambda frame: None
@@ -115,7 +117,7 @@ class SteeredRun:
     @property
     def finished(self) -> bool:
         """Whether the run has ended."""
-        return self.state is State.QUITTING
+        return self.state is State.QUITTING or self.stopped is not None
 
     def stamp_at(self, now: float) -> float:
         """Return the time of the newest frame [s], because later times are not computed yet."""
@@ -123,10 +125,18 @@ class SteeredRun:
         return self.position
 
     def advance(self) -> None:
-        """Compute and show the next frame."""
+        """Compute and show the next frame; if the simulation fails for good, the run ends."""
+        from phy124.simulation import Stopped
+
         self.inputs.apply()
-        frame = self.live.step()
-        self._say_notes()
+        try:
+            frame = self.live.step()
+        except Stopped as stop:
+            self.stopped = str(stop)
+            self.enter(State.QUITTING)
+            return
+        finally:
+            self._say_notes()
         self.position = self._ticks / self.fps
         self._ticks, self.shown = self._ticks + 1, self.shown + 1
         self.show(replace(frame, time=self.position))
@@ -144,6 +154,8 @@ class SteeredRun:
         for done in range(int(count)):
             self._must_be_paused(count)
             self.advance()
+            if self.stopped is not None:
+                raise InputError("steps", count, self.stopped, "The run has ended.")
             yield done + 1
 
     def _must_be_paused(self, count: float) -> None:

@@ -13,6 +13,7 @@ from phy124.live.limits import check_number
 from phy124.runtime.context import RunContext
 from phy124.runtime.device import pick_device
 from phy124.runtime.isolated import Deadline
+from phy124.simulation import Stopped
 
 from ..line import user_message
 from ..settings import Settings
@@ -49,10 +50,12 @@ def play(what: Play, line: Line) -> None:
     """Run until the pipe is closed."""
     try:
         player = Player(what, line)
+        while True:
+            player.frame()
     except InputError as error:
-        return _say(line, kind="ended", text=user_message(error))
-    while True:
-        player.frame()
+        _say(line, kind="ended", text=user_message(error))
+    except Stopped as stop:
+        _say(line, kind="ended", text=str(stop))
 
 
 class Player:

@@ -247,6 +247,28 @@ def _remove_empty(folders: list[Path]) -> None:
             folder.rmdir()
 
 
+def refuse_unwritable(path: PathLike) -> None:
+    """Raise InputError if `replacing` cannot write to this path; an existing file is unchanged."""
+    _create(Path(path)).unlink()
+
+
+def _create(path: Path) -> Path:
+    """Create a temporary file for a path.
+
+    Raises:
+        InputError: The folder is missing, or the file cannot be written.
+        OSError: The disk is full.
+    """
+    try:
+        return create_temporary(path)
+    except OSError as error:
+        if error.errno in SHORT_CODES:
+            raise
+        limit = f"no file can be written to this path ({error.strerror})."
+        remedy = "Give a file name in a folder that exists and that you may write to."
+        raise InputError("output", path, limit, remedy) from error
+
+
 @contextmanager
 def replacing(path: PathLike) -> Iterator[Path]:
     """Provide a temporary file for writing, which replaces `path` if the block succeeds.
@@ -260,14 +282,7 @@ def replacing(path: PathLike) -> Iterator[Path]:
         OSError: If the disk is full.
     """
     path = Path(path)
-    try:
-        temporary = create_temporary(path)
-    except OSError as error:
-        if error.errno in SHORT_CODES:
-            raise
-        limit = f"no file can be written to this path ({error.strerror})."
-        remedy = "Give a file name in a folder that exists and that you may write to."
-        raise InputError("output", path, limit, remedy) from error
+    temporary = _create(path)
     held = lock(temporary)
     try:
         yield temporary
