@@ -246,7 +246,11 @@ class Steer:
     """For rclpy: `--ros-args` and the arguments after it."""
 
     def run(self, say: Say) -> int:
-        """Simulate until a command or Ctrl-C ends the simulation."""
+        """Simulate until a command or Ctrl-C ends the simulation.
+
+        Raises:
+            InputError: An option cannot be used, or a file cannot be read or written.
+        """
         from phy124.simulation import Stopped
 
         checked_speed(self.speed)
