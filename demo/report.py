@@ -129,9 +129,7 @@ def _anchor(x: float) -> str:
 
 
 def _stages(report: dict[str, Any]) -> str:
-    seconds = {stage["name"]: 0.0 for stage in report["stages"]}
-    for stage in report["stages"]:
-        seconds[stage["name"]] += stage["seconds"]
+    seconds = {stage["name"]: stage["seconds"] for stage in report["stages"]}
     longest = max(seconds.values(), default=0) or 1
     rows = [
         f"<tr><td>{escape(name)}<span class='share' style='width:"

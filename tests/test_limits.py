@@ -77,7 +77,7 @@ def test_what_is_too_far_up_for_float32_is_refused():
 
 def test_clips_beyond_the_memory_are_refused(monkeypatch):
     monkeypatch.setattr("phy124.budget.limits.free_memory", lambda: 2e6)
-    with pytest.raises(InputError, match=r"GB of memory, .* Use at most \d+ frames"):
+    with pytest.raises(InputError, match=r"GB of memory, .* Use a coarser accuracy or fewer"):
         run(**{"time.frames": 500})
 
 

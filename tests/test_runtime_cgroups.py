@@ -130,14 +130,14 @@ def test_a_real_group_limits_the_cores():
 
 
 def test_a_run_too_large_for_its_group_is_refused(tmp_path):
-    """As a machine with so little memory refuses it: before work, by the number of frames."""
+    """As a machine with so little memory refuses it: before work, by the number of cells."""
     write_ply(tmp_path / "ball.ply", ball(2000))
     command = ["-m", "phy124", "simulate", tmp_path / "ball.ply", "--scene", "drop", "--json"]
-    options = ["--set", "accuracy=draft", "--frames", "9000", "--set", "time.budget=1e8"]
+    options = ["--set", "accuracy.cells=72", "--frames", "3", "--set", "time.budget=1e8"]
     limits = {"memory.max": 500 * MB, "memory.limit_in_bytes": 500 * MB}
     with limited("memory", limits) as group:
         done = within(group, *command, *options, "--device", "cpu", "--out", tmp_path / "out")
     assert done.returncode == 2, done.stderr
     sentence = json.loads(done.stdout)["error"]
-    assert sentence.startswith("time.frames = 9000: the run is estimated to need 0.")
-    assert "Use at most" in sentence and not (tmp_path / "out").exists()
+    assert sentence.startswith("accuracy.cells = 72: the run is estimated to need 0.")
+    assert "coarser accuracy" in sentence and not (tmp_path / "out").exists()

@@ -35,7 +35,7 @@ def test_a_worker_killed_within_a_clip_goes_on_with_it(tmp_path, plan, monkeypat
     """Its folder is copied within a frame of the second clip, as a kill would leave it."""
     monkeypatch.setattr(recording, "COST", 1e9)
     whole, killed, begun, left = tmp_path / "whole", tmp_path / "killed", [], []
-    step = Simulation.step
+    step = Simulation._take_frame
 
     def copying(simulation):
         frame = step(simulation)
@@ -46,13 +46,13 @@ def test_a_worker_killed_within_a_clip_goes_on_with_it(tmp_path, plan, monkeypat
         return frame
 
     with monkeypatch.context() as patch:
-        patch.setattr(Simulation, "step", copying)
+        patch.setattr(Simulation, "_take_frame", copying)
         assert run(plan, str(whole), workers=0).ended == {"done": 2}
     assert PAUSE in left and len(left) == 2
     for folder in (killed, next((killed / "rows").iterdir())):
         (folder / ".x-01234567.part.json").touch()
     begun.clear()
-    monkeypatch.setattr(Simulation, "step", lambda run: begun.append(run.count) or step(run))
+    monkeypatch.setattr(Simulation, "_take_frame", lambda run: begun.append(run.count) or step(run))
     assert run(plan, str(killed), workers=0).ended == {"done": 1}
     assert begun == [2, 3]
     assert clips_of(whole) == clips_of(killed)
@@ -74,7 +74,7 @@ def test_a_clip_stays_if_its_film_fails(tmp_path, plan, monkeypatch):
 
 def test_a_missing_encoder_is_refused_before_the_first_clip(tmp_path, plan, monkeypatch):
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nonexistent")
-    monkeypatch.setattr(Simulation, "step", lambda _: pytest.fail("it began"))
+    monkeypatch.setattr(Simulation, "_take_frame", lambda _: pytest.fail("it began"))
     with pytest.raises(InputError, match="the video encoder, ffmpeg, does not work here"):
         run(plan, str(tmp_path / "out"), workers=0)
 

@@ -287,7 +287,7 @@ class Pilot:
             **self.counts,
             "elastic": at_rest * scale + excess * scale ** (1 + EXCESS),
             "speed": self.counts["speed"] * scale,
-            "wave": self.counts.get("wave", 0.0) * np.sqrt(scale),
+            "wave": self.counts.get("wave", np.zeros_like(at_rest)) * np.sqrt(scale),
         }
         others = np.sum([n for name, n in counts.items() if name != "viscous"], axis=0)
         is_viscous = others < self.viscous * scale**2

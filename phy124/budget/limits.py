@@ -83,16 +83,12 @@ def _check_memory(need: Estimate, scene: Scene, device: str) -> None:
         )
     free = free_memory()
     if need.memory > MEMORY_FRACTION * free:
-        most = int(scene.time.frames * MEMORY_FRACTION * free / need.memory)
         raise InputError(
-            "time.frames",
-            scene.time.frames,
+            "accuracy.cells",
+            scene.resolution.cells,
             f"the run is estimated to need {need.memory / 1e9:.1f} GB of memory, and "
             f"{free / 1e9:.1f} GB are free.",
-            f"Use at most {most} frames, or fewer Gaussians."
-            if most > 1
-            else "Use fewer Gaussians or a coarser accuracy.",
-            [change_field("time.frames", most)] if most > 1 else [],
+            "Use a coarser accuracy or fewer Gaussians.",
         )
 
 

@@ -315,14 +315,22 @@ class Clip:
 def stack_arrays(rows: Sequence[NDArray]) -> NDArray:
     """Stack arrays of the same shape, without a copy if they are adjacent in memory."""
     first = rows[0]
-    base, start, step = first.base, first.ctypes.data, first.nbytes
+    owner, start, step = _owner(first), first.ctypes.data, first.nbytes
     follow = (
-        row.base is base and row.ctypes.data == start + i * step for i, row in enumerate(rows)
+        _owner(row) is owner and row.ctypes.data == start + i * step for i, row in enumerate(rows)
     )
-    if base is None or not first.flags.c_contiguous or not all(follow):
+    if owner is first or not first.flags.c_contiguous or not all(follow):
         return np.stack(rows)
     shape, strides = (len(rows), *first.shape), (step, *first.strides)
     return np.lib.stride_tricks.as_strided(first, shape, strides, writeable=False)
+
+
+def _owner(array: NDArray) -> Any:
+    """Return the object that holds the memory of an array, which may be a view of a view."""
+    owner: Any = array
+    while isinstance(owner, np.ndarray) and owner.base is not None:
+        owner = owner.base
+    return owner
 
 
 def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
