@@ -68,7 +68,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
             fps = pipeline.playback(order.scene.time.fps, view)
             write_animation(folder / "orbit.webp", images, fps=fps)
         report = json.loads((clips / "report.json").read_text("utf-8"))
-        report["stages"] = _joined(report["stages"], watch.data())
+        report["stages"] = _add_stages(report["stages"], watch.data())
         report["seconds"] += watch.total
         report |= pipeline.view_report(clip, view) | about
         if order.photograph and not about:
@@ -79,7 +79,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
         pipeline.write_json(folder / "report.json", report)
 
 
-def _joined(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _add_stages(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the stages of the clip and of its films; a stage of both has their total time."""
     joined = {stage["name"]: stage for stage in stages}
     for stage in others:
