@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import reprlib
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -248,7 +249,7 @@ def number(text: str, values: list[str], known: str = KNOWN) -> float:
 def unknown(text: str, known: str = KNOWN) -> InputError:
     """Return the error for an unknown command."""
     limit = f"The commands are: {known}."
-    return InputError("command", repr(text), limit, "Send one of them.")
+    return InputError("command", reprlib.repr(text), limit, "Send one of them.")
 
 
 class Listener:

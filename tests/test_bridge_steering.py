@@ -115,6 +115,9 @@ def test_commands_are_those_of_the_services():
     for text in ("dance", "step", "step nan", "step -1", "step 1e400", "step 1.5", "seek 1"):
         with pytest.raises(InputError):
             run.command(text)
+    with pytest.raises(InputError) as refused:
+        run.command("x" * 5000)
+    assert len(str(refused.value)) < 200
 
 
 def test_a_wrench_acts_until_it_is_replaced_or_over():
