@@ -17,6 +17,7 @@ from . import PROGRAM, bag
 from .backends import AUTOMATIC, REQUIREMENTS, missing, sink_names
 from .layout import FULL, SMALL, VIZ
 from .recover import records
+from .sinks.mcap import require_mcap
 from .topics import MAIN
 
 WANTED_BUFFER = 4 << 20
@@ -76,11 +77,12 @@ def describe_recording(path: Path) -> list[str]:
         path: The bag folder or the .mcap file.
 
     Raises:
-        InputError: There is no such recording.
+        InputError: There is no such recording, or the package `mcap` is missing.
     """
+    files = bag.recorded_files(path)
+    require_mcap()
     from mcap.records import Channel, Footer, Message
 
-    files = bag.recorded_files(path)
     counts: Counter[str] = Counter()
     times: list[int] = []  # of the frames [ns]
     whole = path.suffix == bag.SUFFIX or (path / bag.METADATA).is_file()

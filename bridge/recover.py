@@ -18,7 +18,7 @@ from phy124.errors import InputError
 from phy124.io.files import move_to
 
 from . import bag
-from .sinks.mcap import CHUNK
+from .sinks.mcap import CHUNK, require_mcap
 from .topics import MAIN, find_recorded
 
 if TYPE_CHECKING:
@@ -48,10 +48,12 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
 
     Raises:
         InputError: There is no recording, the bridge did not make it, not even its beginning is
-            readable, or the disk is full; the damaged file stays unchanged.
+            readable, the package `mcap` is missing, or the disk is full; the damaged file stays
+            unchanged.
     """
     target = Path(output) if output else Path(path)
     source, *others = bag.recorded_files(Path(path))
+    require_mcap()
     if others:
         limit = f"It is split into {1 + len(others)} files, so this program did not record it."
         raise InputError("recover", path, limit, "Use `ros2 bag reindex -s mcap` for it.")

@@ -238,6 +238,15 @@ def test_sigkill_twenty_times(tmp_path, attempt):
     sys.stdout.write(f"{count} points: {begun} frames begun, {recovered} recovered\n")
 
 
+@pytest.mark.parametrize("read", [recover, describe])
+def test_missing_package_is_named(tmp_path, monkeypatch, read):
+    (tmp_path / "one.mcap").touch()
+    for name in ("mcap.records", "mcap.writer"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(InputError, match="need the package mcap"):
+        read(tmp_path / "one.mcap")
+
+
 def test_a_renamed_bag_is_read_and_repaired(tmp_path):
     recorded(tmp_path / "old", random_clip())
     bag = (tmp_path / "old").rename(tmp_path / "new")

@@ -241,6 +241,6 @@ def require_mcap() -> None:
     try:
         import mcap.writer  # noqa: F401
     except ImportError as error:
-        limit = "Recording needs the package mcap, which is not installed."
+        limit = "Recordings need the package mcap, which is not installed."
         remedy = f"Run `{install_command('bridge')}`."
         raise InputError("recording", "mcap", limit, remedy) from error
