@@ -47,8 +47,7 @@ def test_what_is_no_time_is_refused():
 
 @pytest.fixture
 def quick(monkeypatch) -> Scene:
-    monkeypatch.setattr(choose, "CHEAP", (8, 12))
-    monkeypatch.setattr(choose, "CHECK", 6)
+    monkeypatch.setattr(choose, "FIRST", (6, 8, 12))
     monkeypatch.setattr(choose, "CELLS", (8, 10, 12, 14, 16, 20, 24))
     return Scene.named("drop").replaced(
         {
@@ -105,7 +104,7 @@ def test_a_guessed_order_takes_a_small_step(quick, monkeypatch):
 
 def test_lax_goal_takes_a_cheap_level(quick):
     about = reach(Goal.error("50%"), ball(600), quick).about
-    assert about["cells"] == 8
+    assert about["cells"] == 6
     assert about["levels"] == [6, 8, 12]
     assert 0 < about["error"] < 0.5
     assert about["met"] is True
@@ -174,18 +173,27 @@ def test_a_goal_out_of_reach_is_refused_with_what_is_in_reach(quick):
         reach(Goal.error("0.0001px"), ball(600), quick)
 
 
-def test_it_refines_at_most_once(quick, monkeypatch):
-    seen = []
+@pytest.mark.parametrize("goal", ["1.5%", "0.8%", "0.55%", "0.42%"])
+def test_chosen_grid_has_few_more_cells_than_needed(quick, monkeypatch, goal):
+    """The error is 0.1 / cells, so a goal needs 0.1 / goal cells."""
 
     def estimate(goal, runs):
-        seen.append(sorted(runs.done))
-        return choose.Convergence(1.0, tuple(0.02 for _ in runs.done))
+        return choose.Convergence(1.0, tuple(0.1 / cells for cells in sorted(runs.done)))
 
     monkeypatch.setattr(choose, "_estimate", estimate)
-    about = reach(Goal.error("1.5%"), ball(600), quick).about
-    assert seen == [[6, 8, 12], [6, 8, 12, 16], [6, 8, 12, 16, 24]]
-    assert about["refined"] is True
-    assert about["met"] is False
+    about = reach(Goal.error(goal), ball(600), quick).about
+    needed = 0.1 / Goal.error(goal).value
+    assert about["met"] and needed <= about["cells"] <= 1.5 * needed
+
+
+def test_levels_are_refined_by_at_most_half(quick, monkeypatch):
+    """Estimates that never fall end the search at the finest grid, not at a distant one."""
+    monkeypatch.setattr(
+        choose, "_estimate", lambda goal, runs: choose.Convergence(1.0, (0.02,) * len(runs.done))
+    )
+    about = reach(Goal.error("1.4%"), ball(600), quick).about
+    assert about["levels"] == [6, 8, 12, 16, 24]
+    assert about["refined"] and not about["met"] and "even D/24" in about["why_not"]
 
 
 class Oracle:

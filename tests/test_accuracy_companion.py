@@ -40,6 +40,14 @@ def test_error_is_that_before_the_grids_part(distances, about, until):
         assert result == (pytest.approx(about), pytest.approx(1.5 * about + companion.FLOOR), until)
 
 
+def test_expected_error_limits_the_bound_from_below():
+    distances, factors = np.full(4, 1e-3), Factors(1.0, 2.0)
+    _, alone, _ = estimate(distances, TIMES, factors)
+    assert alone == pytest.approx(2e-3 + companion.FLOOR)
+    assert estimate(distances, TIMES, factors, 0.001)[1] == alone
+    assert estimate(distances, TIMES, factors, 0.01)[1] == pytest.approx(companion.LEAST * 0.01)
+
+
 def test_own_error_leaves_the_run_unchanged(run, monkeypatch):
     monkeypatch.setattr(companion, "AFFORDABLE", 1e3)
     simulation, clip = run

@@ -54,7 +54,7 @@ def test_missing_error_names_the_study_of_this_scene(file, capsys):
 
 def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("phy124.accuracy.choose.CELLS", (8, 10))
-    monkeypatch.setattr("phy124.accuracy.choose.CHEAP", (8, 10))
+    monkeypatch.setattr("phy124.accuracy.choose.START", 8)
     arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL, "--dry-run"]
     assert main([*arguments, "--max-seconds", "1000"]) == 0
     assert "asked for at most 1000 s: D/" in capsys.readouterr().out
@@ -64,7 +64,7 @@ def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, m
 
 def test_simulate_meets_a_time_and_compares_its_forecast(file, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("phy124.accuracy.choose.CELLS", (8, 10))
-    monkeypatch.setattr("phy124.accuracy.choose.CHEAP", (8, 10))
+    monkeypatch.setattr("phy124.accuracy.choose.START", 8)
     arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL]
     assert main([*arguments, "--max-seconds", "1000"]) == 0
     assert "asked for at most 1000 s: D/" in capsys.readouterr().out
@@ -76,8 +76,7 @@ def test_simulate_meets_a_time_and_compares_its_forecast(file, tmp_path, capsys,
 def test_a_run_with_an_error_goal_names_one_error(file, tmp_path, capsys, monkeypatch):
     """The one that it has measured, not that of other objects, whatever the grid."""
     monkeypatch.setattr("phy124.accuracy.choose.CELLS", (8, 10, 12, 14, 16))
-    monkeypatch.setattr("phy124.accuracy.choose.CHEAP", (10, 12))
-    monkeypatch.setattr("phy124.accuracy.choose.CHECK", 8)
+    monkeypatch.setattr("phy124.accuracy.choose.FIRST", (8, 10, 12))
     out = tmp_path / "o"
     assert main(["simulate", str(file), "--out", str(out), *SMALL, "--max-error", "9%"]) == 0
     said = capsys.readouterr().out

@@ -1,11 +1,12 @@
 """Chooses the accuracy that meets a goal: a maximum error or a maximum time.
 
-A level is a run of the scene on one grid. For a maximum error, three cheap levels are run first,
-and the order of convergence and their errors are estimated. Then the coarsest grid that is
-predicted to meet the goal is run, and the errors are estimated again from all levels. If the levels
-do not converge yet, another level is run. If the error still exceeds the goal, the grid is refined
-once more, and only once. If a level tears the material (phy124/monitor/tearing.py), that level is
-repeated with one more particle per cell and axis, and all later levels use this number, too.
+A level is a run of the scene on one grid. For a maximum error, levels are run from coarse to fine,
+each with at most 1.5 times the cells of the one before. From three levels on, the order of
+convergence and the error of each level are estimated, and the next level is the coarsest grid that
+is predicted to meet the goal. The search ends when a level meets the goal, so the chosen grid has
+at most 1.5 times the cells that the goal needs by these estimates. If a level tears the material
+(phy124/monitor/tearing.py), that level is repeated with one more particle per cell and axis, and
+all later levels use this number, too.
 
 For a maximum time, the finest grid whose forecast fits is run.
 """
@@ -42,28 +43,23 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 
-CHEAP = (16, 24)
-"""Cells across the object of the cheap levels; the chosen grid may be one of them."""
-CHECK = 12
-"""Cells across the object of the third cheap level; observing an order requires three levels."""
+FIRST = (12, 16, 24)
+"""Cells across the object of the first levels; observing an order requires three levels."""
+STEP = 1.5
+"""Largest ratio of a new level's cells to the cells of the finest level so far."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
-"""Cells across the object of the grids that may be chosen.
+"""Cells across the object of the other grids that may be chosen.
 
 The finest grids take minutes, and less than 2 GB of memory, on two cores.
 """
 GUESSED_ORDER = 1.0
-"""Order assumed if the cheap levels do not converge; free surfaces converge with first order."""
-FAR = 2.5
-"""Largest ratio of a new level's cells to the cells of the finest level so far.
-
-Errors on still finer grids cannot be predicted.
-"""
-FINER = 1.3
-"""Smallest ratio of cells at which a level counts as clearly finer."""
+"""Order assumed if the levels do not converge; free surfaces converge with first order."""
+START = 16
+"""Cells across the object of the first grid whose time is forecast for a maximum time."""
+PATIENCE = 2
+"""Number of levels that are run after the first estimate although the levels do not converge."""
 DENSEST = 4.0
 """Maximum number of particles per cell and axis."""
-LAST_CHANCE = 0.85
-"""Fraction of the goal's error that the refinement aims at, since there is no second refinement."""
 
 
 @dataclass
@@ -177,36 +173,38 @@ class _Runs:
 
 
 def _meet_error(goal: Goal, runs: _Runs) -> Reached:
-    for level in (CHECK, *CHEAP):
+    for level in FIRST:
         runs.clip(level)
     if not runs.complete:
         raise _unreachable(goal, "the motion stops early on a coarse grid")
     if runs.torn:
         raise _unreachable(goal, _why_torn(runs))
-    result = _estimate(goal, runs)
-    error, order = _guess(goal, runs, result)
-    meets = min(CHEAP) if result.errors and result.errors[1] <= goal.value else None
-    cells = meets or _find_coarsest(goal, max(CHEAP), error, order, above=min(CHEAP))
-    if cells is None:
-        raise _unreachable(goal, _describe_best(goal, runs, error, order))
-    # Without a reliable order, errors on much finer grids cannot be predicted.
-    reliable = result.errors and not result.note
-    _run(goal, runs, min(cells, _finest_up_to(FAR * max(CHEAP)) if reliable else _next(max(CHEAP))))
-    result = _estimate(goal, runs)
-    if not result.errors and not runs.torn:
-        _run(goal, runs, _next(max(runs.done)))
+    result, obstacle = _estimate(goal, runs), ""
+    while not (obstacle or runs.torn or _choose_run(result, runs, goal)[2]):
+        obstacle = _refine(goal, runs, result)
+        if obstacle and len(runs.done) == len(FIRST):
+            raise _unreachable(goal, obstacle)
         result = _estimate(goal, runs)
-    cells, best = _choose_run(result, runs, goal)
-    refined = best is not None and best > goal.value and not runs.torn
-    if refined:
-        finest, (error, order) = max(runs.done), _guess(goal, runs, result)
-        error /= LAST_CHANCE
-        target = _find_coarsest(goal, finest, error, order, above=finest) or _next(finest)
-        _run(goal, runs, min(target, _finest_up_to(FAR * finest)))
-        result = _estimate(goal, runs)
-        cells, best = _choose_run(result, runs, goal)
+    cells, best, met = _choose_run(result, runs, goal)
     simulation, clip = runs.done[cells]
-    return Reached(simulation, clip, _report(goal, cells, best, result, runs, refined))
+    return Reached(simulation, clip, _report(goal, cells, best, met, result, runs, obstacle))
+
+
+def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
+    """Run the next level; return the reason if there is none, or else ""."""
+    if not result.errors and len(runs.done) >= len(FIRST) + PATIENCE:
+        return result.why_not
+    finest, (error, order) = max(runs.done), _guess(goal, runs, result)
+    if error * (finest / CELLS[-1]) ** order > goal.value:
+        return _describe_best(goal, runs, error, order)
+    needed = finest * (error / goal.value) ** (1 / order)
+    finer = [n for n in CELLS if finest < n <= STEP * finest]
+    cells = next((n for n in finer if n >= needed), finer[-1])
+    try:
+        runs.clip(cells)
+    except InputError as refusal:
+        return f"this needs D/{cells}, for which {refusal.limit.rstrip('.')}"
+    return ""
 
 
 def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
@@ -219,24 +217,6 @@ def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
     return guess_errors((1 / coarse, 1 / fine), gap, GUESSED_ORDER)[1], GUESSED_ORDER
 
 
-def _run(goal: Goal, runs: _Runs, cells: int) -> None:
-    """Run a level; raise InputError if it would need too much time or memory."""
-    try:
-        runs.clip(cells)
-    except InputError as error:
-        why = f"this needs D/{cells}, for which {error.limit.rstrip('.')}"
-        raise _unreachable(goal, why) from None
-
-
-def _next(cells: int) -> int:
-    """Return the coarsest grid that is clearly finer than this one, or else the finest grid."""
-    return next((n for n in CELLS if n >= FINER * cells), CELLS[-1])
-
-
-def _finest_up_to(cells: float) -> int:
-    return max(n for n in CELLS if n <= cells)
-
-
 def _describe_best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
     """Describe the error and time of the finest grid, extrapolated from the finest run."""
     known, finest = max(runs.done), CELLS[-1]
@@ -246,10 +226,17 @@ def _describe_best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
 
 
 def _report(
-    goal: Goal, cells: int, error: float | None, result: Convergence, runs: _Runs, refined: bool
+    goal: Goal,
+    cells: int,
+    error: float | None,
+    met: bool,
+    result: Convergence,
+    runs: _Runs,
+    obstacle: str,
 ) -> dict[str, Any]:
     """Return the goal and the result, in the goal's unit, for the report."""
-    levels, met = runs.whole, error is not None and error <= goal.value
+    levels = runs.whole
+    why_not = _why_torn(runs) if runs.torn else result.why_not or obstacle
     return {
         "target": goal.text,
         "unit": goal.kind,
@@ -260,11 +247,11 @@ def _report(
         "order": result.order,
         "error": error,
         "fraction": None if error is None else error / UNIT[goal.kind](runs.scene),
-        "refined": refined,
+        "refined": len(runs.done) > len(FIRST),
         "met": met,
         "torn": runs.torn,
         "particles_per_axis": runs.done[cells][0].scene.particles_per_axis,
-        "why_not": _why_torn(runs) if runs.torn and not met else result.why_not,
+        "why_not": "" if met else why_not,
     }
 
 
@@ -277,16 +264,16 @@ def _why_torn(runs: _Runs) -> str:
     )
 
 
-def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None]:
-    """Return a grid and its error.
+def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None, bool]:
+    """Return a grid, its error, and whether the error meets the goal.
 
     It is the coarsest grid that meets the goal, or the finest grid if none does.
     """
     levels = runs.whole
     for cells, error in zip(levels, result.errors, strict=False):
-        if cells >= min(CHEAP) and error <= goal.value:
-            return cells, error
-    return levels[-1], result.error
+        if error <= goal.value:
+            return cells, error, True
+    return levels[-1], result.error, False
 
 
 def _estimate(goal: Goal, runs: _Runs) -> Convergence:
@@ -306,19 +293,6 @@ def _distance(goal: Goal, first: Clip, second: Clip, scene: Scene) -> float:
         return pixel_distance(first, second, scene.view)
     unit = scene.object.size if goal.kind == "fraction" else 1.0
     return float(distances([first.surface.means, second.surface.means])[0, 1]) / unit
-
-
-def _find_coarsest(
-    goal: Goal, known: int, error: float, order: float, *, above: int = 0
-) -> int | None:
-    """Return the coarsest grid predicted to meet the goal; None if none is.
-
-    The errors are extrapolated, with an order, from the error on the grid with `known` cells.
-    """
-    for cells in (n for n in CELLS if n >= min(CHEAP) and n > above):
-        if error * (known / cells) ** order <= goal.value:
-            return cells
-    return None
 
 
 def _unreachable(goal: Goal, why: str) -> InputError:
@@ -396,7 +370,7 @@ def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float
     """
     available, start = MARGIN * goal.value - elapsed, runs.context.watch.total
     tried: dict[int, tuple[Simulation, Forecast]] = {}
-    best, cells = 0, CHEAP[0]
+    best, cells = 0, START
     while cells and cells not in tried:
         simulation = runs.simulation(cells)
         forecast = forecaster.of(simulation)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.accuracy.expectation import expect
 from phy124.accuracy.probe import min_cells
 from phy124.accuracy.severity import motion_of
 from phy124.budget.cost import USUAL, Rates
@@ -73,6 +74,11 @@ USUAL_CELLS = 16
 """Cells of the companion for which the factors hold; they are larger on finer and coarser grids."""
 FLOOR = 2e-4
 """Error, in object sizes, that is always added to the bound."""
+LEAST = 0.6
+"""Smallest bound, divided by the error expected before the run.
+
+Two coarse grids may agree by chance. The expected error then limits the damage at little cost.
+"""
 
 
 class OwnError(NamedTuple):
@@ -171,7 +177,7 @@ def factors_of(scene: Scene, cells: int) -> Factors:
 
 
 def estimate(
-    distances: NDArray, times: NDArray, factors: Factors
+    distances: NDArray, times: NDArray, factors: Factors, expected: float | None = None
 ) -> tuple[float | None, float | None, float | None]:
     """Return the error, its bound, and the time until which they hold, as in `OwnError`.
 
@@ -179,6 +185,7 @@ def estimate(
         distances: RMS distance of the run and its companion in each frame [T], in object sizes.
         times: Times of the frames [T], s.
         factors: Ratios of the error to the distance.
+        expected: Error bound before the run, in object sizes; None: not measured.
     """
     together = np.flatnonzero(distances <= PARTED)
     count = int(together[-1]) + 1 if len(together) else 0
@@ -186,7 +193,8 @@ def estimate(
     if count < FEWEST:
         return None, None, until
     distance = float(np.sqrt((distances[:count] ** 2).mean()))
-    return factors.about * distance, factors.at_most * distance + FLOOR, until
+    at_most = max(factors.at_most * distance + FLOOR, LEAST * (expected or 0.0))
+    return factors.about * distance, at_most, until
 
 
 def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int64]) -> OwnError:
@@ -202,7 +210,8 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
         return OwnError(cells=cells, why_not=f"D/{cells} failed: {failure(error).sentence}")
     gaps = (clip.means[:, indices].astype(np.float64) - motion) / run.scene.object.size
     distances = np.sqrt((gaps**2).sum(axis=2).mean(axis=1))
-    about, at_most, until = estimate(distances, clip.times, factors_of(scene, cells))
+    expected = expect(run.scene, run.setup.proportions).error
+    about, at_most, until = estimate(distances, clip.times, factors_of(scene, cells), expected)
     why_not = "" if about is not None else "other grids move otherwise from the start"
     return OwnError(about, at_most, until, cells, round(cost, 4), why_not)
 

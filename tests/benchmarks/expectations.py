@@ -244,7 +244,7 @@ def pair_of(row: Row, before: float | None) -> Pair | None:
     apart = dict(zip(combinations(row["levels"], 2), map(np.array, row["apart"]), strict=True))
     distances, errors = apart[coarse, grid], apart[grid, truth]
     times = np.arange(len(distances)) / scene.time.fps
-    _, at_most, until = estimate(distances, times, factors_of(scene, coarse))
+    _, at_most, until = estimate(distances, times, factors_of(scene, coarse), before)
     if at_most is None:
         return None
     count = len(times) if until is None else int(np.searchsorted(times, until - 1e-9))

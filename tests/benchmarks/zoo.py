@@ -221,7 +221,7 @@ def measured(gaussians: Gaussians, base: Scene, levels: tuple[int, ...]) -> dict
             {
                 "cells": cells,
                 "complete": clips[-1].report["complete"],
-                "torn": clips[-1].report["balance"]["tearing"]["likely"],
+                "torn": clips[-1].report["balance"].get("tearing", {}).get("likely", False),
                 "particles": clips[-1].report["particles"],
                 "substeps": clips[-1].report["substeps"],
                 "preparing": round(middle - start, 2),
