@@ -12,6 +12,7 @@ from phy124.gaussians import Gaussians
 from phy124.generators.shapes import ball
 from phy124.live import Live, RealTime, choose, held_rate
 from phy124.live.inputs import GrabRecord, Inputs
+from phy124.runtime import stopwatch
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Stopped
@@ -299,10 +300,11 @@ def test_the_grid_is_as_fine_as_this_machine_holds(monkeypatch):
         now[0] += 1.0
 
     with monkeypatch.context() as patch:
-        patch.setattr(choose, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+        for clock in (choose, stopwatch):
+            patch.setattr(clock, "time", SimpleNamespace(perf_counter=lambda: now[0]))
         slow = held_rate(thing(), scene(), RunContext(threads=1), show=show)
     assert slow.scene.resolution.cells == 8 and slow.scene.binding == "lattice"
-    assert slow.factor == pytest.approx(1 / 24, rel=0.2)
+    assert slow.factor == pytest.approx(1 / 24)
     exact = held_rate(thing(), scene(), RunContext(threads=1), max_error=0.15)
     assert exact.promise.error <= 0.15 and "at most" in exact.sentence
     with pytest.raises(InputError, match="rate"):
