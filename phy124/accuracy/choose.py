@@ -56,7 +56,7 @@ GUESSED_ORDER = 1.0
 """Order assumed if the levels do not converge; free surfaces converge with first order."""
 START = 16
 """Cells across the object of the first grid whose time is forecast for a maximum time."""
-PATIENCE = 2
+ATTEMPTS = 2
 """Number of levels that are run after the first estimate although the levels do not converge."""
 DENSEST = 4.0
 """Maximum number of particles per cell and axis."""
@@ -192,7 +192,7 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
 
 def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
     """Run the next level; return the reason if there is none, or else ""."""
-    if not result.errors and len(runs.done) >= len(FIRST) + PATIENCE:
+    if not result.errors and len(runs.done) >= len(FIRST) + ATTEMPTS:
         return result.why_not
     finest, (error, order) = max(runs.done), _guess(goal, runs, result)
     if error * (finest / CELLS[-1]) ** order > goal.value:
