@@ -2,9 +2,9 @@
 
     python tests/benchmarks/expectations.py
 
-reads zoo.jsonl and writes phy124/accuracy/measured.json, from which phy124/accuracy/expectation.py
-predicts, and the tables and the plot of docs/lab/own-error.md. Predictions are compared with the
-errors of objects that were left out of the fit.
+reads zoo.jsonl.gz and writes phy124/accuracy/measured.json, from which the module expectation.py
+beside it predicts, and the tables and the plot of docs/lab/own-error.md. Predictions are compared
+with the errors of objects that were left out of the fit.
 """
 
 import json

@@ -1,6 +1,6 @@
 """The zoo: objects in scenes on several grids, to measure errors and to fit the expected errors.
 
-This script adds a row to zoo.jsonl for each object and scene that has none, so it can be stopped
+This script adds a row to zoo.jsonl.gz for each object and scene that has none, so it can be stopped
 and started again; a slice ends after some minutes:
 
     nice python tests/benchmarks/zoo.py --objects ../shared/objects --minutes 50
@@ -11,6 +11,7 @@ pictures of demo/examples, and solids that need no file.
 """
 
 import argparse
+import gzip
 import json
 import subprocess
 import sys
@@ -44,7 +45,7 @@ from presets import beginning
 from tables import processor
 
 ROOT = Path(__file__).parents[2]
-ROWS = Path(__file__).with_suffix(".jsonl")
+ROWS = Path(__file__).with_suffix(".jsonl.gz")
 GRIDS = {"draft": (8, 16, 32), "standard": (10, 16, 20, 32, 64), "fine": (24, 48, 96)}
 """Name -> cells across the object: companions, the grid that is judged, and last the truth."""
 COLOUR = (0.6, 0.4, 0.3)
@@ -243,7 +244,10 @@ def commit() -> str:
 
 def rows() -> list[Row]:
     """The rows that were measured."""
-    return [json.loads(line) for line in ROWS.read_text().splitlines()] if ROWS.exists() else []
+    if not ROWS.exists():
+        return []
+    with gzip.open(ROWS, "rt", encoding="utf-8") as file:
+        return [json.loads(line) for line in file]
 
 
 def measure(args: argparse.Namespace) -> None:
@@ -282,7 +286,7 @@ def measure(args: argparse.Namespace) -> None:
             "date": time.strftime("%Y-%m-%d"),
             "commit": commit(),
         }
-        with ROWS.open("a") as file:
+        with gzip.open(ROWS, "at", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         print(f"{name} {words}", flush=True)
 
