@@ -65,9 +65,10 @@ def moved(threads: int, time: float = 0.012):
     external = ExternalWork()
     s = solver(threads, external=external)
     external.open(s.clock)
-    external.begin(np.asarray(s.model.mass.numpy()) @ s.state.v.numpy())
+    mass = np.asarray(s.model.mass.numpy())
+    external.begin(mass @ s.state.v.numpy())
     s.advance(time)
-    given = external.total(s.clock, np.zeros(3))
+    given = external.total(s.clock, np.zeros(3), mass @ s.state.v.numpy())
     return s.state.x.numpy().copy(), given.impulse, given.work, s.clock.substeps
 
 
