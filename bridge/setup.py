@@ -19,7 +19,7 @@ NAME, VERSION, DESCRIPTION, LICENSE, MAINTAINER = (
 HERE = f"../{Path(__file__).resolve().parent.name}"
 EXECUTABLES = {
     "player": (f"{NAME}.start", "player", 0),
-    "managed": (f"{NAME}.start", "managed", 0),
+    "managed": (f"{NAME}.start", "manage", 0),
     "simulate": (f"{NAME}.start", "simulate", 0),
     "live": (f"{NAME}.start", "live", 130),
     "bridge": (f"{NAME}.__main__", "main", 130),

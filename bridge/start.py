@@ -17,7 +17,7 @@ def player() -> None:
         node.main()
 
 
-def managed() -> None:
+def manage() -> None:
     """`ros2 run phy124_bridge managed --ros-args -p clip:=/path/to/clip.safetensors`."""
     with importing(0):
         from phy124.runtime.streams import steady_streams

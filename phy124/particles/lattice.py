@@ -27,7 +27,7 @@ SMALLEST = 1e-3
 HAZE = 0.05
 """Filled part of a cell below which it has no surface points: single Gaussians around the body."""
 TRACE = 0.1
-"""Fraction below which a voxel beside a voxel of twice its fraction has no surface points."""
+"""Fraction below which a voxel next to one of twice its fraction has no surface points."""
 SLIVER = 0.15
 """Filled part of a cell below which it is merged with a neighbour."""
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
@@ -176,7 +176,7 @@ def _filled_parts(
     across[~sheet], offset[~sheet] = normal[cut][~sheet], -np.inf
     line = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
     points = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
-    own = np.eye(3) / (12 * SAMPLES**2)
+    of_sample = np.eye(3) / (12 * SAMPLES**2)
     for rows in np.array_split(np.arange(len(cut)), max(1, len(cut) // 20_000)):
         some, flat = cut[rows], sheet[rows]
         height = across[rows] @ points.T
@@ -193,7 +193,7 @@ def _filled_parts(
         shift[some] = share @ points
         second = share @ (points[:, :, None] * points[:, None, :]).reshape(-1, 9)
         middle = shift[some][:, :, None] * shift[some][:, None, :]
-        spread[some] = second.reshape(-1, 3, 3) - middle + own
+        spread[some] = second.reshape(-1, 3, 3) - middle + of_sample
     return shift, spread
 
 
