@@ -130,6 +130,7 @@ def test_a_subscriber_that_hangs_neither_ends_nor_stops_the_show(domain, monkeyp
         with DdsSink(Options(epoch=EPOCH)) as sink:
             wait_until(sink.subscribers)
             other.send_signal(signal.SIGSTOP)
+            os.waitpid(other.pid, os.WUNTRACED)  # until it has stopped
             for frame in random_clip(frames=12, count=100).frames():
                 sink.write(frame)
         other.kill()
