@@ -8,6 +8,8 @@ from pathlib import Path
 import warp as wp
 
 DOCS = Path(__file__).parents[2] / "docs"
+LOAD = os.getloadavg()[0]
+"""Load when the benchmark starts, before its own processes count."""
 
 
 def markdown(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
@@ -18,9 +20,8 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 def machine() -> str:
     """Return a sentence on what measured, which says so if the machine was busy."""
-    cores, load = os.cpu_count() or 1, os.getloadavg()[0]
-    busy = f"; the machine was busy (load {load:.0f}), so seconds are too long"
-    return f"Measured on {processor()}" + (busy if load > 1.5 * cores else "") + "."
+    busy = f"; the machine was busy (load {LOAD:.0f}), so seconds are too long"
+    return f"Measured on {processor()}" + (busy if LOAD > 1.5 * (os.cpu_count() or 1) else "") + "."
 
 
 def processor() -> str:
