@@ -161,11 +161,10 @@ class SelfContact:
         """
         self._seen = x
         near = KDTree(x).query_pairs(FAR * self._model.dx, output_type="ndarray")
-        near = near[self._may_meet(*self._sample[near].T)]
-        a, b = near.T
-        still = self._surface.x[self._sample]
-        now, rest = (np.linalg.norm(values[a] - values[b], axis=1) for values in (x, still))
-        near = near[now < NEARER * rest]
+        # Few pairs are nearer than at rest, and only these are compared further.
+        now, rest = (_squares(values, near) for values in (x, self._surface.x[self._sample]))
+        near = near[now < NEARER**2 * rest]
+        near = near[self._may_meet(self._sample[near])]
         flagged: NDArray[np.bool_] = np.zeros(len(self._sample), bool)
         flagged[near] = True
         if not len(near):
@@ -177,43 +176,51 @@ class SelfContact:
             self._flagged = flagged
             self._list(*self._partners(np.flatnonzero(flagged[self._nearest])))
 
-    def _may_meet(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return whether points [K] and [K] belong to parts that may meet."""
+    def _may_meet(self, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return whether pairs [K,2] of points belong to parts that may meet."""
         dx, x, normal = self._model.dx, self._surface.x, self._surface.normal
-        way = (x[b] - x[a]) / dx
-        ahead = np.minimum((way * normal[a]).sum(axis=1), -(way * normal[b]).sum(axis=1))
-        result: NDArray[np.bool_] = (np.square(way).sum(axis=1) > APART**2) | (ahead > FACING)
+        square = _squares(x, pairs) / dx**2
+        result = square > APART**2
+        # Nearer than that, a point must be in front of the other one.
+        doubtful = np.flatnonzero(~result & (square > FACING**2))
+        a, b = pairs[doubtful].T
+        way = x[b] - x[a]
+        ahead = np.minimum(_dots(way, normal[a]), -_dots(way, normal[b]))
+        result[doubtful] = ahead > FACING * dx
         return result
 
     def _partners(self, points: NDArray[np.int64]) -> tuple[NDArray[np.int64], dict[str, NDArray]]:
         """Return the points among some points that have a partner, and their pairs."""
-        surface, dx = self._surface, self._model.dx
-        nodes, weights = surface.nodes[points], surface.weights[points]
-        u = self._nodes.u.numpy()[nodes].astype(np.float64)
-        slopes = self._slopes[points]
-        x = surface.x[points] + np.einsum("pk,pki->pi", weights, u)
-        F = np.eye(3) + np.einsum("pki,pkj->pij", u, slopes)
-        turned = _cofactors(F)
-        normal = np.einsum("pij,pj->pi", turned, surface.normal[points])
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        surface, dx, u = self._surface, self._model.dx, self._nodes.u.numpy()
+        moved = surface.weights[points][:, None] @ u[surface.nodes[points]]
+        x = surface.x[points] + moved[:, 0]
         near = KDTree(x).query_pairs(REACH * dx, output_type="ndarray")
-        near = np.concatenate([near, near[:, ::-1]])
-        near = near[self._may_meet(*points[near].T)]
-        a, b = near.T
+        near = near[self._may_meet(points[near])]
+        kept, near = np.unique(near, return_inverse=True)
+        points, x, near = points[kept], x[kept], near.reshape(-1, 2)
+        nodes, weights, slopes = (
+            surface.nodes[points],
+            surface.weights[points],
+            self._slopes[points],
+        )
+        F = np.eye(3) + np.swapaxes(u[nodes], 1, 2) @ slopes
+        turned = _cofactors(F)
+        normal = (turned @ surface.normal[points][:, :, None])[:, :, 0]
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        a, b = np.concatenate([near, near[:, ::-1]]).T
         way = x[a] - x[b]
         distance = np.linalg.norm(way, axis=1)
         out = np.where(normal[b].any(axis=1)[:, None], normal[b], way / distance[:, None])
-        opposed = (normal[a] * out).sum(axis=1)
-        gap = (way * out).sum(axis=1)
+        gap = _dots(way, out)
         sideways = way - gap[:, None] * out
-        fits = (opposed < OPPOSED) | ~normal[a].any(axis=1)
+        fits = (_dots(normal[a], out) < OPPOSED) | ~normal[a].any(axis=1)
         fits &= np.linalg.norm(sideways, axis=1) < SIDEWAYS * dx
         order = np.flatnonzero(fits)
         order = order[np.lexsort((distance[order], a[order]))]
         _, first = np.unique(a[order], return_index=True)
         chosen = order[first]
         a, b = a[chosen], b[chosen]
-        J = np.maximum((F[b, 0] * turned[b, 0]).sum(axis=1), FLAT)
+        J = np.maximum(_dots(F[b, 0], turned[b, 0]), FLAT)
         return points[a], {
             "nodes": np.concatenate([nodes[a], nodes[b]], axis=1),
             "weights": np.concatenate([weights[a], -weights[b]], axis=1),
@@ -259,6 +266,18 @@ class SelfContact:
         """Return to a snapshot."""
         self._seen, self._flagged = (np.array(snapshot[name]) for name in ("seen", "flagged"))
         self._fill(np.array(snapshot["points"]), snapshot)
+
+
+def _squares(x: NDArray, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the squared distances of pairs [K,2] of points [m^2]."""
+    way = x[pairs[:, 0]] - x[pairs[:, 1]]
+    return _dots(way, way)
+
+
+def _dots(a: NDArray, b: NDArray) -> NDArray[np.float64]:
+    """Return the scalar products of vectors [K,3] and [K,3]."""
+    result: NDArray[np.float64] = np.einsum("ki,ki->k", a, b)
+    return result
 
 
 def _cofactors(F: NDArray) -> NDArray[np.float64]:
