@@ -21,7 +21,7 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 def machine() -> str:
     """Return a sentence on what measured, which says so if the machine was busy."""
     busy = f"; the machine was busy (load {LOAD:.0f}), so seconds are too long"
-    return f"Measured on {processor()}" + (busy if LOAD > 1.5 * (os.cpu_count() or 1) else "") + "."
+    return f"Measured on {processor()}" + (busy if 1.5 * (os.cpu_count() or 1) < LOAD else "") + "."
 
 
 def processor() -> str:
