@@ -109,7 +109,7 @@ class Discovery:
             if self.network
             else "nodes on this machine",
             "LOCALHOST": "nodes on this machine",
-            "OFF": "nobody",
+            "OFF": "no other process",
             "SYSTEM_DEFAULT": "participants that Cyclone DDS finds by its own settings",
         }[self.range]
         also = f" and {', '.join(self.peers)}" if self.peers else ""

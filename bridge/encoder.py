@@ -27,14 +27,14 @@ log = logging.getLogger(__name__)
 
 
 class FrameEncoder:
-    """Encodes frames as messages according to `options`; logs omissions once."""
+    """Encodes frames as messages according to `options`; logs omissions once, unless `quiet`."""
 
-    def __init__(self, options: Options) -> None:
+    def __init__(self, options: Options, *, quiet: bool = False) -> None:
         if options.draco:
             require_draco()
         self.options = options.for_recording()
         self._profile: Profile = self.options.profile or "full"
-        self._announced: set[str] = set()
+        self._quiet, self._announced = quiet, set[str]()
         self._fixed: dict[str, dict[str, Any]] = {}  # transforms of fixed cameras, by name
 
     @cached_property
@@ -148,7 +148,7 @@ class FrameEncoder:
         return {"markers": markers}
 
     def _announce(self, what: str) -> None:
-        if what not in self._announced:
+        if not self._quiet and what not in self._announced:
             self._announced.add(what)
             log.warning(what)
 

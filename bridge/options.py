@@ -132,6 +132,16 @@ class Options(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _images_have_cameras(self) -> Options:
+        usual = type(self).model_fields["images"].default
+        if self.images != usual and not self.views and self.cameras is None:
+            raise ValueError(
+                "Images are sent of cameras, and no camera is chosen. Choose some with views or "
+                "cameras, or leave images out."
+            )
+        return self
+
     @property
     def camera_names(self) -> tuple[str, ...]:
         """Names of the cameras, as in the names of their topics; ROS allows no hyphens and dots.

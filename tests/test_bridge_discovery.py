@@ -89,7 +89,7 @@ def test_ranges_without_peers(monkeypatch, caplog, reach):
     assert peers == []
     assert ("Tag" in texts) is (reach == "OFF")
     assert f"ROS_STATIC_PEERS is ignored in the range {reach}" in caplog.text
-    assert ("visible to nobody." in found.audience()) is (reach == "OFF")
+    assert ("visible to no other process." in found.audience()) is (reach == "OFF")
 
 
 def test_an_unknown_range_is_localhost_as_in_ros(monkeypatch, caplog):

@@ -60,6 +60,7 @@ def test_thinning_is_announced_once_and_the_same_in_each_frame(caplog):
     encoder = FrameEncoder(Options(max_points=30))
     with caplog.at_level(logging.WARNING):
         clouds = [decoded(encoder.encode(frame)[0]) for frame in clip.frames()]
+        FrameEncoder(Options(max_points=20), quiet=True).encode(clip.frame(0))
     assert [text.message for text in caplog.records] == [
         "Sending 30 of 100 Gaussians, evenly selected (max_points)."
     ]

@@ -166,11 +166,13 @@ def test_a_controller_closes_the_loop_and_may_die(domain):
 
     watch, (settings, *_) = Watch(), Discovery.from_environment().configurations()
     environment = {**os.environ, "CYCLONEDDS_URI": settings}
-    with opened(run) as sink, subprocess.Popen(command, env=environment) as controller:
+    piped = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    with opened(run) as sink, piped as controller:
         try:
             steer(run, sink, OPTIONS, records=[watch])
         finally:
             controller.kill()
+        assert controller.stdout.read().startswith("waiting for phy124_com on /tf in domain ")
     assert watch.killed is not None, "no answer came"
     last = run.live.session().forces[-1]
     # What had come over is still done, and no wrench is longer than it is allowed to be.

@@ -77,10 +77,11 @@ def test_states_and_resets():
     )
     assert enter(5) == Code.FEATURE_UNSUPPORTED
     # Time, the object, both.
-    for scope in (1, 2, 0):
+    for scope in (1, 2, 255):
         assert standard.reset(asked(scope=scope))["result"]["result"] == Code.OK
         run.advance()
-    assert standard.reset(asked(scope=4))["result"]["result"] == Code.FEATURE_UNSUPPORTED
+    for scope in (4, 5, 8):
+        assert standard.reset(asked(scope=scope))["result"]["result"] == Code.FEATURE_UNSUPPORTED
     assert enter(State.STOPPED) == Code.OK and run.paused
     assert shown == [(0, 0), (1, 1), (2, 2), (3, 0), (0, 1), (1, 2), (0, 0), (1, 1), (0, 0)]
     assert standard.state(None)["state"] == {"state": State.STOPPED}

@@ -76,7 +76,7 @@ def make_live(
         promised = promise(scene, proportions_of(gaussians, scene))
         said = f"{scene.resolution.cells} cells across the object. {promised.brief}"
         return Live(gaussians, scene, context), said
-    encoder = FrameEncoder(messages.live())
+    encoder = FrameEncoder(messages.live(), quiet=True)
     with Cameras(messages, scene.data()) as cameras:
         chosen = held_rate(
             gaussians,

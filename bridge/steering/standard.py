@@ -37,8 +37,10 @@ class Feature(IntEnum):
     STEP_SIMULATION_ACTION = 33
 
 
-SCOPE_DEFAULT, SCOPE_TIME, SCOPE_STATE = 0, 1, 2
-"""Scopes of ResetSimulation."""
+SCOPE_TIME, SCOPE_STATE = 1, 2
+"""Bits of the scope of ResetSimulation."""
+EVERYTHING = (0, 255)
+"""Scopes that mean all of it, SCOPE_DEFAULT and SCOPE_ALL."""
 
 
 class Standard:
@@ -109,10 +111,10 @@ class Standard:
     def reset(self, request: Any) -> dict[str, Any]:
         """Reset the time, the object, or both."""
         scope = request.scope
-        if scope != SCOPE_DEFAULT and not scope & (SCOPE_TIME | SCOPE_STATE):
-            said = f"The scopes are time (1) and state (2), not {scope}."
+        everything = scope in EVERYTHING
+        if not everything and scope & ~(SCOPE_TIME | SCOPE_STATE):
+            said = f"The scopes are time (1), state (2), both (3) or all (255), not {scope}."
             return {"result": result(Code.FEATURE_UNSUPPORTED, said)}
-        everything = scope == SCOPE_DEFAULT
         self._run.reset(
             time=everything or bool(scope & SCOPE_TIME),
             state=everything or bool(scope & SCOPE_STATE),

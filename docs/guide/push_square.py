@@ -180,7 +180,8 @@ def main() -> None:
     parser.add_argument("--plot", help="draw a picture there")
     args = parser.parse_args()
 
-    participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
+    domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
+    participant = DomainParticipant(domain)
     reader = DataReader(participant, Topic(participant, "rt/tf", TFMessage), qos=QOS)
     pushes = Topic(participant, "rt/phy124/live/push", WrenchStamped)
     writer = DataWriter(participant, pushes, qos=QOS)
@@ -189,6 +190,8 @@ def main() -> None:
     waitset.attach(ReadCondition(reader, any_state))
     controller = Controller(args.mass, args.hertz, args.side, args.each)
     begun = 0.0
+    sys.stdout.write(f"waiting for {FRAME} on /tf in domain {domain}\n")
+    sys.stdout.flush()
     while not controller.rows or controller.rows[-1][0] < 4 * args.each * args.laps:
         waitset.wait(100_000_000)
         for message in reader.take(10):
