@@ -18,6 +18,7 @@ import pytest
 from phy124 import pipeline
 from phy124.__main__ import main
 from phy124.accuracy.choose import Goal
+from phy124.budget import cost
 from phy124.commands.bars import Bars
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
@@ -78,13 +79,16 @@ def test_cancelled_run_resumes_bit_for_bit(tmp_path):
         assert (whole.folder / view).read_bytes() == (again.folder / view).read_bytes()
 
 
-def test_filming_that_is_cancelled_keeps_the_clip(tmp_path):
+def test_filming_that_is_cancelled_keeps_the_clip(tmp_path, monkeypatch):
+    monkeypatch.setattr(cost, "HELD", 0)
     cancel = cancelling(lambda stage, done: stage == "render" and done == 8)
     cut = pipeline.simulate(ball(500), SCENE, tmp_path, progress=cancel, keep=True)
     assert (cut.report["interrupted"], cut.report["complete"]) == (True, True)
     names = {path.name for path in tmp_path.iterdir()}
     assert names >= {"clip.safetensors", "report.json", pipeline.PAUSE}
     assert not names & {"front.mp4", "left.mp4"}
+    (shapes,) = json.loads((tmp_path / "report.json").read_bytes())["shapes"].values()
+    assert shapes["needle"] > 1
     assert {path.name for path in pipeline.go_on(tmp_path).files} >= {"front.mp4", "left.mp4"}
 
 

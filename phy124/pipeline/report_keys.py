@@ -234,7 +234,9 @@ class Report(TypedDict):
     sources: NotRequired[dict[str, Any]]
     """Source, cut-out, generator and cleaning of each further object from a picture or file."""
     shapes: dict[str, Any]
-    """Per law: largest axis ratios of a Gaussian (`needle`, `axis_ratio`), and its `opacity`."""
+    """Per law: largest axis ratios of a Gaussian (`needle`, `axis_ratio`), and its `opacity`.
+
+    If filming a long clip is cancelled or fails, only frames that were filmed count."""
     shine: dict[str, Any]
     """Per law: index ranges of Gaussians that are drawn with gloss."""
     liquids: list[dict[str, Any]]

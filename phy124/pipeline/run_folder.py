@@ -133,8 +133,8 @@ class RunFolder:
         if cut and not interrupted:
             interrupted = self._pause(folder, run)
         made |= {path.name for path in folder.glob("[!.]*")} | {REPORT}
-        if "shapes" not in report and not cut and problem is None:
-            report |= run.shapes_of(clip)  # the films have computed all frames
+        if "shapes" not in report:  # complete films have computed all frames
+            report |= run.shapes_of(clip, every=not cut and problem is None)
         report = self._update(report, made, interrupted=cut or interrupted)
         with suppress(OSError, InputError):  # without disk space the earlier report stays
             restate(saved, clip.with_report(report))

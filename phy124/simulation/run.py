@@ -227,17 +227,19 @@ class Simulation:
         report = self.report() | report_clip(setup, clip)
         return clip.with_report(report | (self.shapes_of(clip) if shapes or not self.light else {}))
 
-    def shapes_of(self, clip: Clip) -> dict[str, Any]:
+    def shapes_of(self, clip: Clip, *, every: bool = True) -> dict[str, Any]:
         """Return the report's entry about the shapes of the Gaussians in the run's clip.
 
-        Frames of a light run that have been read are not computed again.
+        Args:
+            clip: The clip.
+            every: Whether frames of a light run that have not been read are computed.
         """
         look, materials = self.setup.appearance, self.setup.materials
         if self._moved is None:
             measure = look.elongation(materials)
             ratios = [measure({"scales": scales}) for scales in clip.scales]
         else:
-            ratios = self._moved.measurements()
+            ratios = self._moved.measurements(every=every)
         return {"shapes": look.shapes(ratios, clip.opacities, materials)}
 
     def report(self) -> dict[str, Any]:
