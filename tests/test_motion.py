@@ -11,6 +11,7 @@ from phy124.budget import cost
 from phy124.errors import InputError
 from phy124.gaussians import rotation_matrices
 from phy124.io.clip import Clip, read_shape, restate
+from phy124.motion import recorded
 from phy124.motion.packing import STEP_F, STEP_X, hilbert_order
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
@@ -127,3 +128,19 @@ def test_changed_arrays_are_saved(saved, tmp_path):
         changed.save(tmp_path / "changed.safetensors")
         read = Clip.load(tmp_path / "changed.safetensors")
         np.testing.assert_array_equal(read.means, changed.means)
+
+
+def test_long_clips_keep_few_frames(saved, monkeypatch):
+    clip = Clip.load(saved[1])
+    monkeypatch.setattr(recorded, "KEPT", recorded.BYTES * clip.means.shape[1] * (len(clip) - 1))
+    monkeypatch.setattr(recorded, "NEAR", 2)
+    assert len(list(clip.frames())) > 2
+    assert list(clip.means.recorded._frames) == [len(clip) - 2, len(clip) - 1]
+
+
+def test_rows_of_some_gaussians_are_those_of_frames(saved):
+    clip, chosen = Clip.load(saved[1]), np.arange(0, 300, 7)
+    for read in (clip, replace(clip, means=np.asarray(clip.means))):
+        rows = list(read.rows_of(chosen))
+        for name, values in zip(ARRAYS, zip(*rows, strict=True), strict=True):
+            assert np.array_equal(values, getattr(clip, name)[:, chosen])

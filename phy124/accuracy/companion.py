@@ -10,6 +10,7 @@ depends only on counts of the run, so that equal runs have equal reports.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -203,13 +204,11 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
     try:
         companion = _prepare(run.setup, scene)
         cost = forecast(run, len(companion.particles))
-        motion = _follow(companion, indices)
+        distances = _distances(companion, clip, indices) / run.scene.object.size
     except Cancelled:
         return OwnError(cells=cells, why_not="it was cancelled")
     except Exception as error:  # the run itself is finished and must not be lost
         return OwnError(cells=cells, why_not=f"D/{cells} failed: {failure(error).sentence}")
-    gaps = (clip.means[:, indices].astype(np.float64) - motion) / run.scene.object.size
-    distances = np.sqrt((gaps**2).sum(axis=2).mean(axis=1))
     expected = expect(run.scene, run.setup.proportions).error
     about, at_most, until = estimate(distances, clip.times, factors_of(scene, cells), expected)
     why_not = "" if about is not None else "other grids move otherwise from the start"
@@ -232,17 +231,18 @@ def _sample(setup: Setup) -> NDArray[np.int64]:
     return moving[np.linspace(0, len(moving) - 1, min(SAMPLE, len(moving))).astype(np.int64)]
 
 
-def _follow(setup: Setup, indices: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Run a companion; return the positions of some Gaussians in each frame [T,N,3], m."""
+def _distances(setup: Setup, clip: Clip, indices: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Run a companion; return the RMS distance of some Gaussians from a clip's [T], m."""
     look = setup.appearance
     chosen = (np.cumsum(look.moves) - 1)[indices]
     limits: dict[str, Any] = {name: values[chosen] for name, values in look.limits().items()}
     deformer = Deformer(
         look.gaussians.select(indices), setup.particles, **limits, device=setup.context.device
     )
-    run, motion = Simulation(setup), []
-    for frame in run:
+    run, distances = Simulation(setup), []
+    for frame, (means, _, _) in zip(run, clip.rows_of(indices), strict=True):
         state = run.solver.state
         moved = deformer(state.x, state.deformation, index=frame.index, time=frame.time)
-        motion.append(moved.gaussians.means)
-    return np.stack(motion)
+        gaps = means.astype(np.float64) - moved.gaussians.means
+        distances.append(math.sqrt((gaps**2).sum(axis=1).mean()))
+    return np.array(distances)

@@ -5,6 +5,7 @@ It is measured in metres, as a fraction of the object's size, in pixels, and as 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,10 +57,10 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
         raise ValueError(f"clips of {clip.means.shape} and {reference.means.shape} do not match")
     counted = reference.object_mask
     size = float(np.ptp(reference.means[0][counted], axis=0).max())
-    gaps = clip.means[:, counted].astype(float) - reference.means[:, counted]
-    squares = (gaps**2).sum(axis=2)
-    frames = np.sqrt(squares.mean(axis=1))
-    metres = float(np.sqrt(squares.mean()))
+    means = zip(clip.means, reference.means, strict=True)
+    gaps = (a[counted].astype(float) - b[counted] for a, b in means)
+    squares = np.array([(gap**2).sum(axis=1).mean() for gap in gaps])
+    frames, metres = np.sqrt(squares), math.sqrt(squares.mean())
     a, b = video(clip, reference, view, device), video(reference, reference, view, device)
     return Difference(
         metres=metres,

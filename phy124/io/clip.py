@@ -188,6 +188,21 @@ class Clip:
         """Yield all frames in order; a memory-mapped clip is read one frame at a time."""
         return (self.frame(index, velocities=velocities) for index in range(len(self)))
 
+    def rows_of(self, chosen: NDArray) -> Iterator[tuple[Array, Array, Array]]:
+        """Yield the means, quats and scales of some Gaussians in each frame.
+
+        Args:
+            chosen: Indices of the Gaussians.
+        """
+        arrays = self.means, self.quats, self.scales
+        if all(isinstance(a, Computed) and a.columns is None for a in arrays):
+            for row in self.means.recorded.rows_of(chosen):
+                yield row["means"], row["quats"], row["scales"]
+            return
+        for index in range(len(self)):
+            means, quats, scales = (array[index][chosen] for array in arrays)
+            yield means, quats, scales
+
     def velocity(self, index: int) -> Array | None:
         """Return the velocities of the centres at a frame [N,3], m/s; None for a single frame.
 

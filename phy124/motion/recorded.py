@@ -20,14 +20,18 @@ from numpy.typing import NDArray
 from phy124.gaussians import Array, Gaussians, Particles, rotate_sh
 from phy124.motion.scenery import Scenery
 from phy124.runtime.cores import cores
-from phy124.runtime.memory import release
+from phy124.runtime.memory import release, trim
 
 if TYPE_CHECKING:
     from phy124.motion.deform import Binding, Deformer
 
 KEPT = 256e6
-"""Size of the computed frames that are kept [bytes]; at least one is."""
-STATES = 64e6
+"""Size up to which the computed frames of a whole clip are kept [bytes]."""
+NEAR = 4
+"""Number of computed frames that are kept of a larger clip."""
+TRIM = 32
+"""Number of frames after which freed memory is returned to the system."""
+STATES = 16e6
 """Size of the states from which frames can be computed [bytes]."""
 BYTES = 40
 """Size of a Gaussian in a computed frame [bytes]."""
@@ -118,7 +122,6 @@ class Recorded:
         frames = OrderedDict[int, dict[str, Array]]()
         self._frames, self._states = frames, dict[int, dict[str, NDArray]]()
         self._lock = RLock()
-        self._selected: tuple[NDArray, dict[str, NDArray]] | None = None
 
     def __len__(self) -> int:
         return len(self.motion.times)
@@ -147,28 +150,23 @@ class Recorded:
             for _ in range(index - self._next):
                 self._advance()
             row = self._advance()
-            most = max(1, int(KEPT / (BYTES * max(self.count, 1))))
             self._frames[index] = row
-            while len(self._frames) > most:
+            # A larger clip is read frame after frame, so its earlier frames would not help.
+            if len(self._frames) > NEAR and BYTES * self.count * len(self) > KEPT:
                 self._frames.popitem(last=False)
             return row
 
-    def measurements(self) -> list[Any]:
-        """Return what was measured in each frame; frames that were never read are computed."""
-        for index in range(len(self)):
+    def measurements(self, *, every: bool = True) -> list[Any]:
+        """Return what was measured in every frame, or in the first one and those that were read."""
+        for index in range(len(self) if every else 1):
             if index not in self._measured:
                 self.row(index)
-        return [self._measured[index] for index in range(len(self))]
+        return [self._measured[index] for index in sorted(self._measured)]
 
-    def select(self, chosen: NDArray) -> dict[str, NDArray]:
-        """Return the arrays of some Gaussians in all frames [T,M,...]; the last choice is kept."""
-        with self._lock:
-            if self._selected is None or not np.array_equal(self._selected[0], chosen):
-                part = Recorded(self.motion, np.asarray(chosen))
-                rows = [part.row(index) for index in range(len(self))]
-                arrays = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
-                self._selected = chosen, arrays
-            return self._selected[1]
+    def rows_of(self, chosen: NDArray) -> Iterator[dict[str, Array]]:
+        """Yield the arrays of some Gaussians in each frame, which are not kept."""
+        part = Recorded(self.motion, chosen)
+        return (part._advance() for _ in range(len(self)))
 
     def _return_to(self, index: int) -> None:
         """Return to the latest stored state before a frame."""
@@ -199,6 +197,8 @@ class Recorded:
         poses = (motion.poses[0], motion.poses[index]) if motion.free else ()
         frame = self._scenery.whole(frame, poses)
         self._next += 1
+        if self._next % TRIM == 0:
+            trim()
         gaussians = frame.gaussians
         row = {name: getattr(gaussians, name) for name in MOVING[:3]}
         if rotations is not None:
@@ -265,7 +265,8 @@ class Computed(NDArrayOperatorsMixin):
         every = isinstance(rows, slice) and len(chosen) == len(self)
         if every and self.columns is None and rest and isinstance(rest[0], np.ndarray):
             which = rest[0] if rest[0].dtype != bool else np.flatnonzero(rest[0])
-            return self.recorded.select(which)[self.name][(slice(None), slice(None), *rest[1:])]
+            values = np.stack([row[self.name] for row in self.recorded.rows_of(which)])
+            return values[(slice(None), slice(None), *rest[1:])]
         return np.stack([self[int(index)][rest] for index in chosen])
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:

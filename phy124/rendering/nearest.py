@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.camera import Camera
-from phy124.gaussians import rotation_matrices
+from phy124.gaussians import Array, rotation_matrices
 from phy124.io.clip import Clip
 
 Values = NDArray[np.float64]
@@ -54,9 +54,9 @@ RARE = 1.5
 class Sample:
     """Visible Gaussians that represent a clip's object."""
 
-    means: Values
+    means: NDArray[np.floating]
     """Centres [T,S,3], m; values that are not finite are replaced by those of the first frame."""
-    covariances: Values
+    covariances: Array
     """Covariance matrices [T,S,3,3], m^2."""
     corners: tuple[NDArray, NDArray] | None = None
     """Corners of the box around all of the object's centres in the first frame [3], [3], m; None if
@@ -79,15 +79,14 @@ class Sample:
         corners = (rest.min(axis=1), rest.max(axis=1)) if rest.size else None
         chosen = chosen[:: 1 + len(chosen) // min(SAMPLE, max(MOST_VALUES // len(clip), FEWEST))]
         chosen = chosen[np.isfinite(clip.means[0, chosen]).all(axis=1)]
-        means = clip.means[:, chosen].astype(np.float64)
-        quats, scales = clip.quats[:, chosen], clip.scales[:, chosen]
-        shapes = np.empty((*means.shape, 3))
-        for index in range(len(clip)):
-            axes = rotation_matrices(quats[index]) * scales[index][:, None]
+        means = np.empty((len(clip), len(chosen), 3), np.float32)
+        shapes = np.empty((*means.shape, 3), np.float32)
+        for index, (centres, quats, scales) in enumerate(clip.rows_of(chosen)):
+            axes = rotation_matrices(quats) * scales[:, None]
             shape = axes @ axes.transpose(0, 2, 1)
-            sound = np.isfinite(means[index]).all(axis=1) & np.isfinite(shape).all(axis=(1, 2))
+            sound = np.isfinite(centres).all(axis=1) & np.isfinite(shape).all(axis=(1, 2))
             shapes[index] = np.where(sound[:, None, None], shape, 0.0)
-            means[index] = np.where(sound[:, None], means[index], means[0])
+            means[index] = np.where(sound[:, None], centres, means[0])
         return cls(means, shapes, corners)
 
     @cached_property
@@ -99,7 +98,7 @@ class Sample:
     @cached_property
     def path(self) -> Values:
         """Displacement of the moving Gaussians' mean since the first frame [T,3], m."""
-        middle = self.means[:, self.moving].mean(axis=1)
+        middle = self.means[:, self.moving].mean(axis=1, dtype=np.float64)
         return middle - middle[0]
 
     @cached_property
@@ -123,9 +122,11 @@ class Sample:
         far = whole > min(RARE * float(usual.max()), largest)
         return far and whole > RARE * _extent(*self._boxes(self.follow().means))
 
-    def _boxes(self, means: Values) -> tuple[Values, Values]:
+    def _boxes(self, means: NDArray[np.floating]) -> tuple[Values, Values]:
         """Return the object's corners in each frame [T,3], [T,3], without outermost Gaussians."""
-        low, high = np.quantile(means, [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
+        ends = [OUTSIDE / 2, 1 - OUTSIDE / 2]
+        parts = (means[part].astype(np.float64) for part in _blocks(len(means)))
+        low, high = np.concatenate([np.quantile(part, ends, axis=1) for part in parts], axis=1)
         return low, high
 
 
@@ -211,9 +212,9 @@ def place_along(
 class _Seen:
     """A sample of Gaussians in camera axes."""
 
-    points: Values
+    points: NDArray[np.floating]
     """Positions right, down and ahead of the target [T,3,S], m."""
-    reach: Values
+    reach: NDArray[np.floating]
     """Standard deviations right and down [T,2,S], m."""
     axes: Values
     """Unit vectors right, down and ahead of each camera [T,3,3]."""
@@ -223,7 +224,8 @@ class _Seen:
         axes = np.stack([camera.view[:3, :3] for camera in cameras])
         targets = np.array([camera.target for camera in cameras])
         count, size = sample.means.shape[:2]
-        points, reach = np.empty((count, 3, size)), np.empty((count, 2, size))
+        points = np.empty((count, 3, size), np.float32)
+        reach = np.empty((count, 2, size), np.float32)
         for part in _blocks(count):
             away = sample.means[part] - targets[part, None]
             points[part] = axes[part] @ away.transpose(0, 2, 1)

@@ -152,12 +152,15 @@ def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
 def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
     """Place a shadow map that covers the floor around the object in all frames."""
     chosen = np.flatnonzero(clip.object_mask & _finite(clip.means[0]))
-    points = clip.means[:, chosen[:: 1 + len(chosen) // SAMPLE]].astype(np.float64)
-    points = np.where(np.isfinite(points), points, points[0])
-    points[..., 2] -= heights[:, None]
-    points[..., :2] += np.maximum(points[..., 2:], 0) * np.array(SLOPE)
-    ends = np.percentile(points, OUTLIERS, axis=1)
-    low, high = ends[0].min(axis=0), ends[1].max(axis=0)
+    chosen = chosen[:: 1 + len(chosen) // SAMPLE]
+    first = clip.means[0][chosen].astype(np.float64)
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for height, (points, _, _) in zip(heights, clip.rows_of(chosen), strict=True):
+        points = np.where(np.isfinite(points), points, first)
+        points[:, 2] -= height
+        points[:, :2] += np.maximum(points[:, 2:], 0) * np.array(SLOPE)
+        ends = np.percentile(points, OUTLIERS, axis=0)
+        low, high = np.minimum(low, ends[0]), np.maximum(high, ends[1])
     size = float(np.ptp(rest, axis=0).max())
     tallest = max(float(high[2]), 0.05 * size)
     reach = min(float((high - low)[:2].max()) / 2 + ROOM * tallest, LARGEST * size)
