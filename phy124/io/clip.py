@@ -194,9 +194,9 @@ class Clip:
         Args:
             chosen: Indices of the Gaussians.
         """
-        arrays = self.means, self.quats, self.scales
+        arrays: Any = self.means, self.quats, self.scales
         if all(isinstance(a, Computed) and a.columns is None for a in arrays):
-            for row in self.means.recorded.rows_of(chosen):
+            for row in arrays[0].recorded.rows_of(chosen):
                 yield row["means"], row["quats"], row["scales"]
             return
         for index in range(len(self)):

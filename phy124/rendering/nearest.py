@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -84,7 +85,7 @@ class Sample:
         for index, (centres, quats, scales) in enumerate(clip.rows_of(chosen)):
             axes = rotation_matrices(quats) * scales[:, None]
             shape = axes @ axes.transpose(0, 2, 1)
-            sound = np.isfinite(centres).all(axis=1) & np.isfinite(shape).all(axis=(1, 2))
+            sound: Any = np.isfinite(centres).all(axis=1) & np.isfinite(shape).all(axis=(1, 2))
             shapes[index] = np.where(sound[:, None, None], shape, 0.0)
             means[index] = np.where(sound[:, None], centres, means[0])
         return cls(means, shapes, corners)
