@@ -247,8 +247,8 @@ class Particles:
     body: NDArray[np.int32] | None = None
     """Index of the scene's object to which each particle belongs [P]; None for a single object."""
     surface: NDArray[np.float64] | None = None
-    """Surface points [m] and their outward normals [S,6] of a body on its lattice at rest; None for
-    other bodies.
+    """Surface points [m], their outward normals and indices of objects [S,7] of bodies on their
+    lattices at rest; None for other bodies.
     """
 
     def __len__(self) -> int:

@@ -338,7 +338,10 @@ def test_lattice_resumes_bit_for_bit(threads):
         ({"material": {"law": "sand"}}, "material.law"),
         ({"binding": "particles"}, "binding"),
         ({"contacts": True}, "contacts"),
-        ({"objects": [{"name": "ball", "shape": "sphere"}]}, "objects"),
+        (
+            {"objects": [{"name": "ball", "shape": "sphere", "motion": {"kind": "free"}}]},
+            "objects.motion",
+        ),
     ],
 )
 def test_lattice_refuses_what_it_cannot_do(changes, field):
@@ -398,7 +401,7 @@ def test_prongs_of_a_fork_do_not_pass_through_each_other():
         return TotalForce(f=(0, 0, force), region=region)
 
     solver = make(solid, damped, forces=[push(-0.01, 120.0), push(0.59, -120.0)])
-    surface = solver.itself._surface
+    surface = solver._surface
     along, height = surface.x[:, 0], surface.x[:, 2]
     lower, upper = ((along > 0.25) & (along < 0.89) & (abs(height - z) < 0.05) for z in (0.3, 0.6))
     gaps = []

@@ -1,17 +1,16 @@
-"""Self-contact: surface points of parts that come near each other do not pass through each other.
+"""A meeting: surface points of two bodies, or of two parts of a body, do not pass each other.
 
-Every point is paired with the place opposite to it on the surface, which starts at the nearest
-surface point and follows the point along the surface. The weights of the pair are those of the
-point, minus those of the place, so that an impulse along the surface's normal acts on both parts on
-one line, with opposite signs. It is found like the impulses of walls.
+Every point is paired with the place opposite to it on the other surface, which starts at the
+nearest surface point there and follows the point along the surface. The weights of the pair are
+those of the point, minus those of the place, so that an impulse along the surface's normal acts on
+both parts on one line, with opposite signs. It is found like the impulses of walls.
 
-Pairs are listed again when a part has moved by 0.6 cells relative to the whole body. A sample
-of the surface shows whether parts are near each other; if not, nothing else is computed.
+Pairs are listed again when a part has moved relative to the mean of both. A sample of the surfaces
+shows whether parts are near each other; if not, nothing else is computed.
 """
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,15 +19,17 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from phy124.kernels.arguments import types
-from phy124.kernels.lattice.contact import NODES, make_meet, make_place, make_resist
-from phy124.lattice.surface import Surface
+from phy124.kernels.lattice.contact import NODES, make_exchange, make_meet, make_resist
+from phy124.lattice.surface import OTHER, Surface
 from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
-SAMPLED, MOVED = 1.5, 0.6
-"""Distance of sampled points, and relative way after which parts are compared again [cells]."""
+MOVED, BETWEEN = 0.6, 0.15
+"""Ways relative to the mean motion after which the parts of a body, and two bodies, are compared
+again [cells].
+"""
 FAR, REACH, SIDEWAYS = 3.0, 1.4, 0.75
 """Distance of sampled points, and of points and their distance along the surface, within which they
 may meet [cells].
@@ -37,25 +38,40 @@ APART, FACING = 3.0, 1.0
 """Distance at rest from which two points belong to different parts; and depth from which each is in
 front of the other one at rest, across a gap [cells].
 """
+NEAR, NEIGHBOURS = 1.0, 6
+"""Distance within which points of two bodies may meet [cells], and the number of nearest points of
+the other body that are looked at.
+"""
 SLID = 0.4
 """Way of a point along the surface of the other part after which pairs are listed again [cells]."""
 NEARER = 0.6
 """Largest distance of sampled points that may meet, relative to their distance at rest."""
-OPPOSED = -0.2
-"""Largest cosine between the normals of parts that meet."""
-FLAT = 0.05
+BEYOND = 0.05
+"""Distance beyond the edge of a flat side at which that side no longer meets a point [cells]."""
+LEAST = 0.05
 """Least volume ratio with which ways on the surface are taken back to the body at rest."""
 FRICTION = 0.5
-"""Coefficient of friction, the default of pairs of objects."""
+"""Coefficient of friction of a body with itself, the default of pairs of objects."""
 
 
-class SelfContact:
-    """Contact of a body's surface with itself."""
+class Meeting:
+    """Contact of the surfaces of two bodies, or of a body with itself."""
 
     def __init__(
-        self, surface: Surface, model: Model, nodes: Nodes, tracks: Tracks, restore: float
+        self,
+        surface: Surface,
+        model: Model,
+        nodes: Nodes,
+        tracks: Tracks,
+        restore: float,
+        sample: NDArray[np.int64],
+        bodies: tuple[int, int],
+        *,
+        friction: float,
+        sticky: bool = False,
+        sums: wp.array | None = None,
     ) -> None:
-        """Prepare contact without any pair.
+        """Prepare contact without any pair of points.
 
         Args:
             surface: Points that may touch.
@@ -63,95 +79,118 @@ class SelfContact:
             nodes: Arrays of the nodes.
             tracks: The tracks, which hold the clock.
             restore: Part of their depth by which points come out of each other in a substep.
+            sample: Indices of the sampled points of the two bodies [K].
+            bodies: Indices of the two bodies, equal for a body with itself.
+            friction: Coefficient of Coulomb friction.
+            sticky: Whether points that have touched stay together.
+            sums: Impulse of the first body on the second and its moment, to which impulses are
+                added; None for a body with itself.
         """
-        self._restore = restore
+        self.bodies, self._sums = bodies, sums
+        self._restore, self._friction = restore, friction
+        self.reach = REACH * model.dx
+        """Distance within which contact is computed [m]."""
+        self._response = "sticky" if sticky else "separate"
         self._surface, self._model, self._nodes, self._tracks = surface, model, nodes, tracks
-        cube = np.floor(surface.x / (SAMPLED * model.dx)).astype(np.int64)
-        _, self._sample = np.unique(cube, axis=0, return_index=True)
-        points = surface.x[self._sample]
-        self._nearest = KDTree(points).query(surface.x)[1] if len(points) else self._sample
-        t, count = types(model.real), surface.count
+        self._between = bodies[0] != bodies[1]
+        self._sample = sample
+        self._mine = np.flatnonzero(np.isin(surface.body, bodies))
+        self._nearest = np.zeros(len(self._mine), np.int64)
+        for body in set(bodies):
+            those, chosen = surface.body[self._mine] == body, surface.body[sample] == body
+            if those.any():
+                _, nearest = KDTree(surface.x[sample[chosen]]).query(surface.x[self._mine[those]])
+                self._nearest[those] = np.flatnonzero(chosen)[nearest]
         self._points: NDArray[np.int64] = np.zeros(0, np.int64)
         """Points that have a partner [K]."""
         self.most = 0
         """Largest number of pairs."""
+        self._reserve(0)
+        self._seen: NDArray[np.float64] = surface.x[sample]
+        self._flagged: NDArray[np.bool_] = np.zeros(len(sample), bool)
+        """Sampled points near which pairs were listed."""
+        self._away = self._between
+        """Whether the bodies are far from each other."""
+
+    def _reserve(self, count: int) -> None:
+        """Allocate arrays for pairs of points, and record the launches on them."""
+        model, nodes, clock = self._model, self._nodes, self._tracks.clock
+        real, device, t = model.real, model.device, types(model.real)
 
         def zeros(kind: Any, *shape: int) -> wp.array:
-            return wp.zeros(shape, dtype=kind, device=model.device)
+            return wp.zeros(shape, dtype=kind, device=device)
 
-        self._pairs = {
+        self._pairs = pairs = {
             "nodes": zeros(int, count, 2 * NODES),
-            "weights": zeros(model.real, count, 2 * NODES),
+            "weights": zeros(real, count, 2 * NODES),
             "rest": zeros(t.vec3, count),
             "shift": zeros(t.vec3, count),
             "normal": zeros(t.vec3, count),
             "slopes": zeros(t.vec3, count, NODES),
             "back": zeros(t.mat33, count),
             "force": zeros(t.vec3, count),
+            "sign": zeros(real, count),
         }
-        """Arguments of `make_meet` for each pair, and the mean force on its point."""
-        self._gap, self._yields = zeros(t.vec4, count), zeros(model.real, count)
-        self._x = zeros(t.vec3, len(self._sample))
-        self._place = model.launch(
-            make_place(model.real),
-            len(self._sample),
-            [
-                wp.array(self._sample.astype(np.int32), dtype=int, device=model.device),
-                wp.array(surface.nodes, dtype=int, device=model.device),
-                model.array(surface.weights, model.real),
-                model.array(surface.x, t.vec3),
-                nodes.u,
-            ],
-            [self._x],
-        )
-        self._seen: NDArray[np.float64] = surface.x[self._sample]
-        self._flagged: NDArray[np.bool_] = np.zeros(len(self._sample), bool)
-        """Sampled points near which pairs were listed."""
-
-    def record(self) -> list[Named]:
-        """Return the stages that apply the previous impulses, and correct them."""
-        if not self._surface.count:
-            return []
-        pairs, nodes, clock = self._pairs, self._nodes, self._tracks.clock
-        real, device = self._model.real, self._model.device
-        every = wp.array(np.arange(self._surface.count, dtype=np.int32), dtype=int, device=device)
-        far = SIDEWAYS * self._model.dx
+        """Arguments of `make_meet` for each pair, the mean force on its point, and 1 for points of
+        the second body, -1 for points of the first.
+        """
+        self._launches: list[Any] = []
+        if not count:
+            return
+        gap, yields = zeros(t.vec4, count), zeros(real, count)
+        every = wp.array(np.arange(count, dtype=np.int32), dtype=int, device=device)
         read = [pairs[name] for name in ("nodes", "normal", "slopes", "back")]
         changed = [pairs[name] for name in ("weights", "rest", "shift")]
-        meet = self._model.launch(
+        meet = model.launch(
             make_meet(real),
             1,
-            [0, far, *read, nodes.movable, nodes.u, clock],
-            [*changed, nodes.v, self._gap, self._yields, pairs["force"]],
+            [0, SIDEWAYS * model.dx, REACH * model.dx, *read, nodes.movable, nodes.u, clock],
+            [*changed, nodes.v, gap, yields, pairs["force"]],
         )
-        tail = [nodes.movable, self._gap, self._yields, clock, self._tracks.rates]
-        resist = self._model.launch(
-            make_resist("separate", False, real),
+        tail = [nodes.movable, gap, yields, clock, self._tracks.rates]
+        resist = model.launch(
+            make_resist(self._response, False, real),
             1,
-            [every, 0, self._restore, FRICTION, 0, pairs["nodes"], pairs["weights"], *tail],
+            [every, 0, self._restore, self._friction, 0, pairs["nodes"], pairs["weights"], *tail],
             [nodes.v, pairs["force"]],
         )
+        self._launches = [(meet, 0), (resist, 1)]
+        if self._sums is not None:
+            place = [pairs["nodes"], pairs["weights"], nodes.rest, nodes.u]
+            inputs = [0, pairs["sign"], *place, pairs["force"], clock]
+            self._launches.append((model.launch(make_exchange(real), 1, inputs, [self._sums]), 0))
 
-        def repeat(launch: Any, place: int) -> Named:
+    def record(self) -> list[Named]:
+        """Return the stages that apply the previous impulses, correct them, and sum them."""
+
+        def stage(number: int) -> Named:
             def act() -> None:
                 if len(self._points):
+                    launch, place = self._launches[number]
                     launch.set_param_at_index(place, len(self._points))
+                    if number == 0 and self._response == "separate":
+                        launch.set_param_at_index(2, self.reach)
                     launch.launch()
 
-            return "self-contact", act
+            return "self-contact" if self._sums is None else "pairs", act
 
-        return [repeat(meet, 0), repeat(resist, 1)]
+        return [stage(number) for number in range(2 if self._sums is None else 3)]
 
-    def follow(self) -> None:
-        """List the pairs again if parts have moved relative to each other."""
-        if self._place is None:
-            return
-        self._place.launch()
-        x: NDArray[Any] = self._x.numpy()
+    def follow(self, x: NDArray[np.float64]) -> None:
+        """List the pairs again if parts have moved relative to each other.
+
+        Args:
+            x: Current positions of the sampled points [K,3], m.
+        """
         moved = x - self._seen
         moved -= moved.mean(axis=0)
-        if np.abs(moved).max() > MOVED * self._model.dx:
-            self._look(x.astype(np.float64))
+        most = (BETWEEN if self._between else MOVED) * self._model.dx
+        if self._away or np.abs(moved).max(initial=0.0) > most:
+            self._look(x)
+
+    def part(self) -> None:
+        """Forget all pairs, because the bodies are far from each other."""
+        self._points, self._away = self._points[:0], True
 
     def _look(self, x: NDArray[np.float64]) -> None:
         """List the pairs.
@@ -159,11 +198,12 @@ class SelfContact:
         Args:
             x: Current positions of the sampled points [K,3], m.
         """
-        self._seen = x
+        self._seen, self._away = x, False
         near = KDTree(x).query_pairs(FAR * self._model.dx, output_type="ndarray")
-        # Few pairs are nearer than at rest, and only these are compared further.
-        now, rest = (_squares(values, near) for values in (x, self._surface.x[self._sample]))
-        near = near[now < NEARER**2 * rest]
+        if not self._between:
+            # Few pairs are nearer than at rest, and only these are compared further.
+            now, rest = (_squares(values, near) for values in (x, self._surface.x[self._sample]))
+            near = near[now < NEARER**2 * rest]
         near = near[self._may_meet(self._sample[near])]
         flagged: NDArray[np.bool_] = np.zeros(len(self._sample), bool)
         flagged[near] = True
@@ -172,13 +212,16 @@ class SelfContact:
             return
         shift = self._pairs["shift"].numpy()[: len(self._points)]
         slid = np.abs(shift).max(initial=0.0) > SLID * self._model.dx
-        if slid or (flagged & ~self._flagged).any():
+        if self._between or slid or (flagged & ~self._flagged).any():
             self._flagged = flagged
-            self._list(*self._partners(np.flatnonzero(flagged[self._nearest])))
+            self._list(*self._partners(self._mine[flagged[self._nearest]]))
 
     def _may_meet(self, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return whether pairs [K,2] of points belong to parts that may meet."""
         dx, x, normal = self._model.dx, self._surface.x, self._surface.normal
+        if self._between:
+            first, second = self._surface.body[pairs].T
+            return np.asarray(first != second)
         square = _squares(x, pairs) / dx**2
         result = square > APART**2
         # Nearer than that, a point must be in front of the other one.
@@ -194,33 +237,40 @@ class SelfContact:
         surface, dx, u = self._surface, self._model.dx, self._nodes.u.numpy()
         moved = surface.weights[points][:, None] @ u[surface.nodes[points]]
         x = surface.x[points] + moved[:, 0]
-        near = KDTree(x).query_pairs(REACH * dx, output_type="ndarray")
-        near = near[self._may_meet(points[near])]
+        if self._between:
+            near = self._across(surface.body[points], x)
+        else:
+            near = KDTree(x).query_pairs(REACH * dx, output_type="ndarray")
+            near = near[self._may_meet(points[near])]
+            near = np.concatenate([near, near[:, ::-1]])
         kept, near = np.unique(near, return_inverse=True)
         points, x, near = points[kept], x[kept], near.reshape(-1, 2)
-        nodes, weights, slopes = (
-            surface.nodes[points],
-            surface.weights[points],
-            self._slopes[points],
-        )
+        nodes, weights = surface.nodes[points], surface.weights[points]
+        slopes = surface.slopes[points]
         F = np.eye(3) + np.swapaxes(u[nodes], 1, 2) @ slopes
         turned = _cofactors(F)
         normal = (turned @ surface.normal[points][:, :, None])[:, :, 0]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-        a, b = np.concatenate([near, near[:, ::-1]]).T
+        a, b = near.T
         way = x[a] - x[b]
-        distance = np.linalg.norm(way, axis=1)
-        out = np.where(normal[b].any(axis=1)[:, None], normal[b], way / distance[:, None])
+        distance = np.maximum(np.linalg.norm(way, axis=1), 1e-12 * dx)
+        flat, plain = surface.flat[points], normal.any(axis=1)
+        # At an edge of the other part, the side around the point decides.
+        own = flat[a] & ~flat[b] & plain[b]
+        out = np.where(plain[b][:, None], normal[b], way / distance[:, None])
+        opposed = _dots(normal[a], out)
+        out[own] = -normal[a[own]]
         gap = _dots(way, out)
         sideways = way - gap[:, None] * out
-        fits = (_dots(normal[a], out) < OPPOSED) | ~normal[a].any(axis=1)
+        fits = (opposed < OTHER) | ~plain[a]
         fits &= np.linalg.norm(sideways, axis=1) < SIDEWAYS * dx
+        fits &= ~own | (_dots(sideways, normal[b]) < BEYOND * dx)
         order = np.flatnonzero(fits)
         order = order[np.lexsort((distance[order], a[order]))]
         _, first = np.unique(a[order], return_index=True)
         chosen = order[first]
         a, b = a[chosen], b[chosen]
-        J = np.maximum(_dots(F[b, 0], turned[b, 0]), FLAT)
+        J = np.maximum(_dots(F[b, 0], turned[b, 0]), LEAST)
         return points[a], {
             "nodes": np.concatenate([nodes[a], nodes[b]], axis=1),
             "weights": np.concatenate([weights[a], -weights[b]], axis=1),
@@ -229,18 +279,28 @@ class SelfContact:
             "normal": out[chosen],
             "slopes": slopes[b],
             "back": np.swapaxes(turned[b], 1, 2) / J[:, None, None],
+            "sign": np.where(surface.body[points[a]] == self.bodies[1], 1.0, -1.0),
         }
 
-    @cached_property
-    def _slopes(self) -> NDArray[np.float64]:
-        """Weights of the nodes in the gradient at each surface point [S,27,3], 1/m."""
-        surface = self._surface
-        arm = self._nodes.rest.numpy()[surface.nodes] - surface.x[:, None]
-        arm *= (surface.weights != 0)[:, :, None]
-        weighted = surface.weights[:, :, None] * arm
-        moments = np.swapaxes(weighted, 1, 2) @ arm
-        slopes: NDArray[np.float64] = weighted @ np.linalg.pinv(moments, rcond=1e-6, hermitian=True)
-        return slopes
+    def _across(self, body: NDArray[np.int64], x: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return pairs of points of different bodies within reach [M,2], each of the nearest few.
+
+        Args:
+            body: Indices of the bodies [K].
+            x: Current positions [K,3], m.
+        """
+        groups = [np.flatnonzero(body == number) for number in self.bodies]
+        pairs = []
+        for these, others in (groups, groups[::-1]):
+            if not len(others):
+                continue
+            distance, other = KDTree(x[others]).query(
+                x[these], k=min(NEIGHBOURS, len(others)), distance_upper_bound=NEAR * self._model.dx
+            )
+            row, column = np.nonzero(np.isfinite(distance.reshape(len(these), -1)))
+            chosen = other.reshape(len(these), -1)[row, column]
+            pairs.append(np.stack([these[row], others[chosen]], axis=1))
+        return np.concatenate([*pairs, np.zeros((0, 2), np.int64)])
 
     def _list(self, points: NDArray[np.int64], pairs: dict[str, NDArray]) -> None:
         """List pairs; points that already had a partner keep their forces."""
@@ -251,6 +311,8 @@ class SelfContact:
     def _fill(self, points: NDArray[np.int64], pairs: dict[str, NDArray]) -> None:
         """Copy pairs to the device."""
         self._points, self.most = points, max(self.most, len(points))
+        if len(points) > len(self._pairs["sign"]):
+            self._reserve(min(len(self._mine), 2 * len(points)))
         if len(points):
             for name, array in self._pairs.items():
                 array[: len(points)].assign(pairs[name])
@@ -259,12 +321,13 @@ class SelfContact:
         """Return the pairs and their forces."""
         count = len(self._points)
         pairs = {name: array.numpy()[:count].copy() for name, array in self._pairs.items()}
-        places = {"seen": self._seen.copy(), "flagged": self._flagged.copy()}
+        places = {"seen": self._seen.copy(), "flagged": self._flagged.copy(), "away": self._away}
         return {"points": self._points.copy(), **places, **pairs}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot."""
         self._seen, self._flagged = (np.array(snapshot[name]) for name in ("seen", "flagged"))
+        self._away = bool(snapshot["away"])
         self._fill(np.array(snapshot["points"]), snapshot)
 
 

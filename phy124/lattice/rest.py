@@ -1,4 +1,4 @@
-"""The lattice at rest: nodes, cells, weights of the integration points, masses and ties.
+"""The lattices of bodies at rest: nodes, cells, weights of points, masses and ties.
 
 Node i is at (i + 1/2) dx, in the middle of cell i, and its quadratic B-spline covers the cells
 i - 1 to i + 1. A cell's eight points (phy124/particles/lattice.py) therefore touch the same 27
@@ -13,6 +13,7 @@ angular momentum.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -42,7 +43,7 @@ STEPS = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).r
 
 @dataclass(frozen=True, eq=False)
 class RestLattice:
-    """The nodes of a body at rest, sorted by x, then y, then z, and the weights of its points."""
+    """The nodes of bodies at rest, sorted by body, then x, y and z, and the weights of points."""
 
     dx: float
     """Side of a cell [m]."""
@@ -59,20 +60,59 @@ class RestLattice:
     """Indices of the tied nodes [T]."""
     ties: scipy.sparse.csr_matrix
     """Weights of the other nodes in the motion of each tied node [T,N]."""
+    body: NDArray[np.int64]
+    """Index of the body of each node [N]."""
 
     @classmethod
-    def of(cls, x: NDArray, mass: NDArray, volume: NDArray, dx: float) -> RestLattice:
-        """Return the lattice of integration points.
+    def of(
+        cls,
+        x: NDArray,
+        mass: NDArray,
+        volume: NDArray,
+        dx: float,
+        spans: Sequence[slice] = (slice(None),),
+    ) -> RestLattice:
+        """Return the lattices of the integration points of all bodies, which share no node.
 
         Args:
             x: Positions of the points at rest [P,3], m; eight consecutive points form a cell.
             mass: Masses of the points [P], kg.
             volume: Volumes of the points [P], m^3.
             dx: Side of a cell [m].
+            spans: Points of each body, in order.
 
         Raises:
             ValueError: The points do not form cells of eight.
         """
+        bodies = [cls._of_body(x[span], mass[span], volume[span], dx) for span in spans]
+        if len(bodies) == 1:
+            return bodies[0]
+        counts = [len(body) for body in bodies]
+        starts = np.cumsum([0, *counts])[:-1]
+
+        def join(name: str, shifted: bool = False) -> NDArray:
+            return np.concatenate(
+                [
+                    getattr(b, name) + (s if shifted else 0)
+                    for b, s in zip(bodies, starts, strict=True)
+                ]
+            )
+
+        ties = scipy.sparse.block_diag([body.ties for body in bodies], format="csr")
+        return cls(
+            float(dx),
+            join("index"),
+            join("rows", True).astype(np.int32),
+            join("offset"),
+            join("mass"),
+            join("tied", True),
+            scipy.sparse.csr_matrix(ties),
+            np.repeat(np.arange(len(bodies)), counts),
+        )
+
+    @classmethod
+    def _of_body(cls, x: NDArray, mass: NDArray, volume: NDArray, dx: float) -> RestLattice:
+        """Return the lattice of one body; raises ValueError."""
         if len(x) % PER_CELL:
             raise ValueError("the number of points is not a multiple of eight; use lattice_of")
         x = np.asarray(x, np.float64) / dx
@@ -100,7 +140,8 @@ class RestLattice:
         of_nodes[tied] = 0
         of_nodes = _share(index, of_nodes, LIGHT * whole, GIVING * whole)
         rows = number[:, ::3].astype(np.int32)
-        return cls(float(dx), index, rows, offset, of_nodes, tied, ties)
+        body = np.zeros(len(index), np.int64)
+        return cls(float(dx), index, rows, offset, of_nodes, tied, ties, body)
 
     def __len__(self) -> int:
         """Return the number of nodes."""
@@ -111,13 +152,26 @@ class RestLattice:
         """Positions of the nodes at rest [N,3], m."""
         return (self.index.astype(np.float64) + 0.5) * self.dx
 
-    def find(self, index: NDArray) -> NDArray[np.int64]:
-        """Return the numbers of nodes from their indices [...,3]; -1 where there is no node."""
+    @property
+    def across(self) -> int:
+        """Sum of the largest extents of all bodies [cells]."""
+        bodies = [self.index[self.body == body] for body in np.unique(self.body)]
+        return sum(int(np.ptp(index, axis=0).max()) - 1 for index in bodies)
+
+    def find(self, index: NDArray, body: NDArray | int = 0) -> NDArray[np.int64]:
+        """Return the numbers of nodes, -1 where there is no node.
+
+        Args:
+            index: Indices of nodes [...,3].
+            body: Indices of their bodies [...].
+        """
         low, size = self.index.min(axis=0), np.ptp(self.index, axis=0) + 1
-        keys: NDArray = np.asarray(np.ravel_multi_index(tuple((self.index - low).T), tuple(size)))
+        shape = (int(self.body[-1]) + 1, *size.tolist())
+        keys: NDArray = np.asarray(np.ravel_multi_index((self.body, *(self.index - low).T), shape))
         inside = ((index >= low) & (index < low + size)).all(axis=-1)
         at = np.clip(index - low, 0, size - 1)
-        wanted = np.ravel_multi_index(tuple(np.moveaxis(at, -1, 0)), tuple(size))
+        bodies = np.broadcast_to(body, at.shape[:-1])
+        wanted = np.ravel_multi_index((bodies, *np.moveaxis(at, -1, 0)), shape)
         place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
         return np.where(inside & (keys[place] == wanted), place, -1)
 

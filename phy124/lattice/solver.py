@@ -1,4 +1,4 @@
-"""LatticeSolver: explicit substeps of elastic bodies on their lattice at rest.
+"""LatticeSolver: explicit substeps of elastic bodies on their lattices at rest.
 
 A substep sums the forces of the stress on the nodes, kicks the nodes, lets clamps and walls act,
 and lets the nodes drift. Points only integrate: their x, v, C and F follow the nodes before forces
@@ -17,7 +17,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
-from phy124.lattice.itself import SelfContact
+from phy124.lattice.meetings import Meetings
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
@@ -28,7 +28,7 @@ from phy124.mpm.free import FreeBodies
 from phy124.mpm.grid import Grid, Unstable
 from phy124.mpm.model import Model, State
 from phy124.mpm.outliers import Outliers
-from phy124.mpm.pairs import Pairs
+from phy124.mpm.pairs import Pair, Pairs
 from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
 from phy124.mpm.stage import Accumulator, Attachable, Named, Stage, launches
@@ -54,7 +54,7 @@ MEASURE, TRIAL = -1, -2
 
 
 class LatticeSolver:
-    """Advances the nodes of a body in time under forces and boundaries."""
+    """Advances the nodes of bodies in time under forces, boundaries and contact."""
 
     projects: ClassVar[bool] = False
 
@@ -68,20 +68,22 @@ class LatticeSolver:
         boundaries: Sequence[Boundary] = (),
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Any] = (),
+        pairs: Sequence[Pair] = (),
         ceiling: float = math.inf,
         threads: int | None = None,
         vectors: bool = True,
     ) -> None:
-        """Build the lattice of a model whose particles are integration points.
+        """Build the lattices of a model whose particles are integration points.
 
         Args:
             model: The integration points, cell by cell (phy124/particles/lattice.py).
-            surface: Surface points [m] and outward normals at rest [S,6].
+            surface: Surface points [m], outward normals at rest, and indices of bodies [S,7].
             state: The initial motion of the points; None: at rest.
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that are updated in every substep.
             planes: Flat walls for free bodies, of which there are none.
+            pairs: Pairs of bodies whose contact differs from the default.
             ceiling: Longest substep allowed [s].
             threads: Number of CPU threads; None: as many as there are free cores and enough points
                 for.
@@ -99,7 +101,8 @@ class LatticeSolver:
         # Since the frequency is measured, `accuracy.cfl` is the fraction of its limiting square.
         self.clock.cfl = math.sqrt(model.cfl)
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
-        self.lattice = RestLattice.of(model.rest, mass, volume, model.dx)
+        spans = [model.particles(body) for body in range(model.bodies)]
+        self.lattice = RestLattice.of(model.rest, mass, volume, model.dx, spans)
         self._surface = make_surface(surface, self.lattice)
         self.nodes_state = _nodes(model, self.lattice, self.state)
         count = usable_workers(len(model), model.device, threads)
@@ -108,8 +111,9 @@ class LatticeSolver:
         self.team = Team[int](count, self._run_member)
         self.grid = Grid(model.origin, model.dx, real=model.real, device=model.device)
         self.grid.size = np.ptp(self.lattice.index, axis=0) + 1
-        # A single elastic body has none of these; observers and reports read them.
-        self.pairs, self.free = Pairs(model, (), count), FreeBodies(model, ())
+        self.pairs = Pairs(model, pairs, 1)
+        # Bodies on their lattices have none of these; observers and reports read them.
+        self.free = FreeBodies(model, ())
         self.repair, self.outliers = Repair(model, self.state), Outliers(model, self.state)
         self.softened = 1.0
         """Factor by which all stiffnesses are currently scaled."""
@@ -151,7 +155,7 @@ class LatticeSolver:
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
-        self.itself = SelfContact(surface, model, nodes, tracks, walls.recovery)
+        self.meetings = Meetings(surface, model, nodes, tracks, self.pairs, walls.recovery)
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self._sample = tracks.record()
         self._sample.launch()
@@ -169,7 +173,7 @@ class LatticeSolver:
                 *before,
                 crew.force(worker, self.tracks if pushed else None),
                 crew.kick(worker, self.tracks),
-                [*self.walls.record(), *self.itself.record()] if index == 0 else [],
+                self.walls.record(self.meetings.record()) if index == 0 else [],
                 crew.drift(worker, self.tracks),
             ]
         last = [(stage.name, stage.record(self.grid)) for stage in self._sums]
@@ -329,7 +333,7 @@ class LatticeSolver:
         if self._travel > TRAVEL * self.model.dx:
             self._look()
         self._list_near()
-        run_timed(self.timings, "self-contact", self.itself.follow)
+        run_timed(self.timings, "meetings", lambda: self.meetings.follow(self._step()))
 
     def _read(self, elapsed: float) -> None:
         """Limit substeps by the largest speed and rate of strain; raises Unstable.
@@ -367,10 +371,13 @@ class LatticeSolver:
 
     def _list_near(self) -> None:
         """List the surface points that walls may touch until the next measurement."""
-        speed = self.clock.extremes.speed + self.rejection.wall
+        self.walls.list_near(self._travel + 2 * WAY * self.model.dx, self._step())
+
+    def _step(self) -> float:
+        """Return the largest distance by which a point approaches a wall in a substep [m]."""
         dt = self.clock.stable().dt
-        step = speed * dt if math.isfinite(dt) else math.inf
-        self.walls.list_near(self._travel + 2 * WAY * self.model.dx, step)
+        speed = self.clock.extremes.speed + self.rejection.wall
+        return speed * dt if math.isfinite(dt) else math.inf
 
     def _interval(self) -> int:
         """Return the number of substeps until the limits must be measured."""
@@ -393,7 +400,8 @@ class LatticeSolver:
             "state": self.state.snapshot(),
             "nodes": {name: wp.clone(getattr(nodes, name)) for name in ("u", "residue", "v")},
             "walls": self.walls.snapshot(),
-            "itself": self.itself.snapshot(),
+            "meetings": self.meetings.snapshot(),
+            "pairs": self.pairs.snapshot(),
             "clock": self.clock.snapshot(),
             "spectrum": self._spectrum.snapshot(),
         }
@@ -404,7 +412,8 @@ class LatticeSolver:
         for name, array in snapshot["nodes"].items():
             getattr(self.nodes_state, name).assign(array)
         self.walls.restore(snapshot["walls"])
-        self.itself.restore(snapshot["itself"])
+        self.meetings.restore(snapshot["meetings"])
+        self.pairs.restore(snapshot["pairs"])
         self.clock.restore(snapshot["clock"])
         self._spectrum.restore(snapshot["spectrum"])
         self._crew.stray.zero_()
@@ -421,7 +430,8 @@ def _tasks(worker: Worker, phase: int) -> list[Named]:
 def _nodes(model: Model, lattice: RestLattice, state: State) -> Nodes:
     """Return the nodes at rest with the motion of the points, which is exact if it is affine."""
     t, count = types(model.real), len(lattice)
-    inverse = np.divide(1, lattice.mass, out=np.zeros(count), where=lattice.mass > 0)
+    free = (lattice.mass > 0) & ~np.isin(lattice.body, list(model.held))
+    inverse = np.divide(1, lattice.mass, out=np.zeros(count), where=free)
     zeros = [model.array(np.zeros((count, 3)), t.vec3) for _ in range(3)]
     return Nodes(
         rest=model.array(lattice.x, t.vec3),

@@ -8,9 +8,11 @@ the surface lean on the lightest nodes, which would chatter.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from phy124.lattice.rest import STEPS, RestLattice, splines
 
@@ -18,6 +20,10 @@ INSIDE = 0.25
 """Depth at which weights are taken [cells]."""
 SUPPORTED = 0.5
 """Smallest sum of weights of free nodes; points with less are dropped."""
+FLAT, OTHER = 0.9, -0.2
+"""Shortest mean of the normals within a cell of a point that is not at an edge; and least cosine
+between the normals of points on one side of a part.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,39 +34,65 @@ class Surface:
     """Positions at rest [S,3], m."""
     normal: NDArray[np.float64]
     """Outward normals at rest [S,3]; zero on sheets."""
+    body: NDArray[np.int64]
+    """Index of the body of each point [S]."""
     nodes: NDArray[np.int32]
     """Nodes of each point [S,27]; 0 where the weight is 0."""
     weights: NDArray[np.float64]
     """Weights of the nodes [S,27], with sum 1."""
+    of_nodes: NDArray[np.float64]
+    """Positions of all nodes at rest [N,3], m."""
+    dx: float
+    """Side of a cell [m]."""
 
     @property
     def count(self) -> int:
         """Number of points."""
         return len(self.x)
 
+    @cached_property
+    def slopes(self) -> NDArray[np.float64]:
+        """Weights of the nodes in the gradient at each point [S,27,3], 1/m."""
+        arm = self.of_nodes[self.nodes] - self.x[:, None]
+        arm *= (self.weights != 0)[:, :, None]
+        weighted = self.weights[:, :, None] * arm
+        moments = np.swapaxes(weighted, 1, 2) @ arm
+        slopes: NDArray[np.float64] = weighted @ np.linalg.pinv(moments, rcond=1e-6, hermitian=True)
+        return slopes
+
+    @cached_property
+    def flat(self) -> NDArray[np.bool_]:
+        """Whether each point has a normal that fits to those around it: no edge, no tip [S]."""
+        near = KDTree(self.x).query_pairs(self.dx, output_type="ndarray")
+        a, b = np.concatenate([near, near[:, ::-1]]).T
+        # The other side of a thin part does not count.
+        same = (self.body[a] == self.body[b]) & ((self.normal[a] * self.normal[b]).sum(1) > OTHER)
+        total, number = self.normal.copy(), np.ones(self.count)
+        np.add.at(total, a[same], self.normal[b[same]])
+        np.add.at(number, a[same], 1)
+        flat: NDArray[np.bool_] = np.linalg.norm(total, axis=1) > FLAT * number
+        return flat
+
 
 def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     """Return the surface points that the lattice supports.
 
     Args:
-        points: Positions [m] and outward normals, as rows of six numbers [S,6].
-        lattice: The lattice at rest.
+        points: Positions [m], outward normals and indices of bodies [S,7].
+        lattice: The lattices at rest.
     """
-    x, normal = points[:, :3], points[:, 3:]
+    x, normal, body = points[:, :3], points[:, 3:6], points[:, 6].astype(np.int64)
     at = x / lattice.dx - INSIDE * normal
     cell = np.floor(at).astype(np.int64)
     index = cell[:, None] + STEPS
-    nodes = lattice.find(index)
+    nodes = lattice.find(index, body[:, None])
     free = nodes >= 0
     free[free] = lattice.mass[nodes[free]] > 0
     a, b, c = np.moveaxis(splines(at - cell + 0.5), 1, 0)
     weights = np.einsum("pi,pj,pk->pijk", a, b, c).reshape(len(x), 27) * free
     supported = weights.sum(axis=1) > SUPPORTED
-    x, normal, nodes, weights = (
-        x[supported],
-        normal[supported],
-        nodes[supported],
-        weights[supported],
+    x, normal, body, nodes, weights = (
+        values[supported] for values in (x, normal, body, nodes, weights)
     )
     arm = index[supported] + 0.5 - (x / lattice.dx)[:, None]
     first = np.einsum("pn,pna->pa", weights, arm)
@@ -68,4 +100,5 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     slope = -np.einsum("pab,pb->pa", np.linalg.pinv(second, hermitian=True), first)
     weights = weights * (1 + np.einsum("pna,pa->pn", arm, slope))
     weights /= weights.sum(axis=1, keepdims=True)
-    return Surface(x, normal, np.where(weights != 0, nodes, 0).astype(np.int32), weights)
+    nodes = np.where(weights != 0, nodes, 0).astype(np.int32)
+    return Surface(x, normal, body, nodes, weights, lattice.x, lattice.dx)

@@ -21,6 +21,7 @@ from phy124.kernels.lattice.contact import (
     SUMS,
     make_account,
     make_distances,
+    make_exchange,
     make_meet,
     make_place,
     make_reach,
@@ -136,16 +137,23 @@ class Walls:
         """Return whether there is any wall or clamp."""
         return bool(self._clamps or self._contacts)
 
-    def record(self) -> list[Named]:
+    def record(self, meetings: Sequence[Named] = ()) -> list[Named]:
         """Return the launches of one substep, in order.
 
-        Clamps act first. Then walls apply the impulses of the previous substep, correct them, and
-        sum impulse and work.
+        Clamps act first. Then walls apply the impulses of the previous substep and correct them.
+        After the contact of bodies with each other, they sum impulse and work.
+
+        Args:
+            meetings: Launches of the contact of bodies with each other.
         """
         clamps = [("clamp", launch) for clamp in self._clamps for launch in clamp.record()]
         stages = [contact.record() for contact in self._contacts]
-        ordered = [stage for order in zip(*stages, strict=True) for stage in order]
-        return [*launches(clamps), *(("contact", stage) for stage in ordered)]
+        *acting, sums = zip(*stages, strict=True) if stages else [()]
+        acts, adds = (
+            [("contact", stage) for order in orders for stage in order]
+            for orders in (acting, [sums])
+        )
+        return [*launches(clamps), *acts, *meetings, *adds]
 
     def look(self) -> None:
         """Measure the distances of all surface points from the walls."""
@@ -196,17 +204,18 @@ class _Points:
     nodes: wp.array
     weights: wp.array
     rest: wp.array
+    body: NDArray[np.int64]
     slowest: float
-    """(pi / 2 H)^2 for a body with an extent of H cells."""
+    """(pi / 2 H)^2 for bodies with a total extent of H cells."""
 
     @classmethod
     def of(cls, surface: Surface, lattice: RestLattice, model: Model) -> _Points:
         """Copy the points to the device."""
-        across = int(np.ptp(lattice.index, axis=0).max()) - 1
         nodes = wp.array(surface.nodes, dtype=int, device=model.device)
         weights = model.array(surface.weights, model.real)
         rest = model.array(surface.x, types(model.real).vec3)
-        return cls(surface.count, nodes, weights, rest, (math.pi / 2 / across) ** 2)
+        slowest = (math.pi / 2 / lattice.across) ** 2
+        return cls(surface.count, nodes, weights, rest, surface.body, slowest)
 
 
 class _Clamp:
@@ -232,9 +241,9 @@ class _Clamp:
         self._slot = tracks.add(part.track(model) or STILL)
         far = distances(part, model, lattice.x)
         far[:, 3] += INSET * model.dx
-        held = np.flatnonzero(far[:, 3] < -HELD * model.dx)
+        held = np.flatnonzero((far[:, 3] < -HELD * model.dx) & affected(part, model, lattice.body))
         self._held = wp.array(held.astype(np.int32), dtype=int, device=model.device)
-        pairs, ratios = _pins(lattice, far)
+        pairs, ratios = _pins(lattice, far, affected(part, model, lattice.body))
         self._pairs = wp.array(pairs.astype(np.int32), dtype=wp.vec2i, device=model.device)
         self._ratios = model.array(ratios, model.real)
 
@@ -253,21 +262,22 @@ class _Clamp:
 
 
 def _pins(
-    lattice: RestLattice, far: NDArray[np.float64]
+    lattice: RestLattice, far: NDArray[np.float64], affected: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return pairs of the last held node and the first free node of a column, and their ratios.
 
     Args:
         lattice: The lattice at rest.
         far: Normal and distance of each node from the clamp [N,4].
+        affected: Whether the clamp acts on the body of each node [N].
     """
     axis = np.argmax(np.abs(far[:, :3]), axis=1)
     lean = np.take_along_axis(far[:, :3], axis[:, None], axis=1)[:, 0]
     across = np.maximum(np.abs(lean), 1e-3) * lattice.dx
-    middle = np.flatnonzero(np.abs(far[:, 3] / across) <= HELD)
+    middle = np.flatnonzero((np.abs(far[:, 3] / across) <= HELD) & affected)
     step = np.zeros((len(middle), 3), np.int64)
     step[np.arange(len(middle)), axis[middle]] = np.sign(lean[middle]).astype(np.int64)
-    front = lattice.find(lattice.index[middle] + step)
+    front = lattice.find(lattice.index[middle] + step, lattice.body[middle])
     # A node may be the front of one column only, so that no two threads write to it.
     present = np.flatnonzero(front >= 0)
     _, first = np.unique(front[present], return_index=True)
@@ -295,6 +305,7 @@ class _Contact:
         self._slot = 0 if track is None else tracks.add(track)
         self._shape = t.mat33(*np.ravel(part.geometry(model)))
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
+        self._affected = affected(part, model, points.body)
         self.reach = REACH * model.dx
         """Distance from the wall within which contact is computed [m]."""
         self.separates = part.response() == "separate"
@@ -320,7 +331,8 @@ class _Contact:
 
     def list_near(self, approach: float) -> None:
         """List the points that were within `REACH` and `approach` [m] of the wall."""
-        near = np.flatnonzero(self._gaps.numpy() < REACH * self._model.dx + approach)
+        close = self._gaps.numpy() < REACH * self._model.dx + approach
+        near = np.flatnonzero(close & self._affected)
         if not np.array_equal(near, self._near):
             self._near = near.astype(np.int32)
             if len(near):
@@ -394,6 +406,13 @@ class _Contact:
         return cast("wp.Launch", self._model.launch(kernel, points.count, inputs, [self._sums]))
 
 
+def affected(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which bodies [K] among the indices of bodies [K] a simple wall acts on."""
+    if part.object is None:
+        return np.ones(len(body), bool)
+    return np.asarray(body == model.names.index(part.object))
+
+
 def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
     """Return the normals of a simple wall at points [N,3], and their distances from it [N,4], m."""
     t = types(model.real)
@@ -405,9 +424,11 @@ def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
     return far.astype(np.float64)
 
 
-def kernels(boundaries: Sequence[Boundary], real: Any) -> Iterator[Any]:
-    """Yield the kernels of walls, clamps and self-contact."""
+def kernels(boundaries: Sequence[Boundary], real: Any, *, several: bool = False) -> Iterator[Any]:
+    """Yield the kernels of walls, clamps and self-contact, and of contact of several bodies."""
     yield from (make_place(real), make_meet(real), make_resist("separate", False, real))
+    if several:
+        yield make_exchange(real)
     for boundary in boundaries:
         for part in boundary.parts():
             if boundary.holds:

@@ -6,6 +6,7 @@ from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.interior import Interior
 from phy124.monitor.lattice import (
     LatticeMethod,
+    LatticePairs,
     LatticeSelfContact,
     LatticeWatchdog,
     LatticeWork,
@@ -37,6 +38,7 @@ frames.
 """
 LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeMethod,
+    LatticePairs,
     LatticeSelfContact,
     Softening,
     LatticeWrenches,

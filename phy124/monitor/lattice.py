@@ -15,7 +15,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary
-from phy124.gaussians import Frame, Wrench
+from phy124.gaussians import Wrench
 from phy124.kernels import diagnostics as at
 from phy124.kernels.lattice.contact import MOMENT
 from phy124.kernels.lattice.nodes import make_node_totals
@@ -23,7 +23,7 @@ from phy124.monitor.diagnostics import Diagnostics, Totals
 from phy124.monitor.external_work import WALL, ExternalWork
 from phy124.monitor.observer import Cost, Effect, Observer, Subject
 from phy124.monitor.watchdog import Watchdog
-from phy124.monitor.wrenches import Wrenches, summary, wall_names
+from phy124.monitor.wrenches import Wrenches, wall_names
 from phy124.mpm import Attachable, Clock
 from phy124.scene import Scene
 
@@ -103,12 +103,7 @@ class LatticeWork(ExternalWork):
 
 
 class LatticeWrenches(Wrenches):
-    """Wrenches on walls, from the sums that the walls keep."""
-
-    @classmethod
-    def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene requests wrenches."""
-        return subject.scene.keeps_wrenches
+    """Wrenches on walls and between bodies, from the sums that the solver keeps."""
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
@@ -119,12 +114,7 @@ class LatticeWrenches(Wrenches):
     @property
     def walls(self) -> tuple[str, ...]:
         """Names of the simple walls, in the order of the scene."""
-        return self._names
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all wrenches of a frame, in order."""
-        return self._names
+        return self._names if self._of_walls else ()
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
@@ -146,26 +136,11 @@ class LatticeWrenches(Wrenches):
         """Store the sums at the start of the frame."""
         self._before = self._now()
 
-    def contacts(self, solver: Any, fps: float) -> dict[str, Wrench]:
-        """Return the mean wrench on each wall since the frame began.
-
-        Args:
-            solver: The solver.
-            fps: Frames per second.
-        """
-        del solver
-        arrays = (self._solver.model.mass, self._solver.state.x)
-        mass, x = (np.asarray(array.numpy(), np.float64) for array in arrays)
-        centre = mass @ x / mass.sum()
-        wrenches = {}
-        for name, row in zip(self._names, self._before - self._now(), strict=True):
-            impulse, moment = row[:3], row[MOMENT : MOMENT + 3]
-            wrenches[name] = Wrench(fps * impulse, fps * (moment - np.cross(centre, impulse)))
-        return wrenches
-
-    def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
-        """Return the report section of walls."""
-        return {"walls": summary(frames, self.walls)}
+    def of_wall(self, wall: str, centre: NDArray, fps: float) -> Wrench:
+        """Return the mean wrench on a wall since the frame began."""
+        row = (self._before - self._now())[self._names.index(wall)]
+        impulse, moment = row[:3], row[MOMENT : MOMENT + 3]
+        return Wrench(fps * impulse, fps * (moment - np.cross(centre, impulse)))
 
     def snapshot(self) -> dict[str, Any]:
         """Return nothing: the solver keeps the sums, and a frame starts with the next attempt."""
@@ -191,6 +166,31 @@ class LatticeMethod(Observer):
         )
 
 
+class LatticePairs(Observer):
+    """The row of the effects report for contact between bodies."""
+
+    @classmethod
+    def called_for(cls, subject: Subject) -> bool:
+        """Return whether the scene has several objects."""
+        return bool(subject.scene.objects)
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row before a run."""
+        del subject
+        return Effect("contact of surface points between objects")
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, whose pairs are reported."""
+        self._solver = solver
+
+    def finished_effect(self, subject: Subject) -> Effect:
+        """Return the row after a run."""
+        most = sum(meeting.most for meeting in self._solver.meetings.of_pairs)
+        name = f"contact between objects at {most} surface points at most"
+        return Effect(name, most > 0, "no objects came near each other")
+
+
 class LatticeSelfContact(Observer):
     """The row of the effects report for contact of a body with itself."""
 
@@ -209,6 +209,6 @@ class LatticeSelfContact(Observer):
 
     def finished_effect(self, subject: Subject) -> Effect:
         """Return the row after a run."""
-        most = self._solver.itself.most
+        most = max((m.most for m in self._solver.meetings.of_bodies), default=0)
         name = f"self-contact of at most {most} pairs of points" if most else "self-contact"
         return Effect(name, most > 0, "no parts came near each other", self.LOOKING)

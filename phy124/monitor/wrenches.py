@@ -144,7 +144,7 @@ class Wrenches(Observer):
         arrays = (solver.model.mass, solver.state.x)
         mass, x = (np.asarray(array.numpy(), np.float64) for array in arrays)
         centre = mass @ x / mass.sum()
-        wrenches = {wall: self._wrench(wall, centre, fps) for wall in self._sums}
+        wrenches = {wall: self.of_wall(wall, centre, fps) for wall in self.walls}
         between = [*solver.pairs.wrenches(1 / fps).values(), *solver.free.wrenches(1 / fps)]
         for name, (force, torque) in zip(pair_names(solver), between, strict=True):
             wrenches[name] = Wrench(force, torque - np.cross(centre, force))
@@ -199,7 +199,8 @@ class Wrenches(Observer):
             for worker, array in sums.items()
         }
 
-    def _wrench(self, wall: str, centre: Vector3, fps: float) -> Wrench:
+    def of_wall(self, wall: str, centre: Vector3, fps: float) -> Wrench:
+        """Return the mean wrench on a wall since the frame began, about a centre [3], m."""
         total = np.zeros(kernels.SUMS)
         for sums in self._sums[wall].values():
             total += sums.numpy()

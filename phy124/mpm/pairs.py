@@ -103,6 +103,10 @@ class Pairs:
         signs = [(pair.first in held) - (pair.second in held) for pair in self.all]
         return np.array(signs, float) @ self._total()[:, :MOMENT]
 
+    def sums_of(self, index: int) -> wp.array:
+        """Return the sums of a pair, to which the first worker adds: impulse and moment."""
+        return cast("wp.array", self._sums[0, index])
+
     def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:
         """Return each pair's mean wrench of the first body on the second, about the origin.
 

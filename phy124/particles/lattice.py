@@ -75,7 +75,8 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
         material=np.zeros(count, np.int32),
         gaussian=np.full(count, -1, np.int32),
     )
-    return replace(points, surface=surface_points(solid, dx))
+    rows = surface_points(solid, dx)
+    return replace(points, surface=np.concatenate([rows, np.zeros((len(rows), 1))], axis=1))
 
 
 def cells_of(points: Particles) -> Particles:

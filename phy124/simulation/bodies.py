@@ -372,6 +372,11 @@ def _join_particles(
         for each, number in zip(objects, numbers, strict=True)
     ]
     counts = [len(particles) for particles in objects]
+    surfaces = [
+        np.concatenate([each.surface[:, :6], np.full((len(each.surface), 1), float(index))], axis=1)
+        for index, each in enumerate(objects)
+        if each.surface is not None
+    ]
     return Particles(
         x=join("x"),
         volume=join("volume"),
@@ -379,4 +384,5 @@ def _join_particles(
         material=np.concatenate(material).astype(np.int32),
         gaussian=np.concatenate(gaussian).astype(np.int32),
         body=np.repeat(np.arange(len(objects), dtype=np.int32), counts),
+        surface=np.concatenate(surfaces) if surfaces else None,
     )

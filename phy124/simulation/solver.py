@@ -106,11 +106,14 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         from phy124.lattice.solver import LatticeSolver
 
         assert particles.surface is not None
+        surface = particles.surface.copy()
+        surface[:, 6] = np.searchsorted(bodies, surface[:, 6])
         return LatticeSolver(
             model,
-            particles.surface,
+            surface,
             State.of(model, v, C),
             **wrap(scene, observers),
+            pairs=list(_pairs(model.names, scene)),
             ceiling=ceiling,
             threads=setup.threads,
         )
@@ -185,7 +188,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
         named = zip(scene.materials, viscous, strict=True)
         laws = {section.device_law.name: (section.device_law, damped) for section, damped in named}
         yield from workers.kernels(list(laws.values()), real, device)
-        yield from walls.kernels(scene.boundaries, real)
+        yield from walls.kernels(scene.boundaries, real, several=bool(scene.objects))
         return
     yield from substep.kernels(subject.laws, real, form)
     yield from fluctuation.kernels(scheme_of(scene), real, form)

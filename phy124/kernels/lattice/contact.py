@@ -23,6 +23,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
+from phy124.kernels.contacts import MOMENT as PAIR_MOMENT
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.work import GIVEN, add_given
@@ -256,7 +257,7 @@ def make_meet(real: Any):
     it, so that `rest_out` and the nodes give the way between the two. The place follows the point
     on the surface, so that the impulses have no moment: its weights change by `slopes` times the
     way in the body at rest, which is `back` times the way along the surface. A place that moves
-    farther than `far` is no longer opposite.
+    farther than `far` is no longer opposite, and one at a distance of `reach` is not looked at.
     """
     t = types(real)
 
@@ -264,6 +265,7 @@ def make_meet(real: Any):
     def meet(
         count: int,
         far: real,
+        reach: real,
         nodes: wp.array2d(dtype=int),
         normal: t.vec3s,
         slopes: wp.array2d(dtype=t.vec3),
@@ -285,7 +287,7 @@ def make_meet(real: Any):
             gap = wp.dot(way, n)
             step = back[s] * (way - gap * n)
             shift = shift_out[s] + step
-            if wp.dot(shift, shift) < far * far:
+            if gap < reach and wp.dot(shift, shift) < far * far:
                 shift_out[s] = shift
                 rest_out[s] = rest_out[s] - step
                 for k in range(wp.static(NODES)):
@@ -301,6 +303,39 @@ def make_meet(real: Any):
                 force_out[s] = t.vec3()
 
     return meet
+
+
+@cache
+def make_exchange(real: Any):
+    """Kernel of one thread: adds the impulses of pairs of surface points, and their moments.
+
+    `sign` is 1 for points of the body on which the summed impulse acts, -1 for those of the other.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_exchange_{real.__name__}", real, seconds=0.3)
+    def exchange(
+        count: int,
+        sign: t.reals,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        rest: t.vec3s,
+        u: t.vec3s,
+        force: t.vec3s,
+        clock,
+        sums_out,
+    ):
+        for s in range(count):
+            impulse = wide((sign[s] * clock[0]) * force[s])
+            if wp.dot(impulse, impulse) > wp.float64(0.0):
+                place = t.vec3()
+                for k in range(wp.static(NODES)):
+                    n = nodes[s, k]
+                    place += weights[s, k] * (rest[n] + u[n])
+                add3(sums_out, 0, impulse)
+                add3(sums_out, wp.static(PAIR_MOMENT), wp.cross(wide(place), impulse))
+
+    return exchange
 
 
 @cache

@@ -375,8 +375,10 @@ const auto forces = [&](int w) {
     return (const float*)pool.data + 3L * (((const int*)begin.data)[w] - lows[w]);
 };
 __builtin_memcpy((float*)before_out.data + 3 * first, to + 3 * first, 12 * (last - first));
-for (long n = first; n < last; ++n)
-    for (int d = 0; d < 3; ++d) to[3 * n + d] += dt * uniform[d];
+for (long n = first; n < last; ++n) {
+    const float free = one[n] > 0 ? dt : 0;
+    for (int d = 0; d < 3; ++d) to[3 * n + d] += free * uniform[d];
+}
 for (int w = 0; w < low.shape[0]; ++w) {
     const float* const force = forces(w);
     const long a = first > lows[w] ? first : lows[w], b = last < highs[w] ? last : highs[w];

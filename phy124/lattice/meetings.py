@@ -1,0 +1,132 @@
+"""Meetings: contact of bodies with each other, and of each body with itself.
+
+A sample of the surface shows whether two bodies, or two parts of a body, are near each other. If
+they are not, nothing else is computed.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.arguments import types
+from phy124.kernels.lattice.contact import make_place
+from phy124.lattice.itself import FAR, FRICTION, Meeting
+from phy124.lattice.surface import Surface
+from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
+from phy124.mpm.model import Model
+from phy124.mpm.pairs import Pairs
+from phy124.mpm.stage import Named
+from phy124.mpm.tracks import Tracks
+
+SAMPLED = 1.5
+"""Distance of sampled points [cells]."""
+
+
+class Meetings:
+    """All pairs of bodies that may touch, and all bodies that may touch themselves."""
+
+    def __init__(
+        self,
+        surface: Surface,
+        model: Model,
+        nodes: Nodes,
+        tracks: Tracks,
+        pairs: Pairs,
+        restore: float,
+    ) -> None:
+        """Prepare contact without any pair of points.
+
+        Args:
+            surface: Points that may touch.
+            model: The constants of the run.
+            nodes: Arrays of the nodes.
+            tracks: The tracks, which hold the clock.
+            pairs: Friction of pairs of bodies, and the sums of their impulses.
+            restore: Part of their depth by which points come out of each other in a substep.
+        """
+        self._dx = model.dx
+        cube = np.floor(surface.x / (SAMPLED * model.dx)).astype(np.int64)
+        _, sample = np.unique(np.column_stack([surface.body, cube]), axis=0, return_index=True)
+        self._bodies = [np.flatnonzero(surface.body[sample] == b) for b in range(model.bodies)]
+        """Indices of the sampled points of each body."""
+        self._x = wp.zeros(len(sample), dtype=types(model.real).vec3, device=model.device)
+        self._place = model.launch(
+            make_place(model.real),
+            len(sample),
+            [
+                wp.array(sample.astype(np.int32), dtype=int, device=model.device),
+                wp.array(surface.nodes, dtype=int, device=model.device),
+                model.array(surface.weights, model.real),
+                model.array(surface.x, types(model.real).vec3),
+                nodes.u,
+            ],
+            [self._x],
+        )
+        everywhere = surface, model, nodes, tracks, restore
+        self.of_bodies = [
+            Meeting(*everywhere, sample[self._bodies[body]], (body, body), friction=FRICTION)
+            for body in range(model.bodies)
+            if body not in model.held
+        ]
+        """Contact of each body with itself."""
+        self.of_pairs = [
+            Meeting(
+                *everywhere,
+                sample[np.concatenate([self._bodies[pair.first], self._bodies[pair.second]])],
+                (pair.first, pair.second),
+                friction=pair.friction,
+                sticky=pair.sticky,
+                sums=pairs.sums_of(index),
+            )
+            for index, pair in enumerate(pairs.all)
+        ]
+        """Contact of bodies with each other."""
+
+    @property
+    def every(self) -> list[Meeting]:
+        """All meetings, bodies with themselves first."""
+        return [*self.of_bodies, *self.of_pairs]
+
+    def record(self) -> list[Named]:
+        """Return the launches of one substep: all apply earlier impulses, then all correct them."""
+        stages = [meeting.record() for meeting in self.every]
+        return [stage for order in itertools.zip_longest(*stages) for stage in order if stage]
+
+    def follow(self, step: float) -> None:
+        """List the pairs of points again where bodies have moved relative to each other.
+
+        Args:
+            step: Largest distance by which a point moves in a substep [m].
+        """
+        if self._place is None:
+            return
+        for meeting in self.every:
+            meeting.reach = min(REACH * self._dx, 2 * AHEAD * step + CLOSE * self._dx)
+        self._place.launch()
+        x: NDArray[Any] = self._x.numpy()
+        bodies = [x[index].astype(np.float64) for index in self._bodies]
+        boxes = [(part.min(axis=0), part.max(axis=0)) if len(part) else None for part in bodies]
+        for meeting in self.of_bodies:
+            meeting.follow(bodies[meeting.bodies[0]])
+        for meeting in self.of_pairs:
+            a, b = (boxes[body] for body in meeting.bodies)
+            if a is None or b is None:
+                continue
+            if np.all(np.maximum(a[0], b[0]) - np.minimum(a[1], b[1]) < FAR * self._dx):
+                meeting.follow(np.concatenate([bodies[body] for body in meeting.bodies]))
+            else:
+                meeting.part()
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the pairs of points and their forces."""
+        return {str(number): meeting.snapshot() for number, meeting in enumerate(self.every)}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot."""
+        for number, meeting in enumerate(self.every):
+            meeting.restore(snapshot[str(number)])

@@ -1,0 +1,122 @@
+"""Contact of bodies on their lattices with each other (phy124/lattice), against analytic cases."""
+
+import math
+
+import numpy as np
+import pytest
+
+from phy124.forces import Gravity
+from phy124.lattice.solver import LatticeSolver
+from phy124.materials import NeoHookean
+from phy124.monitor.lattice import LatticeTotals
+from phy124.mpm import Model, Pair, State
+from phy124.particles.lattice import lattice_of
+from phy124.runtime.context import RunContext
+from phy124.scene import Scene
+from phy124.simulation import Simulation, prepare
+from phy124.studies.validation.bodies import fill_solid, surface_of_ball
+from test_lattice import DX, block, lattice_scene
+
+DAMPED = NeoHookean(E=1e5, nu=0.3, density=1000, damping=300.0)
+
+
+def make(solids, material=DAMPED, *, v=None, held=(), precision="float64", **options):
+    """Return a solver of several solids on their lattices."""
+    points = [lattice_of(solid, density=material.density, dx=DX) for solid in solids]
+    surfaces = [each.surface + [0, 0, 0, 0, 0, 0, i] for i, each in enumerate(points)]
+    body = np.repeat(np.arange(len(points)), [len(each) for each in points])
+    x = np.concatenate([each.x for each in points]).astype(float)
+    volume = np.concatenate([each.volume for each in points])
+    model = Model.of(x, volume, [material], dx=DX, body=body, held=held, precision=precision)
+    motion = None if v is None else np.asarray(v, float)[body]
+    state = State.of(model, motion)
+    return LatticeSolver(model, np.concatenate(surfaces), state, threads=1, **options)
+
+
+def momentum_of(solver, body):
+    """Return the momentum of a body's nodes [3], kg m/s."""
+    nodes = solver.nodes_state
+    moves = (solver.lattice.body == body) & (nodes.inverse.numpy() > 0)
+    v, inverse = (array.numpy()[moves].astype(float) for array in (nodes.v, nodes.inverse))
+    return (v / inverse[:, None]).sum(axis=0)
+
+
+def ball(x, y, z, radius=0.3):
+    """Return a solid ball."""
+    centre = np.array([x, y, z])
+    low, high = centre - radius - 0.05, centre + radius + 0.05
+    return fill_solid(lambda at: np.linalg.norm(at - centre, axis=-1) - radius, low, high, DX / 2)
+
+
+def extent_of(solver, body, end):
+    """Return the mean height of a body's lowest (0) or highest (-1) layer of points [m]."""
+    span = solver.model.particles(body)
+    rest, z = solver.model.rest[span, 2], solver.state.x.numpy()[span, 2]
+    return z[rest == np.sort(rest)[end]].mean()
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.5])
+def test_block_slides_on_a_block(friction):
+    angle, g = math.radians(20), 0.5
+    pull = Gravity(g=(g * math.sin(angle), 0, -g * math.cos(angle)))
+    solids = [block((1.0, 0.5, 0.2)), block((0.375, 0.3, 0.3), low=(0.125, 0.125, 0.2), per=4)]
+    solver = make(solids, held=[0], pairs=[Pair(0, 1, friction)], forces=[pull])
+    solver.advance(0.7)
+    before = momentum_of(solver, 1)[0]
+    solver.advance(1.2)
+    gained = (momentum_of(solver, 1)[0] - before) / 0.5 / 33.75 / g
+    slides = friction < math.tan(angle)
+    expected = math.sin(angle) - friction * math.cos(angle) if slides else 0.0
+    assert gained == pytest.approx(expected, abs=2e-3)
+    down = solver.model.rest[-1, 2] - solver.state.x.numpy()[-1, 2]
+    assert abs(down) < 0.02 * DX
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_balls_exchange_momentum_exactly(precision):
+    balls = [ball(0, 0, 0), ball(0.72, 0.13, 0.05)]
+    solver = make(balls, v=[(0.5, 0, 0), (-0.5, 0, 0)], precision=precision)
+    totals = LatticeTotals(solver)
+    before, left = totals.read(solver.clock), momentum_of(solver, 0)
+    solver.advance(1.0)
+    after = totals.read(solver.clock)
+    rounding = 1e-14 if precision == "float64" else 1e-7
+    scale = np.linalg.norm(left)
+    assert np.allclose(after.momentum, before.momentum, atol=rounding * scale, rtol=0)
+    assert np.allclose(after.angular, before.angular, atol=2e-3 * 0.3 * scale, rtol=0)
+    assert momentum_of(solver, 0)[0] < -0.5 * left[0]
+    (force, _), *_ = solver.pairs.wrenches(1.0).values()
+    assert np.allclose(-force, momentum_of(solver, 0) - left, atol=1e-6 * scale, rtol=0)
+
+
+def test_stack_of_three_stands():
+    solids = [block((0.4, 0.4, 0.2), low=(0, 0, 0.2 * k)) for k in range(3)]
+    solver = make(solids, held=[0], forces=[Gravity(g=(0, 0, -2.0))])
+    solver.advance(1.5)
+    before = solver.state.x.numpy()
+    solver.advance(2.0)
+    assert np.abs(solver.state.x.numpy() - before).max() < 0.01 * DX
+    for below in range(2):
+        gap = extent_of(solver, below + 1, 0) - extent_of(solver, below, -1)
+        assert gap == pytest.approx(2 * (0.5 - 0.5 / math.sqrt(3)) * DX, abs=0.05 * DX)
+
+
+def test_pairs_resume_bit_for_bit_and_are_reported():
+    """A ball falls on a ball that is held in place."""
+    data = lattice_scene(frames=8).data()
+    data["object"] |= {"name": "base", "held": True, "lift": 0.0}
+    ball = {"name": "ball", "on": "base", "lift": 0.1, "material": data["material"]}
+    scene = Scene.from_data({**data, "objects": [ball]})
+    setup = prepare(surface_of_ball(100), scene, RunContext(threads=2))
+    first = Simulation(setup)
+    for _ in range(5):
+        first.step()
+    saved = first.snapshot()
+    ahead = [first.step().gaussians.means for _ in range(2)]
+    second = Simulation(setup)
+    second.restore(saved)
+    assert all(np.array_equal(second.step().gaussians.means, means) for means in ahead)
+    report = first.report()
+    assert report["pairs"]["base_on_ball"]["largest_force"] > 0
+    assert report["balance"]["momentum_gain"] < 1e-6
+    assert any("contact between objects" in row for row in report["effects"]["ran"])
