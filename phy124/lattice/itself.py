@@ -256,15 +256,15 @@ class Meeting:
         distance = np.maximum(np.linalg.norm(way, axis=1), 1e-12 * dx)
         flat, plain = surface.flat[points], normal.any(axis=1)
         # At an edge of the other part, the side around the point decides.
-        own = flat[a] & ~flat[b] & plain[b]
+        at_edge = flat[a] & ~flat[b] & plain[b]
         out = np.where(plain[b][:, None], normal[b], way / distance[:, None])
         opposed = _dots(normal[a], out)
-        out[own] = -normal[a[own]]
+        out[at_edge] = -normal[a[at_edge]]
         gap = _dots(way, out)
         sideways = way - gap[:, None] * out
         fits = (opposed < OTHER) | ~plain[a]
         fits &= np.linalg.norm(sideways, axis=1) < SIDEWAYS * dx
-        fits &= ~own | (_dots(sideways, normal[b]) < BEYOND * dx)
+        fits &= ~at_edge | (_dots(sideways, normal[b]) < BEYOND * dx)
         order = np.flatnonzero(fits)
         order = order[np.lexsort((distance[order], a[order]))]
         _, first = np.unique(a[order], return_index=True)

@@ -241,9 +241,9 @@ class _Clamp:
         self._slot = tracks.add(part.track(model) or STILL)
         far = distances(part, model, lattice.x)
         far[:, 3] += INSET * model.dx
-        held = np.flatnonzero((far[:, 3] < -HELD * model.dx) & affected(part, model, lattice.body))
+        held = np.flatnonzero((far[:, 3] < -HELD * model.dx) & acts_on(part, model, lattice.body))
         self._held = wp.array(held.astype(np.int32), dtype=int, device=model.device)
-        pairs, ratios = _pins(lattice, far, affected(part, model, lattice.body))
+        pairs, ratios = _pins(lattice, far, acts_on(part, model, lattice.body))
         self._pairs = wp.array(pairs.astype(np.int32), dtype=wp.vec2i, device=model.device)
         self._ratios = model.array(ratios, model.real)
 
@@ -305,7 +305,7 @@ class _Contact:
         self._slot = 0 if track is None else tracks.add(track)
         self._shape = t.mat33(*np.ravel(part.geometry(model)))
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
-        self._affected = affected(part, model, points.body)
+        self._affected = acts_on(part, model, points.body)
         self.reach = REACH * model.dx
         """Distance from the wall within which contact is computed [m]."""
         self.separates = part.response() == "separate"
@@ -406,7 +406,7 @@ class _Contact:
         return cast("wp.Launch", self._model.launch(kernel, points.count, inputs, [self._sums]))
 
 
-def affected(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool_]:
+def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which bodies [K] among the indices of bodies [K] a simple wall acts on."""
     if part.object is None:
         return np.ones(len(body), bool)
