@@ -29,6 +29,7 @@ from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import fill_solid, surface_of_ball
+from phy124.studies.validation.experiments.pressed_block import stress
 
 DX = 0.1
 SOFT = NeoHookean(E=1e5, nu=0.3, density=1000)
@@ -212,6 +213,23 @@ def test_undamped_block_stands_still_at_a_wall(contact):
     assert abs(moved[2]) < 0.2 * DX
     assert contact == "slip" or np.abs(moved[:2]).max() < 0.1 * DX
     assert np.abs(solver.state.v.numpy()).max() < 0.6
+
+
+def test_pressed_block_has_the_exact_force():
+    """A block between smooth walls on five sides is pressed by 1 % within 0.2 s."""
+    walls = [HalfSpace(normal=tuple(np.eye(3)[axis]), contact="slip") for axis in range(3)]
+    walls += [HalfSpace(point=(0.4, 0, 0), normal=(-1, 0, 0), friction=0)]
+    walls += [HalfSpace(point=(0, 0.4, 0), normal=(0, -1, 0), friction=0)]
+    path = Path(times=(0.0, 0.2), points=((0, 0, 0), (0, 0, -0.004)))
+    plate = HalfSpace(point=(0, 0, 0.4), normal=(0, 0, -1), friction=0, motion=path)
+    rubber = SOFT.model_copy(update={"damping": 200.0})
+    solver = make(block((0.4, 0.4, 0.4)), rubber, boundaries=[plate, *walls])
+    solver.advance(0.3)
+    before = solver.walls.sums.numpy()[0].copy()
+    solver.advance(0.4)
+    pressure = (solver.walls.sums.numpy()[0] - before)[IMPULSE + 2] / 0.1 / 0.16
+    exact, _ = stress(0.99, 1.0)
+    assert -pressure == pytest.approx(-exact * SOFT.E, rel=0.01)
 
 
 def test_very_short_substep_throws_no_point_off_a_wall():

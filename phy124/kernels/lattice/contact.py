@@ -2,7 +2,8 @@
 
 A point at signed distance g from the wall must not approach it faster than g / dt. While a wall
 presses a point, the point moves away at -restore g / dt. Impulses of the last substep are applied
-first; then projected Gauss-Seidel corrects them (friction in Coulomb's cone), forwards and back. An
+first; then projected Gauss-Seidel corrects them (friction in Coulomb's cone), forwards and back, in
+an order in which consecutive points are about a cell apart (phy124/lattice/surface.py). An
 impulse J changes the velocities of a point's nodes by w_i J / m_i, and so its own velocity by
 (sum w_i^2 / m_i) J.
 
@@ -28,6 +29,10 @@ from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.work import GIVEN, add_given
 
+RELAXED = wp.constant(0.6)
+"""Part of each point's correction that is applied. Neighbouring points share most of their nodes,
+so that full corrections add up to too much.
+"""
 LOOSE = wp.constant(0.5)
 """Smallest part of a point's mobility that clamps must leave for walls to act on it."""
 NODES = 27
@@ -226,8 +231,9 @@ def make_resist(response: str, moving: bool, real: Any):
                 if bias < zero or pressed != zero:
                     bias = restore * bias
                 dragged = last - pressed * n
-                press = pressed - (speed + bias) / yields[s]
-                drag = dragged - along / yields[s]
+                part = real(RELAXED) / yields[s]
+                press = pressed - part * (speed + bias)
+                drag = dragged - part * along
                 if wp.static(response == "separate"):
                     press = wp.max(press, zero)
                     most = friction * press
