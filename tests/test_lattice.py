@@ -395,12 +395,28 @@ def test_simd_and_plain_stress_agree(damping):
     assert limits[0][SPEED] >= limits[1][SPEED]
 
 
+def test_simd_and_plain_contact_agree():
+    solid = block((0.425, 0.5, 0.325), low=(0.025, 0.05, 0.0), per=4)
+    found = []
+    for vectors in (True, False):
+        walls = [Ground(friction=0.4), HalfSpace(point=(0, 0, 0.3), normal=(0, 0.2, -1))]
+        v = (1.0, 0.5, -2.0)
+        solver = make(solid, v=v, boundaries=walls, precision="float32", vectors=vectors)
+        for _ in range(5):
+            solver.step(5e-4, 5e-4)
+        found.append((solver.nodes_state.v.numpy(), solver.walls.sums.numpy()))
+    for simd, plain in zip(*found, strict=True):
+        assert np.abs(plain).max() > 0.1
+        assert np.abs(simd - plain).max() < 1e-4 * np.abs(plain).max()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("arch", [75, 80, 86, 90, 100])
 def test_lattice_compiles_for_cuda(arch, tmp_path):
     walls = [Ground(), Held()]
     laws = [(SOFT.device_law, False), (Hencky(damping=1.0).device_law, True)]
-    both = *workers.kernels(laws, wp.float32, "cuda"), *lattice_walls.kernels(walls, wp.float32)
+    kind = wp.float32, "cuda"
+    both = *workers.kernels(laws, *kind), *lattice_walls.kernels(walls, *kind)
     modules = {made.module.name: made.module for made in both}
     for name, module in modules.items():
         folder = tmp_path / name

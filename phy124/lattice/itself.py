@@ -142,14 +142,14 @@ class Meeting:
         read = [pairs[name] for name in ("nodes", "normal", "slopes", "back")]
         changed = [pairs[name] for name in ("weights", "rest", "shift")]
         meet = model.launch(
-            make_meet(real),
+            make_meet(real, nodes.rows),
             1,
             [0, SIDEWAYS * model.dx, REACH * model.dx, *read, nodes.movable, nodes.u, clock],
             [*changed, nodes.v, gap, yields, pairs["force"]],
         )
         tail = [nodes.movable, gap, yields, clock, self._tracks.rates]
         resist = model.launch(
-            make_resist(self._response, False, real),
+            make_resist(self._response, False, real, nodes.rows),
             1,
             [every, 0, self._restore, self._friction, 0, pairs["nodes"], pairs["weights"], *tail],
             [nodes.v, pairs["force"]],

@@ -56,7 +56,7 @@ class Meetings:
         """Indices of the sampled points of each body."""
         self._x = wp.zeros(len(sample), dtype=types(model.real).vec3, device=model.device)
         self._place = model.launch(
-            make_place(model.real),
+            make_place(model.real, nodes.rows),
             len(sample),
             [
                 wp.array(sample.astype(np.int32), dtype=int, device=model.device),

@@ -17,6 +17,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
+from phy124.kernels.lattice.rows import rows_for
 from phy124.lattice.meetings import Meetings
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.spectrum import Spectrum
@@ -104,7 +105,7 @@ class LatticeSolver:
         spans = [model.particles(body) for body in range(model.bodies)]
         self.lattice = RestLattice.of(model.rest, mass, volume, model.dx, spans)
         self._surface = make_surface(surface, self.lattice)
-        self.nodes_state = _nodes(model, self.lattice, self.state)
+        self.nodes_state = _nodes(model, self.lattice, self.state, vectors=vectors)
         count = usable_workers(len(model), model.device, threads)
         self._crew = Crew(model, self.state, self.lattice, self.nodes_state, count, vectors=vectors)
         self.workers = self._crew.workers
@@ -427,7 +428,7 @@ def _tasks(worker: Worker, phase: int) -> list[Named]:
     return other[phase] if phase in other else worker.phases[phase]
 
 
-def _nodes(model: Model, lattice: RestLattice, state: State) -> Nodes:
+def _nodes(model: Model, lattice: RestLattice, state: State, *, vectors: bool) -> Nodes:
     """Return the nodes at rest with the motion of the points, which is exact if it is affine."""
     t, count = types(model.real), len(lattice)
     free = (lattice.mass > 0) & ~np.isin(lattice.body, list(model.held))
@@ -441,6 +442,7 @@ def _nodes(model: Model, lattice: RestLattice, state: State) -> Nodes:
         v=model.array(_motion(model, lattice, state), t.vec3),
         inverse=model.array(inverse, model.real),
         movable=model.array(inverse, model.real),
+        rows=rows_for(model.real, model.device, vectors=vectors),
     )
 
 

@@ -41,7 +41,7 @@ class Surface:
     body: NDArray[np.int64]
     """Index of the body of each point [S]."""
     nodes: NDArray[np.int32]
-    """Nodes of each point [S,27]; 0 where the weight is 0."""
+    """Nodes of each point [S,27]: nine rows of three nodes that are consecutive in memory."""
     weights: NDArray[np.float64]
     """Weights of the nodes [S,27], with sum 1."""
     of_nodes: NDArray[np.float64]
@@ -106,5 +106,28 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     slope = -np.einsum("pab,pb->pa", np.linalg.pinv(second, hermitian=True), first)
     weights = weights * (1 + np.einsum("pna,pa->pn", arm, slope))
     weights /= weights.sum(axis=1, keepdims=True)
-    nodes = np.where(weights != 0, nodes, 0).astype(np.int32)
+    nodes, weights = _consecutive(nodes, weights, len(lattice))
     return Surface(x, normal, body, nodes, weights, lattice.x, lattice.dx)
+
+
+def _consecutive(
+    nodes: NDArray[np.int64], weights: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Return nodes and weights [S,27] in rows whose three nodes are consecutive in memory.
+
+    The nodes of a lattice are sorted along z, so those of a row that exist are consecutive. A row
+    of fewer than three has neighbours in memory with weight 0.
+
+    Args:
+        nodes: Nodes of the points [S,27].
+        weights: Their weights, 0 for nodes that do not exist [S,27].
+        count: Number of all nodes.
+    """
+    nodes, weights = nodes.reshape(-1, 3), weights.reshape(-1, 3)
+    used = weights != 0
+    start = np.minimum(np.where(used, nodes, count).min(axis=1), count - 3)
+    shifted = np.zeros_like(weights)
+    row, column = np.nonzero(used)
+    shifted[row, nodes[row, column] - start[row]] = weights[row, column]
+    rows = (start[:, None] + np.arange(3)).astype(np.int32)
+    return rows.reshape(-1, 27), shifted.reshape(-1, 27)

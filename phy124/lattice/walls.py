@@ -30,6 +30,7 @@ from phy124.kernels.lattice.contact import (
     make_yields,
 )
 from phy124.kernels.lattice.nodes import make_hold, make_pin
+from phy124.kernels.lattice.rows import Rows, rows_for
 from phy124.lattice.rest import RestLattice, splines
 from phy124.lattice.surface import Surface
 from phy124.mpm.model import Model
@@ -88,6 +89,8 @@ class Nodes:
     """Inverse masses [N], 1/kg; 0 for tied nodes."""
     movable: wp.array
     """Inverse masses [N], 1/kg; 0 for tied nodes and for nodes that a clamp holds."""
+    rows: Rows
+    """Functions on the nodes of a surface point."""
 
 
 class Walls:
@@ -326,7 +329,7 @@ class _Contact:
         model, points, tracks = self._model, self._points, self._tracks
         inputs = [self._shape, self._slot, points.nodes, points.weights, points.rest]
         inputs += [self._nodes.u, tracks.values]
-        kernel = make_reach(self._part.outline(), self._moving, model.real)
+        kernel = make_reach(self._part.outline(), self._moving, model.real, self._nodes.rows)
         wp.launch(kernel, points.count, inputs, [self._gaps], device=model.device)
 
     def list_near(self, approach: float) -> None:
@@ -370,7 +373,7 @@ class _Contact:
         """Record the launch that computes how the points yield to impulses."""
         points, nodes = self._points, self._nodes
         inputs = [self._list, points.nodes, points.weights, nodes.movable, nodes.inverse]
-        kernel = make_yields(self._model.real)
+        kernel = make_yields(self._model.real, nodes.rows)
         return cast("wp.Launch", self._model.launch(kernel, points.count, inputs, [self._yields]))
 
     def _touch(self) -> wp.Launch:
@@ -382,7 +385,7 @@ class _Contact:
             tracks.values,
         ]  # fmt: skip
         outputs = [nodes.v, self._gap, self._place, self.force]
-        kernel = make_touch(self._part.outline(), self._moving, model.real)
+        kernel = make_touch(self._part.outline(), self._moving, model.real, nodes.rows)
         return cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))
 
     def _resist(self) -> wp.Launch:
@@ -394,7 +397,7 @@ class _Contact:
             self._list, 0, restore, self._part.friction, self._slot, points.nodes,
             points.weights, nodes.movable, self._gap, self._yields, tracks.clock, tracks.rates,
         ]  # fmt: skip
-        kernel = make_resist(response, self._moving, model.real)
+        kernel = make_resist(response, self._moving, model.real, nodes.rows)
         return cast("wp.Launch", model.launch(kernel, 1, inputs, [nodes.v, self.force]))
 
     def _account(self) -> wp.Launch:
@@ -402,7 +405,7 @@ class _Contact:
         points, nodes = self._points, self._nodes
         inputs = [self._list, points.nodes, points.weights, self._place, self.force]
         inputs += [self._tracks.clock, nodes.before, nodes.v]
-        kernel = make_account(self._model.real)
+        kernel = make_account(self._model.real, nodes.rows)
         return cast("wp.Launch", self._model.launch(kernel, points.count, inputs, [self._sums]))
 
 
@@ -424,9 +427,16 @@ def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
     return far.astype(np.float64)
 
 
-def kernels(boundaries: Sequence[Boundary], real: Any, *, several: bool = False) -> Iterator[Any]:
+def kernels(
+    boundaries: Sequence[Boundary], real: Any, device: str, *, several: bool = False
+) -> Iterator[Any]:
     """Yield the kernels of walls, clamps and self-contact, and of contact of several bodies."""
-    yield from (make_place(real), make_meet(real), make_resist("separate", False, real))
+    rows = rows_for(real, device)
+    yield from (
+        make_place(real, rows),
+        make_meet(real, rows),
+        make_resist("separate", False, real, rows),
+    )
     if several:
         yield make_exchange(real)
     for boundary in boundaries:
@@ -434,7 +444,7 @@ def kernels(boundaries: Sequence[Boundary], real: Any, *, several: bool = False)
             if boundary.holds:
                 yield from (make_hold(real), make_pin(real), make_distances(part.outline(), real))
             else:
-                yield from (make_account(real), make_yields(real))
-                yield make_reach(part.outline(), part.tracked, real)
-                yield make_touch(part.outline(), part.tracked, real)
-                yield make_resist(part.response(), part.tracked, real)
+                yield from (make_account(real, rows), make_yields(real, rows))
+                yield make_reach(part.outline(), part.tracked, real, rows)
+                yield make_touch(part.outline(), part.tracked, real, rows)
+                yield make_resist(part.response(), part.tracked, real, rows)

@@ -188,7 +188,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
         named = zip(scene.materials, viscous, strict=True)
         laws = {section.device_law.name: (section.device_law, damped) for section, damped in named}
         yield from workers.kernels(list(laws.values()), real, device)
-        yield from walls.kernels(scene.boundaries, real, several=bool(scene.objects))
+        yield from walls.kernels(scene.boundaries, real, device, several=bool(scene.objects))
         return
     yield from substep.kernels(subject.laws, real, form)
     yield from fluctuation.kernels(scheme_of(scene), real, form)

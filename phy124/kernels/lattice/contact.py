@@ -27,6 +27,7 @@ from phy124.kernels.build import kernel
 from phy124.kernels.contacts import MOMENT as PAIR_MOMENT
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.distance import SHAPES
+from phy124.kernels.lattice.rows import Rows
 from phy124.kernels.work import GIVEN, add_given
 
 RELAXED = wp.constant(0.6)
@@ -43,51 +44,8 @@ The first `GIVEN` sums are those of phy124/kernels/work.py.
 """
 
 
-@wp.func
-def moved_by(
-    values: wp.array(dtype=Any),
-    nodes: wp.array2d(dtype=int),
-    weights: wp.array2d(dtype=Any),
-    s: int,
-):
-    """Return the sum of w_i a_i over the nodes of a surface point."""
-    total = weights[s, 0] * values[nodes[s, 0]]
-    for k in range(1, weights.shape[1]):
-        total += weights[s, k] * values[nodes[s, k]]
-    return total
-
-
-@wp.func
-def yielding(
-    inverse: wp.array(dtype=Any),
-    nodes: wp.array2d(dtype=int),
-    weights: wp.array2d(dtype=Any),
-    s: int,
-):
-    """Return sum w_i^2 / m_i: the change of a point's velocity by an impulse of 1 N s [1/kg]."""
-    total = weights[s, 0] * weights[s, 0] * inverse[nodes[s, 0]]
-    for k in range(1, weights.shape[1]):
-        total += weights[s, k] * weights[s, k] * inverse[nodes[s, k]]
-    return total
-
-
-@wp.func
-def strike(
-    v: wp.array(dtype=Any),
-    inverse: wp.array(dtype=Any),
-    nodes: wp.array2d(dtype=int),
-    weights: wp.array2d(dtype=Any),
-    s: int,
-    impulse: Any,
-):
-    """Apply an impulse [N s] to the nodes of a surface point."""
-    for k in range(weights.shape[1]):
-        n = nodes[s, k]
-        v[n] = v[n] + (weights[s, k] * inverse[n]) * impulse
-
-
 @cache
-def make_touch(shape: str, moving: bool, real: Any):
+def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
     """Kernel of one thread: finds points near a wall and applies their previous impulse to them.
 
     `inverse` is zero for nodes that a clamp holds. `force_out` holds the mean force
@@ -99,12 +57,16 @@ def make_touch(shape: str, moving: bool, real: Any):
         shape: Name of a distance function.
         moving: Whether the wall has a track.
         real: wp.float32 or wp.float64.
+        rows: Functions on the nodes of a point.
     """
     t = types(real)
+    moved_by, strike = rows.moved_by, rows.strike
     distance = SHAPES[shape]
 
+    kind = f"{shape}_{'moving' if moving else 'still'}"
+
     @kernel(
-        f"phy124_lattice_touch_{shape}_{'moving' if moving else 'still'}_{real.__name__}",
+        f"phy124_lattice_touch_{kind}_{rows.name}{real.__name__}",
         real,
         seconds=0.6,
     )
@@ -150,15 +112,16 @@ def make_touch(shape: str, moving: bool, real: Any):
 
 
 @cache
-def make_yields(real: Any):
+def make_yields(real: Any, rows: Rows):
     """Kernel over the points near a wall: computes the change of their velocities by 1 N s [1/kg].
 
     It is zero for points that hang almost only on nodes that a clamp holds, for which `inverse` is
     zero but `whole` is not: these points would move the other nodes violently.
     """
     t = types(real)
+    yielding = rows.yielding
 
-    @kernel(f"phy124_lattice_yields_{real.__name__}", real, seconds=0.3)
+    @kernel(f"phy124_lattice_yields_{rows.name}{real.__name__}", real, seconds=0.3)
     def lattice_yields(
         near: Ints,
         nodes: wp.array2d(dtype=int),
@@ -178,18 +141,22 @@ def make_yields(real: Any):
 
 
 @cache
-def make_resist(response: str, moving: bool, real: Any):
+def make_resist(response: str, moving: bool, real: Any, rows: Rows):
     """Kernel of one thread: projected Gauss-Seidel over the points near a wall, forwards and back.
 
     Args:
         response: separate (may leave, with friction), slip (stays without friction) or sticky.
         moving: Whether the wall has a track.
         real: wp.float32 or wp.float64.
+        rows: Functions on the nodes of a point.
     """
     t = types(real)
+    moved_by, strike = rows.moved_by, rows.strike
+
+    kind = f"{response}_{'moving' if moving else 'still'}"
 
     @kernel(
-        f"phy124_lattice_resist_{response}_{'moving' if moving else 'still'}_{real.__name__}",
+        f"phy124_lattice_resist_{kind}_{rows.name}{real.__name__}",
         real,
         seconds=0.6,
     )
@@ -256,7 +223,7 @@ def make_resist(response: str, moving: bool, real: Any):
 
 
 @cache
-def make_meet(real: Any):
+def make_meet(real: Any, rows: Rows):
     """Kernel of one thread: finds the gaps of pairs of surface points, like `make_touch`.
 
     A pair is like a point whose weights are those of a point, minus those of the place opposite to
@@ -266,8 +233,9 @@ def make_meet(real: Any):
     farther than `far` is no longer opposite, and one at a distance of `reach` is not looked at.
     """
     t = types(real)
+    moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
 
-    @kernel(f"phy124_lattice_meet_{real.__name__}", real, seconds=0.5)
+    @kernel(f"phy124_lattice_meet_{rows.name}{real.__name__}", real, seconds=0.5)
     def meet(
         count: int,
         far: real,
@@ -345,11 +313,12 @@ def make_exchange(real: Any):
 
 
 @cache
-def make_place(real: Any):
+def make_place(real: Any, rows: Rows):
     """Kernel over some surface points: computes their positions."""
     t = types(real)
+    moved_by = rows.moved_by
 
-    @kernel(f"phy124_lattice_place_{real.__name__}", real, seconds=0.3)
+    @kernel(f"phy124_lattice_place_{rows.name}{real.__name__}", real, seconds=0.3)
     def lattice_place(
         chosen: Ints,
         nodes: wp.array2d(dtype=int),
@@ -365,7 +334,7 @@ def make_place(real: Any):
 
 
 @cache
-def make_account(real: Any):
+def make_account(real: Any, rows: Rows):
     """Kernel over the points near a wall: adds impulse, moment and work of a substep to its sums.
 
     The work is the impulse times the mean of the velocities before the kick and after the substep.
@@ -373,8 +342,9 @@ def make_account(real: Any):
     of the velocities before and after the contact would also count work of the stress.
     """
     t = types(real)
+    moved_by = rows.moved_by
 
-    @kernel(f"phy124_lattice_account_{real.__name__}", real, seconds=0.4)
+    @kernel(f"phy124_lattice_account_{rows.name}{real.__name__}", real, seconds=0.4)
     def account(
         near: Ints,
         nodes: wp.array2d(dtype=int),
@@ -399,13 +369,16 @@ def make_account(real: Any):
 
 
 @cache
-def make_reach(shape: str, moving: bool, real: Any):
+def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
     """Kernel over surface points: computes the distances from a wall."""
     t = types(real)
+    moved_by = rows.moved_by
     distance = SHAPES[shape]
 
+    kind = f"{shape}_{'moving' if moving else 'still'}"
+
     @kernel(
-        f"phy124_lattice_reach_{shape}_{'moving' if moving else 'still'}_{real.__name__}",
+        f"phy124_lattice_reach_{kind}_{rows.name}{real.__name__}",
         real,
         seconds=0.4,
     )

@@ -1,0 +1,106 @@
+"""Sums over the nodes of a surface point, and impulses on these nodes.
+
+The nodes of a surface point are rows of three nodes that are consecutive in memory
+(phy124/lattice/surface.py). In float32 on a CPU, a row fills one AVX2 register and a ninth number
+(phy124/kernels/native/rows.h).
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from phy124.kernels.native import code
+
+Vectors = wp.array(dtype=wp.vec3)
+Numbers = wp.array(dtype=wp.float32)
+Weights = wp.array2d(dtype=wp.float32)
+Nodes = wp.array2d(dtype=int)
+
+
+@wp.func
+def moved_by(
+    values: wp.array(dtype=Any),
+    nodes: wp.array2d(dtype=int),
+    weights: wp.array2d(dtype=Any),
+    s: int,
+):
+    """Return the sum of w_i a_i over the nodes of a surface point."""
+    total = weights[s, 0] * values[nodes[s, 0]]
+    for k in range(1, weights.shape[1]):
+        total += weights[s, k] * values[nodes[s, k]]
+    return total
+
+
+@wp.func
+def yielding(
+    inverse: wp.array(dtype=Any),
+    nodes: wp.array2d(dtype=int),
+    weights: wp.array2d(dtype=Any),
+    s: int,
+):
+    """Return sum w_i^2 / m_i: the change of a point's velocity by an impulse of 1 N s [1/kg]."""
+    total = weights[s, 0] * weights[s, 0] * inverse[nodes[s, 0]]
+    for k in range(1, weights.shape[1]):
+        total += weights[s, k] * weights[s, k] * inverse[nodes[s, k]]
+    return total
+
+
+@wp.func
+def strike(
+    v: wp.array(dtype=Any),
+    inverse: wp.array(dtype=Any),
+    nodes: wp.array2d(dtype=int),
+    weights: wp.array2d(dtype=Any),
+    s: int,
+    impulse: Any,
+):
+    """Apply an impulse [N s] to the nodes of a surface point."""
+    for k in range(weights.shape[1]):
+        n = nodes[s, k]
+        v[n] = v[n] + (weights[s, k] * inverse[n]) * impulse
+
+
+@wp.func_native(code("rows", "rows:moved"))
+def moved_rows(values: Vectors, nodes: Nodes, weights: Weights, s: int) -> wp.vec3:
+    """Return the sum like `moved_by`."""
+    ...
+
+
+@wp.func_native(code("rows", "rows:yielding"))
+def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> wp.float32:
+    """Return the sum like `yielding`."""
+    ...
+
+
+@wp.func_native(code("rows", "rows:strike"))
+def strike_rows(
+    v: Vectors, inverse: Numbers, nodes: Nodes, weights: Weights, s: int, impulse: wp.vec3
+):
+    """Apply an impulse like `strike`."""
+    ...
+
+
+class Rows(NamedTuple):
+    """The functions on the nodes of a surface point, for the generic or the vector units."""
+
+    name: str
+    """Prefix in names of modules."""
+    moved_by: Callable[..., Any]
+    yielding: Callable[..., Any]
+    strike: Callable[..., Any]
+
+
+PLAIN = Rows("", moved_by, yielding, strike)
+SIMD = Rows("simd_", moved_rows, yielding_rows, strike_rows)
+
+
+def rows_for(real: Any, device: str, *, vectors: bool = True) -> Rows:
+    """Return the functions for a precision and a device.
+
+    Args:
+        real: wp.float32 or wp.float64.
+        device: Name of the device.
+        vectors: Whether to use the vector units of a CPU.
+    """
+    return SIMD if vectors and real is wp.float32 and device == "cpu" else PLAIN
