@@ -71,11 +71,12 @@ FLYING = {"object.velocity": [0, 0, -30], "material": {"law": "sand"}}
     [
         ("press", {}, {}),
         ("press", {}, {"threads": 2}),
+        ("press", {"accuracy.solver": "lattice"}, {}),
         ("bounce", {"time.frames": 4}, {}),
         ("drop", FLYING, {}),
         ("drop", {"material": {"law": "snow"}}, {}),
     ],
-    ids=["press", "two threads", "bounce", "flying sand", "snow"],
+    ids=["press", "two threads", "lattice", "bounce", "flying sand", "snow"],
 )
 def test_cancelled_within_a_frame_it_goes_on_bit_for_bit(tmp_path, preset, changes, options):
     """The half-made frame is taken back, and the books, the windows and the limits with it."""

@@ -25,7 +25,6 @@ from phy124.io.clip import save_tensors
 from phy124.io.files import replacing
 from phy124.io.growing import MOVING, SHAPES, Growing
 from phy124.io.opening import obstacle
-from phy124.monitor import OBSERVERS
 from phy124.monitor.observer import Observer
 from phy124.monitor.wrenches import Wrenches
 from phy124.runtime.context import RunContext
@@ -95,7 +94,7 @@ def load(
     context: RunContext | None = None,
     *,
     frames: Growing | None = None,
-    observers: Sequence[type[Observer]] = OBSERVERS,
+    observers: Sequence[type[Observer]] | None = None,
 ) -> Simulation:
     """Load a paused run, ready to be iterated on.
 
