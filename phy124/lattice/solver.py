@@ -405,6 +405,8 @@ class LatticeSolver:
             "pairs": self.pairs.snapshot(),
             "clock": self.clock.snapshot(),
             "spectrum": self._spectrum.snapshot(),
+            "measured": self._measured,
+            "probing": self._probing,
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -419,7 +421,11 @@ class LatticeSolver:
         self._spectrum.restore(snapshot["spectrum"])
         self._crew.stray.zero_()
         self._crew.take_maxima()
+        # Distances from moving walls are those at the time of the snapshot.
+        self.clock.begin(0.0, 0.0)
+        self._sample.launch()
         self._look()
+        self._measured, self._probing = snapshot["measured"], snapshot["probing"]
 
 
 def _tasks(worker: Worker, phase: int) -> list[Named]:
