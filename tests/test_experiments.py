@@ -22,6 +22,7 @@ from phy124.studies.validation.experiments import (
     find_experiment,
     hertz,
     incline,
+    liquids,
     middle_axis,
     pressed_block,
     restitution,
@@ -75,7 +76,7 @@ def result(experiment: Experiment) -> Outcome:
 
 def test_every_experiment_is_declared_whole():
     names = [each.name for each in EXPERIMENTS]
-    assert len(set(names)) == len(names) == 17
+    assert len(set(names)) == len(names) == 18
     for each in EXPERIMENTS:
         quantities = each.published()
         assert all(q.low <= q.published <= q.high for q in quantities), each.name
@@ -133,10 +134,20 @@ def test_sand_has_both_regimes_and_a_wider_angle_in_a_plane():
     assert 22 < angle < 24
 
 
-def test_the_sets_of_the_dam_agree_with_each_other():
-    for time in dam_break.FRONTS:
-        sets = dam_break.front_sets(time)
-        assert np.ptp(sets) < 0.05 * sets.mean()
+def test_speed_of_the_dam_ignores_a_delayed_start():
+    time = np.linspace(0, 4, 41)
+    front = 1 + time**2 / 4
+    at_places, at_times = dam_break.mean_speeds(time, front)
+    late_at_places, late_at_times = dam_break.mean_speeds(time + 0.25, front)
+    assert late_at_places == pytest.approx(at_places)
+    assert late_at_times < 0.95 * at_times
+
+
+def test_viscous_heap_spreads_at_the_rate_of_theory():
+    """The exponent was 0.17 when viscosity did not act on the changes by pressure."""
+    prefactor, exponent = liquids.spread(3, liquids.THICK, longer=1.2)
+    assert prefactor == pytest.approx(liquids.SIMILARITY, rel=0.02)
+    assert exponent == pytest.approx(0.125, rel=0.1)
 
 
 def test_blocks_stay_where_friction_holds_them():

@@ -168,11 +168,12 @@ class Phases:
         yield "scatter", launches([self._sum_copies(worker), self._levels(worker)])
         if self.viscosity > 0:
             cells = self._cells
+            yield "scatter", launches([self._anticipate(worker, -1.0)])
             start = [("viscosity", lambda: wp.copy(cells.other, cells.velocity))]
             yield "scatter", start if worker == 0 else []
             yield "viscosity", launches([self._diffuse(worker, cells.other, cells.smooth)])
             yield "viscosity", launches([self._diffuse(worker, cells.smooth, cells.other)])
-            yield "equation", launches([self._drag(worker)])
+            yield "equation", launches([self._drag(worker), self._anticipate(worker, 1.0)])
         for records in self._equation(worker):
             yield "equation", launches(records)
 
@@ -287,6 +288,13 @@ class Phases:
         cells, walls = self._cells, self._walls
         inputs = [self.viscosity, cells.lattice, cells.window, self._tracks.clock, cells.known]
         return [*inputs, cells.open, cells.distances, cells.owners, walls.frictions, walls.motions]
+
+    def _anticipate(self, worker: int, factor: float) -> Recorded:
+        cells = self._cells
+        inputs = [factor, cells.window, cells.open, cells.phi, cells.liquid]
+        inputs += [self.carry, cells.pressure]
+        kernel = pressure.make_anticipate(self._model.real)
+        return self._over_cells(worker, "viscosity", kernel, inputs, [cells.velocity])
 
     def _diffuse(self, worker: int, before: wp.array, after: wp.array) -> Recorded:
         inputs = [*self._viscous(), self._cells.velocity, before]
@@ -456,4 +464,4 @@ def kernels(real: Any, form: str) -> Iterator[Any]:
     yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))
     yield from (make(real) for make in (spread.make_spread, spread.make_slide))
     yield from (packing.make_excess(real), impulses.settle)
-    yield from (viscous.make_diffuse(real), viscous.make_drag(real))
+    yield from (pressure.make_anticipate(real), viscous.make_diffuse(real), viscous.make_drag(real))

@@ -194,10 +194,15 @@ def mirrors(*axes: int) -> list[HalfSpace]:
     return [HalfSpace(normal=tuple(np.eye(3)[axis].tolist()), contact="slip") for axis in axes]
 
 
-def connected_end(solver: Solver) -> float:
-    """Return the position x of the body's end [m], which is the first gap wider than a cell."""
-    x = np.sort(solver.state.x.numpy()[:, 0].astype(float))
-    gaps = np.flatnonzero(np.diff(x) > solver.model.dx)
+def connected_end(x: NDArray[Any], gap: float) -> float:
+    """Return the largest coordinate before the first gap between neighbours [m].
+
+    Args:
+        x: Coordinates of particles along an axis [P], m.
+        gap: Width of a gap [m].
+    """
+    x = np.sort(x.astype(float))
+    gaps = np.flatnonzero(np.diff(x) > gap)
     return float(x[gaps[0]] if len(gaps) else x[-1])
 
 

@@ -44,6 +44,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     dam_break.EXPERIMENT,
     liquids.SLOSHING,
     liquids.CHANNEL,
+    liquids.SPREADING,
 )
 """All experiments, in display order."""
 

@@ -328,6 +328,7 @@ LATTICE_HEAVY_ELASTICA = replace(
     band="as for `elastica`, and longer by up to the stretch of a hanging beam",
     run=_on_all,
     control=partial(_on_all, stiffer=1.4),
+    quick=True,
     seconds=10,
     reason="",
 )

@@ -1,7 +1,8 @@
-"""Experiments with liquids by pressure projection: sloshing in a tank, and a viscous channel."""
+"""Experiments with liquids by projection: sloshing in a tank, a viscous channel and a heap."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,13 @@ SAMPLES = 60
 """Samples per period."""
 GAP, NU, PULL, FALL = 0.5, 0.1, 2.0, 0.5
 """Distance of the plates [m], kinematic viscosity [m^2/s], acceleration [m/s^2], duration [s]."""
+RADIUS, THICK, LONGER = 6.0, 0.45, 4.0
+"""Radius of the heap [m], its kinematic viscosity [m^2/s], and ratio of the last time to the first.
+
+The heap is 1 m high at the start, and gravity is 1 m/s^2, so inertia changes the flow by 3 %.
+"""
+SIMILARITY = (1024 / (81 * np.pi**3)) ** 0.125
+"""Prefactor of the radius of a spreading heap, 0.894 (Huppert 1982, eq. 2.31)."""
 
 
 def fill(size: tuple[float, float, float], cells: int) -> NDArray[Any]:
@@ -122,6 +130,34 @@ def started_flow() -> tuple[float, float]:
     return middle, float(waves @ (2 / (np.pi * k)))
 
 
+def spread(cells: int, viscosity: float, longer: float = LONGER) -> Values:
+    """Let a heap spread on a sticky floor; return the prefactor and the exponent of its radius.
+
+    The heap starts at time t0 with the height (1 - r^2 / R^2)^(1/3) of the similarity solution. Its
+    radius is sqrt(7/3) times the root mean square of the particles' distance from the axis, as for
+    this height. One quarter is simulated.
+
+    Args:
+        cells: Cells across the height at the start.
+        viscosity: Kinematic viscosity [m^2/s].
+        longer: Ratio of the last time to t0.
+    """
+    x = fill((RADIUS, RADIUS, 1.0), cells)
+    x = x[x[:, 2] ** 3 < 1 - (x[:, 0] ** 2 + x[:, 1] ** 2) / RADIUS**2]
+    scale = (4 * 0.125 * len(x) / cells**3) ** 3 / (3 * THICK)
+    start = (RADIUS / SIMILARITY) ** 8 / scale
+    sides = Container(inside=Region(lower=(0, 0, -9), upper=(99, 99, 99)), contact="slip")
+    floor = HalfSpace(point=(0, 0, 0), normal=(0, 0, 1), contact="sticky")
+    solver = solver_of(x, np.zeros_like(x), cells, [sides, floor], 1.0, 1000 * viscosity)
+    times, radii = start * np.geomspace(math.sqrt(longer), longer, 5), []
+    for time in times:
+        solver.advance(time - start)
+        x = solver.state.x.numpy().astype(float)
+        radii.append(math.sqrt(7 / 3 * np.mean(x[:, 0] ** 2 + x[:, 1] ** 2)))
+    prefactor = np.mean(np.array(radii) / (scale * times) ** 0.125)
+    return float(prefactor), float(np.polyfit(np.log(times), np.log(radii), 1)[0])
+
+
 SLOSHING = Experiment(
     name="sloshing",
     title="Sloshing in a tank",
@@ -160,4 +196,25 @@ CHANNEL = Experiment(
     across="the gap",
     quick=True,
     seconds=15,
+)
+SPREADING = Experiment(
+    name="spreading",
+    title="Spreading of a viscous heap",
+    source="Huppert 1982: r = 0.894 (g V³ / 3ν)^(1/8) t^(1/8), which his experiments confirm",
+    measured="A heap six times as wide as high spreads on a sticky floor, from the shape of the "
+    "similarity solution until four times the time at which this solution has the heap's height. "
+    "Measured are prefactor and exponent of its radius in the second half of this time (on a "
+    "logarithmic scale).",
+    band="prefactor: ±2 %, exponent: ±5 %; inertia and the slope of the surface, which the theory "
+    "leaves out, change the rate of spreading by about 3 %",
+    published=lambda: (
+        Quantity.within("prefactor", SIMILARITY, 0.02),
+        Quantity.within("exponent", 0.125, 0.05),
+    ),
+    run=lambda cells: spread(cells, THICK),
+    control=lambda cells: spread(cells, 0.5 * THICK),
+    mistake="half the viscosity",
+    grids=(4, 5, 7),
+    across="the heap's height",
+    seconds=60,
 )

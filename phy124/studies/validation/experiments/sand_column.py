@@ -90,7 +90,7 @@ def collapse(cells: int, aspect: float, angle: float) -> float:
     walls = [Ground(friction=math.tan(math.radians(SLOPE))), *mirrors(0), plane()]
     solver = Solver(model, forces=[Gravity()], boundaries=walls, threads=1)
     solver.advance(DURATION * math.sqrt(height / GRAVITY))
-    return connected_end(solver) / WIDTH - 1
+    return connected_end(solver.state.x.numpy()[:, 0], dx) / WIDTH - 1
 
 
 def run(cells: int) -> Values:
