@@ -356,10 +356,6 @@ def test_lattice_resumes_bit_for_bit(threads):
         ({"material": {"law": "sand"}}, "material.law"),
         ({"binding": "particles"}, "binding"),
         ({"contacts": True}, "contacts"),
-        (
-            {"objects": [{"name": "ball", "shape": "sphere", "motion": {"kind": "free"}}]},
-            "objects.motion",
-        ),
     ],
 )
 def test_lattice_refuses_what_it_cannot_do(changes, field):

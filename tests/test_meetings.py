@@ -5,11 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from phy124.boundaries import Ground, HalfSpace
 from phy124.forces import Gravity
 from phy124.lattice.solver import LatticeSolver
 from phy124.materials import NeoHookean
 from phy124.monitor.lattice import LatticeTotals
-from phy124.mpm import Model, Pair, State
+from phy124.mpm import FreeBody, Model, Pair, State
 from phy124.particles.lattice import lattice_of
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
@@ -102,14 +103,16 @@ def test_stack_of_three_stands():
 
 
 def test_pairs_resume_bit_for_bit_and_are_reported():
-    """A ball falls on a ball that is held in place."""
-    data = lattice_scene(frames=8).data()
-    data["object"] |= {"name": "base", "held": True, "lift": 0.0}
+    """A soft ball falls on another one, and a solid on it."""
+    data = lattice_scene(frames=12).data()
+    data["object"] |= {"name": "base", "lift": 0.0}
     ball = {"name": "ball", "on": "base", "lift": 0.1, "material": data["material"]}
-    scene = Scene.from_data({**data, "objects": [ball]})
+    solid = {"name": "solid", "shape": "sphere", "size": 0.5, "on": "ball", "lift": 0.01}
+    solid |= {"motion": {"kind": "free"}}
+    scene = Scene.from_data({**data, "objects": [ball, solid]})
     setup = prepare(surface_of_ball(100), scene, RunContext(threads=2))
     first = Simulation(setup)
-    for _ in range(5):
+    for _ in range(8):
         first.step()
     saved = first.snapshot()
     ahead = [first.step().gaussians.means for _ in range(2)]
@@ -118,5 +121,46 @@ def test_pairs_resume_bit_for_bit_and_are_reported():
     assert all(np.array_equal(second.step().gaussians.means, means) for means in ahead)
     report = first.report()
     assert report["pairs"]["base_on_ball"]["largest_force"] > 0
+    assert report["pairs"]["ball_on_solid"]["largest_force"] > 0
     assert report["balance"]["momentum_gain"] < 1e-6
     assert any("contact between objects" in row for row in report["effects"]["ran"])
+
+
+def test_solid_ball_exchanges_momentum_exactly():
+    ball_of_steel = FreeBody("ball", "sphere", (0.2,) * 3, (0.65, 0.25, 0.2), velocity=(-1, 0, 0))
+    solver = make([block((0.4, 0.4, 0.4))], free=[ball_of_steel])
+    start = ball_of_steel.mass
+    solver.advance(0.3)
+    left = ball_of_steel.mass * solver.free.motions()[0, :3]
+    assert left[0] > -0.5 * start
+    assert np.allclose(momentum_of(solver, 0) + left, [-start, 0, 0], atol=1e-12 * start)
+    assert np.allclose(solver.free.impulses()[:3], momentum_of(solver, 0), atol=1e-12 * start)
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.5])
+def test_solid_box_slides_on_a_block(friction):
+    angle, g = math.radians(20), 0.5
+    pull = Gravity(g=(g * math.sin(angle), 0, -g * math.cos(angle)))
+    box = FreeBody("box", "box", (0.15,) * 3, (0.3, 0.25, 0.35), friction=friction)
+    floor = HalfSpace(contact="sticky")
+    solver = make([block((1.0, 0.5, 0.2))], free=[box], forces=[pull], boundaries=[floor])
+    solver.advance(0.7)
+    before = solver.free.motions()[0, 0]
+    solver.advance(1.2)
+    gained = (solver.free.motions()[0, 0] - before) / 0.5 / g
+    slides = friction < math.tan(angle)
+    expected = math.sin(angle) - friction * math.cos(angle) if slides else 0.0
+    assert gained == pytest.approx(expected, abs=5e-3)
+
+
+def test_block_stands_on_a_solid_box_on_the_ground():
+    box = FreeBody("box", "box", (0.3, 0.3, 0.1), (0.2, 0.2, 0.1), density=300.0)
+    solid, ground = block((0.4, 0.4, 0.4), low=(0, 0, 0.2)), Ground()
+    pull = Gravity(g=(0, 0, -2.0))
+    solver = make([solid], free=[box], forces=[pull], boundaries=[ground], planes=[ground])
+    solver.advance(1.0)
+    solver.free.begin()
+    solver.advance(1.5)
+    assert np.allclose(solver.free.poses()[0, :3], box.place, atol=1e-6)
+    assert solver.free.wrenches(0.5)[0].force[2] == pytest.approx(-128.0, rel=5e-3)
+    assert extent_of(solver, 0, 0) == pytest.approx(solver.model.rest[:, 2].min(), abs=0.05 * DX)

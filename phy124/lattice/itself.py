@@ -247,14 +247,12 @@ class Meeting:
         points, x, near = points[kept], x[kept], near.reshape(-1, 2)
         nodes, weights = surface.nodes[points], surface.weights[points]
         slopes = surface.slopes[points]
-        F = np.eye(3) + np.swapaxes(u[nodes], 1, 2) @ slopes
-        turned = _cofactors(F)
-        normal = (turned @ surface.normal[points][:, :, None])[:, :, 0]
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        F, turned, normal = surface.deform(points, u)
         a, b = near.T
         way = x[a] - x[b]
         distance = np.maximum(np.linalg.norm(way, axis=1), 1e-12 * dx)
-        flat, plain = surface.flat[points], normal.any(axis=1)
+        flat = surface.flat[points]
+        plain = np.asarray(normal.any(axis=1))
         # At an edge of the other part, the side around the point decides.
         at_edge = flat[a] & ~flat[b] & plain[b]
         out = np.where(plain[b][:, None], normal[b], way / distance[:, None])
@@ -322,12 +320,13 @@ class Meeting:
         count = len(self._points)
         pairs = {name: array.numpy()[:count].copy() for name, array in self._pairs.items()}
         places = {"seen": self._seen.copy(), "flagged": self._flagged.copy(), "away": self._away}
+        places["reach"] = self.reach
         return {"points": self._points.copy(), **places, **pairs}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot."""
         self._seen, self._flagged = (np.array(snapshot[name]) for name in ("seen", "flagged"))
-        self._away = bool(snapshot["away"])
+        self._away, self.reach = bool(snapshot["away"]), float(snapshot["reach"])
         self._fill(np.array(snapshot["points"]), snapshot)
 
 
@@ -341,9 +340,3 @@ def _dots(a: NDArray, b: NDArray) -> NDArray[np.float64]:
     """Return the scalar products of vectors [K,3] and [K,3]."""
     result: NDArray[np.float64] = np.einsum("ki,ki->k", a, b)
     return result
-
-
-def _cofactors(F: NDArray) -> NDArray[np.float64]:
-    """Return the cofactors of matrices [K,3,3]."""
-    rows = [np.cross(F[:, (i + 1) % 3], F[:, (i + 2) % 3]) for i in range(3)]
-    return np.stack(rows, axis=1)

@@ -6,7 +6,6 @@ they are not, nothing else is computed.
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 import numpy as np
@@ -92,10 +91,10 @@ class Meetings:
         """All meetings, bodies with themselves first."""
         return [*self.of_bodies, *self.of_pairs]
 
-    def record(self) -> list[Named]:
-        """Return the launches of one substep: all apply earlier impulses, then all correct them."""
+    def stages(self) -> list[list[Named]]:
+        """Return the launches of a substep: apply earlier impulses, correct them, and sum them."""
         stages = [meeting.record() for meeting in self.every]
-        return [stage for order in itertools.zip_longest(*stages) for stage in order if stage]
+        return [[each[k] for each in stages if len(each) > k] for k in range(3)]
 
     def follow(self, step: float) -> None:
         """List the pairs of points again where bodies have moved relative to each other.

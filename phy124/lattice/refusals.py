@@ -43,9 +43,6 @@ def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
         if not is_elastic(section):
             limit = "the lattice solver is for elastic laws, which do not yield."
             yield Refusal("material.law", getattr(section, "law", "?"), limit, other)
-    solids = ", ".join(body.name for body in scene.objects if body.free)
-    if solids:
-        yield Refusal("objects.motion", solids, "a body on its lattice does not touch free solids.")
     if scene.binding != "lattice":
         yield Refusal("binding", scene.binding, "its particles are not on a lattice.")
     if scene.contacts or "force" in scene.view.outputs:

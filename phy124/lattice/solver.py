@@ -20,12 +20,13 @@ from phy124.kernels.arguments import types
 from phy124.kernels.lattice.rows import rows_for
 from phy124.lattice.meetings import Meetings
 from phy124.lattice.rest import RestLattice
+from phy124.lattice.solids import Solids
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
 from phy124.lattice.walls import Boundary, Nodes, Walls
 from phy124.lattice.workers import Crew, Worker
 from phy124.mpm.clock import Clock
-from phy124.mpm.free import FreeBodies
+from phy124.mpm.free import FreeBody
 from phy124.mpm.grid import Grid, Unstable
 from phy124.mpm.model import Model, State
 from phy124.mpm.outliers import Outliers
@@ -70,6 +71,7 @@ class LatticeSolver:
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Any] = (),
         pairs: Sequence[Pair] = (),
+        free: Sequence[FreeBody] = (),
         ceiling: float = math.inf,
         threads: int | None = None,
         vectors: bool = True,
@@ -83,8 +85,9 @@ class LatticeSolver:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that are updated in every substep.
-            planes: Flat walls for free bodies, of which there are none.
+            planes: Flat walls with which free solids collide.
             pairs: Pairs of bodies whose contact differs from the default.
+            free: Rigid solids that move freely.
             ceiling: Longest substep allowed [s].
             threads: Number of CPU threads; None: as many as there are free cores and enough points
                 for.
@@ -113,8 +116,8 @@ class LatticeSolver:
         self.grid = Grid(model.origin, model.dx, real=model.real, device=model.device)
         self.grid.size = np.ptp(self.lattice.index, axis=0) + 1
         self.pairs = Pairs(model, pairs, 1)
-        # Bodies on their lattices have none of these; observers and reports read them.
-        self.free = FreeBodies(model, ())
+        self.free = Solids(model, free, self._surface, self.nodes_state)
+        # Bodies on their lattices need none of these; observers and reports read them.
         self.repair, self.outliers = Repair(model, self.state), Outliers(model, self.state)
         self.softened = 1.0
         """Factor by which all stiffnesses are currently scaled."""
@@ -142,7 +145,7 @@ class LatticeSolver:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that are updated in every substep.
-            planes: Flat walls for free bodies, of which there are none.
+            planes: Flat walls with which free solids collide.
 
         Raises:
             InputError: The region of a force holds no particle, or a clamp holds only some
@@ -156,6 +159,7 @@ class LatticeSolver:
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
+        self.free.prepare(tracks, walls.recovery)
         self.meetings = Meetings(surface, model, nodes, tracks, self.pairs, walls.recovery)
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self._sample = tracks.record()
@@ -174,13 +178,21 @@ class LatticeSolver:
                 *before,
                 crew.force(worker, self.tracks if pushed else None),
                 crew.kick(worker, self.tracks),
-                self.walls.record(self.meetings.record()) if index == 0 else [],
+                self._contact() if index == 0 else [],
                 crew.drift(worker, self.tracks),
             ]
         last = [(stage.name, stage.record(self.grid)) for stage in self._sums]
+        last += self.free.drift()
         self.workers[0].phases[-1] += launches(last)
         self._summed = 2 if pushed else 0
         """Phase after which the forces on all nodes are known."""
+
+    def _contact(self) -> list[Named]:
+        """Return the launches of all contact: all impulses are applied before any is corrected."""
+        everything = [part.stages() for part in (self.walls, self.meetings, self.free)]
+        return [
+            stage for order in zip(*everything, strict=True) for part in order for stage in part
+        ]
 
     def _push(self, worker: int) -> list[Any]:
         """Return a worker's pushes; the first worker has all, unless all can be divided."""
@@ -335,6 +347,7 @@ class LatticeSolver:
             self._look()
         self._list_near()
         run_timed(self.timings, "meetings", lambda: self.meetings.follow(self._step()))
+        run_timed(self.timings, "free", lambda: self.free.list_near(self._step()))
 
     def _read(self, elapsed: float) -> None:
         """Limit substeps by the largest speed and rate of strain; raises Unstable.
@@ -377,7 +390,7 @@ class LatticeSolver:
     def _step(self) -> float:
         """Return the largest distance by which a point approaches a wall in a substep [m]."""
         dt = self.clock.stable().dt
-        speed = self.clock.extremes.speed + self.rejection.wall
+        speed = self.clock.extremes.speed + max(self.rejection.wall, self.free.fastest())
         return speed * dt if math.isfinite(dt) else math.inf
 
     def _interval(self) -> int:
@@ -386,7 +399,7 @@ class LatticeSolver:
         dt = clock.stable().dt
         if not math.isfinite(dt):
             return 1
-        speed = max(clock.extremes.speed, self.rejection.wall)
+        speed = max(clock.extremes.speed, self.rejection.wall, self.free.fastest())
         steps = [float(SLOWEST)]
         steps.append(STRAIN / max(clock.extremes.gradient * dt, 1e-9))
         steps.append(WAY * dx / max(speed * dt, 1e-30))
@@ -403,6 +416,7 @@ class LatticeSolver:
             "walls": self.walls.snapshot(),
             "meetings": self.meetings.snapshot(),
             "pairs": self.pairs.snapshot(),
+            "free": self.free.snapshot(),
             "clock": self.clock.snapshot(),
             "spectrum": self._spectrum.snapshot(),
             "measured": self._measured,
@@ -417,6 +431,7 @@ class LatticeSolver:
         self.walls.restore(snapshot["walls"])
         self.meetings.restore(snapshot["meetings"])
         self.pairs.restore(snapshot["pairs"])
+        self.free.restore(snapshot["free"])
         self.clock.restore(snapshot["clock"])
         self._spectrum.restore(snapshot["spectrum"])
         self._crew.stray.zero_()

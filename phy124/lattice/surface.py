@@ -64,6 +64,21 @@ class Surface:
         slopes: NDArray[np.float64] = weighted @ np.linalg.pinv(moments, rcond=1e-6, hermitian=True)
         return slopes
 
+    def deform(
+        self, points: NDArray[np.int64], u: NDArray
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return F [K,3,3], its cofactors [K,3,3] and the current normals [K,3] of points.
+
+        Args:
+            points: Indices of the points [K].
+            u: Displacements of all nodes [N,3], m.
+        """
+        F = np.eye(3) + np.swapaxes(u[self.nodes[points]], 1, 2) @ self.slopes[points]
+        turned = _cofactors(F)
+        normal = (turned @ self.normal[points][:, :, None])[:, :, 0]
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        return F, turned, normal
+
     @cached_property
     def flat(self) -> NDArray[np.bool_]:
         """Whether each point has a normal that fits to those around it: no edge, no tip [S]."""
@@ -131,3 +146,9 @@ def _consecutive(
     shifted[row, nodes[row, column] - start[row]] = weights[row, column]
     rows = (start[:, None] + np.arange(3)).astype(np.int32)
     return rows.reshape(-1, 27), shifted.reshape(-1, 27)
+
+
+def _cofactors(F: NDArray) -> NDArray[np.float64]:
+    """Return the cofactors of matrices [K,3,3]."""
+    rows = [np.cross(F[:, (i + 1) % 3], F[:, (i + 2) % 3]) for i in range(3)]
+    return np.stack(rows, axis=1)

@@ -140,23 +140,17 @@ class Walls:
         """Return whether there is any wall or clamp."""
         return bool(self._clamps or self._contacts)
 
-    def record(self, meetings: Sequence[Named] = ()) -> list[Named]:
-        """Return the launches of one substep, in order.
+    def stages(self) -> list[list[Named]]:
+        """Return the launches of a substep: apply earlier impulses, correct them, and sum them.
 
-        Clamps act first. Then walls apply the impulses of the previous substep and correct them.
-        After the contact of bodies with each other, they sum impulse and work.
-
-        Args:
-            meetings: Launches of the contact of bodies with each other.
+        Clamps act before the impulses.
         """
         clamps = [("clamp", launch) for clamp in self._clamps for launch in clamp.record()]
         stages = [contact.record() for contact in self._contacts]
-        *acting, sums = zip(*stages, strict=True) if stages else [()]
-        acts, adds = (
-            [("contact", stage) for order in orders for stage in order]
-            for orders in (acting, [sums])
+        touch, resist, account = (
+            [("contact", contact[number]) for contact in stages] for number in range(3)
         )
-        return [*launches(clamps), *acts, *meetings, *adds]
+        return [[*launches(clamps), *touch], resist, account]
 
     def look(self) -> None:
         """Measure the distances of all surface points from the walls."""

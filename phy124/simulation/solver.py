@@ -114,6 +114,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
             State.of(model, v, C),
             **wrap(scene, observers),
             pairs=list(_pairs(model.names, scene)),
+            free=setup.free,
             ceiling=ceiling,
             threads=setup.threads,
         )
@@ -182,13 +183,14 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
         if observer.called_for(subject):
             yield from observer.kernels(subject, real)
     if scene.resolution.on_lattice:
-        from phy124.lattice import walls, workers
+        from phy124.lattice import solids, walls, workers
 
         viscous = [math.isfinite(section.viscous_limit(scene.dx)) for section in scene.materials]
         named = zip(scene.materials, viscous, strict=True)
         laws = {section.device_law.name: (section.device_law, damped) for section, damped in named}
         yield from workers.kernels(list(laws.values()), real, device)
         yield from walls.kernels(scene.boundaries, real, device, several=bool(scene.objects))
+        yield from solids.kernels_of((o.shape or "" for o in scene.objects if o.free), real)
         return
     yield from substep.kernels(subject.laws, real, form)
     yield from fluctuation.kernels(scheme_of(scene), real, form)

@@ -1,0 +1,300 @@
+"""Contact of surface points with a rigid solid that moves freely, by impulses on both.
+
+The impulses are found like those of walls (phy124/kernels/lattice/contact.py), but the solid yields
+as well: an impulse J at r from its centre changes its velocity by -J / m and its angular velocity
+by -I^-1 (r x J). The numbers of the solid are those of phy124/kernels/free/numbers.py. `trial`
+holds its motion with the impulses that flat walls had in the last substep, so that contact knows
+what the walls will hold.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Ints, types
+from phy124.kernels.build import kernel
+from phy124.kernels.collide import xyz
+from phy124.kernels.diagnostics import wide
+from phy124.kernels.distance import SHAPES
+from phy124.kernels.free.numbers import (
+    ANGULAR,
+    GUESS,
+    KICKED,
+    PLACE,
+    PRIOR,
+    VELOCITY,
+    at3,
+    axes,
+    inertia_of,
+    moving,
+    put3,
+    spin_of,
+)
+from phy124.kernels.free.walls import arm_to
+from phy124.kernels.lattice.contact import moved_by, strike, yielding
+
+ALIGNED = wp.constant(0.9)
+"""Least cosine between a box's normal and the opposite of a point's at which they touch."""
+
+
+@cache
+def make_solid_begin(real: Any):
+    """Kernel of one thread: kicks a solid, and predicts its motion with the walls' last impulses.
+
+    `impulses` are those of each wall at each of the `points` of the solid that it may touch.
+    """
+
+    @kernel(f"phy124_lattice_solid_begin_{real.__name__}", real, seconds=0.4)
+    def solid_begin(
+        mass: wp.float64,
+        moments,
+        half: wp.vec3d,
+        points: int,
+        planes: wp.array2d(dtype=wp.vec3d),
+        impulses: wp.array(dtype=wp.vec3d),
+        clock,
+        values,
+        body_out,
+        trial_out,
+    ):
+        put3(body_out, VELOCITY, at3(body_out, VELOCITY) + wp.float64(clock[0]) * wide(values[0]))
+        body_out[KICKED] = wp.float64(1.0)
+        R = axes(body_out)
+        V = at3(body_out, VELOCITY)
+        L = at3(body_out, ANGULAR)
+        for n in range(impulses.shape[0]):
+            r = arm_to(points, n % points, R, half, planes[n / points, 1])
+            V += impulses[n] / mass
+            L += wp.cross(r, impulses[n])
+        w = spin_of(R, moments, L)
+        put3(trial_out, GUESS, V)
+        put3(trial_out, GUESS + 3, w)
+        put3(trial_out, PRIOR, V)
+        put3(trial_out, PRIOR + 3, w)
+
+    return solid_begin
+
+
+@cache
+def make_solid_finish(real: Any):
+    """Kernel of one thread: gives a solid the change of motion by the impulses of all points."""
+
+    @kernel(f"phy124_lattice_solid_finish_{real.__name__}", real, seconds=0.3)
+    def solid_finish(moments, trial, body_out):
+        inertia = inertia_of(axes(body_out), moments)
+        turned = inertia @ (at3(trial, GUESS + 3) - at3(trial, PRIOR + 3))
+        gained = at3(trial, GUESS) - at3(trial, PRIOR)
+        put3(body_out, VELOCITY, at3(body_out, VELOCITY) + gained)
+        put3(body_out, ANGULAR, at3(body_out, ANGULAR) + turned)
+
+    return solid_finish
+
+
+@wp.func
+def react(
+    trial: wp.array(dtype=wp.float64),
+    mass: wp.float64,
+    turning: wp.mat33d,
+    r: wp.vec3d,
+    impulse: wp.vec3d,
+):
+    """Let a solid take the opposite of an impulse at r from its centre."""
+    put3(trial, GUESS, at3(trial, GUESS) - impulse / mass)
+    put3(trial, GUESS + 3, at3(trial, GUESS + 3) - turning @ wp.cross(r, impulse))
+
+
+@wp.func
+def solid_yields(mass: wp.float64, turning: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
+    """Return the change of a solid's velocity at r, along a unit vector, by 1 N s along it."""
+    arm = wp.cross(r, way)
+    return wp.float64(1.0) / mass + wp.dot(arm, turning @ arm)
+
+
+@wp.func
+def turning_of(body: wp.array(dtype=wp.float64), moments: wp.vec3d):
+    """Return the inverse of a solid's inertia tensor."""
+    return wp.inverse(inertia_of(axes(body), moments))
+
+
+@cache
+def make_solid_near(shape: str, real: Any):
+    """Kernel over surface points: computes the distances from a solid."""
+    t = types(real)
+    distance = SHAPES[shape]
+
+    @kernel(f"phy124_lattice_solid_near_{shape}_{real.__name__}", real, seconds=0.4)
+    def solid_near(
+        geometry,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        rest: t.vec3s,
+        u: t.vec3s,
+        body,
+        gap_out: t.reals,
+    ):
+        s = wp.tid()
+        y = wide(rest[s] + moved_by(u, nodes, weights, s))
+        d = distance(t.vec3(wp.transpose(axes(body)) @ (y - at3(body, PLACE))), geometry)
+        gap_out[s] = d[3]
+
+    return solid_near
+
+
+@wp.func
+def way_out(p: Any, half: Any, m: Any):
+    """Return the distance from a point in a box at the origin to its surface, along m."""
+    way = type(half[0])(wp.inf)
+    for c in range(3):
+        if wp.abs(m[c]) > type(half[0])(1.0e-6):
+            way = wp.min(way, (wp.sign(m[c]) * half[c] - p[c]) / m[c])
+    return way
+
+
+@cache
+def make_solid_touch(shape: str, real: Any):
+    """Kernel of one thread: finds points near a solid, and applies their previous impulses.
+
+    `gap_out` is the normal and the distance of each listed point, infinite for points out of reach,
+    `place_out` its position. At the edges of a box the `side` of the point decides, its normal
+    where the body is flat: the box's normals turn there, and would stop a box that slides.
+    """
+    t = types(real)
+    distance = SHAPES[shape]
+
+    @kernel(f"phy124_lattice_solid_touch_{shape}_{real.__name__}", real, seconds=0.6)
+    def solid_touch(
+        near: Ints,
+        count: int,
+        reach: real,
+        deepest: real,
+        geometry,
+        mass: wp.float64,
+        moments,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        rest: t.vec3s,
+        side: t.vec3s,
+        inverse: t.reals,
+        u: t.vec3s,
+        clock,
+        body,
+        trial_out,
+        v_out: t.vec3s,
+        gap_out: t.vec4s,
+        place_out: t.vec3s,
+        yields_out: t.reals,
+        force_out: t.vec3s,
+    ):
+        R = axes(body)
+        turning = turning_of(body, moments)
+        for a in range(count):
+            s = near[a]
+            y = rest[s] + moved_by(u, nodes, weights, s)
+            r = wide(y) - at3(body, PLACE)
+            local = t.vec3(wp.transpose(R) @ r)
+            d = distance(local, geometry)
+            n = t.vec3(R @ wide(xyz(d)))
+            far = d[3]
+            if wp.static(shape == "box"):
+                facing = -side[s]
+                if far >= real(0.0):
+                    if wp.length(facing) > real(0.0) and wp.dot(facing, n) < real(ALIGNED):
+                        far = real(wp.inf)
+                elif wp.length(facing) > real(0.0):
+                    half = wp.vector(geometry[1, 0], geometry[1, 1], geometry[1, 2])
+                    way = way_out(local, half, t.vec3(wp.transpose(R) @ wide(facing)))
+                    if way < deepest:
+                        n = facing
+                        far = -way
+            place_out[s] = y
+            yields_out[s] = yielding(inverse, nodes, weights, s)
+            if far < reach and yields_out[s] > real(0.0):
+                gap_out[s] = wp.vector(n[0], n[1], n[2], far)
+                impulse = clock[0] * force_out[s]
+                if wp.dot(impulse, impulse) > real(0.0):
+                    strike(v_out, inverse, nodes, weights, s, impulse)
+                    react(trial_out, mass, turning, r, wide(impulse))
+            else:
+                gap_out[s] = wp.vector(n[0], n[1], n[2], real(wp.inf))
+                force_out[s] = t.vec3()
+
+    return solid_touch
+
+
+@cache
+def make_solid_resist(sticky: bool, real: Any):
+    """Kernel of one thread: projected Gauss-Seidel over points and a solid, forwards and back."""
+    t = types(real)
+
+    @kernel(
+        f"phy124_lattice_solid_resist_{'sticky' if sticky else 'separate'}_{real.__name__}",
+        real,
+        seconds=0.6,
+    )
+    def solid_resist(
+        near: Ints,
+        count: int,
+        restore: real,
+        friction,
+        mass: wp.float64,
+        moments,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        inverse: t.reals,
+        gap: t.vec4s,
+        place: t.vec3s,
+        yields: t.reals,
+        clock,
+        body,
+        trial_out,
+        v_out: t.vec3s,
+        force_out: t.vec3s,
+    ):
+        turning = turning_of(body, moments)
+        zero = real(0.0)
+        for b in range(2 * count):
+            a = b
+            if b >= count:
+                a = 2 * count - 1 - b
+            s = near[a]
+            g = gap[s]
+            if not wp.isinf(g[3]) and clock[0] > zero:
+                n = xyz(g)
+                r = wide(place[s]) - at3(body, PLACE)
+                surface = t.vec3(moving(trial_out, GUESS, r))
+                relative = moved_by(v_out, nodes, weights, s) - surface
+                last = clock[0] * force_out[s]
+                bias = g[3] / wp.max(clock[0], clock[1])
+                speed = wp.dot(relative, n)
+                along = relative - speed * n
+                pressed = wp.dot(last, n)
+                if bias < zero or pressed != zero:
+                    bias = restore * bias
+                press = pressed - (speed + bias) / (
+                    yields[s] + real(solid_yields(mass, turning, r, wide(n)))
+                )
+                drag = last - pressed * n
+                slip = wp.length(along)
+                if slip > zero:
+                    way = along / slip
+                    drag -= along / (yields[s] + real(solid_yields(mass, turning, r, wide(way))))
+                if wp.static(sticky):
+                    if g[3] > zero and pressed == zero:
+                        press = wp.max(press, zero)
+                    if press == zero:
+                        drag = t.vec3()
+                else:
+                    press = wp.max(press, zero)
+                    most = friction * press
+                    size = wp.length(drag)
+                    if size > most:
+                        drag = drag * (most / size)
+                impulse = press * n + drag
+                change = impulse - last
+                force_out[s] = impulse / clock[0]
+                if wp.dot(change, change) > zero:
+                    strike(v_out, inverse, nodes, weights, s, change)
+                    react(trial_out, mass, turning, r, wide(change))
+
+    return solid_resist

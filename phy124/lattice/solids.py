@@ -1,0 +1,247 @@
+"""Solids: free rigid solids that exchange impulses with the surface points of bodies.
+
+Each solid meets each body. Impulses act on both, so that momentum is exact.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.arguments import types
+from phy124.kernels.free import make_walls
+from phy124.kernels.lattice import solids as kernels
+from phy124.kernels.lattice.contact import MOMENT, SUMS, make_account
+from phy124.kernels.work import GIVEN, IMPULSE
+from phy124.lattice.surface import Surface
+from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
+from phy124.mpm.free import POINTS, STAGE, FreeBodies, FreeBody
+from phy124.mpm.model import Model
+from phy124.mpm.stage import Named, launches
+from phy124.mpm.tracks import Tracks
+
+DEEPEST = 0.5
+"""Depth in a box, along a point's own normal, up to which this normal counts [cells]."""
+LISTED = 1.0
+"""Distance from a solid up to which points are listed, in addition to that of contact [cells]."""
+
+
+class Solids(FreeBodies):
+    """All free rigid solids of a run on the lattice."""
+
+    def __init__(
+        self, model: Model, solids: Sequence[FreeBody], surface: Surface, nodes: Nodes
+    ) -> None:
+        """Place the solids in their initial states.
+
+        Args:
+            model: The constants of the run.
+            solids: The solids.
+            surface: Surface points of the bodies.
+            nodes: Arrays of the nodes.
+
+        Raises:
+            InputError: A solid is thinner than two cells.
+        """
+        self._nodes, self._surface = nodes, surface
+        shape = len(solids), model.bodies, SUMS
+        self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
+        """Sums of the impulses of each solid on each body, like those of walls [F,bodies,16]."""
+        super().__init__(model, solids)
+        self.recovery = 0.0
+        """Part of their depth by which points come out of a solid in a substep."""
+        self._points = [
+            wp.array(surface.nodes, dtype=int, device=model.device),
+            model.array(surface.weights, model.real),
+            model.array(surface.x, types(model.real).vec3),
+        ]
+        self._touches: list[_Touch] = []
+        self._reach_points = 0.0
+        """Distance within which points touch solids until the next measurement [m]."""
+
+    def _total(self) -> NDArray[np.float64]:
+        """Return the sums that each solid has transferred to each body [F,bodies,GIVEN]."""
+        sums = np.asarray(self._sums.numpy(), np.float64)
+        moment, rest = sums[..., MOMENT : MOMENT + 3], sums[..., IMPULSE + 3 : GIVEN]
+        return np.concatenate([sums[..., :3], moment, rest], axis=-1)
+
+    def prepare(self, tracks: Tracks, recovery: float) -> None:
+        """Prepare the contact with bodies, after `bind` and the upload of the tracks.
+
+        Args:
+            tracks: The tracks, which hold the clock.
+            recovery: Part of their depth by which points come out of a solid in a substep.
+        """
+        self.recovery, forces = recovery, self._forces()
+        self._touches = [
+            _Touch(self, index, body, tracks)
+            for index, body in itertools.product(range(len(self.all)), self._met)
+        ]
+        self._put_forces(forces)
+
+    def stages(self) -> list[list[Named]]:
+        """Return the launches of a substep: apply impulses, correct them, and sum them."""
+        model, tracks = self._model, getattr(self, "_tracks", None)
+        if tracks is None:
+            return [[], [], []]
+        begin, finish = [], []
+        for index, solid in enumerate(self.all):
+            moments, state = wp.vec3d(*solid.moments), self._bodies[index]
+            inputs = [solid.mass, moments, wp.vec3d(*solid.half), POINTS[solid.shape]]
+            inputs += [self._walls[0], self._impulses[index], tracks.clock, tracks.values]
+            kernel = kernels.make_solid_begin(model.real)
+            begin.append((STAGE, model.launch(kernel, 1, inputs, [state, self._trials[index]])))
+            kernel = kernels.make_solid_finish(model.real)
+            read = [moments, self._trials[index]]
+            finish.append((STAGE, model.launch(kernel, 1, read, [state])))
+        touch, resist, account = (
+            [(STAGE, touch.stage(number)) for touch in self._touches] for number in range(3)
+        )
+        return [[*launches(begin), *touch], [*resist, *launches(finish)], account]
+
+    def list_near(self, step: float) -> None:
+        """List the points that may touch a solid until the next measurement.
+
+        Args:
+            step: Largest distance by which a point or a solid moves in a substep [m].
+        """
+        dx = self._model.dx
+        self._reach_points = min(REACH * dx, 2 * AHEAD * step + CLOSE * dx)
+        self._list()
+
+    def _list(self) -> None:
+        for touch in self._touches:
+            touch.list_near(self._reach_points, LISTED * self._model.dx)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state to continue from; empty if there are no solids."""
+        if not self.all:
+            return {}
+        return {
+            "bodies": np.array([body.numpy() for body in self._bodies]),
+            "sums": self._sums.numpy().copy(),
+            "begun": self._begun.copy(),
+            "walls": {str(i): each.numpy().copy() for i, each in enumerate(self._impulses)},
+            "forces": self._forces(),
+            "reach": self._reach_points,
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot."""
+        if not self.all:
+            return
+        for body, kept in zip(self._bodies, snapshot["bodies"], strict=True):
+            body.assign(kept)
+        self._sums.assign(snapshot["sums"])
+        self._begun = np.asarray(snapshot["begun"])
+        for number, impulses in enumerate(self._impulses):
+            impulses.assign(snapshot["walls"][str(number)])
+        self._put_forces(snapshot["forces"])
+        self._reach_points = float(snapshot["reach"])
+        self._list()
+
+    def _forces(self) -> dict[str, NDArray]:
+        return {str(i): touch.force.numpy().copy() for i, touch in enumerate(self._touches)}
+
+    def _put_forces(self, forces: dict[str, NDArray]) -> None:
+        for number, touch in enumerate(self._touches):
+            if str(number) in forces:
+                touch.force.assign(forces[str(number)])
+
+
+class _Touch:
+    """The contact of the surface points of one body with one solid."""
+
+    def __init__(self, solids: Solids, index: int, body: int, tracks: Tracks) -> None:
+        model, surface = solids._model, solids._surface
+        self._solids, self._index, self._body, self._tracks = solids, index, body, tracks
+        self._mine = surface.body == body
+        t, count, device = types(model.real), surface.count, model.device
+        self._near: NDArray[np.int32] = np.zeros(0, np.int32)
+        self._list = wp.zeros(count, dtype=int, device=device)
+        self.force = wp.zeros(count, dtype=t.vec3, device=device)
+        """Mean force of the solid on each point in the last substep [S,3], N."""
+        self._gaps = wp.zeros(count, dtype=model.real, device=device)
+        gap, place = wp.zeros(count, dtype=t.vec4, device=device), wp.zeros_like(self.force)
+        yields = wp.zeros_like(self._gaps)
+        solid, nodes, points = solids.all[index], solids._nodes, solids._points
+        shape, moments = t.mat33(*np.ravel(solid.geometry())), wp.vec3d(*solid.moments)
+        state, trial = solids._bodies[index], solids._trials[index]
+        inputs = [shape, *points, nodes.u, state]
+        self._look = model.launch(
+            kernels.make_solid_near(solid.shape, model.real), count, inputs, [self._gaps]
+        )
+        self._side = wp.zeros_like(self.force)
+        deepest = DEEPEST * model.dx
+        inputs = [self._list, 0, 0.0, deepest, shape, solid.mass, moments, *points, self._side]
+        inputs += [nodes.movable, nodes.u, tracks.clock, state]
+        outputs = [trial, nodes.v, gap, place, yields, self.force]
+        kernel = kernels.make_solid_touch(solid.shape, model.real)
+        self._launches = [cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))]
+        inputs = [self._list, 0, solids.recovery, solid.friction, solid.mass, moments]
+        inputs += [*points[:2], nodes.movable, gap, place, yields, tracks.clock, state]
+        kernel = kernels.make_solid_resist(solid.sticky, model.real)
+        launch = model.launch(kernel, 1, inputs, [trial, nodes.v, self.force])
+        self._launches.append(cast("wp.Launch", launch))
+        inputs = [self._list, *points[:2], place, self.force, tracks.clock, nodes.before, nodes.v]
+        sums = cast("wp.array", solids._sums[index, body])
+        launch = model.launch(make_account(model.real), max(1, count), inputs, [sums])
+        self._launches.append(cast("wp.Launch", launch))
+
+    def stage(self, number: int) -> Callable[[], None]:
+        """Return a stage of the substep: apply impulses, correct them, or sum them."""
+
+        def act() -> None:
+            if len(self._near):
+                self._launches[number].launch()
+
+        return act
+
+    def list_near(self, reach: float, more: float) -> None:
+        """List the points within `reach` and `more` [m] of the solid."""
+        if self._look is None:
+            return
+        self._look.launch()
+        near = np.flatnonzero((self._gaps.numpy() < reach + more) & self._mine)
+        if not np.array_equal(near, self._near):
+            gone = np.setdiff1d(self._near, near)
+            if len(gone):
+                force = self.force.numpy()
+                force[gone] = 0
+                self.force.assign(force)
+            self._near = near.astype(np.int32)
+            if len(near):
+                self._list[: len(near)].assign(self._near)
+        if len(near) and self._solids.all[self._index].shape == "box":
+            self._turn(near)
+        touch, resist, account = self._launches
+        touch.set_param_at_index(2, reach)
+        for launch in (touch, resist):
+            launch.set_param_at_index(1, len(near))
+        account.set_dim(max(1, len(near)))
+
+    def _turn(self, points: NDArray[np.int64]) -> None:
+        """Update the normals of flat points."""
+        surface = self._solids._surface
+        points = points[surface.flat[points]]
+        side = np.zeros((surface.count, 3))
+        side[points] = surface.deform(points, self._solids._nodes.u.numpy())[2]
+        self._side.assign(side)
+
+
+def kernels_of(shapes: Iterable[str], real: Any) -> Iterator[Any]:
+    """Yield the kernels of contact with free solids of the given shapes."""
+    distinct = list(dict.fromkeys(shapes))
+    if not distinct:
+        return
+    yield from (kernels.make_solid_begin(real), kernels.make_solid_finish(real))
+    yield from (kernels.make_solid_resist(False, real), make_account(real))
+    yield make_walls(True, real)
+    for shape in distinct:
+        yield kernels.make_solid_near(shape, real)
+        yield kernels.make_solid_touch(shape, real)
