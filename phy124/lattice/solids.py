@@ -17,6 +17,7 @@ from phy124.kernels.arguments import types
 from phy124.kernels.free import make_walls
 from phy124.kernels.lattice import solids as kernels
 from phy124.kernels.lattice.contact import MOMENT, SUMS, make_account
+from phy124.kernels.lattice.rows import rows_for
 from phy124.kernels.work import GIVEN, IMPULSE
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
@@ -174,23 +175,26 @@ class _Touch:
         state, trial = solids._bodies[index], solids._trials[index]
         inputs = [shape, *points, nodes.u, state]
         self._look = model.launch(
-            kernels.make_solid_near(solid.shape, model.real), count, inputs, [self._gaps]
+            kernels.make_solid_near(solid.shape, model.real, nodes.rows),
+            count,
+            inputs,
+            [self._gaps],
         )
         self._side = wp.zeros_like(self.force)
         deepest = DEEPEST * model.dx
         inputs = [self._list, 0, 0.0, deepest, shape, solid.mass, moments, *points, self._side]
         inputs += [nodes.movable, nodes.u, tracks.clock, state]
         outputs = [trial, nodes.v, gap, place, yields, self.force]
-        kernel = kernels.make_solid_touch(solid.shape, model.real)
+        kernel = kernels.make_solid_touch(solid.shape, model.real, nodes.rows)
         self._launches = [cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))]
         inputs = [self._list, 0, solids.recovery, solid.friction, solid.mass, moments]
         inputs += [*points[:2], nodes.movable, gap, place, yields, tracks.clock, state]
-        kernel = kernels.make_solid_resist(solid.sticky, model.real)
+        kernel = kernels.make_solid_resist(solid.sticky, model.real, nodes.rows)
         launch = model.launch(kernel, 1, inputs, [trial, nodes.v, self.force])
         self._launches.append(cast("wp.Launch", launch))
         inputs = [self._list, *points[:2], place, self.force, tracks.clock, nodes.before, nodes.v]
         sums = cast("wp.array", solids._sums[index, body])
-        launch = model.launch(make_account(model.real), max(1, count), inputs, [sums])
+        launch = model.launch(make_account(model.real, nodes.rows), max(1, count), inputs, [sums])
         self._launches.append(cast("wp.Launch", launch))
 
     def stage(self, number: int) -> Callable[[], None]:
@@ -234,14 +238,14 @@ class _Touch:
         self._side.assign(side)
 
 
-def kernels_of(shapes: Iterable[str], real: Any) -> Iterator[Any]:
+def kernels_of(shapes: Iterable[str], real: Any, device: str) -> Iterator[Any]:
     """Yield the kernels of contact with free solids of the given shapes."""
-    distinct = list(dict.fromkeys(shapes))
+    distinct, rows = list(dict.fromkeys(shapes)), rows_for(real, device)
     if not distinct:
         return
     yield from (kernels.make_solid_begin(real), kernels.make_solid_finish(real))
-    yield from (kernels.make_solid_resist(False, real), make_account(real))
+    yield from (kernels.make_solid_resist(False, real, rows), make_account(real, rows))
     yield make_walls(True, real)
     for shape in distinct:
-        yield kernels.make_solid_near(shape, real)
-        yield kernels.make_solid_touch(shape, real)
+        yield kernels.make_solid_near(shape, real, rows)
+        yield kernels.make_solid_touch(shape, real, rows)

@@ -190,7 +190,8 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
         laws = {section.device_law.name: (section.device_law, damped) for section, damped in named}
         yield from workers.kernels(list(laws.values()), real, device)
         yield from walls.kernels(scene.boundaries, real, device, several=bool(scene.objects))
-        yield from solids.kernels_of((o.shape or "" for o in scene.objects if o.free), real)
+        shapes = (body.shape or "" for body in scene.objects if body.free)
+        yield from solids.kernels_of(shapes, real, device)
         return
     yield from substep.kernels(subject.laws, real, form)
     yield from fluctuation.kernels(scheme_of(scene), real, form)

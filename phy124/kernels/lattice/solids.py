@@ -32,7 +32,8 @@ from phy124.kernels.free.numbers import (
     spin_of,
 )
 from phy124.kernels.free.walls import arm_to
-from phy124.kernels.lattice.contact import moved_by, strike, yielding
+from phy124.kernels.lattice.contact import RELAXED
+from phy124.kernels.lattice.rows import Rows
 
 ALIGNED = wp.constant(0.9)
 """Least cosine between a box's normal and the opposite of a point's at which they touch."""
@@ -118,12 +119,12 @@ def turning_of(body: wp.array(dtype=wp.float64), moments: wp.vec3d):
 
 
 @cache
-def make_solid_near(shape: str, real: Any):
+def make_solid_near(shape: str, real: Any, rows: Rows):
     """Kernel over surface points: computes the distances from a solid."""
-    t = types(real)
+    t, moved_by = types(real), rows.moved_by
     distance = SHAPES[shape]
 
-    @kernel(f"phy124_lattice_solid_near_{shape}_{real.__name__}", real, seconds=0.4)
+    @kernel(f"phy124_lattice_solid_near_{shape}_{rows.name}{real.__name__}", real, seconds=0.4)
     def solid_near(
         geometry,
         nodes: wp.array2d(dtype=int),
@@ -152,7 +153,7 @@ def way_out(p: Any, half: Any, m: Any):
 
 
 @cache
-def make_solid_touch(shape: str, real: Any):
+def make_solid_touch(shape: str, real: Any, rows: Rows):
     """Kernel of one thread: finds points near a solid, and applies their previous impulses.
 
     `gap_out` is the normal and the distance of each listed point, infinite for points out of reach,
@@ -160,9 +161,10 @@ def make_solid_touch(shape: str, real: Any):
     where the body is flat: the box's normals turn there, and would stop a box that slides.
     """
     t = types(real)
+    moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
     distance = SHAPES[shape]
 
-    @kernel(f"phy124_lattice_solid_touch_{shape}_{real.__name__}", real, seconds=0.6)
+    @kernel(f"phy124_lattice_solid_touch_{shape}_{rows.name}{real.__name__}", real, seconds=0.6)
     def solid_touch(
         near: Ints,
         count: int,
@@ -223,12 +225,14 @@ def make_solid_touch(shape: str, real: Any):
 
 
 @cache
-def make_solid_resist(sticky: bool, real: Any):
+def make_solid_resist(sticky: bool, real: Any, rows: Rows):
     """Kernel of one thread: projected Gauss-Seidel over points and a solid, forwards and back."""
     t = types(real)
+    moved_by, strike = rows.moved_by, rows.strike
+    kind = "sticky" if sticky else "separate"
 
     @kernel(
-        f"phy124_lattice_solid_resist_{'sticky' if sticky else 'separate'}_{real.__name__}",
+        f"phy124_lattice_solid_resist_{kind}_{rows.name}{real.__name__}",
         real,
         seconds=0.6,
     )
@@ -271,14 +275,14 @@ def make_solid_resist(sticky: bool, real: Any):
                 pressed = wp.dot(last, n)
                 if bias < zero or pressed != zero:
                     bias = restore * bias
-                press = pressed - (speed + bias) / (
-                    yields[s] + real(solid_yields(mass, turning, r, wide(n)))
-                )
+                whole = yields[s] + real(solid_yields(mass, turning, r, wide(n)))
+                press = pressed - real(RELAXED) / whole * (speed + bias)
                 drag = last - pressed * n
                 slip = wp.length(along)
                 if slip > zero:
                     way = along / slip
-                    drag -= along / (yields[s] + real(solid_yields(mass, turning, r, wide(way))))
+                    whole = yields[s] + real(solid_yields(mass, turning, r, wide(way)))
+                    drag -= real(RELAXED) / whole * along
                 if wp.static(sticky):
                     if g[3] > zero and pressed == zero:
                         press = wp.max(press, zero)
