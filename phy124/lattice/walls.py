@@ -424,7 +424,14 @@ def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
 def kernels(
     boundaries: Sequence[Boundary], real: Any, device: str, *, several: bool = False
 ) -> Iterator[Any]:
-    """Yield the kernels of walls, clamps and self-contact, and of contact of several bodies."""
+    """Yield the kernels of walls, clamps and self-contact.
+
+    Args:
+        boundaries: The boundaries of the scene.
+        real: wp.float32 or wp.float64.
+        device: Name of the device.
+        several: Whether to yield those of contact between bodies, too.
+    """
     rows = rows_for(real, device)
     yield from (
         make_place(real, rows),

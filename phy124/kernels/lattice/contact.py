@@ -370,7 +370,14 @@ def make_account(real: Any, rows: Rows):
 
 @cache
 def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
-    """Kernel over surface points: computes the distances from a wall."""
+    """Kernel over surface points: computes the distances from a wall.
+
+    Args:
+        shape: Name of a distance function.
+        moving: Whether the wall has a track.
+        real: wp.float32 or wp.float64.
+        rows: Functions on the nodes of a point.
+    """
     t = types(real)
     moved_by = rows.moved_by
     distance = SHAPES[shape]
