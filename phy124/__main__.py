@@ -116,7 +116,7 @@ def _parse(arguments: list[str]) -> Any:
         share_heap()
         refuse_narrow()  # before a command's module imports NumPy
         with suppress(ImportError):  # another version of tyro may not need it
-            import_lightly("typeguard")
+            import_lightly("typeguard", "pydantic_core.core_schema")
         commands = COMMANDS
     command = parse(arguments, commands, program="phy124", description=__doc__)
     from phy124.commands.kinds import refuse_other_kind

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-UNUSED = ["numpy.f2py", "numpy.testing", "unittest.mock", "asyncio", "ssl"]
+UNUSED = ["numpy.f2py", "numpy.ma", "numpy.testing", "unittest.mock", "asyncio", "ssl"]
 
 
 def imported_after(code: str) -> list[str]:
@@ -27,7 +27,11 @@ def test_scipy_is_imported_without_test_helpers() -> None:
         "assert scipy.ndimage.label(np.eye(3))[1] == 3\n"
     )
     assert imported_after(code) == []
-    later = "np.testing.assert_allclose(1, 1)\nimport numpy.f2py\nassert numpy.f2py.run_main\n"
+    later = (
+        "np.testing.assert_allclose(1, 1)\nimport numpy.f2py\nassert numpy.f2py.run_main\n"
+        "assert np.polynomial.Polynomial([1, 2])(3) == 7\n"
+        "assert np.ma.masked_less([1, 2], 2).sum() == 2\n"
+    )
     assert "numpy.f2py" in imported_after(code + later)
 
 
@@ -46,3 +50,22 @@ def test_parser_is_imported_without_event_loop() -> None:
     assert "unittest.mock" in imported_after(
         code + "from unittest.mock import Mock, patch\nMock()\n"
     )
+
+
+def test_schemas_are_imported_without_their_dictionaries() -> None:
+    """Pydantic validates as usual, and typed dictionaries of others are complete."""
+    code = (
+        "from phy124.runtime.light_imports import import_lightly\n"
+        "import_lightly('pydantic_core.core_schema')\n"
+        "from typing_extensions import TypedDict\n"
+        "from pydantic import BaseModel, ValidationError\n"
+        "from pydantic_core.core_schema import IntSchema\n"
+        "assert not getattr(IntSchema, '__required_keys__', None)\n"
+        "Size = TypedDict('Size', {'width': int})\n"
+        "Picture = type('Picture', (BaseModel,), {'__annotations__': {'size': Size}})\n"
+        "assert Picture(size={'width': '3'}).size == {'width': 3}\n"
+        "try:\n    Picture(size={})\n"
+        "except ValidationError:\n    pass\n"
+        "else:\n    raise SystemExit('not checked')\n"
+    )
+    assert imported_after(code) == []

@@ -10,7 +10,7 @@ import itertools
 import os
 import shutil
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Any
 
 from phy124.errors import InputError, did_you_mean, suggest
@@ -63,13 +63,20 @@ def parse(
     arguments = [*options, *operands] or ["--help"]
     _refuse_empty(arguments, commands, program, empty)
     name = arguments[0]
-    with _translate_errors(arguments, commands, program), _ensure_width():
-        return tyro.extras.subcommand_cli_from_dict(
-            {name: commands[name]} if name in commands else dict(commands),
-            prog=program,
-            description=description,
-            args=join_repeats(arguments, commands),
-        )
+
+    def parse_once() -> Any:
+        with _translate_errors(arguments, commands, program), _ensure_width():
+            return tyro.extras.subcommand_cli_from_dict(
+                {name: commands[name]} if name in commands else dict(commands),
+                prog=program,
+                description=description,
+                args=join_repeats(arguments, commands),
+            )
+
+    if not any(word.startswith(("-h", "--help", "--tyro-")) for word in arguments):
+        with _no_help_texts(), suppress(InputError):  # parsed again for a message with help texts
+            return parse_once()
+    return parse_once()
 
 
 def asks_for_commands(arguments: Sequence[str]) -> bool:
@@ -100,6 +107,23 @@ def _translate_errors(arguments: Sequence[str], commands: Commands, program: str
         raise refused.error from None
     except SystemExit as end:
         raise Answered(end.code) from None
+
+
+@contextmanager
+def _no_help_texts() -> Iterator[None]:
+    """Within this context, the parser reads no help texts from source code, which takes long."""
+    try:
+        from tyro import _docstrings
+    except ImportError:  # another version of tyro
+        yield
+        return
+    usual = vars(_docstrings).copy()
+    empty = {"get_field_docstring": lambda *_: None, "get_callable_description": lambda _: ""}
+    vars(_docstrings).update({name: text for name, text in empty.items() if name in usual})
+    try:
+        yield
+    finally:
+        vars(_docstrings).update(usual)
 
 
 @contextmanager
