@@ -108,7 +108,7 @@ def _plain_dicts(names: list[str]) -> Iterator[None]:
     if TYPED_ONLY not in names:
         yield
         return
-    homes = [typing, import_module("typing_extensions")]
+    homes: list[Any] = [typing, import_module("typing_extensions")]
     usual = [home.TypedDict for home in homes]
     for home in homes:
         home.TypedDict = PlainDict

@@ -117,13 +117,15 @@ def _no_help_texts() -> Iterator[None]:
     except ImportError:  # another version of tyro
         yield
         return
-    usual = vars(_docstrings).copy()
     empty = {"get_field_docstring": lambda *_: None, "get_callable_description": lambda _: ""}
-    vars(_docstrings).update({name: text for name, text in empty.items() if name in usual})
+    usual = {name: getattr(_docstrings, name) for name in empty if hasattr(_docstrings, name)}
     try:
+        for name in usual:
+            setattr(_docstrings, name, empty[name])
         yield
     finally:
-        vars(_docstrings).update(usual)
+        for name, text in usual.items():
+            setattr(_docstrings, name, text)
 
 
 @contextmanager
