@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,11 +39,13 @@ from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import film as film
 from phy124.rendering.film import rate as rate
 from phy124.rendering.film import refuse_unfilmable
+from phy124.runtime.compiling import looking_up
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
 from phy124.scene import Scene
 from phy124.scene.files import refuse_missing
 from phy124.simulation import Simulation, prepare
+from phy124.simulation.solver import kernels
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -91,7 +94,8 @@ def generate(
     check_sources(scene, split(image)[1])
     refuse_unfilmable(scene)
     with staging(out):  # An unusable folder is refused before any work.
-        made = make_gaussians(image, scene, context, **making)
+        with looking_up(kernels(scene, context.device), context.device):
+            made = make_gaussians(image, scene, context, **making)
         return simulate(
             made.gaussians,
             made.scene,
@@ -176,7 +180,10 @@ def simulate(
             reached = reach(goal, gaussians, scene, context, elapsed=elapsed, crop=crop, see=record)
             folder.about["goal"] = reached.about
             return reached.simulation, reached.clip
-        run = Simulation(prepare(gaussians, scene, context, crop=crop))
+        setup = prepare(gaussians, scene, context, crop=crop)
+        with ThreadPoolExecutor(1, "proportions") as pool:
+            pool.submit(lambda: setup.proportions)  # the report needs them
+            run = Simulation(setup)
         warn_of_room(run, folder.out, films=films)
         if forecaster is not None:
             with context.watch.stage("forecast"):

@@ -6,8 +6,9 @@ kernels do not disturb each other: each writes its own folder and renames it whe
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from typing import Any
 
 import warp as wp
@@ -64,3 +65,20 @@ def is_compiled(kernel: Any, device: str = "cpu") -> bool:
         return True
     file = compiled_file(kernel, device)
     return file is not None and file.exists() and any(file.parent.glob("*.meta"))
+
+
+@contextmanager
+def looking_up(kernels: Iterable[Any], device: str = "cpu") -> Iterator[None]:
+    """Within this context, a second thread looks up kernels in Warp's cache.
+
+    Warp then knows the hash of their code, so `compile_missing` takes less time after the context.
+
+    Args:
+        kernels: The kernels; an iterator is read by the second thread.
+        device: Warp device.
+    """
+    start()
+    with ThreadPoolExecutor(1, "look-up") as pool:
+        # An exception stays in the task: `compile_missing` raises it again.
+        pool.submit(lambda: [is_compiled(kernel, device) for kernel in kernels])
+        yield

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import scipy
@@ -27,23 +28,25 @@ class Silhouette:
     """Mask of the pixels whose centre is inside [H,W]."""
     weights: Field
     """Weights 1/theta of the rim towards each neighbour [4,H,W]; 0 if the neighbour is inside."""
-    factors: scipy.sparse.linalg.SuperLU
+    factorising: Future[scipy.sparse.linalg.SuperLU]
+    """Factors of the operator, which a second thread computes."""
 
     @classmethod
     def of(cls, alpha: Field) -> Silhouette:
         """Return the operator for an alpha [H,W] in 0..1 with a transparent border."""
         inside = alpha > 0.5
         weights = np.stack([_rim_weight(alpha, inside, shift) for shift in NEIGHBOURS])
+        pool = ThreadPoolExecutor(1, "factorise")
         # Supernodal panels wider than one column take 1.5 times as long.
-        factors = scipy.sparse.linalg.splu(
-            _laplacian(inside, weights), "MMD_AT_PLUS_A", panel_size=1, relax=1
-        )
+        factorise = partial(scipy.sparse.linalg.splu, panel_size=1, relax=1)
+        factors = pool.submit(factorise, _laplacian(inside, weights), "MMD_AT_PLUS_A")
+        pool.shutdown(wait=False)
         return cls(inside, weights, factors)
 
     def poisson(self, source: float) -> Field:
         """Solve -Laplace(u) = source with u = 0 on the rim; return u [H,W], 0 outside."""
         u = np.zeros(self.inside.shape)
-        u[self.inside] = self.factors.solve(np.full(int(self.inside.sum()), source))
+        u[self.inside] = self.factorising.result().solve(np.full(int(self.inside.sum()), source))
         return u
 
     def harmonic(self, values: Field) -> Field:
@@ -52,7 +55,7 @@ class Silhouette:
         for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True):
             known += weight[..., None] * np.roll(values, (-dy, -dx), (0, 1))
         filled = np.array(values)
-        filled[self.inside] = self.factors.solve(np.ascontiguousarray(known[self.inside]))
+        filled[self.inside] = self.factorising.result().solve(np.ascontiguousarray(known[self.inside]))
         return filled
 
     @cached_property
