@@ -72,6 +72,19 @@ def test_companion_follows_the_same_gaussians(run):
     assert companion._distances(again, clip, indices).max() < 1e-5
 
 
+def test_companion_reuses_the_interior_and_binds_no_frame(run, monkeypatch):
+    simulation, _ = run
+
+    def refuse(*_, **__):
+        raise AssertionError
+
+    for name in ("bodies.find_interior", "run.Deformer"):
+        monkeypatch.setattr(f"phy124.simulation.{name}", refuse)
+    setup = companion._prepare(simulation.setup, SCENE)
+    assert setup.interior is simulation.setup.interior is not None
+    assert len(companion._follow(setup, companion._sample(simulation.setup))) == SCENE.time.frames
+
+
 @pytest.mark.parametrize(
     ("change", "why"),
     [

@@ -74,7 +74,9 @@ class _Placed(NamedTuple):
     crop: Crop
 
 
-def make_body(gaussians: Gaussians, scene: Scene, crop: Crop) -> Body:
+def make_body(
+    gaussians: Gaussians, scene: Scene, crop: Crop, interior: Solid | None = None
+) -> Body:
     """Make all objects of a scene.
 
     Args:
@@ -83,13 +85,14 @@ def make_body(gaussians: Gaussians, scene: Scene, crop: Crop) -> Body:
         scene: The scene.
         crop: Position of the first object in the picture on which the masks of its parts were
             painted.
+        interior: Interior of a single object, if it is known.
 
     Raises:
         InputError: The Gaussians cannot be used for this scene.
     """
     if not scene.objects:
         alone = _clean_and_place(replace(gaussians, object_id=None), scene, crop)
-        return _with_particles(alone, scene.spacing)
+        return _with_particles(alone, scene.spacing, interior)
     refuse_ids(gaussians, scene)
     placed = []
     for index, body in enumerate(scene.every_object):
@@ -242,11 +245,11 @@ def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> _Placed:
     return _Placed(renumbered, cleaned, belonging, placed, crop)
 
 
-def _with_particles(placed: _Placed, spacing: float) -> Body:
+def _with_particles(placed: _Placed, spacing: float, interior: Solid | None = None) -> Body:
     """Make the particles of one object, and its appearance."""
     scene, gaussians, belonging = placed.scene, placed.gaussians, placed.belonging
     alone, points = gaussians.select(belonging), None
-    interior = find_interior(alone)
+    interior = interior or find_interior(alone)
     if scene.resolution.on_lattice:
         density = scene.material.density
         points = lattice_of(interior.resample(spacing), density=density, dx=2 * spacing)

@@ -75,13 +75,6 @@ class Simulation:
             for observer in self.observers:
                 observer.bind(self.solver, self.observers)
             self.spent = Spent(self.solver.team, self.device)
-            self.deformer = Deformer(
-                setup.scenery.moving,
-                setup.particles,
-                **setup.appearance.limits(),
-                device=self.device,
-                threads=len(self.solver.workers),
-            )
         self.count = 0
         """Number of frames computed so far."""
         self.frames: list[Frame] = []
@@ -284,8 +277,8 @@ class Simulation:
                 v = state.v if self.scene.velocities else None
                 shape = state.deformation
                 frame = self.deformer(state.x, shape, index=index, time=time, velocities=v)
-            if self.deformer.rotations is not None:
-                self.rotations.append(scenery.turns(self.deformer.rotations))
+                if self.deformer.rotations is not None:
+                    self.rotations.append(scenery.turns(self.deformer.rotations))
         with stage("observe"):
             for observer in self.observers:
                 frame = observer.after_frame(frame)
@@ -300,6 +293,17 @@ class Simulation:
             x, F = (np.asarray(array.numpy()) for array in (state.x, state.deformation))
             carried = (x[self.carriers].astype(np.float32), F[self.carriers].astype(np.float32))
             return replace(frame, carried=carried)
+
+    @cached_property
+    def deformer(self) -> Deformer:
+        """Computes the Gaussians of each frame; a run without shapes does not bind them."""
+        return Deformer(
+            self.setup.scenery.moving,
+            self.setup.particles,
+            **self.setup.appearance.limits(),
+            device=self.device,
+            threads=len(self.solver.workers),
+        )
 
     @cached_property
     def carriers(self) -> NDArray[np.int32]:

@@ -116,6 +116,7 @@ def prepare(
     shapes: bool = True,
     changes: bool = False,
     observers: Sequence[type[Observer]] | None = None,
+    interior: Solid | None = None,
 ) -> Setup:
     """Place the objects of a scene, make their particles and estimate the cost.
 
@@ -130,6 +131,7 @@ def prepare(
         shapes: Whether to deform the Gaussians of each frame.
         changes: Whether to allow `Simulation.change`.
         observers: Classes of observers to choose from; None: those of the scene's solver.
+        interior: Interior of a single object, from an earlier setup of the same Gaussians.
 
     Raises:
         InputError: The Gaussians or the scene cannot be used, or the run would exceed its time
@@ -142,7 +144,7 @@ def prepare(
     if scene.resolution.on_lattice:
         refuse_for_lattice(scene, scene.materials)
     with context.watch.stage("particles"):
-        body = make_body(gaussians, scene, crop)
+        body = make_body(gaussians, scene, crop, interior)
         look, shown = body.appearance, body.appearance.gaussians
         solid_scene = scene.with_solids()
         threads = usable_workers(len(look.particles), context.device, context.threads)

@@ -55,7 +55,9 @@ class Silhouette:
         for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True):
             known += weight[..., None] * np.roll(values, (-dy, -dx), (0, 1))
         filled = np.array(values)
-        filled[self.inside] = self.factorising.result().solve(np.ascontiguousarray(known[self.inside]))
+        filled[self.inside] = self.factorising.result().solve(
+            np.ascontiguousarray(known[self.inside])
+        )
         return filled
 
     @cached_property
