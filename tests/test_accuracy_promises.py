@@ -125,7 +125,8 @@ def test_presets_are_promised_what_was_measured(name):
         ({"object.velocity": [0, 0, -30]}, "with so fast a motion or so soft a material"),
         ({"accuracy": {"cells": 6}}, "on so coarse a grid"),
         ({"accuracy": {"cells": 32, "particles_per_axis": 1.0}}, "fewer than 2 particles per cell"),
-        ({"parts": [{"region": {}, "material": {"law": "sand"}}]}, "several laws"),
+        ({"parts": [{"region": {}, "material": {"law": "sand"}}]}, "elastic and sand falling"),
+        ({"material.law": "sand", "material.repose_angle": 20}, "with another repose_angle"),
     ],
 )
 def test_off_what_was_measured_nothing_is_promised(changes, why):
@@ -169,8 +170,8 @@ GRAB = {"kind": "grab", "targets": [[0, 0, 0.5], [0, 0, 2.0]]}
             {"material": {"law": "metal", "yield_stress": 2e4}},
             "with so large a plastic deformation",
         ),
-        ("drop", {"material": {"law": "fluid", "viscosity": 50.0}}, "fluid with another viscosity"),
-        ("drop", {"material": {"law": "foam", "viscosity": 1.0}}, "foam with another viscosity"),
+        ("drop", {"material": {"law": "fluid", "viscosity": 50.0}}, "a liquid by projection"),
+        ("drop", {"material": {"law": "foam", "viscosity": 1.0}}, "with so little damping"),
     ],
 )
 def test_scenes_beyond_the_measured_have_no_promise(preset, changes, why):

@@ -5,6 +5,9 @@ import pytest
 
 from phy124.particles.solid import Solid, find_interior
 from phy124.particles.thickness import compliance, local_thickness, measure_proportions
+from phy124.scene import Scene
+from phy124.simulation import prepare
+from phy124.simulation.bodies import proportions_of
 from support.shapes import ball
 
 
@@ -43,7 +46,7 @@ def test_proportions_do_not_depend_on_the_size():
     some = ball(2000)
     near, far = (
         measure_proportions(
-            find_interior(some.transform(size, np.zeros(3))), size * np.ptp(some.means[:, 2])
+            (find_interior(some.transform(size, np.zeros(3))), size * np.ptp(some.means[:, 2]))
         )
         for size in (1.0, 1e-3)
     )
@@ -61,3 +64,12 @@ def test_compliance_is_that_of_a_cantilever():
     deflection = load * free**4 / inertia * np.sqrt((shape**2).mean() * 0.88)
     assert compliance(box(width, width, height)) == pytest.approx(deflection, rel=0.05)
     assert compliance(box(width, 2 * width, height)) == pytest.approx(deflection, rel=0.05)
+
+
+def test_hardest_of_several_objects_counts():
+    """A thin plate next to a ball decides, relative to the first object's size."""
+    plate = {"name": "plate", "shape": "box", "size": 0.5, "sides": [1, 1, 0.1], "place": [2, 0]}
+    scene = Scene.named("drop").replaced({"accuracy": {"cells": 8}, "objects": [plate]})
+    hardest = proportions_of(ball(200), scene)
+    assert hardest.thickness == pytest.approx(0.05, rel=0.3)
+    assert prepare(ball(200), scene).proportions == hardest

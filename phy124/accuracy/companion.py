@@ -61,7 +61,7 @@ With 5/8 the estimate would be less sharp and cost twice as much (docs/lab/own-e
 """
 FACTORS = {
     "free": Factors(0.27, 0.85),
-    "held": Factors(0.4, 1.3),
+    "held": Factors(0.4, 1.75),
     "squeezed": Factors(0.5, 1.0),
     "landing": Factors(0.48, 1.4),
     "standing": Factors(0.55, 2.1),

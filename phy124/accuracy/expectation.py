@@ -99,6 +99,8 @@ def features(scene: Scene) -> list[str]:
     for wall in scene.boundaries:
         if wall.moves and wall.kind != "press":
             names.add("a clamp that moves" if wall.holds else "a wall that moves")
+    if scene.projects:
+        names.add("a liquid by projection")
     if scene.binding == "particles":
         names.add("binding = particles")
     if scene.resolution.on_lattice:
@@ -193,16 +195,13 @@ def _clamp(values: Mapping[str, float], measured: Mapping[str, Any]) -> dict[str
 
 def _describe_beyond(scene: Scene, known: Sequence[str]) -> str:
     """Describe a feature of the scene that is not among the known ones; empty if there is none."""
-    if len({section.law for section in scene.materials}) > 1:
-        return "scenes of several laws"
     if scene.stiffness is not None or scene.properties is not None:
         return "materials that vary from point to point"
     accuracy = scene.resolution
     if accuracy.rpic_damping > 0:
         return "motion that accuracy.rpic_damping damps"
-    for name in ("gradient", "liquid"):
-        if getattr(accuracy, name) != type(accuracy).model_fields[name].default:
-            return f"accuracy.{name} = {getattr(accuracy, name)}"
+    if accuracy.gradient != type(accuracy).model_fields["gradient"].default:
+        return f"accuracy.gradient = {accuracy.gradient}"
     new = [name for name in groups(scene)[4:] if name not in known]
     return new[0] if new else find_difference(scene)
 

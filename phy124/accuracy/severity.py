@@ -11,9 +11,11 @@ from phy124.materials import AnyMaterial
 from phy124.materials.base import Elastic
 from phy124.scene import Scene
 
-COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "yield_stress"}
+COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "viscosity", "yield_stress"}
 """Fields of a material that may differ from their defaults; these fields affect the severity,
 `yielding`, `damping` or `poisson`."""
+MEASURED = {"repose_angle": (30.0, 36.0)}
+"""Further fields of a material -> range for which the errors are those of the default."""
 LOOKS = {"tint", "visibility"}
 """Fields of a material that do not affect the motion."""
 FILLED = 0.4
@@ -50,10 +52,10 @@ def yielding(scene: Scene, thickness: float | None = None) -> float:
 def damping(scene: Scene) -> float:
     """Return the smallest relative damping, eta / (rho c L), of all materials.
 
-    c is the speed of waves in a bar, and L the object's size.
+    eta is the damping or the viscosity, c the speed of waves in a bar, and L the object's size.
     """
     return min(
-        getattr(section, "damping", 0.0)
+        getattr(section, "damping", getattr(section, "viscosity", 0.0))
         / (section.density * max(bar_speed(section), 1e-9) * scene.object.size)
         for section in scene.materials
     )
@@ -136,8 +138,10 @@ def find_difference(scene: Scene) -> str:
     """Describe a value of the materials that no measured scene has; empty if there is none."""
     for section in scene.materials:
         for name, field in type(section).model_fields.items():
-            usual = field.get_default(call_default_factory=True)
-            if name not in COMPARED | LOOKS and getattr(section, name) != usual:
+            usual, value = field.get_default(call_default_factory=True), getattr(section, name)
+            if name in COMPARED | LOOKS or value == usual:
+                continue
+            if name not in MEASURED or not MEASURED[name][0] <= value <= MEASURED[name][1]:
                 return f"{section.law} with another {name}"
     return ""
 

@@ -40,15 +40,17 @@ class Proportions(NamedTuple):
         return None if thickness is None or compliance is None else cls(thickness, compliance)
 
 
-def measure_proportions(interior: Solid, size: float) -> Proportions:
-    """Return the proportions of an object.
+def measure_proportions(*objects: tuple[Solid, float]) -> Proportions:
+    """Return the proportions of an object, or the hardest ones of several objects.
 
     Args:
-        interior: The upright object, from `find_interior`.
-        size: Longest side of the object [m].
+        objects: Interior (`find_interior`) and longest side [m] of each upright object. Thickness
+            is relative to the first object's longest side.
     """
-    shape = interior.resample(size / ACROSS)
-    return Proportions(local_thickness(shape) / size, compliance(shape) / size)
+    shapes = [interior.resample(size / ACROSS) for interior, size in objects]
+    pairs = zip(shapes, (size for _, size in objects), strict=True)
+    softest = max(compliance(shape) / size for shape, size in pairs)
+    return Proportions(min(local_thickness(shape) for shape in shapes) / objects[0][1], softest)
 
 
 def compliance(shape: Solid) -> float:

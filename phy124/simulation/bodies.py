@@ -58,8 +58,8 @@ class Body(NamedTuple):
     materials: Sequence[AnyMaterial]
     stiffness: NDArray | None
     """Factor on E of each particle, relative to its material [P]; None if all are 1."""
-    interior: Solid | None = None
-    """Interior of the object, without its surroundings; None for several objects."""
+    interiors: Sequence[tuple[Solid, float]] = ()
+    """Interior, without surroundings, and longest side [m] of each object that moves."""
 
 
 class _Placed(NamedTuple):
@@ -113,22 +113,24 @@ def make_body(
 
 
 def proportions_of(gaussians: Gaussians, scene: Scene) -> Proportions | None:
-    """Return the proportions of a scene's object.
-
-    Returns None for scenes of several objects.
+    """Return the proportions of a scene's objects; None if all of them are scenery.
 
     Args:
-        gaussians: The object at any size, standing upright.
+        gaussians: The objects, as for `make_body`.
         scene: The scene.
 
     Raises:
         InputError: The Gaussians cannot be used.
     """
-    if scene.objects:
-        return None
-    placed = _clean_and_place(gaussians.of_object(0), scene, WHOLE)
-    interior = find_interior(placed.gaussians.select(placed.belonging))
-    return measure_proportions(interior, scene.object.size)
+    interiors = []
+    for index, body in enumerate(scene.every_object):
+        if getattr(body, "scenery", False):
+            continue
+        with errors_prefixed_with(scene, index):
+            placed = _clean_and_place(_source(gaussians, scene, index), scene.alone(index), WHOLE)
+            interior = find_interior(placed.gaussians.select(placed.belonging))
+        interiors.append((interior, body.size))
+    return measure_proportions(*interiors) if interiors else None
 
 
 @contextmanager
@@ -277,7 +279,8 @@ def _with_particles(placed: _Placed, spacing: float, interior: Solid | None = No
         particles, stiffness = points_of(particles, points), repeat_for_points(stiffness)
     appearance = make_appearance(gaussians, particles, moves, materials, scene, spacing)
     sentences = placed.cleaned.sentences
-    return Body(scene, sentences, gaussians, appearance, materials, stiffness, interior)
+    interiors = [(interior, scene.object.size)]
+    return Body(scene, sentences, gaussians, appearance, materials, stiffness, interiors)
 
 
 def _without_particles(placed: _Placed) -> Body:
@@ -316,6 +319,7 @@ def _join(bodies: list[Body], scene: Scene) -> Body:
         _join_appearances(bodies),
         [section for body in bodies for section in body.materials],
         stiffness,
+        [interior for body in bodies for interior in body.interiors],
     )
 
 

@@ -55,8 +55,8 @@ class Setup:
     """Messages about Gaussians that were changed or dropped."""
     gaussians: Gaussians
     """The cleaned Gaussians at rest, in their position in the scene [m]."""
-    interior: Solid | None
-    """Interior of the object, without its surroundings; None in scenes of several objects."""
+    interiors: Sequence[tuple[Solid, float]]
+    """Interior, without surroundings, and longest side [m] of each object that moves."""
     appearance: Appearance
     """Appearance of the Gaussians, including grains."""
     particles: Particles
@@ -93,11 +93,11 @@ class Setup:
 
     @cached_property
     def proportions(self) -> Proportions | None:
-        """Proportions of the object; None in scenes of several objects."""
-        if self.interior is None:
+        """Proportions of the objects; None if all of them are scenery."""
+        if not self.interiors:
             return None
         with self.context.watch.stage("thickness"):
-            return measure_proportions(self.interior, self.scene.object.size)
+            return measure_proportions(*self.interiors)
 
     @property
     def subject(self) -> Subject:
@@ -168,7 +168,7 @@ def prepare(
             cleaned_scene=body.scene,
             cleaning=body.cleaning,
             gaussians=body.gaussians,
-            interior=body.interior,
+            interiors=body.interiors,
             appearance=look,
             particles=particles,
             materials=body.materials,

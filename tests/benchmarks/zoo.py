@@ -119,6 +119,12 @@ VARIANTS: dict[str, tuple[str, Change]] = {
     "hencky drop": law("drop", "hencky"),
     "corotated sway": law("sway", "fixed_corotated"),
     "loose particles": ("drop", {"binding": "particles"}),
+    "wind particles": ("wind", {}),
+    "heap": ("sand", {}),
+    "thrown snow": ("snow", {}),
+    "dent": ("metal", {}),
+    **{name: (name, {}) for name in ("jelly", "water", "honey", "lava", "oil")},
+    **{name: (name, {}) for name in ("stack", "bury", "land_on_cushion")},
 }
 """Further scenes, for coarse grids, which show how errors depend on the values of a scene."""
 ALL = {**SCENES, **VARIANTS}
@@ -260,18 +266,19 @@ def measure(args: argparse.Namespace) -> None:
         product(range(len(names)), range(len(args.scenes))),
         key=lambda place: ((place[0] - place[1]) % len(names), place[1]),
     )
-    made: dict[str, Any] = {}
+    made: dict[str, Gaussians] = {}
     for place, which in order:
         name, words = names[place], args.scenes[which]
         if (name, words, args.solver, args.grids) in there:
             continue
         if time.monotonic() > end:
             break
+        scene = scene_of(words, args.solver)
         try:
             if name not in made:
-                gaussians = gaussians_of(name, known[name])
-                made[name] = gaussians, proportions_of(gaussians, beginning("spin"))
-            result = measured(made[name][0], scene_of(words, args.solver), GRIDS[args.grids])
+                made[name] = gaussians_of(name, known[name])
+            result = measured(made[name], scene, GRIDS[args.grids])
+            proportions = proportions_of(made[name], scene)
         except InputError as refusal:
             print(f"{name} {words}: {refusal}", file=sys.stderr)
             continue
@@ -280,7 +287,7 @@ def measure(args: argparse.Namespace) -> None:
             "scene": words,
             "solver": args.solver,
             "grids": args.grids,
-            "proportions": [round(value, 4) for value in made[name][1]],
+            "proportions": [round(value, 4) for value in proportions or ()],
             **result,
             "machine": processor(),
             "date": time.strftime("%Y-%m-%d"),
