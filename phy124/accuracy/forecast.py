@@ -202,7 +202,7 @@ class Forecast:
     load: Load = QUIET
     """Load from other programs on this machine when the probes ran."""
     proportions: Proportions | None = None
-    """Proportions of the object; None in scenes of several objects."""
+    """Proportions of the objects; None if unknown."""
     device: str = "cpu"
     """Device of the run."""
 
