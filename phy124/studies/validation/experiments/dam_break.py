@@ -183,7 +183,7 @@ EXPERIMENT = Experiment(
     "heights: ±0.02, since the table's heights have steps of 0.05 to 0.06. The front's position "
     "is not compared with the experiment, in which a gate of finite speed and a floor with "
     "friction hold the water back at first: it arrives 9 to 20 % less far at each time. A delay "
-    "of T = 0.25 explains all but 2 % of this, so speeds agree, best between given positions.",
+    "of T = 0.25 explains all but 2 % of this, so speeds agree, best between given positions",
     published=publish,
     run=lambda cells: release(cells, 0.0),
     control=lambda cells: release(cells, PASTE),
