@@ -73,7 +73,7 @@ def test_companion_follows_the_same_gaussians(run):
 
 
 def test_companion_reuses_the_interior_and_binds_no_frame(run, monkeypatch):
-    simulation, _ = run
+    simulation, clip = run
 
     def refuse(*_, **__):
         raise AssertionError
@@ -81,8 +81,9 @@ def test_companion_reuses_the_interior_and_binds_no_frame(run, monkeypatch):
     for name in ("bodies.find_interior", "run.Deformer"):
         monkeypatch.setattr(f"phy124.simulation.{name}", refuse)
     setup = companion._prepare(simulation.setup, SCENE)
-    assert setup.interior is simulation.setup.interior is not None
-    assert len(companion._follow(setup, companion._sample(simulation.setup))) == SCENE.time.frames
+    assert setup.interiors[0][0] is simulation.setup.interiors[0][0]
+    indices = companion._sample(simulation.setup)
+    assert len(companion._distances(setup, clip, indices)) == SCENE.time.frames
 
 
 @pytest.mark.parametrize(

@@ -222,7 +222,8 @@ def _prepare(setup: Setup, scene: Scene) -> Setup:
         setup.context.device, setup.threads, lambda *_: progress("companion", 0, 1)
     )
     options: dict[str, Any] = {"keep": False, "shapes": False, "observers": ()}
-    options["interior"] = setup.interior  # it does not depend on the grid
+    if not scene.objects:
+        options["interior"] = setup.interiors[0][0]  # it does not depend on the grid
     return prepare(setup.source, scene, context, crop=setup.crop, **options)
 
 
