@@ -41,8 +41,10 @@ from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_work
 
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
-STRAIN, WAY = 0.2, 0.25
-"""Largest strain, and largest way of a point [cells], between two measurements."""
+STRAIN, WAY = 0.25, 0.25
+"""Largest strain between two measurements of the frequency, and largest way of a point [cells]
+between two measurements of its distance from walls.
+"""
 TRAVEL = 3.0
 """Largest approach of points to walls until all distances are measured again [cells]."""
 VIOLENT = 0.35
@@ -126,6 +128,10 @@ class LatticeSolver:
         )
         self._probing = False
         """Whether the next substep measures the largest frequency."""
+        self._strain, self._probed = math.inf, 0
+        """Bound of the strain since the last measurement of the frequency, and the substep of that
+        measurement.
+        """
         self._travel, self._measured = 0.0, 0.0
         """Bound of the way of a point or wall since points near walls were listed [m]; and the time
         of the last measurement [s].
@@ -338,11 +344,15 @@ class LatticeSolver:
             self._each_worker(MEASURE)
             self._read(self.clock.time - self._measured)
             self._measured = self.clock.time
-        self._probing, clock = True, self.clock
+        clock = self.clock
         measured = clock.extremes._replace(stiffness=self._spectrum.stiffness)
         passed = FORGET * clock.since_complete
         clock.limit_by(measured.after(clock.extremes, substeps=passed), complete=True)
         clock.interval = self._interval()
+        # Before the next measurement, the strain grows at the present rate.
+        ahead = clock.interval * clock.extremes.gradient * clock.stable().dt
+        late = clock.substeps + clock.interval > self._probed + SLOWEST
+        self._probing = late or not self._strain + ahead < STRAIN
         if self._travel > TRAVEL * self.model.dx:
             self._look()
         self._list_near()
@@ -363,13 +373,14 @@ class LatticeSolver:
         self._travel += elapsed * (fastest + elapsed * pull)
         # The rate grows while a point is squeezed by the last substep.
         gradient /= max(0.1, 1 - gradient * self.clock.last_dt)
+        self._strain += gradient * elapsed
         self.clock.extremes = extremes._replace(speed=speed, gradient=gradient)
         if gradient * elapsed > VIOLENT:
             self.clock.expire()
 
     def _measure_frequency(self) -> None:
         """Measure the largest frequency, after forces are summed and before they act."""
-        self._probing = False
+        self._probing, self._strain, self._probed = False, 0.0, self.clock.substeps
         if self.team.alive:
             self.team.join()
         run_timed(self.timings, "frequency", self._spectrum.follow)
@@ -421,6 +432,7 @@ class LatticeSolver:
             "spectrum": self._spectrum.snapshot(),
             "measured": self._measured,
             "probing": self._probing,
+            "probed": (self._strain, self._probed),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -434,6 +446,7 @@ class LatticeSolver:
         self.free.restore(snapshot["free"])
         self.clock.restore(snapshot["clock"])
         self._spectrum.restore(snapshot["spectrum"])
+        self._strain, self._probed = snapshot["probed"]
         self._crew.stray.zero_()
         self._crew.take_maxima()
         # Distances from moving walls are those at the time of the snapshot.
