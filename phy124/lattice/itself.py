@@ -20,7 +20,9 @@ from scipy.spatial import KDTree
 
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice.contact import NODES, make_exchange, make_meet, make_resist
-from phy124.lattice.surface import OTHER, Surface
+from phy124.kernels.lattice.partners import SIDEWAYS
+from phy124.lattice.partners import REACH, Partners
+from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named
@@ -30,26 +32,8 @@ MOVED, BETWEEN = 0.6, 0.15
 """Ways relative to the mean motion after which the parts of a body, and two bodies, are compared
 again [cells].
 """
-FAR, REACH, SIDEWAYS = 3.0, 1.4, 0.75
-"""Distance of sampled points, and of points and their distance along the surface, within which they
-may meet [cells].
-"""
-APART, FACING = 3.0, 1.0
-"""Distance at rest from which two points belong to different parts; and depth from which each is in
-front of the other one at rest, across a gap [cells].
-"""
-NEAR, NEIGHBOURS = 1.0, 6
-"""Distance within which points of two bodies may meet [cells], and the number of nearest points of
-the other body that are looked at.
-"""
 SLID = 0.4
 """Way of a point along the surface of the other part after which pairs are listed again [cells]."""
-NEARER = 0.6
-"""Largest distance of sampled points that may meet, relative to their distance at rest."""
-BEYOND = 0.05
-"""Distance beyond the edge of a flat side at which that side no longer meets a point [cells]."""
-LEAST = 0.05
-"""Least volume ratio with which ways on the surface are taken back to the body at rest."""
 FRICTION = 0.5
 """Coefficient of friction of a body with itself, the default of pairs of objects."""
 
@@ -63,6 +47,7 @@ class Meeting:
         model: Model,
         nodes: Nodes,
         tracks: Tracks,
+        partners: Partners,
         restore: float,
         sample: NDArray[np.int64],
         bodies: tuple[int, int],
@@ -78,6 +63,7 @@ class Meeting:
             model: The constants of the run.
             nodes: Arrays of the nodes.
             tracks: The tracks, which hold the clock.
+            partners: The search for points that may meet.
             restore: Part of their depth by which points come out of each other in a substep.
             sample: Indices of the sampled points of the two bodies [K].
             bodies: Indices of the two bodies, equal for a body with itself.
@@ -92,6 +78,7 @@ class Meeting:
         """Distance within which contact is computed [m]."""
         self._response = "sticky" if sticky else "separate"
         self._surface, self._model, self._nodes, self._tracks = surface, model, nodes, tracks
+        self._partners = partners
         self._between = bodies[0] != bodies[1]
         self._sample = sample
         self._mine = np.flatnonzero(np.isin(surface.body, bodies))
@@ -199,112 +186,33 @@ class Meeting:
             x: Current positions of the sampled points [K,3], m.
         """
         self._seen, self._away = x, False
-        near = KDTree(x).query_pairs(FAR * self._model.dx, output_type="ndarray")
-        if not self._between:
-            # Few pairs are nearer than at rest, and only these are compared further.
-            now, rest = (_squares(values, near) for values in (x, self._surface.x[self._sample]))
-            near = near[now < NEARER**2 * rest]
-        near = near[self._may_meet(self._sample[near])]
-        flagged: NDArray[np.bool_] = np.zeros(len(self._sample), bool)
-        flagged[near] = True
-        if not len(near):
+        flagged = self._partners.flag(self._sample, x, between=self._between)
+        if not flagged.any():
             self._points, self._flagged = self._points[:0], flagged
             return
         shift = self._pairs["shift"].numpy()[: len(self._points)]
         slid = np.abs(shift).max(initial=0.0) > SLID * self._model.dx
         if self._between or slid or (flagged & ~self._flagged).any():
             self._flagged = flagged
-            self._list(*self._partners(self._mine[flagged[self._nearest]]))
+            self._list(self._mine[flagged[self._nearest]])
 
-    def _may_meet(self, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return whether pairs [K,2] of points belong to parts that may meet."""
-        dx, x, normal = self._model.dx, self._surface.x, self._surface.normal
-        if self._between:
-            first, second = self._surface.body[pairs].T
-            return np.asarray(first != second)
-        square = _squares(x, pairs) / dx**2
-        result = square > APART**2
-        # Nearer than that, a point must be in front of the other one.
-        doubtful = np.flatnonzero(~result & (square > FACING**2))
-        a, b = pairs[doubtful].T
-        way = x[b] - x[a]
-        ahead = np.minimum(_dots(way, normal[a]), -_dots(way, normal[b]))
-        result[doubtful] = ahead > FACING * dx
-        return result
-
-    def _partners(self, points: NDArray[np.int64]) -> tuple[NDArray[np.int64], dict[str, NDArray]]:
-        """Return the points among some points that have a partner, and their pairs."""
-        surface, dx, u = self._surface, self._model.dx, self._nodes.u.numpy()
-        moved = surface.weights[points][:, None] @ u[surface.nodes[points]]
-        x = surface.x[points] + moved[:, 0]
-        if self._between:
-            near = self._across(surface.body[points], x)
-        else:
-            near = KDTree(x).query_pairs(REACH * dx, output_type="ndarray")
-            near = near[self._may_meet(points[near])]
-            near = np.concatenate([near, near[:, ::-1]])
-        kept, near = np.unique(near, return_inverse=True)
-        points, x, near = points[kept], x[kept], near.reshape(-1, 2)
-        nodes, weights = surface.nodes[points], surface.weights[points]
-        slopes = surface.slopes[points]
-        F, turned, normal = surface.deform(points, u)
-        a, b = near.T
-        way = x[a] - x[b]
-        distance = np.maximum(np.linalg.norm(way, axis=1), 1e-12 * dx)
-        flat = surface.flat[points]
-        plain = np.asarray(normal.any(axis=1))
-        # At an edge of the other part, the side around the point decides.
-        at_edge = flat[a] & ~flat[b] & plain[b]
-        out = np.where(plain[b][:, None], normal[b], way / distance[:, None])
-        opposed = _dots(normal[a], out)
-        out[at_edge] = -normal[a[at_edge]]
-        gap = _dots(way, out)
-        sideways = way - gap[:, None] * out
-        fits = (opposed < OTHER) | ~plain[a]
-        fits &= np.linalg.norm(sideways, axis=1) < SIDEWAYS * dx
-        fits &= ~at_edge | (_dots(sideways, normal[b]) < BEYOND * dx)
-        order = np.flatnonzero(fits)
-        order = order[np.lexsort((distance[order], a[order]))]
-        _, first = np.unique(a[order], return_index=True)
-        chosen = order[first]
-        a, b = a[chosen], b[chosen]
-        J = np.maximum(_dots(F[b, 0], turned[b, 0]), LEAST)
-        return points[a], {
-            "nodes": np.concatenate([nodes[a], nodes[b]], axis=1),
-            "weights": np.concatenate([weights[a], -weights[b]], axis=1),
-            "rest": surface.x[points[a]] - surface.x[points[b]],
-            "shift": np.zeros((len(a), 3)),
-            "normal": out[chosen],
-            "slopes": slopes[b],
-            "back": np.swapaxes(turned[b], 1, 2) / J[:, None, None],
-            "sign": np.where(surface.body[points[a]] == self.bodies[1], 1.0, -1.0),
-        }
-
-    def _across(self, body: NDArray[np.int64], x: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return pairs of points of different bodies within reach [M,2], each of the nearest few.
-
-        Args:
-            body: Indices of the bodies [K].
-            x: Current positions [K,3], m.
-        """
-        groups = [np.flatnonzero(body == number) for number in self.bodies]
-        pairs = []
-        for these, others in (groups, groups[::-1]):
-            if not len(others):
-                continue
-            distance, other = KDTree(x[others]).query(
-                x[these], k=min(NEIGHBOURS, len(others)), distance_upper_bound=NEAR * self._model.dx
-            )
-            row, column = np.nonzero(np.isfinite(distance.reshape(len(these), -1)))
-            chosen = other.reshape(len(these), -1)[row, column]
-            pairs.append(np.stack([these[row], others[chosen]], axis=1))
-        return np.concatenate([*pairs, np.zeros((0, 2), np.int64)])
-
-    def _list(self, points: NDArray[np.int64], pairs: dict[str, NDArray]) -> None:
-        """List pairs; points that already had a partner keep their forces."""
-        forces = np.zeros((self._surface.count, 3))
+    def _list(self, points: NDArray[np.int64]) -> None:
+        """List the pairs of some points; those that already had a partner keep their forces."""
+        surface = self._surface
+        partners = self._partners.find(points, between=self._between)
+        a, b = partners.pop("a"), partners.pop("b")
+        forces = np.zeros((surface.count, 3))
         forces[self._points] = self._pairs["force"].numpy()[: len(self._points)]
-        self._fill(points, {**pairs, "force": forces[points]})
+        pairs = {
+            "nodes": np.concatenate([surface.nodes[a], surface.nodes[b]], axis=1),
+            "weights": np.concatenate([surface.weights[a], -surface.weights[b]], axis=1),
+            "rest": surface.x[a] - surface.x[b],
+            "shift": np.zeros((len(a), 3)),
+            "slopes": surface.slopes[b],
+            "sign": np.where(surface.body[a] == self.bodies[1], 1.0, -1.0),
+            "force": forces[a],
+        }
+        self._fill(a, {**pairs, **partners})
 
     def _fill(self, points: NDArray[np.int64], pairs: dict[str, NDArray]) -> None:
         """Copy pairs to the device."""
@@ -328,15 +236,3 @@ class Meeting:
         self._seen, self._flagged = (np.array(snapshot[name]) for name in ("seen", "flagged"))
         self._away, self.reach = bool(snapshot["away"]), float(snapshot["reach"])
         self._fill(np.array(snapshot["points"]), snapshot)
-
-
-def _squares(x: NDArray, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the squared distances of pairs [K,2] of points [m^2]."""
-    way = x[pairs[:, 0]] - x[pairs[:, 1]]
-    return _dots(way, way)
-
-
-def _dots(a: NDArray, b: NDArray) -> NDArray[np.float64]:
-    """Return the scalar products of vectors [K,3] and [K,3]."""
-    result: NDArray[np.float64] = np.einsum("ki,ki->k", a, b)
-    return result

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice.contact import make_place
-from phy124.lattice.itself import FAR, FRICTION, Meeting
+from phy124.lattice.itself import FRICTION, Meeting
+from phy124.lattice.partners import FAR, Partners
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
 from phy124.mpm.model import Model
@@ -66,7 +67,7 @@ class Meetings:
             ],
             [self._x],
         )
-        everywhere = surface, model, nodes, tracks, restore
+        everywhere = surface, model, nodes, tracks, Partners(surface, model, nodes), restore
         self.of_bodies = [
             Meeting(*everywhere, sample[self._bodies[body]], (body, body), friction=FRICTION)
             for body in range(model.bodies)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from phy124.kernels.lattice.partners import OTHER
 from phy124.lattice.rest import STEPS, RestLattice, splines
 from phy124.particles.lattice import APART
 
@@ -24,10 +25,8 @@ INSIDE = 0.25
 """Depth at which weights are taken [cells]."""
 SUPPORTED = 0.5
 """Smallest sum of weights of free nodes; points with less are dropped."""
-FLAT, OTHER = 0.9, -0.2
-"""Shortest mean of the normals within a cell of a point that is not at an edge; and least cosine
-between the normals of points on one side of a part.
-"""
+FLAT = 0.9
+"""Shortest mean of the normals within a cell of a point that is not at an edge."""
 
 
 @dataclass(frozen=True, eq=False)

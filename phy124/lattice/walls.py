@@ -30,6 +30,7 @@ from phy124.kernels.lattice.contact import (
     make_yields,
 )
 from phy124.kernels.lattice.nodes import make_hold, make_pin
+from phy124.kernels.lattice.partners import make_expose, make_flag, make_partner
 from phy124.kernels.lattice.rows import Rows, rows_for
 from phy124.lattice.rest import RestLattice, splines
 from phy124.lattice.surface import Surface
@@ -438,6 +439,7 @@ def kernels(
         make_meet(real, rows),
         make_resist("separate", False, real, rows),
     )
+    yield from (make_flag(real), make_expose(real, rows), make_partner(real))
     if several:
         yield make_exchange(real)
     for boundary in boundaries:

@@ -1,0 +1,185 @@
+"""Finds surface points that may meet, and the place opposite to each of them."""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Ints, types
+from phy124.kernels.build import kernel
+from phy124.kernels.lattice.contact import NODES
+from phy124.kernels.lattice.points import inverse_rows
+from phy124.kernels.lattice.rows import Rows
+
+SIDEWAYS = 0.75
+"""Largest distance along the surface between a point and the place opposite to it [cells]."""
+APART, FACING = wp.constant(3.0), wp.constant(1.0)
+"""Distance at rest from which two points belong to different parts; and depth from which each is in
+front of the other one at rest, across a gap [cells].
+"""
+NEARER = wp.constant(0.6)
+"""Largest distance of sampled points that may meet, relative to their distance at rest."""
+BEYOND = wp.constant(0.05)
+"""Distance beyond the edge of a flat side at which that side no longer meets a point [cells]."""
+OTHER = wp.constant(-0.2)
+"""Least cosine between the normals of points on one side of a part."""
+
+
+@wp.func
+def may_meet(
+    between: bool,
+    dx: Any,
+    rest: wp.array(dtype=Any),
+    normal: wp.array(dtype=Any),
+    body: wp.array(dtype=int),
+    a: int,
+    b: int,
+):
+    """Return whether two points belong to different bodies, or to parts that may meet."""
+    if between:
+        return body[a] != body[b]
+    way = (rest[b] - rest[a]) / dx
+    square = wp.dot(way, way)
+    if square > type(dx)(APART) * type(dx)(APART):
+        return True
+    ahead = wp.min(wp.dot(way, normal[a]), -wp.dot(way, normal[b]))
+    return ahead > type(dx)(FACING)
+
+
+@cache
+def make_flag(real: Any):
+    """Kernel over sampled points: flags those near which points may meet.
+
+    `x` are the current positions of the samples, `far` the distance from which they are ignored.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_flag_{real.__name__}", real, seconds=0.5)
+    def flag(
+        grid: wp.uint64,
+        between: bool,
+        far: real,
+        dx: real,
+        sample: Ints,
+        x: t.vec3s,
+        rest: t.vec3s,
+        normal: t.vec3s,
+        body: Ints,
+        flagged_out: Ints,
+    ):
+        i = wp.tid()
+        a = sample[i]
+        here = x[i]
+        near = int(0)
+        query = wp.hash_grid_query(grid, here, far)
+        j = int(0)
+        while wp.hash_grid_query_next(query, j):
+            way = x[j] - here
+            square = wp.dot(way, way)
+            if square < far * far and near == 0 and j != i:
+                b = sample[j]
+                still = rest[b] - rest[a]
+                closer = square < real(NEARER) * real(NEARER) * wp.dot(still, still)
+                if between or closer:
+                    if may_meet(between, dx, rest, normal, body, a, b):
+                        near = 1
+        flagged_out[i] = near
+
+    return flag
+
+
+@cache
+def make_expose(real: Any, rows: Rows):
+    """Kernel over points of the surface: computes current positions, normals and cofactors of F."""
+    t = types(real)
+    moved_by = rows.moved_by
+
+    @kernel(f"phy124_lattice_expose_{rows.name}{real.__name__}", real, seconds=0.5)
+    def expose(
+        chosen: Ints,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        slopes: wp.array2d(dtype=t.vec3),
+        rest: t.vec3s,
+        normal: t.vec3s,
+        u: t.vec3s,
+        x_out: t.vec3s,
+        normal_out: t.vec3s,
+        turned_out: wp.array(dtype=t.mat33),
+        J_out: t.reals,
+    ):
+        i = wp.tid()
+        s = chosen[i]
+        x_out[i] = rest[s] + moved_by(u, nodes, weights, s)
+        F = wp.identity(3, dtype=real)
+        for k in range(wp.static(NODES)):
+            F += wp.outer(u[nodes[s, k]], slopes[s, k])
+        turned = inverse_rows(F)
+        out = turned * normal[s]
+        normal_out[i] = out / wp.max(wp.length(out), real(1.0e-30))
+        turned_out[i] = turned
+        J_out[i] = wp.determinant(F)
+
+    return expose
+
+
+@cache
+def make_partner(real: Any):
+    """Kernel over points of the surface: finds the nearest place opposite to each.
+
+    `chosen` lists the points, `x` and `turned` are their current positions and normals. At an edge
+    of the other part, the side around the point determines the direction of the contact.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_partner_{real.__name__}", real, seconds=0.6)
+    def partner(
+        grid: wp.uint64,
+        between: bool,
+        reach: real,
+        dx: real,
+        chosen: Ints,
+        flat: Ints,
+        body: Ints,
+        rest: t.vec3s,
+        normal: t.vec3s,
+        x: t.vec3s,
+        turned: t.vec3s,
+        partner_out: Ints,
+        direction_out: t.vec3s,
+    ):
+        i = wp.tid()
+        a = chosen[i]
+        here = x[i]
+        zero = real(0.0)
+        best = int(-1)
+        least = reach
+        query = wp.hash_grid_query(grid, here, reach)
+        j = int(0)
+        while wp.hash_grid_query_next(query, j):
+            b = chosen[j]
+            way = here - x[j]
+            distance = wp.max(wp.length(way), real(1.0e-12) * dx)
+            if distance <= least and may_meet(between, dx, rest, normal, body, a, b):
+                n = way / distance
+                plain = wp.dot(turned[j], turned[j]) > zero
+                if plain:
+                    n = turned[j]
+                opposed = wp.dot(turned[i], n) < real(OTHER) or not (
+                    wp.dot(turned[i], turned[i]) > zero
+                )
+                at_edge = flat[a] == 1 and flat[b] == 0 and plain
+                if at_edge:
+                    n = -turned[i]
+                sideways = way - wp.dot(way, n) * n
+                fits = opposed and wp.length(sideways) < real(wp.static(SIDEWAYS)) * dx
+                if at_edge and wp.dot(sideways, turned[j]) >= real(BEYOND) * dx:
+                    fits = False
+                # The order in which the grid lists points must not matter.
+                if fits and (distance < least or best < 0 or j < best):
+                    best = j
+                    least = distance
+                    direction_out[i] = n
+        partner_out[i] = best
+
+    return partner

@@ -1,0 +1,123 @@
+"""Search for surface points that may meet, and for the place opposite to each of them."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.arguments import types
+from phy124.kernels.lattice.partners import make_expose, make_flag, make_partner
+from phy124.lattice.surface import Surface
+from phy124.lattice.walls import Nodes
+from phy124.mpm.model import Model
+
+FAR = 3.0
+"""Distance of sampled points within which they may meet [cells]."""
+REACH, NEAR = 1.4, 1.0
+"""Distances within which points of one body, and of two bodies, may meet [cells]."""
+LEAST = 0.05
+"""Least volume ratio with which ways on the surface are taken back to the body at rest."""
+BUCKETS = 32
+"""Number of buckets along each axis of the grid in which points are searched."""
+
+
+class Partners:
+    """The search among the surface points of all bodies."""
+
+    def __init__(self, surface: Surface, model: Model, nodes: Nodes) -> None:
+        """Prepare the search.
+
+        Args:
+            surface: Points that may touch.
+            model: The constants of the run.
+            nodes: Arrays of the nodes.
+        """
+        self._surface, self._model, self._nodes = surface, model, nodes
+
+    def flag(
+        self, sample: NDArray[np.int64], x: NDArray[np.float64], *, between: bool
+    ) -> NDArray[np.bool_]:
+        """Return near which sampled points parts may meet [K].
+
+        Args:
+            sample: Indices of the sampled points [K].
+            x: Their current positions [K,3], m.
+            between: Whether the parts are two bodies.
+        """
+        model, arrays = self._model, self._arrays
+        places = model.array(x, types(model.real).vec3)
+        flagged = self._zeros(int, len(x))
+        inputs = [self._bucket(places, FAR), between, FAR * model.dx, model.dx]
+        inputs += [self._numbers(sample), places]
+        inputs += [arrays[name] for name in ("rest", "normal", "body")]
+        self._launch(make_flag(model.real), len(x), inputs, [flagged])
+        return np.asarray(flagged.numpy() > 0)
+
+    def find(self, points: NDArray[np.int64], *, between: bool) -> dict[str, NDArray[Any]]:
+        """Return the points that have a partner, and their partners.
+
+        Args:
+            points: Indices of the points among which to search [K].
+            between: Whether the points belong to two bodies.
+
+        Returns:
+            `a` and `b`, the indices of the points and partners [M]; `normal`, from the partner to
+            the point [M,3]; and `back`, which takes ways on the surface at the partner back to the
+            body at rest [M,3,3].
+        """
+        model, arrays, count = self._model, self._arrays, len(points)
+        t, reach = types(model.real), NEAR if between else REACH
+        chosen = self._numbers(points)
+        x, normal, direction = (self._zeros(t.vec3, count) for _ in range(3))
+        turned, J, partner = (self._zeros(kind, count) for kind in (t.mat33, model.real, int))
+        names = ("nodes", "weights", "slopes", "rest", "normal")
+        inputs = [chosen, *(arrays[name] for name in names), self._nodes.u]
+        expose = make_expose(model.real, self._nodes.rows)
+        self._launch(expose, count, inputs, [x, normal, turned, J])
+        inputs = [self._bucket(x, reach), between, reach * model.dx, model.dx, chosen]
+        inputs += [*(arrays[name] for name in ("flat", "body", "rest", "normal")), x, normal]
+        self._launch(make_partner(model.real), count, inputs, [partner, direction])
+        results = partner.numpy(), direction.numpy(), turned.numpy(), J.numpy()
+        numbers, normals, cofactors, ratios = (np.asarray(values) for values in results)
+        a = np.flatnonzero(numbers >= 0)
+        b = numbers[a].astype(np.int64)
+        back = np.swapaxes(cofactors[b], 1, 2) / np.maximum(ratios[b], LEAST)[:, None, None]
+        return {"a": points[a], "b": points[b], "normal": normals[a], "back": back}
+
+    @cached_property
+    def _arrays(self) -> dict[str, wp.array]:
+        """The surface on the device."""
+        surface, model = self._surface, self._model
+        t = types(model.real)
+        return {
+            "nodes": wp.array(surface.nodes, dtype=int, device=model.device),
+            "weights": model.array(surface.weights, model.real),
+            "slopes": model.array(surface.slopes, t.vec3),
+            "rest": model.array(surface.x, t.vec3),
+            "normal": model.array(surface.normal, t.vec3),
+            "body": self._numbers(surface.body),
+            "flat": self._numbers(surface.flat),
+        }
+
+    @cached_property
+    def _grid(self) -> wp.HashGrid:
+        real, device = self._model.real, self._model.device
+        return wp.HashGrid(BUCKETS, BUCKETS, BUCKETS, device=device, dtype=real)
+
+    def _bucket(self, x: wp.array, reach: float) -> Any:
+        """Sort points into the grid, whose identifier is returned."""
+        self._grid.build(x, reach * self._model.dx)
+        return self._grid.id
+
+    def _numbers(self, values: NDArray[Any]) -> wp.array:
+        return wp.array(values.astype(np.int32), dtype=int, device=self._model.device)
+
+    def _zeros(self, kind: Any, count: int) -> wp.array:
+        return wp.zeros(count, dtype=kind, device=self._model.device)
+
+    def _launch(self, kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
+        wp.launch(kernel, count, inputs=inputs, outputs=outputs, device=self._model.device)
