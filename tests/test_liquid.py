@@ -109,6 +109,25 @@ def test_floor_carries_the_weight():
     assert impulse[3] == pytest.approx(weight / 2, rel=0.01)  # acts at the tank's middle
 
 
+@pytest.mark.parametrize(("layer", "offset"), [(0.25, 0.0), (0.5, 0.0), (1.0, 0.37)])
+def test_thin_layer_presses_with_its_weight_and_slides(layer, offset):
+    x = block((0, 0, 0), (1, 1, 1 / 16), 8)
+    x[:, 2] *= 2 * layer
+    solver = liquid(x, 8, [TANK], offset=offset)
+    solver.model.volume.assign(2 * layer * solver.model.volume.numpy())
+    solver.model.mass.assign(2 * layer * solver.model.mass.numpy())
+    middle = (np.abs(x[:, :2] - 0.5) < 0.125).all(axis=1)
+    v = np.zeros_like(x)
+    v[:, 0] = 0.5
+    solver.state.v.assign(v)
+    run(solver, 4)
+    assert solver.state.v.numpy()[middle, 0] == pytest.approx(0.5, rel=0.1)
+    before = solver.impulses.wrench("wall_0_z_low").numpy()[2]
+    run(solver, 12)
+    force = (solver.impulses.wrench("wall_0_z_low").numpy()[2] - before) * FPS / 12
+    assert force == pytest.approx(solver.model.mass.numpy().sum() * G, rel=0.06)
+
+
 def test_pile_slides_down_a_smooth_slope():
     """The centroid gains g sin(20 degrees) t, whatever the shape of the pile."""
     tilt, cells = np.radians(20), 32

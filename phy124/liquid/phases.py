@@ -165,7 +165,8 @@ class Phases:
         """Yield a worker's phases from the scatter to the pressure, with the names of groups."""
         for records in self._activate(worker):
             yield "scatter", launches(records)
-        yield "scatter", launches([self._sum_copies(worker), self._levels(worker)])
+        yield "scatter", launches([self._sum_copies(worker)])
+        yield "scatter", launches([self._levels(worker)])
         if self.viscosity > 0:
             cells = self._cells
             yield "scatter", launches([self._anticipate(worker, -1.0)])
@@ -199,7 +200,8 @@ class Phases:
 
     def _density_equation(self, worker: int) -> Iterator[list[Recorded]]:
         """Yield a worker's phases that set up the equation of the density."""
-        yield [self._sum_fills(worker), self._refill(worker)]
+        yield [self._sum_fills(worker)]
+        yield [self._refill(worker)]
         yield [self._assemble(worker), self._excess(worker)]
         yield from self._projection.list_cells(self._cells, worker)
 
@@ -278,10 +280,16 @@ class Phases:
     def _levels(self, worker: int) -> Recorded:
         cells, tracks = self._cells, self._tracks
         inputs = [cells.lattice, cells.window, tracks.clock, tracks.values]
-        inputs += [cells.open, cells.shares, self._copy(cells.sums, 0)]
+        inputs += [*self._near_walls(), self._copy(cells.sums, 0)]
         outputs = [cells.velocity, cells.hats, cells.phi, cells.liquid, cells.known]
         kernel = surface.make_levels(self._model.real)
         return self._over_cells(worker, "levels", kernel, inputs, outputs)
+
+    def _near_walls(self) -> list:
+        """Return the arguments that describe walls, and the number of the first solid."""
+        cells = self._cells
+        first = self._solids.first(self._walls)
+        return [cells.open, cells.shares, cells.distances, cells.owners, first]
 
     def _viscous(self) -> list:
         """Return the arguments that the kernels of viscosity share."""
@@ -371,7 +379,7 @@ class Phases:
         part, parts = self._projection.part(worker)
         inputs = [part, self._density, self._projection.counts, cells.listed, cells.lattice]
         inputs += [cells.window, tracks.clock, tracks.values, walls.motions]
-        inputs += [cells.open, cells.distances, cells.owners, cells.pressure]
+        inputs += [cells.open, cells.distances, cells.owners, cells.phi, cells.pressure]
         outputs = [self._impulses_of_walls.rows(worker)]
         if self._bodies is None:
             inputs.append(len(walls.all))
@@ -432,8 +440,7 @@ class Phases:
 
     def _refill(self, worker: int) -> Recorded:
         cells = self._cells
-        inputs = [cells.lattice, cells.window, cells.open, cells.shares]
-        inputs.append(self._copy(cells.fills, 0))
+        inputs = [cells.lattice, cells.window, *self._near_walls(), self._copy(cells.fills, 0)]
         outputs = [cells.hats, cells.phi, cells.liquid]
         kernel = surface.make_refill(self._model.real)
         return self._over_cells(worker, "density", kernel, inputs, outputs)

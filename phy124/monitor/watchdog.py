@@ -48,9 +48,9 @@ velocity is set in every substep); an unstable run exceeds any limit within a fe
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, as a fraction of all momentum transferred."""
-PROJECTED = 1.0
-"""The same for a liquid by projection. In a layer of about one cell the pressure carries only a
-part of the liquid, so the measured impulses of walls lack up to all of its weight.
+PROJECTED = 0.2
+"""The same for a liquid by projection, whose layers of less than a cell press on walls with up to a
+quarter less than their weight.
 """
 CROWDED = 0.1
 """Mean excess of the density of a liquid by projection above which its walls leave it no room."""

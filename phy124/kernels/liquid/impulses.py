@@ -14,6 +14,7 @@ from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import kernel
 from phy124.kernels.liquid.conjugate import count_of, share
 from phy124.kernels.liquid.faces import cell_of, stride
+from phy124.kernels.liquid.pressure import NEAREST
 from phy124.kernels.liquid.walls import centre_of, halves, point, solid_face, speed_of
 from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
 
@@ -84,6 +85,7 @@ def make_wall_impulses(real: Any):
         open: t.vec4s,
         distances: t.reals,
         owners: Ints,
+        phi: t.reals,
         pressure: Doubles,
         bodies: int,
         sums_out: wp.array2d(dtype=wp.float64),
@@ -108,6 +110,10 @@ def make_wall_impulses(real: Any):
                         way = way_to_wall(cell, axis, jump, size, distances, dx)
                         # p dt / (density dx) at the wall.
                         here = real(pressure[n]) + clock[0] * way * a[axis] / dx
+                        if phi[n] > real(0.0):
+                            # The surface of a thin layer is between the wall and the centre.
+                            centre = wp.abs(way) / dx
+                            here *= wp.max(centre - phi[n], real(0.0)) / (centre + real(NEAREST))
                         impulse = here * density * dx * dx * dx * jump
                         x = centre_of(cell, lattice, low)
                         speed = speed_of(motions, owner, x)[axis]

@@ -27,6 +27,8 @@ COMPRESSIBLE = wp.constant(1.0e-6)
 @wp.func
 def beyond(here: Any, there: Any):
     """Return the distance to the surface between two cells as a fraction of their distance."""
+    if here >= type(here)(0.0):
+        return type(here)(NEAREST)
     apart = here - there
     if apart < type(here)(0.0):
         return wp.clamp(here / apart, type(here)(NEAREST), type(here)(1.0e3))

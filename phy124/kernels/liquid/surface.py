@@ -1,7 +1,8 @@
 """Computes how full the cells are, and from this fill the distance to the surface of the liquid.
 
 `depth` inverts the fill of the quadratic B-spline below a flat surface, so a flat surface is exact
-wherever it lies between two layers of cells. Near walls, the fill counts the open part only.
+wherever it lies between two layers of cells. Near walls, the fill counts the open part only. The
+thickness of a layer on a wall is the volume in a column of cells.
 """
 
 from functools import cache
@@ -12,7 +13,10 @@ import warp as wp
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
 from phy124.kernels.liquid.faces import FILL, HAT, cell_of, entry, inner, stride, sums
-from phy124.kernels.liquid.walls import SHUT
+from phy124.kernels.liquid.walls import SHUT, point
+
+LONE = wp.constant(0.3)
+"""Fill below which a particle is a drop in flight, which no pressure of its own cell moves."""
 
 
 @wp.func
@@ -55,12 +59,85 @@ def filled_share(volume: Any, solid: Any, dx: Any):
 
 
 @wp.func
-def is_liquid(n: int, phi: Any, open: wp.array(dtype=Any), size: wp.vec3i):
-    """Return 1 if a cell's centre is below the surface and the cell is not inside a wall."""
-    if phi < type(phi)(0.0) and inner(cell_of(n, size), size, 1):
-        if opening(open, n, size) > type(phi)(SHUT):
-            return 1
-    return 0
+def thickness(
+    cells: wp.array(dtype=Any),
+    component: int,
+    open: wp.array(dtype=Any),
+    shares: wp.array(dtype=Any),
+    n: int,
+    size: wp.vec3i,
+    most: Any,
+):
+    """Return the thickness of a layer on the wall in a cell [m^3 for each cell]; 0 without a layer.
+
+    The next cell away from the wall has less than the volume `most`.
+    """
+    result = type(most)(0.0)
+    for axis in range(3):
+        step = stride(axis, size)
+        jump = open[n + step][axis] - open[n][axis]
+        if wp.abs(jump) > type(most)(0.5):
+            away = int(wp.sign(jump)) * step
+            if cells[n + away][component] < most:
+                result = type(most)(0.0)
+                for k in range(5):
+                    result += cells[n + (k - 2) * step][component]
+                # Walls beside the layer take a share of the column.
+                result /= wp.max(type(most)(1.0) - shares[n + 2 * away][1], type(most)(0.3))
+    return result
+
+
+@wp.func
+def level(
+    cells: wp.array(dtype=Any),
+    component: int,
+    open: wp.array(dtype=Any),
+    shares: wp.array(dtype=Any),
+    distances: wp.array(dtype=Any),
+    owners: wp.array(dtype=int),
+    solid: int,
+    n: int,
+    size: wp.vec3i,
+    dx: Any,
+):
+    """Return the fill of a cell, the distance of its centre from the surface, and a 1 if it is wet.
+
+    A layer on a wall is wet even if its surface is below the centre of its cells, and counts as
+    full, unless it is so thin that its particles are drops. The spline of a cell inside a wall has
+    only its rim in the liquid, so its fill counts half.
+
+    Args:
+        cells: Sums over the particles, of which `component` is the volume.
+        component: Index of the volume.
+        open: Open shares of the low faces.
+        shares: Solid shares of the linear kernel and of the B-spline.
+        distances: Distances from the walls at half the spacing [m].
+        owners: Nearest wall of each distance.
+        solid: Number of the first wall that is a body or a free solid; none has layers.
+        n: Index of the cell.
+        size: Size of the window.
+        dx: Grid spacing [m].
+    """
+    zero = type(dx)(0.0)
+    volume = dx * dx * dx
+    filled = filled_share(cells[n][component], shares[n][1], dx)
+    phi = -depth(filled)
+    wet = int(0)
+    if filled > zero and inner(cell_of(n, size), size, 2):
+        if opening(open, n, size) <= type(dx)(SHUT):
+            filled *= type(dx)(0.5)
+        else:
+            wet = wp.where(phi < zero, 1, 0)
+            thick = zero
+            middle = point(cell_of(n, size), 1, 1, 1, size)
+            if shares[n][1] > zero and filled < type(dx)(1.0) and owners[middle] < solid:
+                most = type(dx)(0.5) * filled * volume
+                thick = thickness(cells, component, open, shares, n, size, most) / volume
+            if thick > zero:
+                phi = distances[middle] / dx - thick
+                wet = wp.where(filled >= type(dx)(LONE), 1, 0)
+                filled = type(dx)(wet)
+    return filled, phi, wet
 
 
 @cache
@@ -85,6 +162,9 @@ def make_levels(real: Any):
         values,
         open: t.vec4s,
         shares: t.vec2s,
+        distances: t.reals,
+        owners: Ints,
+        solid: int,
         cells: wp.array(dtype=vec8),
         velocity_out: t.vec4s,
         hats_out: t.reals,
@@ -107,13 +187,14 @@ def make_levels(real: Any):
                 if open[n][axis] > real(0.0):
                     known += 1 << axis
         share = shares[n]
-        filled = filled_share(q[FILL], share[1], lattice[3])
+        filled, phi, wet = level(
+            cells, FILL, open, shares, distances, owners, solid, n, size, lattice[3]
+        )
         v[3] = filled
         velocity_out[n] = v
         hats_out[n] = q[HAT] / (lattice[3] * lattice[3] * lattice[3]) + share[0]
-        phi = -depth(filled)
         phi_out[n] = phi
-        liquid_out[n] = is_liquid(n, phi, open, size)
+        liquid_out[n] = wet
         known_out[n] = known
 
     return levels
@@ -133,6 +214,9 @@ def make_refill(real: Any):
         window,
         open: t.vec4s,
         shares: t.vec2s,
+        distances: t.reals,
+        owners: Ints,
+        solid: int,
         fills: t.vec2s,
         hats_out: t.reals,
         phi_out: t.reals,
@@ -145,8 +229,8 @@ def make_refill(real: Any):
         share = shares[n]
         q = fills[n]
         hats_out[n] = q[1] / (lattice[3] * lattice[3] * lattice[3]) + share[0]
-        phi = -depth(filled_share(q[0], share[1], lattice[3]))
+        _, phi, wet = level(fills, 0, open, shares, distances, owners, solid, n, size, lattice[3])
         phi_out[n] = phi
-        liquid_out[n] = is_liquid(n, phi, open, size)
+        liquid_out[n] = wet
 
     return refill

@@ -14,6 +14,7 @@ import warp as wp
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
 from phy124.kernels.liquid.faces import cell_at, inner, local, number, sums
+from phy124.kernels.liquid.surface import LONE
 from phy124.kernels.native import code
 from phy124.kernels.transfer import spline
 
@@ -300,10 +301,6 @@ def make_scatter_volume(real: Any, form: str):
             add(fills_out, size, lowest(here, size), within(s, here), volume[p])
 
     return liquid_scatter_volume
-
-
-LONE = wp.constant(0.3)
-"""Fill below which a particle is a drop in flight, which no pressure of its own cell moves."""
 
 
 @cache
