@@ -8,7 +8,7 @@ import pytest
 
 from phy124.accuracy import forecast as load
 from phy124.accuracy import promises
-from phy124.accuracy.expectation import expect, kind_of, properties, table
+from phy124.accuracy.expectation import expect, features, kind_of, properties, table
 from phy124.accuracy.forecast import Load, format_span
 from phy124.accuracy.promises import check_promise, promise
 from phy124.accuracy.severity import motion_of, violence, yielding
@@ -181,7 +181,7 @@ def test_scenes_beyond_the_measured_have_no_promise(preset, changes, why):
     plain = usual.replaced({"material": {"law": law}} if law else {})
     limits = {name: [value, value] for name, value in properties(plain, USUAL).items()}
     kind = {"objects": 9, "particles_per_axis": plain.particles_per_axis, **limits}
-    known = {"coefficients": {}, "features": [], "kinds": {kind_of(plain): kind}}
+    known = {"coefficients": {}, "features": features(plain), "kinds": {kind_of(plain): kind}}
     assert expect(plain, USUAL, known).error == 1.0
     said = expect(usual.replaced(changes), USUAL, known)
     assert said.error is None and why in said.unmeasured

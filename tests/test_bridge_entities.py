@@ -83,6 +83,7 @@ def state(place, quaternion=(0, 0, 0, 1), linear=(0, 0, 0), angular=(0, 0, 0), f
 
 
 LATTICE = {"accuracy": {"cells": 8, "solver": "lattice"}}
+LIQUID = {"material": {"law": "fluid"}}
 SOLIDS = [
     {"name": "box", "shape": "box", "sides": [0.4] * 3, "place": [1.5, 0.0], **kind}
     for kind in ({"motion": {"kind": "free"}}, {"static": True})
@@ -169,16 +170,7 @@ def test_free_solids_move_at_once_and_fixed_solids_are_refused():
     assert refused["result"] != Code.OK and "box" in refused["error_message"]
 
 
-def test_a_liquid_by_projection_is_not_moved_at_once():
-    liquid = {"material": {"law": "fluid"}, "accuracy": {"cells": 8, "liquid": "projection"}}
-    answer = serve(steered(changes=liquid), "SetEntityState")(
-        entity="object", state=state((0, 0, 1))
-    )
-    assert answer["result"]["result"] == Code.OPERATION_FAILED
-    assert "accuracy.liquid = compressible" in answer["result"]["error_message"]
-
-
-@pytest.mark.parametrize("solver", [{}, LATTICE], ids=["mpm", "lattice"])
+@pytest.mark.parametrize("solver", [{}, LATTICE, LIQUID], ids=["mpm", "lattice", "liquid"])
 def test_a_far_jump_is_no_instability(solver):
     run = steered(changes={**WEIGHTLESS, **solver})
     run.advance()

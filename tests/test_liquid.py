@@ -382,14 +382,24 @@ def test_shaken_box_keeps_its_volume():
     assert np.mean(volumes[-8:]) == pytest.approx(1, abs=0.005)
 
 
-def test_default_liquid_is_compressible():
-    assert not Scene.named("water").projects
-
-
-def test_viscous_liquids_alone_are_projected_by_default():
-    assert Scene.named("honey").replaced({"accuracy": "draft"}).projects
-    assert not Scene.named("oil").projects, "two liquids"
-    assert not Scene.named("honey").replaced({"accuracy.liquid": "compressible"}).projects
+@pytest.mark.parametrize(
+    ("preset", "changes", "reason"),
+    [
+        ("water", {}, ""),
+        ("lava", {"accuracy": "draft"}, ""),
+        ("oil", {}, "liquids of different densities"),
+        ("water", {"contacts": True}, "forces of walls on single particles"),
+        ("water", {"accuracy.transfer": "xpic2"}, "accuracy.transfer is xpic2"),
+        ("water", {"binding": "particles"}, "binding is particles"),
+        ("water", {"accuracy.liquid": "compressible"}, "accuracy.liquid is compressible"),
+    ],
+)
+def test_liquids_are_projected_unless_the_report_says_why_not(preset, changes, reason):
+    scene = Scene.named(preset).replaced(changes)
+    effects = Effects.of(scene)
+    assert scene.projects == ("pressure projection" in effects.ran) == (not reason)
+    why = {omission.effect: omission.why for omission in effects.left_out}
+    assert reason in why.get("pressure projection", "")
 
 
 def test_kick_without_duration_needs_one_sweep():
@@ -399,8 +409,8 @@ def test_kick_without_duration_needs_one_sweep():
 
 def test_estimate_counts_the_steps_of_a_projected_liquid():
     scene = Scene.named("water")
-    projected = scene.replaced({"accuracy": {"cells": 16, "liquid": "projection"}})
-    assert 47 <= count_substeps(projected) <= 200 < count_substeps(scene)
+    compressible = scene.replaced({"accuracy.liquid": "compressible"})
+    assert 47 <= count_substeps(scene) <= 200 < count_substeps(compressible)
 
 
 @pytest.mark.parametrize(

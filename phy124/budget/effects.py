@@ -16,6 +16,7 @@ from phy124.monitor import LATTICE_OBSERVERS, OBSERVERS
 from phy124.monitor.observer import UNKNOWN, Cost, Effect, Observer, Subject, find
 from phy124.mpm.model import form_of
 from phy124.scene import Scene
+from phy124.scene.liquids import reason_for_compressible
 
 NODE = 1.8
 """Time to clear and update one grid node [ns]."""
@@ -150,6 +151,8 @@ def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Ef
     if scene.projects:
         yield from _of_liquid(scene)
         return
+    if any(section.law == "fluid" for section in materials):
+        yield Effect("pressure projection", False, reason_for_compressible(scene))
     laws = sorted({section.law for section in materials})
     words = " and ".join(laws)
     plastic = any(section.device_law.project is not None for section in materials)

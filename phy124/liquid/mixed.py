@@ -184,6 +184,11 @@ class MixedSolver(Solver):
         super().advance(until, after=self._after, each=self._each)
         self.liquid.clock.bodies = self.clock.extremes.speed
 
+    def renew(self) -> None:
+        """Measure everything again, because the state was set from outside."""
+        super().renew()
+        self.liquid.renew()
+
     def snapshot(self) -> dict[str, Any]:
         """Return the state that `restore` needs to continue bit for bit."""
         liquid = self.liquid.snapshot()

@@ -273,6 +273,11 @@ class LiquidSolver:
         clock.pull = np.asarray(self.tracks.values.numpy()[0, :3], np.float64)
         self._measure()
 
+    def renew(self) -> None:
+        """Measure everything again, because the state was set from outside."""
+        self._fit()
+        self._measure()
+
     def snapshot(self) -> dict[str, Any]:
         """Return the state that `restore` needs to continue bit for bit."""
         return {

@@ -14,13 +14,14 @@ from phy124.io.axes import euler
 from phy124.monitor.watchdog import Watchdog
 from phy124.monitor.wrenches import pair_names
 from phy124.motion.scenery import INSTANT
-from phy124.mpm.solver import Solver
 from phy124.scene import Scene
 from phy124.schema.region import Vector
 from phy124.simulation import Simulation
 
 if TYPE_CHECKING:
     from phy124.lattice.solver import LatticeSolver
+    from phy124.liquid.solver import LiquidSolver
+    from phy124.mpm.solver import Solver
 
 
 class NearestMaterial(NamedTuple):
@@ -132,8 +133,7 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
         twist: Whether velocities are set; otherwise they rotate with the object.
 
     Raises:
-        InputError: There is no such object, it never moves, it has no particles, or it is a liquid
-            by projection.
+        InputError: There is no such object, it never moves, or it has no particles.
     """
     solver, solids = run.solver, [solid.name for solid in run.solver.free.all]
     number = None if name in solids else _object_number(run.scene, "state.entity", name)
@@ -150,20 +150,18 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
     if number is None:
         velocity, spin = motion[2:] if twist else (R @ before.velocity, R @ before.spin)
         solver.free.put(solids.index(name), (motion.place, motion.quat, velocity, spin))
-    elif solver.projects:
-        limit = "a liquid by projection cannot be moved at once."
-        raise InputError("state.entity", name, limit, "Use accuracy.liquid = compressible.")
-    elif isinstance(solver, Solver):
-        _carry_particles(solver, _objects(run) == number, carry, R, motion if twist else None)
-    else:
+    elif run.scene.resolution.on_lattice:
         cast("LatticeSolver", solver).carry_nodes(carry)
+    else:
+        of_object, moving = _objects(run) == number, motion if twist else None
+        _carry_particles(cast("Solver | LiquidSolver", solver), of_object, carry, R, moving)
     watchdog = run.find(Watchdog)
     if watchdog is not None:
         watchdog.restart()
 
 
 def _carry_particles(
-    solver: Solver,
+    solver: Solver | LiquidSolver,
     mask: NDArray[np.bool_],
     carry: Any,
     R: NDArray[np.float64],

@@ -9,6 +9,9 @@ from pydantic import Field
 from phy124.mpm.timestep import beside_rpic
 from phy124.schema.section import Section
 
+USUAL = {"transfer": "apic", "gradient": "affine", "rpic_damping": 0.0}
+"""Settings of the transfers that have no effect on a liquid by projection, and their defaults."""
+
 
 class Accuracy(Section):
     """Settings that trade accuracy against time, such as cells and particles per cell."""
@@ -74,20 +77,14 @@ class Accuracy(Section):
         exclude_if=lambda value: value is None,
         description="Solver of the law fluid. compressible: particles with a pressure of their "
         "own. projection: incompressible flow, which keeps its volume and takes longer steps; for "
-        "one liquid, also among others that move. Absent: projection for a liquid alone of 1 to "
-        "1000 Pa s, else compressible.",
+        "one liquid, also among others that move. Absent: projection wherever it is supported; "
+        "the effects in the report say why it is not.",
     )
 
     @property
     def fraction(self) -> float:
         """Length of a substep as a fraction of the elastic limit, including RPIC damping."""
         return beside_rpic(self.cfl) if self.rpic_damping > 0 else self.cfl
-
-    @property
-    def plain(self) -> bool:
-        """Whether transfers and solver are the default ones."""
-        apic = self.transfer == "apic" and self.gradient == "affine"
-        return apic and self.solver == "mpm" and self.rpic_damping == 0
 
     @property
     def on_lattice(self) -> bool:
@@ -137,7 +134,7 @@ def check_transfer(accuracy: Accuracy) -> None:
     """
     transfer = accuracy.transfer
     if accuracy.liquid == "projection":
-        for name, usual in (("transfer", "apic"), ("gradient", "affine"), ("rpic_damping", 0.0)):
+        for name, usual in USUAL.items():
             value = getattr(accuracy, name)
             if value != usual:
                 raise ValueError(

@@ -27,6 +27,7 @@ from phy124.properties.stiffness import AnyStiffness, check_profile
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName, check_transfer
 from phy124.scene.changes import apply
 from phy124.scene.files import check_depth, read_toml
+from phy124.scene.liquids import reason_for_compressible
 from phy124.scene.objects import (
     Pair,
     SceneObject,
@@ -42,8 +43,6 @@ from phy124.schema.bounds import LONGEST, Text
 from phy124.schema.refusals import explain
 from phy124.schema.section import Section
 
-VISCOUS = (1.0, 1000.0)
-"""Viscosities with which a liquid alone is computed by pressure projection by default [Pa s]."""
 MOST_OBJECTS = 16
 """Largest number of objects in a scene; objects that touch need a velocity field each."""
 
@@ -188,21 +187,18 @@ class Scene(Section):
     @property
     def projects(self) -> bool:
         """Whether a liquid is computed by pressure projection."""
-        accuracy, fluids = self.resolution, [s for s in self.materials if s.law == "fluid"]
-        if accuracy.liquid is not None or not fluids:
-            return bool(fluids) and accuracy.liquid == "projection"
-        held = any(body.held for body in self.every_object)
-        held |= any(wall.holds or wall.object is not None for wall in self.boundaries)
-        asked = self.keeps_contacts or self.stiffness_profile is not None or self.checks.energy
-        alone = len(self.materials) == 1 and not self.objects and accuracy.plain
-        if not alone or held or asked:
-            return False
-        return VISCOUS[0] <= fluids[0].viscosity <= VISCOUS[1]
+        fluid = any(section.law == "fluid" for section in self.materials)
+        return fluid and not reason_for_compressible(self)
+
+    @property
+    def has_solids(self) -> bool:
+        """Whether the particles of some object are not those of a liquid."""
+        return any(section.law != "fluid" for section in self.materials)
 
     @property
     def mixes(self) -> bool:
         """Whether a liquid by pressure projection moves together with other materials."""
-        return self.projects and any(section.law != "fluid" for section in self.materials)
+        return self.projects and self.has_solids
 
     @property
     def acting(self) -> list[AnyForce]:

@@ -31,9 +31,9 @@ from phy124.particles.thickness import Proportions, measure_proportions
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
 from phy124.scene import Scene
+from phy124.scene.liquids import refuse_unprojectable
 from phy124.simulation.appearance import Appearance
 from phy124.simulation.bodies import make_body, make_free, make_scenery
-from phy124.simulation.liquids import refuse_unprojectable
 from phy124.simulation.overlap import refuse_solids
 
 

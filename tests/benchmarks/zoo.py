@@ -53,6 +53,7 @@ TOP = {"lower": (-1e9, -1e9, 0.5)}
 PUSH = {"kind": "acceleration", "a": (0.0, 6.0, 0.0), "end": 0.15, "region": TOP}
 Change = dict[str, Any]
 Row = dict[str, Any]
+COMPRESSIBLE: Change = {"material": {"law": "fluid"}, "accuracy.liquid": "compressible"}
 SCENES: dict[str, tuple[str, Change]] = {
     **{name: (name, {}) for name in ("press", "drop", "sway", "spin", "bounce", "collide")},
     "wind": ("wind", {"binding": "lattice"}),
@@ -60,7 +61,8 @@ SCENES: dict[str, tuple[str, Change]] = {
     "plasticine press": ("press", {"material": {"law": "plasticine"}}),
     "sand drop": ("drop", {"material": {"law": "sand"}}),
     "snow drop": ("drop", {"material": {"law": "snow"}}),
-    "fluid drop": ("drop", {"material": {"law": "fluid"}}),
+    "fluid drop": ("drop", COMPRESSIBLE),
+    "water drop": ("drop", {"material": {"law": "fluid"}}),
 }
 """Name -> preset and changes to its beginning."""
 HAND = {"kind": "grab", "point": (0, 0, 0.8), "radius": 0.3, "times": (0, 0.3)}
@@ -115,7 +117,8 @@ VARIANTS: dict[str, tuple[str, Change]] = {
     "plasticine drop": law("drop", "plasticine"),
     "sand press": law("press", "sand"),
     "snow press": law("press", "snow"),
-    "fluid press": law("press", "fluid"),
+    "fluid press": ("press", COMPRESSIBLE),
+    "water press": law("press", "fluid"),
     "hencky drop": law("drop", "hencky"),
     "corotated sway": law("sway", "fixed_corotated"),
     "loose particles": ("drop", {"binding": "particles"}),
@@ -200,7 +203,7 @@ def gaussians_of(name: str, path: Path | None) -> Gaussians:
 def scene_of(name: str, solver: str = "mpm") -> Scene:
     """Return a scene of the zoo for a solver of elastic bodies."""
     preset, changes = ALL[name]
-    return beginning(preset).replaced({**changes, "accuracy": {"solver": solver}})
+    return beginning(preset).replaced({"accuracy": {"solver": solver}, **changes})
 
 
 def apart(clips: list[Clip], size: float) -> list[list[float]]:

@@ -1,4 +1,7 @@
-"""Scenes that a liquid by pressure projection cannot compute yet."""
+"""Decides which scenes compute their liquid by pressure projection.
+
+An argument `scene` is a `Scene`, whose module imports this one.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,40 @@ from typing import Any
 
 from phy124.errors import InputError, Remedy
 from phy124.materials import AnyMaterial
-from phy124.scene import Scene
+from phy124.scene.accuracies import USUAL
 
 REMEDY = Remedy("accuracy.liquid = compressible", {"accuracy.liquid": "compressible"})
 """The solver that computes all scenes."""
 
 
-def refuse_unprojectable(scene: Scene, materials: Sequence[AnyMaterial]) -> None:
+def reason_for_compressible(scene: Any) -> str:
+    """Return why a scene's liquid is computed as compressible; empty if it is projected."""
+    accuracy = scene.resolution
+    if accuracy.liquid is not None:
+        return "" if accuracy.liquid == "projection" else "accuracy.liquid is compressible"
+    if accuracy.solver != "mpm":
+        return f"accuracy.solver is {accuracy.solver}"
+    for name, usual in USUAL.items():
+        if getattr(accuracy, name) != usual:
+            return f"accuracy.{name} is {getattr(accuracy, name)}"
+    if scene.binding == "particles":
+        return "binding is particles"
+    if scene.properties is not None:
+        return "it does not support materials that vary from point to point"
+    limits = [limit for _, _, limit in _obstacles(scene, scene.materials, mixes=scene.has_solids)]
+    return f"it does not support {limits[0]}" if limits else ""
+
+
+def keep_solver(scene: Any, before: Any) -> Any:
+    """Return the next scene of a run with the solver of its liquid chosen as before."""
+    if not any(section.law == "fluid" for section in scene.materials):
+        return scene
+    liquid = "projection" if before.projects else "compressible"
+    accuracy = scene.resolution.model_copy(update={"liquid": liquid})
+    return scene.model_copy(update={"accuracy": accuracy})
+
+
+def refuse_unprojectable(scene: Any, materials: Sequence[AnyMaterial]) -> None:
     """Check that a scene has a single liquid, and nothing that its solver cannot compute.
 
     Args:
@@ -23,7 +53,7 @@ def refuse_unprojectable(scene: Scene, materials: Sequence[AnyMaterial]) -> None
     Raises:
         InputError: The scene has something that needs the compressible solver.
     """
-    for field, value, limit in _obstacles(scene, materials):
+    for field, value, limit in _obstacles(scene, materials, mixes=scene.mixes):
         raise InputError(
             field,
             value,
@@ -33,16 +63,24 @@ def refuse_unprojectable(scene: Scene, materials: Sequence[AnyMaterial]) -> None
         )
 
 
-def _obstacles(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[tuple[str, object, str]]:
-    """Yield field, value and description of everything that is not supported."""
+def _obstacles(
+    scene: Any, materials: Sequence[AnyMaterial], *, mixes: bool
+) -> Iterator[tuple[str, object, str]]:
+    """Yield field, value and description of everything that is not supported.
+
+    Args:
+        scene: The scene.
+        materials: Materials of the particles.
+        mixes: Whether some of them are not liquid.
+    """
     yield from _of_liquids(materials)
-    yield from _of_objects(scene)
-    for wall in () if scene.mixes else scene.boundaries:
+    yield from _of_objects(scene, mixes=mixes)
+    for wall in () if mixes else scene.boundaries:
         if wall.holds:
             yield "boundaries", wall.kind, "boundaries that hold material"
         if wall.object is not None:
             yield "boundaries.object", wall.object, "boundaries of a single object"
-    softens = scene.stiffness_profile is not None and not scene.mixes
+    softens = scene.stiffness_profile is not None and not mixes
     asked = {
         "contacts": (scene.keeps_contacts, "forces of walls on single particles"),
         "stiffness_profile": (softens, "a stiffness that changes"),
@@ -62,13 +100,13 @@ def _of_liquids(
             yield f"material.{name}", values, f"liquids of different {plural}"
 
 
-def _of_objects(scene: Scene) -> Iterator[tuple[str, object, str]]:
+def _of_objects(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
     """Yield the features of the objects that are not supported."""
     wet = [_is_liquid(item) for item in (scene, *scene.objects)]
     for body, holds_liquid in zip(scene.every_object, wet, strict=True):
         if body.held and holds_liquid:
             yield "object.held", body.name, "liquids that are held"
-        if getattr(body, "free", False) and scene.mixes:
+        if getattr(body, "free", False) and mixes:
             yield "object.free", body.name, "free solids next to other materials"
         if holds_liquid is None:
             yield "material.law", body.name, "objects that are partly liquid"
@@ -82,9 +120,8 @@ def _is_liquid(item: Any) -> bool | None:
     """Return whether an object is a liquid; None if only some of its parts are."""
     if _is_scenery(item):
         return False
-    laws = {
-        section.law == "fluid" for section in [item.material, *(p.material for p in item.parts)]
-    }
+    moving = [item.material, *(part.material for part in item.parts if not part.static)]
+    laws = {section.law == "fluid" for section in moving}
     return None if len(laws) > 1 else laws.pop()
 
 
