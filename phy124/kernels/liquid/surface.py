@@ -82,7 +82,7 @@ def thickness(
                 result = type(most)(0.0)
                 for k in range(5):
                     result += cells[n + (k - 2) * step][component]
-                # Walls beside the layer take a share of the column.
+                # Walls at the sides of the layer take a share of the column.
                 result /= wp.max(type(most)(1.0) - shares[n + 2 * away][1], type(most)(0.3))
     return result
 
