@@ -11,9 +11,9 @@ import platform
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from phy124.io.files import deliver, replacing, write_whole
 from phy124.io.files import staging as staging
 from phy124.io.growing import Growing
 from phy124.io.ply import write_ply
+from phy124.motion.packing import Packed
 from phy124.pipeline import resume
 from phy124.pipeline.recording import PAUSE as PAUSE
 from phy124.pipeline.recording import Recording, sweep
@@ -84,6 +85,8 @@ class RunFolder:
     predicted: Forecast | None = None
     error: bool = True
     """Whether the run's own error is estimated, if that is cheap (`phy124.accuracy.companion`)."""
+    packing: Future[Packed | None] = field(init=False)
+    """The clip's packed motion, which a second thread computes."""
 
     def __post_init__(self) -> None:
         self.files = {CUTOUT: self.cutout} if self.cutout is not None else {}
@@ -103,9 +106,11 @@ class RunFolder:
             with staging(self.out) as folder:
                 sweep(self.out)
                 run, clip, interrupted = self._simulate(simulate)
-                if not interrupted:
-                    clip = with_own_error(run, clip, omit=self._omit_error())
-                return self._save_and_film(folder, before, run, clip, interrupted)
+                with ThreadPoolExecutor(1, "pack") as pool:
+                    self.packing = pool.submit(clip.pack)
+                    if not interrupted:
+                        clip = with_own_error(run, clip, omit=self._omit_error())
+                    return self._save_and_film(folder, before, run, clip, interrupted)
         finally:
             self.recording.leave()
             trim()
@@ -123,6 +128,7 @@ class RunFolder:
             interrupted: Whether the run was interrupted.
         """
         report = self._save(folder, run, clip, interrupted)
+        del self.packing  # frees its memory
         made = set(deliver(folder) if self.keep else ())
         remove_results(self.out, before.difference(made) if made else ())
         if self.keep and self.films and not interrupted:
@@ -221,9 +227,7 @@ class RunFolder:
     def _write(
         self, folder: Path, run: Simulation, clip: Clip, interrupted: bool
     ) -> dict[str, Any]:
-        with ThreadPoolExecutor(1, "pack") as pool:
-            packing = pool.submit(clip.pack)
-            report = self._report(clip, run.setup.cleaned_scene, interrupted)
+        report = self._report(clip, run.setup.cleaned_scene, interrupted)
         names = {SCENE, REPORT, CLIP, PLY, *self.files}
         if interrupted and not run.scene.unregistered:
             names.add(PAUSE)
@@ -231,7 +235,7 @@ class RunFolder:
         with self.context.watch.stage("save"):
             write_whole(folder / SCENE, _scene_file(run.setup.cleaned_scene))
             write_json(folder / REPORT, report)
-            self.recording.finish(clip.with_report(report), folder / CLIP, packing.result())
+            self.recording.finish(clip.with_report(report), folder / CLIP, self.packing.result())
             if interrupted:
                 self._pause(folder, run)
             write_ply(folder / PLY, run.setup.gaussians)
