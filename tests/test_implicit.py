@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import scipy
+import warp as wp
 
 from phy124.generators.relief.hull import Hull
-from phy124.generators.relief.surface import Surface, launch, numbers, vectors
+from phy124.generators.relief.surface import Surface, share
 from phy124.kernels.implicit import push
 
 RADIUS, MIDDLE = 20.0, 30
@@ -113,8 +114,8 @@ def test_what_is_no_place_stays_within_the_fields(ball, hull, bad):
 
 def pushed(points, normals, wanted, near):
     moved, spacing = np.empty_like(points), np.empty(len(points))
-    inputs = [vectors(points), vectors(normals), numbers(wanted), near]
-    launch(push, len(points), inputs, [vectors(moved), numbers(spacing)])
+    inputs = [share(points), share(normals), share(wanted), near]
+    wp.launch(push, len(points), inputs, [share(moved), share(spacing)], device="cpu")
     return moved, spacing
 
 
@@ -157,3 +158,13 @@ def test_pushes_are_those_of_the_formula(rng):
     np.testing.assert_allclose(moved, points + move, atol=1e-13)
     np.testing.assert_allclose(spacing, np.clip(mean, 0.6 * wanted, 1.6 * wanted), rtol=1e-13)
     assert np.ptp(same.sum(axis=1)) > 2
+
+
+def test_cores_leave_gradients_unchanged(ball, monkeypatch):
+    points = np.random.default_rng(0).normal(CENTRE, RADIUS, (7, 3))
+    alone = None
+    for count in (1, 3, 8):
+        monkeypatch.setattr("phy124.generators.relief.surface.cores", lambda count=count: count)
+        values = [*ball.gradient(points), ball.project(points), ball.normals(points)]
+        alone = alone or values
+        assert all(np.array_equal(*pair) for pair in zip(values, alone, strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from phy124.generators.relief.height import nearest_of
 from phy124.generators.relief.surface import Surface
+from phy124.runtime.cores import cores
 
 Field = NDArray[np.float64]
 REACH = 0.2
@@ -81,12 +83,12 @@ def _sample_blurred(picture: Field, place: Field, blur: Field) -> Field:
 
     On a steep surface, a pixel covers a long strip; without the blur, strips show as streaks.
     """
-    levels = np.stack(
-        [
-            _sample(scipy.ndimage.gaussian_filter(picture, (width, width, 0)), place)
-            for width in BLURS
-        ]
-    )
+
+    def sample_level(width: float) -> Field:
+        return _sample(scipy.ndimage.gaussian_filter(picture, (width, width, 0)), place)
+
+    with ThreadPoolExecutor(cores()) as pool:
+        levels = np.stack(list(pool.map(sample_level, BLURS)))
     level = np.interp(blur, BLURS, np.arange(len(BLURS)))
     below = np.minimum(level.astype(int), len(BLURS) - 2)
     number = np.arange(len(blur))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from phy124.generators.relief.ends import End
 from phy124.generators.relief.height import nearest_of
 from phy124.kernels import implicit
+from phy124.runtime.cores import cores
 
 VIEW_DISTANCE = 2.0
 """Distance of the front camera, in longest sides of the object; the camera's view is the image."""
@@ -110,14 +112,13 @@ class Implicit(ABC):
     def gradient(self, points: Field) -> tuple[Field, Field]:
         """Return F [N] and its gradient [N,3] at points [N,3]."""
         values, gradients = np.empty(len(points)), np.empty(points.shape)
-        inputs, outputs = [self.struct, vectors(points)], [numbers(values), vectors(gradients)]
-        launch(self.kernels.evaluate, len(points), inputs, outputs)
+        launch(self.kernels.evaluate, [self.struct], [points, values, gradients])
         return values, gradients
 
     def normals(self, points: Field) -> Field:
         """Return outward unit normals [N,3]."""
         normals = np.empty(points.shape)
-        launch(self.kernels.orient, len(points), [self.struct, vectors(points)], [vectors(normals)])
+        launch(self.kernels.orient, [self.struct], [points, normals])
         return normals
 
     def inset(self, points: Field, depth: float) -> Field:
@@ -130,7 +131,7 @@ class Implicit(ABC):
     def project(self, points: Field, rounds: int = 2) -> Field:
         """Move points onto the surface by `rounds` Newton steps of at most one pixel each."""
         points = np.array(points, np.float64, order="C")
-        launch(self.kernels.project, len(points), [self.struct, rounds, vectors(points)])
+        launch(self.kernels.project, [self.struct, rounds], [points])
         return points
 
 
@@ -324,8 +325,8 @@ def relax(
     near = neighbours(points) if near is None else near
     normals = surface.normals(points)
     moved, spacing = np.empty(points.shape), np.empty(len(points))
-    inputs = [vectors(points), vectors(normals), numbers(spacing_at(normals)), near]
-    launch(implicit.push, len(points), inputs, [vectors(moved), numbers(spacing)])
+    shared = [share(points), share(normals), share(spacing_at(normals)), near]
+    wp.launch(implicit.push, len(points), shared, [share(moved), share(spacing)], device="cpu")
     return surface.project(moved), spacing
 
 
@@ -336,23 +337,26 @@ def neighbours(points: Field) -> Neighbours:
     return np.ascontiguousarray(np.asarray(near)[:, 1:], np.int32)
 
 
-def vectors(points: Field) -> wp.array:
-    """Wrap points [N,3] as a Warp array that shares their memory where possible."""
-    return wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device="cpu", copy=False)
+def share(values: Field) -> wp.array:
+    """Wrap points [N,3] or numbers [N] as a Warp array that shares their memory where possible."""
+    dtype: Any = wp.vec3d if values.ndim == 2 else wp.float64
+    return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
 
 
-def numbers(values: Field) -> wp.array:
-    """Wrap numbers [N] as a Warp array that shares their memory where possible."""
-    return wp.array(values, dtype=wp.float64, device="cpu", copy=False)
-
-
-def launch(kernel: Any, count: int, inputs: list[Any], outputs: Sequence[Any] = ()) -> None:
-    """Run a kernel once per point.
+def launch(kernel: Any, constants: list[Any], values: Sequence[Field]) -> None:
+    """Run a kernel once per point, with an equal part of the points on each core.
 
     Args:
-        kernel: The kernel.
-        count: Number of points.
-        inputs: The input arguments.
-        outputs: The output arguments.
+        kernel: The kernel; each thread reads and writes one point.
+        constants: Its first arguments.
+        values: Its other arguments, with a row per point; outputs are contiguous.
     """
-    wp.launch(kernel, count, inputs=inputs, outputs=[*outputs], device="cpu")
+    wp.load_module(kernel.module, "cpu")  # Warp cannot load a kernel from several threads at once.
+    count = cores()
+
+    def run(part: int) -> None:
+        rows = [np.array_split(array, count)[part] for array in values]
+        wp.launch(kernel, len(rows[0]), [*constants, *map(share, rows)], device="cpu")
+
+    with ThreadPoolExecutor(count) as pool:
+        list(pool.map(run, range(count)))
