@@ -11,6 +11,10 @@ from typing import Any
 from phy124.errors import Remedy
 from phy124.scene import Scene
 
+DAMPING = 0.04
+"""Damping with which a pressed body does not turn inside out when it is released at once, relative
+to density, speed of sound and size.
+"""
 SOFTER = 16.0
 """Factor by which E is reduced; the longest stable substep becomes four times as long."""
 
@@ -59,6 +63,18 @@ def _halve_push(scene: Scene) -> Remedy | None:
     for index, wall in enumerate(scene.boundaries):
         changes |= {f"boundaries.{index}.{name}": value for name, value in wall.gentler().items()}
     return Remedy("a gentler push (half the speeds and forces)", changes) if changes else None
+
+
+def _damp(scene: Scene) -> Remedy | None:
+    """Give a body on its lattice the damping with which it comes back from any compression."""
+    material = scene.material
+    damping = getattr(material, "damping", None)
+    if scene.resolution.solver != "lattice" or damping is None or scene.properties is not None:
+        return None
+    enough = DAMPING * material.density * material.sound_speed() * scene.object.size
+    if damping >= enough:
+        return None
+    return change_field("material.damping", float(f"{enough:.2g}"))
 
 
 def _choose_sounder_law(scene: Scene) -> Remedy | None:
@@ -134,6 +150,7 @@ def _raise_ceiling(scene: Scene) -> Remedy | None:
 
 REMEDIES: dict[str, Callable[[Scene], Remedy | None]] = {
     "law": _choose_sounder_law,
+    "damping": _damp,
     "substep": _shorten_substep,
     "precision": _use_double,
     "push": _halve_push,

@@ -22,6 +22,12 @@ from phy124.mpm.model import Model
 
 ROUNDS, TRIAL = 60, 1e-3
 """Power iterations at rest, and size of trial displacements [cells]."""
+FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
+"""Iterations of a measurement if the squared frequency exceeds its value at rest by the second
+factor, and the damping ratio of the fastest vibration is below the third number; otherwise one
+iteration. The fastest vibration then moves from one part of the body to another faster than single
+iterations follow, and grows without viscosity.
+"""
 MIXED = 0.1
 """Size of the accelerations with which an iteration starts, relative to the last shape."""
 MISSED = 1.1
@@ -73,9 +79,14 @@ class Spectrum:
         """Largest ratio of viscosity to stiffness [s]."""
 
     @property
+    def _damping_ratio(self) -> float:
+        """Damping ratio of the fastest vibration, as last measured."""
+        return math.sqrt(self.square) * self._delay
+
+    @property
     def stiffness(self) -> float:
         """dx^2 / dt^2 [m^2/s^2] of the longest stable substep, as last measured."""
-        z = math.sqrt(self.square) * self._delay
+        z = self._damping_ratio
         longer = math.sqrt(1 + z * z) + z
         return self.square * (self._model.dx / 2 * longer) ** 2
 
@@ -84,7 +95,9 @@ class Spectrum:
         self._crew.accelerate()
         largest = float(np.abs(self._crew.a.numpy()).max())
         share = MIXED / largest if largest > 0 else 0.0
-        self.square = max(self._least, MISSED * self._iterate(share, 1))
+        hard = self.square > SQUEEZED * self._least and self._damping_ratio < UNDAMPED
+        rounds = FOLLOWED if hard else 1
+        self.square = max(self._least, MISSED * self._iterate(share, rounds))
 
     def _iterate(self, share: float, rounds: int) -> float:
         """Return the square of the largest frequency [1/s^2] after some power iterations.

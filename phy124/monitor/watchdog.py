@@ -342,9 +342,9 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Return causes of an unstable run: the substep; for violent motion also law and push."""
+        """Return causes of an unstable run: the substep; for violent motion more."""
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
-        return ("substep", "law", "push") if violent else ("substep",)
+        return ("damping", "substep", "law", "push") if violent else ("substep",)
 
     def _strain_energy(self, strain: float) -> float:
         """Return the elastic energy of the whole body at a given strain [J]."""
