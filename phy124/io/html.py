@@ -171,7 +171,7 @@ def _pack_smallest(
     player = _describe(clip, camera, background, stage, shine)
     every = np.ones(len(clip.opacities), bool)
     film, shape = lattice4d.encode(clip, every, player=player, shades=shades)
-    return film if shape <= LOOSE and len(film) < len(packed) else packed
+    return b"".join(film) if shape <= LOOSE and sum(map(len, film)) < len(packed) else packed
 
 
 def _describe(

@@ -47,6 +47,7 @@ from phy124.io.content import Y_DOWN
 from phy124.io.files import replacing
 from phy124.io.formats import sog
 from phy124.progress import Progress, silent
+from phy124.runtime.memory import release
 
 MAGIC = b"PHY4D\0\1\0"
 TOLERANCE = 1e-3
@@ -60,6 +61,8 @@ STEP = TOLERANCE / 8
 LARGEST = 2**15 - 1
 TALLEST = 4.0
 """Largest absolute log ratio of scales that is stored: exp(4) = 55 times; more is clipped."""
+STRETCHES = 1 << 22
+"""Largest number of values from which the range of the stretch is determined."""
 PERCENTILES = (1, 99)
 """Percentiles of the stretch at the ends of its colour ramp; this ignores single outliers."""
 
@@ -142,9 +145,9 @@ def write_lattice4d(
     Raises:
         InputError: The clip is empty, or the file cannot be written.
     """
-    data, _ = encode(clip, clip.object_mask, progress=progress)
-    with replacing(path) as temporary:
-        temporary.write_bytes(data)
+    parts, _ = encode(clip, clip.object_mask, progress=progress)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.writelines(parts)
 
 
 def encode(
@@ -154,8 +157,8 @@ def encode(
     player: dict[str, Any] | None = None,
     shades: bytes = b"",
     progress: Progress = silent,
-) -> tuple[bytes, float]:
-    """Return the bytes of a file, and the error of the Gaussians' shapes.
+) -> tuple[list[bytes], float]:
+    """Return the bytes of a file, in parts, and the error of the Gaussians' shapes.
 
     The error is the 99th percentile, over Gaussians, of the largest relative error of the
     covariances that follow from the deformation gradient of the lattice.
@@ -177,14 +180,20 @@ def encode(
     still = sog.encode(first)
     rest = _centres(still)
     size = measure_size(rest)
-    places = [clip.means[index][mask].astype(np.float64) @ turn.T for index in range(len(clip))]
-    made = []
-    for index, nodes in enumerate(NODES):
-        made.append(_Motion.of(Lattice.around(rest, nodes), rest, places))
-        progress("export", index + 1, len(NODES))
-        if made[-1].size > min(each.size for each in made):
-            break
-    motion = min(made, key=lambda each: each.size)
+    with tempfile.TemporaryFile() as file:
+        places = np.memmap(file, np.float32, shape=(len(clip), len(rest), 3))
+        for index in range(len(clip)):
+            places[index] = clip.means[index][mask] @ turn.T
+            release(places)
+        motion = _Motion.of(Lattice.around(rest, NODES[0]), rest, places)
+        for index, nodes in enumerate(NODES[1:], 1):
+            progress("export", index, len(NODES))
+            finer = _Motion.of(Lattice.around(rest, nodes), rest, places)
+            if finer.size > motion.size:
+                break
+            motion = finer
+        progress("export", len(NODES), len(NODES))
+        del places
     lattice, errors = motion.lattice, motion.errors
     shape = float(np.percentile(_shape_errors(clip, mask, motion, rest, turn), 99))
     worst = float(errors.max()) or 1e-12
@@ -219,13 +228,14 @@ def measure(clip: Clip) -> dict[str, Any]:
     is the longest axis of a Gaussian divided by its longest axis at rest.
     """
     rest = np.maximum(clip.scales[0], 1e-9)
-    stretch, ends = np.empty((len(clip), len(rest)), np.float32), []
+    some = slice(None, None, 1 + len(clip) * len(rest) // STRETCHES)
+    stretch, ends = np.empty((len(clip), len(rest[some])), np.float32), []
     # Frame by frame: a clip may be larger than the memory.
     for index in range(len(clip)):
         means, scales = clip.means[index], clip.scales[index]
         ratios = np.log(np.maximum(scales, 1e-9) / rest)
         ends.append((means.min(axis=0), means.max(axis=0), ratios.min(), ratios.max()))
-        stretch[index] = scales.max(axis=1) / rest.max(axis=1)
+        stretch[index] = scales[some].max(axis=1) / rest[some].max(axis=1)
     lowest, highest, shrunk, grown = zip(*ends, strict=True)
     low, high = np.percentile(stretch, PERCENTILES, overwrite_input=True).tolist()
     half = max(1 - low, high - 1, 0.01)
@@ -267,7 +277,7 @@ def _shape_errors(
     first = _covariances(clip, 0, mask, turn)
     slopes = motion.lattice.slopes(rest)
     errors = np.zeros(len(first))
-    for index in {len(clip) // 2, len(clip) - 1}:
+    for index in _compared(len(clip)):
         gradient = np.eye(3) + np.stack([slope @ motion.moved[index] for slope in slopes], axis=-1)
         made = np.einsum("nij,njk,nlk->nil", gradient, first, gradient)
         true = _covariances(clip, index, mask, turn)
@@ -300,8 +310,8 @@ class _Motion:
     frames: list[bytes]
     errors: NDArray[np.float64]
     """Largest error of each Gaussian [N], m."""
-    moved: list[NDArray[np.float64]]
-    """Displacements of the nodes in each frame [M,3], m."""
+    moved: dict[int, NDArray[np.float64]]
+    """Displacements of the nodes [M,3], m, in the frames whose shapes are compared."""
 
     @property
     def size(self) -> int:
@@ -310,36 +320,42 @@ class _Motion:
 
     @classmethod
     def of(
-        cls, lattice: Lattice, rest: NDArray[np.float64], places: list[NDArray[np.float64]]
+        cls, lattice: Lattice, rest: NDArray[np.float64], places: NDArray[np.float32]
     ) -> _Motion:
-        """Fit a lattice to the positions of Gaussians in each frame [N,3], m."""
+        """Fit a lattice to the positions of Gaussians in all frames [T,N,3], m."""
         solver, size = lattice.solver(), measure_size(rest)
         errors, fitted = np.zeros(len(rest)), []
         for place in places:
             moved = solver.solve(lattice.weights.T @ (place - rest))
             step = float(np.float32(max(float(np.abs(moved).max()) / LARGEST, STEP * size)))
-            whole = np.rint(moved / step)
+            whole = np.rint(moved / step).astype("<i2")
+            fitted.append((step, whole))
             rest_error = place - rest - lattice.weights @ (whole * step)
             errors = np.maximum(errors, np.linalg.norm(rest_error, axis=1))
-            fitted.append((step, whole, rest_error))
+            release(places)
         exceptions = np.flatnonzero(errors > TOLERANCE * size)
+        weights = lattice.weights[exceptions]
         errors[exceptions], frames = 0.0, []
-        for step, whole, rest_error in fitted:
-            shifts = np.rint(rest_error[exceptions] / step).clip(-LARGEST, LARGEST)
-            left = np.linalg.norm(rest_error[exceptions] - shifts * step, axis=1)
+        for place, (step, whole) in zip(places, fitted, strict=True):
+            rest_error = place[exceptions] - rest[exceptions] - weights @ (whole * step)
+            release(places)
+            shifts = np.rint(rest_error / step).clip(-LARGEST, LARGEST).astype("<i2")
+            left = np.linalg.norm(rest_error - shifts * step, axis=1)
             errors[exceptions] = np.maximum(errors[exceptions], left)
-            change = np.diff(
-                np.concatenate([whole, shifts]).astype("<i2").T, axis=1, prepend=np.int16(0)
-            )
-            frames.append(
-                np.float32(step).tobytes() + zlib.compress(change.astype("<i2").tobytes(), 9)
-            )
-        moved = [whole * step for step, whole, _ in fitted]
+            change = np.diff(np.concatenate([whole, shifts]).T, axis=1, prepend=np.int16(0))
+            frames.append(np.float32(step).tobytes() + zlib.compress(change.tobytes(), 9))
+        compared = ((index, *fitted[index]) for index in _compared(len(places)))
+        moved = {index: whole * step for index, step, whole in compared}
         return cls(lattice, exceptions, frames, errors, moved)
 
 
-def _pack(about: dict[str, Any], parts: list[bytes]) -> bytes:
-    """Return the file; the JSON is padded, so that its length does not depend on the offsets."""
+def _compared(count: int) -> set[int]:
+    """Return the frames of a clip in which the Gaussians' shapes are compared."""
+    return {count // 2, count - 1}
+
+
+def _pack(about: dict[str, Any], parts: list[bytes]) -> list[bytes]:
+    """Return a file's parts; the JSON is padded, so its length does not depend on the offsets."""
     start = 12 + len(json.dumps(about)) + 200 + 32 * len(parts)
     offsets = start + np.cumsum([0, *map(len, parts[:-1])])
     sections = [[int(at), len(part)] for at, part in zip(offsets, parts, strict=True)]
@@ -347,4 +363,4 @@ def _pack(about: dict[str, Any], parts: list[bytes]) -> bytes:
     about |= {"frames": sections[2:-2], "errors": sections[-2]}
     about["player"] |= {"shades": sections[-1]} if parts[-1] else {}
     text = json.dumps(about).encode().ljust(start - 12)
-    return MAGIC + len(text).to_bytes(4, "little") + text + b"".join(parts)
+    return [MAGIC + len(text).to_bytes(4, "little") + text, *parts]
