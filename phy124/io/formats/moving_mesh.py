@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,19 +74,23 @@ def write_moved(
         moved.vertices = moved.vertices @ turn.T
         scene.add_geometry(moved, geom_name=_name(index), node_name=_name(index))
     data: Any = scene.export(file_type="glb", include_normals=True)
-    document, buffer = _split(data)
-    frames = []
-    for index, places in enumerate(follow(clip, points)):
-        frames.append((places - points) @ turn.T)
-        progress("export", index + 1, len(clip))
-    named = {mesh["name"]: mesh for mesh in document["meshes"]}
-    for index in range(len(pieces)):
-        shifts = [frame[ends[index] : ends[index + 1]] for frame in frames[1:]]
-        _add_targets(document, buffer, named[_name(index)], shifts)
-    _animate(document, buffer, clip.times - clip.times[0])
-    _unlit(document)
-    with replacing(path) as temporary:
-        temporary.write_bytes(_join(document, buffer))
+    with tempfile.TemporaryFile() as buffer:
+        document = _split(data, buffer)
+        targets: list[list[dict[str, int]]] = [[] for _ in pieces]
+        for index, places in enumerate(follow(clip, points)):
+            shift = (places - points) @ turn.T
+            for piece, start, end in zip(targets, ends, ends[1:], strict=False):
+                if index:
+                    place = _append(document, buffer, shift[start:end], target=VERTICES)
+                    piece.append({"POSITION": place})
+            progress("export", index + 1, len(clip))
+        named = {mesh["name"]: mesh for mesh in document["meshes"]}
+        for index, piece in enumerate(targets):
+            _add_targets(named[_name(index)], piece)
+        _animate(document, buffer, clip.times - clip.times[0])
+        _unlit(document)
+        with replacing(path) as temporary, temporary.open("wb") as file:
+            _join(document, buffer, file)
 
 
 def fit_to_clip(pieces: list[Any], clip: Clip, axes: tuple[str, str | None]) -> list[Any]:
@@ -148,33 +154,41 @@ def _name(index: int) -> str:
     return f"object{index}"
 
 
-def _split(data: bytes) -> tuple[dict[str, Any], bytearray]:
-    """Return the JSON and the buffer of a GLB."""
+def _split(data: bytes, buffer: BinaryIO) -> dict[str, Any]:
+    """Return the JSON of a GLB, and write its buffer to a file."""
     size = int.from_bytes(data[12:16], "little")
-    return json.loads(data[20 : 20 + size]), bytearray(data[28 + size :])
+    buffer.write(data[28 + size :])
+    return json.loads(data[20 : 20 + size])
 
 
-def _join(document: dict[str, Any], buffer: bytearray) -> bytes:
-    """Return the GLB of a JSON and a buffer."""
-    document["buffers"] = [{"byteLength": len(buffer)}]
+def _join(document: dict[str, Any], buffer: BinaryIO, file: BinaryIO) -> None:
+    """Write the GLB of a JSON and a buffer to a file."""
+    length = _pad(buffer)
+    document["buffers"] = [{"byteLength": length}]
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    binary = bytes(buffer) + b"\0" * (-len(buffer) % 4)
-    size = 12 + 8 + len(text) + 8 + len(binary)
-    head = b"glTF" + (2).to_bytes(4, "little") + size.to_bytes(4, "little")
-    chunks = [(b"JSON", text), (b"BIN\0", binary)]
-    return head + b"".join(len(d).to_bytes(4, "little") + kind + d for kind, d in chunks)
+    size = 12 + 8 + len(text) + 8 + length
+    file.write(b"glTF" + (2).to_bytes(4, "little") + size.to_bytes(4, "little"))
+    file.write(len(text).to_bytes(4, "little") + b"JSON" + text)
+    file.write(length.to_bytes(4, "little") + b"BIN\0")
+    buffer.seek(0)
+    shutil.copyfileobj(buffer, file)
+
+
+def _pad(buffer: BinaryIO) -> int:
+    """Write zeros until the length of a file is a multiple of 4; return this length [bytes]."""
+    buffer.write(b"\0" * (-buffer.tell() % 4))
+    return buffer.tell()
 
 
 def _append(
-    document: dict[str, Any], buffer: bytearray, values: NDArray[np.floating], **more: Any
+    document: dict[str, Any], buffer: BinaryIO, values: NDArray[np.floating], **more: Any
 ) -> int:
     """Append float32 values [N] or [N,3] to the buffer; return the index of their accessor."""
     values = np.ascontiguousarray(values, np.float32)
-    buffer += b"\0" * (-len(buffer) % 4)
-    view = {"buffer": 0, "byteOffset": len(buffer), "byteLength": values.nbytes, **more}
+    view = {"buffer": 0, "byteOffset": _pad(buffer), "byteLength": values.nbytes, **more}
     document["bufferViews"].append(view)
-    buffer += values.tobytes()
+    buffer.write(values.tobytes())
     accessor = {
         "bufferView": len(document["bufferViews"]) - 1,
         "componentType": FLOAT,
@@ -187,23 +201,20 @@ def _append(
     return len(document["accessors"]) - 1
 
 
-def _add_targets(
-    document: dict[str, Any], buffer: bytearray, mesh: dict[str, Any], shifts: list[NDArray]
-) -> None:
+def _add_targets(mesh: dict[str, Any], targets: list[dict[str, int]]) -> None:
     """Add a morph target for each frame but the first."""
-    targets = [{"POSITION": _append(document, buffer, shift, target=VERTICES)} for shift in shifts]
     if targets:
         mesh["weights"] = [0.0] * len(targets)
         for primitive in mesh["primitives"]:
             primitive["targets"] = targets
 
 
-def _animate(document: dict[str, Any], buffer: bytearray, times: NDArray[np.float64]) -> None:
+def _animate(document: dict[str, Any], buffer: BinaryIO, times: NDArray[np.float64]) -> None:
     """Add an animation that gives weight 1 to target k - 1 in frame k, and 0 to all others."""
     if len(times) < 2:
         return
     at = _append(document, buffer, times)
-    weights = _append(document, buffer, np.eye(len(times), len(times) - 1, -1).ravel())
+    weights = _append(document, buffer, np.eye(len(times), len(times) - 1, -1, np.float32).ravel())
     nodes = [index for index, node in enumerate(document["nodes"]) if "mesh" in node]
     document["animations"] = [
         {

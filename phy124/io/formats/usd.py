@@ -22,6 +22,8 @@ from phy124.runtime.installation import install_command
 
 ENDINGS = (".usdc", ".usda", ".usd")
 SCHEMA = "ParticleField3DGaussianSplat"
+SAVED = 32
+"""Number of frames after which a binary file is saved."""
 REACH = 3.0
 """Extent of a Gaussian in the prim's bounding box, in standard deviations."""
 
@@ -49,6 +51,7 @@ def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = 
             _sample(pxr, splats, frame.gaussians, code)
             if index == 0 or clip.rotations is not None:
                 _colour(pxr, splats, frame.gaussians, code if clip.rotations is not None else None)
+            save_at_times(stage, index)
             progress("export", index + 1, len(clip))
         stage.GetRootLayer().Save()
 
@@ -91,6 +94,16 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
         api.CreatePrimvar("objectId", integers, pxr.UsdGeom.Tokens.vertex).Set(ids)
         splats.GetPrim().SetCustomDataByKey("objects", pxr.Vt.StringArray(list(clip.objects)))
     return stage, splats
+
+
+def save_at_times(stage: Any, index: int) -> None:
+    """Save a stage after every `SAVED` frames, which frees the memory of their values.
+
+    A text file is not saved, because each time it would be written as a whole.
+    """
+    layer = stage.GetRootLayer()
+    if index % SAVED == SAVED - 1 and not layer.realPath.endswith(".usda"):
+        layer.Save()
 
 
 def set_times(stage: Any, clip: Clip) -> None:

@@ -9,6 +9,7 @@ z to the front, in metres, as AR viewers on phones expect. The topology is const
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from importlib import import_module
 from pathlib import Path
@@ -23,7 +24,7 @@ from phy124.io.content import Y_UP
 from phy124.io.files import replacing
 from phy124.io.formats.mesh import find_surface
 from phy124.io.formats.moving_mesh import CELLS, follow
-from phy124.io.formats.usd import refuse_missing_usd, set_times
+from phy124.io.formats.usd import refuse_missing_usd, save_at_times, set_times
 from phy124.progress import Progress, silent
 
 
@@ -65,6 +66,7 @@ def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress =
             mesh.CreatePointsAttr().Set(Vt.Vec3fArray.FromNumpy(points), code)
             ends = np.stack([points.min(axis=0), points.max(axis=0)])
             mesh.CreateExtentAttr().Set(Vt.Vec3fArray.FromNumpy(ends), code)
+            save_at_times(stage, index)
             progress("export", index + 1, len(clip))
         _bind_colours(stage, mesh)
         stage.GetRootLayer().Save()
@@ -72,7 +74,7 @@ def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress =
         if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(os.fspath(layer)), os.fspath(package)):
             raise InputError("output", path, "OpenUSD could not write it.", "Write usd instead.")
         with replacing(path) as temporary:
-            temporary.write_bytes(package.read_bytes())
+            shutil.copyfile(package, temporary)
 
 
 def _bind_colours(stage: Any, mesh: Any) -> None:
