@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
@@ -20,8 +21,10 @@ from phy124.lattice.walls import Nodes
 from phy124.lattice.workers import Crew
 from phy124.mpm.model import Model
 
-ROUNDS, TRIAL = 60, 1e-3
-"""Power iterations at rest, and size of trial displacements [cells]."""
+ROUNDS, DAMPED, TRIAL = 60, 8, 1e-3
+"""Power iterations for the largest frequency at rest, and from its shape for the largest rate of
+damping; size of trial displacements [cells].
+"""
 FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
 """Iterations of a measurement if the squared frequency exceeds its value at rest by the second
 factor, and the damping ratio of the fastest vibration is below the third number; otherwise one
@@ -55,6 +58,7 @@ class Spectrum:
             run_trials: Runs the trials of all workers.
         """
         self._model, self._crew, self._run_trials = model, crew, run_trials
+        self._nodes = nodes
         self._size = TRIAL * model.dx
         start = np.random.default_rng(0).normal(size=(len(lattice), 3))
         start[lattice.tied] = 0
@@ -67,16 +71,16 @@ class Spectrum:
         crew.accelerate(trial=True)
         crew.a.assign(crew.trial_a)
         self._least = self._iterate(0.0, ROUNDS)
+        self._delay = 0.0
+        """Ratio of viscosity to stiffness of the fastest vibrations [s]."""
+        if any(math.isfinite(section.viscous_limit(model.dx)) for section in model.materials):
+            self._size *= math.sqrt(self._least)
+            rate = self._iterate(0.0, DAMPED, velocities=nodes.v)
+            self._size = TRIAL * model.dx
+            self._delay = MISSED * rate / (2 * self._least)
         nodes.v.assign(v)
         self.square = self._least
         """Square of the largest angular frequency, as last measured [1/s^2]."""
-        ratios = [section.sound_speed() ** 2 * section.density for section in model.materials]
-        viscous = [section.viscous_limit(model.dx) for section in model.materials]
-        eta = [
-            m.density * model.dx**2 / (8 * v) for m, v in zip(model.materials, viscous, strict=True)
-        ]
-        self._delay = max(a / b for a, b in zip(eta, ratios, strict=True))
-        """Largest ratio of viscosity to stiffness [s]."""
 
     @property
     def _damping_ratio(self) -> float:
@@ -99,7 +103,7 @@ class Spectrum:
         rounds = FOLLOWED if hard else 1
         self.square = max(self._least, MISSED * self._iterate(share, rounds))
 
-    def _iterate(self, share: float, rounds: int) -> float:
+    def _iterate(self, share: float, rounds: int, velocities: wp.array | None = None) -> float:
         """Return the square of the largest frequency [1/s^2] after some power iterations.
 
         The norm weighs the largest motions most, so that it measures the fastest vibration, which
@@ -108,12 +112,18 @@ class Spectrum:
         Args:
             share: Factor of the accelerations that the shape gets.
             rounds: Number of iterations.
+            velocities: Velocities of the nodes, which are changed instead of the displacements, so
+                that the result is the largest rate of damping [1/s]; None: the displacements.
         """
         square = 0.0
         for _ in range(rounds):
             for index, value in enumerate((1 / self._peak(), share, self._size)):
                 self._try.set_param_at_index(index, value)
             self._try.launch()
+            if velocities is not None:
+                still = self._nodes.u.numpy()
+                velocities.assign(self._crew.trial_u.numpy() - still)
+                self._crew.trial_u.assign(still)
             self._run_trials()
             self._crew.accelerate(trial=True)
             self._compare.launch()
