@@ -1,5 +1,6 @@
 """phy124.runtime.light_imports: without the parts that only documentation and tests need."""
 
+import json
 import subprocess
 import sys
 
@@ -69,3 +70,13 @@ def test_schemas_are_imported_without_their_dictionaries() -> None:
         "else:\n    raise SystemExit('not checked')\n"
     )
     assert imported_after(code) == []
+
+
+def test_scenes_are_listed_without_warp_and_numpy() -> None:
+    code = "import sys\nfrom phy124.__main__ import main\nassert main(['scenes', '--json']) == 0"
+    last = "print(*({'warp', 'numpy', 'pydantic'} & sys.modules.keys()))"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\n{last}"], capture_output=True, text=True, check=True
+    )
+    listed, loaded = done.stdout.splitlines()
+    assert json.loads(listed)["press"].startswith("A plate comes down") and not loaded

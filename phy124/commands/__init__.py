@@ -20,7 +20,7 @@ MODULES = {
     "convert": ("convert", "Convert"),
     "scenes": ("scenes", "Scenes"),
     "stress": ("validate", "Stress"),
-    "effects": ("scenes", "ShowEffects"),
+    "effects": ("effects", "ShowEffects"),
     "accuracy": ("accuracy", "ShowAccuracy"),
     "validate": ("validate", "Validate"),
     "evaluate": ("evaluate", "Evaluate"),
@@ -28,7 +28,7 @@ MODULES = {
     "weights": ("weights", "Weights"),
     "sweep": ("sweep", "Sweep"),
     "fit": ("fit", "Fit"),
-    "warm": ("scenes", "Warm"),
+    "warm": ("effects", "Warm"),
     "doctor": ("doctor", "Doctor"),
 }
 """Name of a command -> its module in this package, and its class in that module."""

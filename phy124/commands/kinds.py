@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from phy124.errors import InputError
-from phy124.io.formats import MESH_ENDINGS, endings
-from phy124.io.formats.spz import begins
 
 PICTURES = (
     ".png",
@@ -82,6 +80,10 @@ def refuse_other_kind(name: str, command: Any) -> None:
 
 def _kind(path: Path) -> str | None:
     """Return the kind of a file by its first bytes, else by its name; None if unknown."""
+    # Imported here, because commands without a file need no formats.
+    from phy124.io.formats import MESH_ENDINGS, endings
+    from phy124.io.formats.spz import begins
+
     head = b""
     with suppress(OSError, ValueError):
         if path.is_file():  # a pipe must not be read here: it can be read only once

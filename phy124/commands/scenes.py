@@ -1,21 +1,19 @@
-"""`phy124 scenes`, `effects` and `warm`: list presets and fields, list effects, compile kernels."""
+"""`phy124 scenes`: list the presets, or print a preset or the fields of a scene."""
 
 from __future__ import annotations
 
 import json
-import time
+import sys
 from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
 
 import tyro
 
-from phy124.budget.effects import Effects
-from phy124.commands.bars import Bars
-from phy124.commands.options import Device
-from phy124.pipeline.warming import warm
-from phy124.runtime.context import RunContext
-from phy124.runtime.device import pick_device
-from phy124.scene import Scene, preset_names
-from phy124.scene.reference import format_reference, format_schema
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 
 @dataclass(frozen=True)
@@ -34,60 +32,24 @@ class Scenes:
     def run(self) -> int:
         """Print the list, the preset or the reference."""
         if self.reference or self.schema:
+            from phy124.scene.reference import format_reference, format_schema
+
             as_json = self.schema or self.json
             print(format_schema() if as_json else format_reference(self.name), end="")
             return 0
         if self.name is not None:
+            from phy124.scene import Scene
+
             scene = Scene.named(self.name)
             print(json.dumps(scene.data()) if self.json else scene.to_toml())
             return 0
-        descriptions = {name: Scene.named(name).description for name in preset_names()}
+        # The list needs no scenes, whose classes load Warp.
+        files = sorted(Path(str(resources.files("phy124") / "presets")).glob("*.toml"))
+        tables = {file.stem: tomllib.loads(file.read_text("utf-8")) for file in files}
+        descriptions = {name: table["description"] for name, table in tables.items()}
         if self.json:
             print(json.dumps(descriptions))
         else:
             for name, description in descriptions.items():
                 print(f"{name:<20}{description}")
-        return 0
-
-
-@dataclass(frozen=True)
-class ShowEffects:
-    """List the effects that a scene turns on and those that it leaves out, without running it."""
-
-    scene: tyro.conf.Positional[str]
-    """Preset or .toml file."""
-    device: Device = "auto"
-    json: bool = False
-    """Print as JSON."""
-
-    def run(self) -> int:
-        """Print the effects."""
-        effects = Effects.of(Scene.named(self.scene), device=pick_device(self.device))
-        if self.json:
-            print(json.dumps(effects.data()))
-            return 0
-        for effect in effects.ran:
-            print(f"runs      {effect}")
-        for omission in effects.left_out:
-            print(f"left out  {omission.effect}: {omission.why}")
-        return 0
-
-
-@dataclass(frozen=True)
-class Warm:
-    """Compile the kernels of presets ahead of time, so that later runs need not wait for it."""
-
-    scenes: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Presets or .toml files; none: all presets."""
-    device: Device = "auto"
-
-    def run(self) -> int:
-        """Compile missing kernels; print how many modules were compiled."""
-        names = self.scenes or preset_names()
-        scenes = [Scene.named(name) for name in names]
-        start = time.perf_counter()
-        with Bars() as bars:
-            compiled = warm(scenes, RunContext(device=pick_device(self.device), progress=bars))
-        done = f"{compiled} modules compiled" if compiled else "everything was compiled already"
-        print(f"{', '.join(names)}: {done}; {time.perf_counter() - start:.1f} s")
         return 0
