@@ -443,7 +443,7 @@ def test_prongs_of_a_fork_do_not_pass_through_each_other():
         return TotalForce(f=(0, 0, force), region=region)
 
     solver = make(solid, damped, forces=[push(-0.01, 120.0), push(0.59, -120.0)])
-    surface = solver._surface
+    surface = solver.surface
     along, height = surface.x[:, 0], surface.x[:, 2]
     lower, upper = ((along > 0.25) & (along < 0.89) & (abs(height - z) < 0.05) for z in (0.3, 0.6))
     gaps = []

@@ -12,7 +12,7 @@ from math import isfinite
 from typing import Any
 
 from phy124.materials import AnyMaterial
-from phy124.monitor import LATTICE_OBSERVERS, OBSERVERS
+from phy124.monitor import observers_for
 from phy124.monitor.observer import UNKNOWN, Cost, Effect, Observer, Subject, find
 from phy124.mpm.model import form_of
 from phy124.scene import Scene
@@ -198,8 +198,7 @@ def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[E
     every = subject.scene.checks.measure
     yield Effect(f"limits of the substep measured every {every} substeps or sooner")
     yield Effect("trial substeps, which are repeated with a shorter substep if they are too long")
-    every_kind = LATTICE_OBSERVERS if subject.scene.resolution.on_lattice else OBSERVERS
-    for kind in dict.fromkeys((*every_kind, *map(type, observers))):
+    for kind in dict.fromkeys((*observers_for(subject.scene), *map(type, observers))):
         observer = find(observers, kind)
         effect = kind.effect(subject) if observer is None else observer.finished_effect(subject)
         if effect is not None:

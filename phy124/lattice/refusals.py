@@ -39,8 +39,10 @@ def refuse_for_lattice(scene: Any, materials: Sequence[Material]) -> None:
 def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
     """Yield the features that the lattice solver lacks, in the order of the scene's fields."""
     other = 'Use accuracy.solver = "mpm", or an elastic law.'
+    if scene.couples:
+        yield from _refusals_of_couples(scene)
     for section in materials:
-        if not is_elastic(section):
+        if not is_elastic(section) and not scene.couples:
             limit = "the lattice solver is for elastic laws, which do not yield."
             yield Refusal("material.law", getattr(section, "law", "?"), limit, other)
     if scene.binding != "lattice":
@@ -59,6 +61,22 @@ def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
             limit = "on its lattice a body can only be held in all directions."
             remedy = 'Use contact = "sticky", or accuracy.solver = "mpm".'
             yield Refusal(field, boundary.contact, limit, remedy)
+
+
+def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
+    """Yield what bodies on lattices and bodies of particles cannot do together."""
+    limit = "elastic and other objects together cannot have it on lattices."
+    for number, force in enumerate(scene.acting):
+        if not force.uniform:
+            yield Refusal(f"forces.{number}", force.kind, limit)
+    solids = ", ".join(body.name for body in scene.objects if body.free)
+    if solids:
+        yield Refusal("objects.motion", solids, limit)
+    if scene.stiffness_profile is not None:
+        yield Refusal("stiffness_profile", "set", limit)
+    if scene.projects:
+        remedy = 'Use accuracy.liquid = "compressible", or accuracy.solver = "mpm".'
+        yield Refusal("accuracy.liquid", "projection", limit, remedy)
 
 
 def is_elastic(section: Material) -> bool:

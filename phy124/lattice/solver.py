@@ -109,7 +109,7 @@ class LatticeSolver:
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         spans = [model.particles(body) for body in range(model.bodies)]
         self.lattice = RestLattice.of(model.rest, mass, volume, model.dx, spans)
-        self._surface = make_surface(surface, self.lattice)
+        self.surface = make_surface(surface, self.lattice)
         self.nodes_state = _nodes(model, self.lattice, self.state, vectors=vectors)
         count = usable_workers(len(model), model.device, threads)
         self._crew = Crew(model, self.state, self.lattice, self.nodes_state, count, vectors=vectors)
@@ -118,9 +118,11 @@ class LatticeSolver:
         self.grid = Grid(model.origin, model.dx, real=model.real, device=model.device)
         self.grid.size = np.ptp(self.lattice.index, axis=0) + 1
         self.pairs = Pairs(model, pairs, 1)
-        self.free = Solids(model, free, self._surface, self.nodes_state)
+        self.free = Solids(model, free, self.surface, self.nodes_state)
         # Bodies on their lattices need none of these; observers and reports read them.
         self.repair, self.outliers = Repair(model, self.state), Outliers(model, self.state)
+        self.guests: list[Any] = []
+        """Further contact, with launches like those of walls."""
         self.softened = 1.0
         """Factor by which all stiffnesses are currently scaled."""
         self._spectrum = Spectrum(
@@ -160,7 +162,7 @@ class LatticeSolver:
         model, state = self.model, self.state
         tracks = Tracks(real=model.real, device=model.device)
         acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
-        surface, nodes = self._surface, self.nodes_state
+        surface, nodes = self.surface, self.nodes_state
         walls = Walls(boundaries, model, self.lattice, surface, nodes, tracks)
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
         self.free.bind(planes, tracks)
@@ -195,7 +197,9 @@ class LatticeSolver:
 
     def _contact(self) -> list[Named]:
         """Return the launches of all contact: all impulses are applied before any is corrected."""
-        everything = [part.stages() for part in (self.walls, self.meetings, self.free)]
+        everything = [
+            part.stages() for part in (self.walls, self.meetings, self.free, *self.guests)
+        ]
         return [
             stage for order in zip(*everything, strict=True) for part in order for stage in part
         ]
@@ -253,14 +257,20 @@ class LatticeSolver:
         """Compute x, v, C and F of the points from the nodes."""
         self.workers[0].run(self._crew.follow())
 
-    def carry_nodes(self, carry: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]]) -> None:
-        """Set positions and velocities of the nodes, which walls then touch with no force.
+    def carry_nodes(
+        self, carry: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]], body: int = 0
+    ) -> None:
+        """Set positions and velocities of a body's nodes, which walls then touch with no force.
 
         Args:
             carry: Returns new positions and velocities [N,3] of the nodes from the present ones.
+            body: Index of the body.
         """
-        nodes, rest = self.nodes_state, self.lattice.x
-        x, v = carry(rest + nodes.u.numpy(), np.asarray(nodes.v.numpy(), np.float64))
+        nodes, rest, mine = self.nodes_state, self.lattice.x, self.lattice.body == body
+        x, v = (
+            np.array(values, np.float64) for values in (rest + nodes.u.numpy(), nodes.v.numpy())
+        )
+        x[mine], v[mine] = carry(x[mine], v[mine])
         nodes.u.assign(x - rest)
         nodes.v.assign(v)
         nodes.residue.zero_()
@@ -272,7 +282,7 @@ class LatticeSolver:
 
     def _stable_step(self, until: float) -> None:
         """Take one substep, of a stable length that divides the remaining time evenly."""
-        self._measure_if_due()
+        self.measure_if_due()
         clock = self.clock
         limit = run_timed(self.timings, SCHEDULE, clock.stable)
         rest = until - clock.time
@@ -285,14 +295,23 @@ class LatticeSolver:
 
     def step(self, kick: float, drift: float) -> None:
         """Take one substep: velocities change over `kick` [s], displacements over `drift` [s]."""
-        self._measure_if_due()
+        self.start_step(kick, drift)
+        self.end_step(drift)
+
+    def start_step(self, kick: float, drift: float) -> None:
+        """Kick the nodes, and let contact act: all of a substep but the drift."""
+        self.measure_if_due()
         self.clock.begin(kick, drift)
         if self.tracks.vary:
             run_timed(self.timings, "tracks", self._sample.launch)
-        for phase in range(len(self.workers[0].phases)):
+        for phase in range(len(self.workers[0].phases) - 1):
             self._run(phase)
             if self._probing and phase == self._summed:
                 self._measure_frequency()
+
+    def end_step(self, drift: float) -> None:
+        """Move the nodes over `drift` [s]."""
+        self._run(len(self.workers[0].phases) - 1)
         if self.team.alive:
             run_timed(self.timings, "wait", self.team.join)
         self.clock.finish(drift)
@@ -330,13 +349,16 @@ class LatticeSolver:
             yield
             return
         # Loading kernels is not thread-safe: this loads those of the measurement.
-        self._measure_if_due()
+        self.measure_if_due()
         with self.team.running():
             yield
 
-    def _measure_if_due(self) -> None:
-        if self.clock.due:
+    def measure_if_due(self) -> bool:
+        """Measure the limits of the substep if necessary; return whether they were measured."""
+        due = self.clock.due
+        if due:
             self._measure()
+        return due
 
     def _measure(self) -> None:
         """Measure the limits of the substep; raises Unstable."""

@@ -133,7 +133,8 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
         twist: Whether velocities are set; otherwise they rotate with the object.
 
     Raises:
-        InputError: There is no such object, it never moves, or it has no particles.
+        InputError: There is no such object, it never moves, it has no particles, or the scene
+            couples lattices with particles.
     """
     solver, solids = run.solver, [solid.name for solid in run.solver.free.all]
     number = None if name in solids else _object_number(run.scene, "state.entity", name)
@@ -150,8 +151,12 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
     if number is None:
         velocity, spin = motion[2:] if twist else (R @ before.velocity, R @ before.spin)
         solver.free.put(solids.index(name), (motion.place, motion.quat, velocity, spin))
+    elif run.scene.couples:
+        limit = "next to objects of particles, lattices cannot be moved at once."
+        raise InputError("state.entity", name, limit, 'Use accuracy.solver = "mpm".')
     elif run.scene.resolution.on_lattice:
-        cast("LatticeSolver", solver).carry_nodes(carry)
+        body = int(np.flatnonzero(np.unique(_objects(run)) == number)[0])
+        cast("LatticeSolver", solver).carry_nodes(carry, body)
     else:
         of_object, moving = _objects(run) == number, motion if twist else None
         _carry_particles(cast("Solver | LiquidSolver", solver), of_object, carry, R, moving)

@@ -1,6 +1,7 @@
 """Observers of a run: one file each, all listed in `OBSERVERS`."""
 
 from phy124.monitor.contacts import Contacts
+from phy124.monitor.coupled import CoupledPairs, CoupledWatchdog, CoupledWork, CoupledWrenches
 from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.interior import Interior
@@ -18,6 +19,7 @@ from phy124.monitor.softening import Softening
 from phy124.monitor.tearing import Tearing
 from phy124.monitor.watchdog import Watchdog
 from phy124.monitor.wrenches import Wrenches
+from phy124.scene import Scene
 
 OBSERVERS: tuple[type[Observer], ...] = (
     Softening,
@@ -46,4 +48,19 @@ LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeWatchdog,
     Sleep,
 )
-"""Observers of a body on its lattice, which cannot tear."""
+"""Observers of bodies on their lattices, which cannot tear."""
+COUPLED_OBSERVERS: tuple[type[Observer], ...] = (
+    CoupledPairs,
+    LatticeSelfContact,
+    CoupledWrenches,
+    CoupledWork,
+    CoupledWatchdog,
+)
+"""Observers of bodies on their lattices that move together with bodies of particles."""
+
+
+def observers_for(scene: Scene) -> tuple[type[Observer], ...]:
+    """Return the observers of a scene's solver."""
+    if scene.couples:
+        return COUPLED_OBSERVERS
+    return LATTICE_OBSERVERS if scene.resolution.on_lattice else OBSERVERS

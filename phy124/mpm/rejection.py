@@ -67,6 +67,10 @@ class StepRejection:
         self.rejected = 0
         """Number of substeps that were rejected."""
 
+    def keep(self, sums: Sums) -> None:
+        """Restore further sums after a rejected substep, from now on."""
+        self._accumulators = [*self._accumulators, sums]
+
     def begin(self, start: float, end: float) -> None:
         """Compute bounds of forces and walls from `start` to `end` [s].
 

@@ -58,6 +58,8 @@ class Solver:
 
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[Clock]] = Clock
+    guest: Any = None
+    """Launch of another solver between the update of the grids and the walls."""
 
     def __init__(
         self,
@@ -166,13 +168,13 @@ class Solver:
         self.tracks, self._forces, self.boundaries, self._sums = tracks, acting, walls, sums
         self._recorder = Recorder(
             model, state, self.grids, tracks, self.outliers, self.workers, self.slabs, self.pairs,
-            self.free, self._missed, self.fluctuation, self.gathered, self._rpic,
+            self.free, self._missed, self.fluctuation, self.gathered, self._rpic, self.guest,
         )  # fmt: skip
         self._sample = tracks.record()
         self._sample.launch()
         undone = [*accumulators, self.pairs, self.free]
         self.rejection = StepRejection(model, state, tracks, acting, undone)
-        if self.nodes:
+        if any(grid.count for grid in self.grids):
             self._record()
 
     @property

@@ -104,6 +104,8 @@ class Recorder:
     """Readers of each part right after its gather."""
     rpic: float = 0.0
     """Decay rate of the symmetric part of C [1/s]."""
+    guest: Any = None
+    """Launch of another solver between the update of the grids and the walls."""
 
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
@@ -116,7 +118,7 @@ class Recorder:
             sums: Stages that end the substep.
         """
         held = self.model.held
-        for body in held:
+        for body in held - self.model.wet:
             self._put_down(body)
         for index, worker in enumerate(self.workers):
             moving = [part for part in worker.parts if part.group.body not in held]
@@ -190,6 +192,8 @@ class Recorder:
             phases += [self.pairs.record(self.grids, worker, len(self.workers)), []]
         if self.free.all:
             phases += [self._meet_free() if worker == 0 else [], []]
+        if self.guest is not None:
+            phases += [[("lattice", self.guest)] if worker == 0 else [], []]
         alone = False
         for (place, body), wall in itertools.product(enumerate(self._moving), walls):
             if self.slabs is not None and wall.alone != alone:

@@ -20,6 +20,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from phy124.boundaries import BOUNDARIES, AnyBoundary, Ground
 from phy124.errors import InputError, did_you_mean
 from phy124.forces import FORCES, AnyForce, Gravity
+from phy124.lattice.refusals import is_elastic
 from phy124.materials import LAWS, AnyMaterial, NeoHookean
 from phy124.mpm.tracks import AnyProfile, Track
 from phy124.properties import Properties
@@ -199,6 +200,29 @@ class Scene(Section):
     def mixes(self) -> bool:
         """Whether a liquid by pressure projection moves together with other materials."""
         return self.projects and self.has_solids
+
+    @property
+    def on_lattices(self) -> list[bool]:
+        """Whether each object moves on its lattice at rest: it is elastic as a whole."""
+        if not self.resolution.on_lattice:
+            return [False] * len(self.names)
+        return [
+            not (isinstance(item, SceneObject) and item.scenery)
+            and all(
+                is_elastic(section)
+                for section in (item.material, *(p.material for p in item.parts if not p.static))
+            )
+            for item in (self, *self.objects)
+        ]
+
+    @property
+    def couples(self) -> bool:
+        """Whether objects on lattices move together with objects of particles."""
+        made = [
+            not (isinstance(item, SceneObject) and item.scenery) for item in (self, *self.objects)
+        ]
+        number = sum(self.on_lattices)
+        return 0 < number < sum(made)
 
     @property
     def acting(self) -> list[AnyForce]:

@@ -252,7 +252,7 @@ def _with_particles(placed: _Placed, spacing: float, interior: Solid | None = No
     scene, gaussians, belonging = placed.scene, placed.gaussians, placed.belonging
     alone, points = gaussians.select(belonging), None
     interior = interior or find_interior(alone)
-    if scene.resolution.on_lattice:
+    if all(scene.on_lattices):
         density = scene.material.density
         points = lattice_of(interior.resample(spacing), density=density, dx=2 * spacing)
         particles = cells_of(points)

@@ -20,7 +20,7 @@ from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.lattice.refusals import refuse_for_lattice
 from phy124.materials import AnyMaterial
-from phy124.monitor import LATTICE_OBSERVERS, OBSERVERS
+from phy124.monitor import observers_for
 from phy124.monitor.observer import Observer, Subject
 from phy124.motion.scenery import Scenery
 from phy124.mpm import FreeBody
@@ -139,7 +139,7 @@ def prepare(
     """
     context = context or RunContext()
     if observers is None:
-        observers = LATTICE_OBSERVERS if scene.resolution.on_lattice else OBSERVERS
+        observers = observers_for(scene)
     refuse_threads(context.threads)
     if scene.resolution.on_lattice:
         refuse_for_lattice(scene, scene.materials)

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.boundaries import Ground
-from phy124.monitor import LATTICE_OBSERVERS, OBSERVERS
+from phy124.lattice.refusals import is_elastic
+from phy124.monitor import observers_for
 from phy124.monitor.observer import Observer, Subject
 from phy124.monitor.wrenches import wall_names
 from phy124.motion import deform
@@ -60,6 +61,9 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     held = {index for index, body in enumerate(scene.every_object) if body.held}
     number = number_bodies(particles.body)
     wet = find_wet(fluid, particles.material, number) if scene.mixes else []
+    if scene.couples:
+        wet = [place for place, index in enumerate(bodies) if scene.on_lattices[index]]
+    still = [place for place, index in enumerate(bodies) if index in held]
     model = Model.of(
         x,
         particles.volume,
@@ -70,7 +74,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         body=number,
         wet=wet,
         names=[scene.names[index] for index in bodies],
-        held=[place for place, index in enumerate(bodies) if index in held],
+        held=still,
         origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
         cfl=scene.resolution.fraction,
         precision=scene.resolution.precision,
@@ -108,6 +112,21 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         assert particles.surface is not None
         surface = particles.surface.copy()
         surface[:, 6] = np.searchsorted(bodies, surface[:, 6])
+        if scene.couples:
+            from phy124.lattice.coupled import CoupledSolver
+
+            return CoupledSolver(
+                model,
+                surface,
+                State.of(model, v, C),
+                **wrap(scene, observers),
+                pairs=list(_pairs(model.names, scene)),
+                still=still,
+                ceiling=ceiling,
+                threads=setup.threads,
+                measure_every=scene.checks.measure,
+                scheme=scheme_of(scene),
+            )
         return LatticeSolver(
             model,
             surface,
@@ -149,6 +168,8 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
     if scene.mixes:
         uniform = [force for force in scene.acting if force.uniform]
         return {**options, "boundaries": walls, "uniform": uniform, "walls": of_liquid}
+    if scene.couples:
+        return {**options, "boundaries": walls, "uniform": scene.acting, "walls": scene.boundaries}
     return {**options, "boundaries": of_liquid if scene.projects else walls}
 
 
@@ -170,29 +191,27 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
         bodies = scene.mixes
         yield from liquid_kernels(scene.boundaries, solids, real, form, bodies=bodies)
         yield from free.kernels_of(solids, real)
-    if scene.projects and not scene.mixes:
-        yield from repair.kernels(subject.laws, real)
-        yield from deform.kernels(real, scene.binding, device)
-        for observer in OBSERVERS:
-            if observer.called_for(subject):
-                yield from observer.kernels(subject, real)
-        return
     yield from repair.kernels(subject.laws, real)
     yield from deform.kernels(real, scene.binding, device)
-    for observer in LATTICE_OBSERVERS if scene.resolution.on_lattice else OBSERVERS:
+    for observer in observers_for(scene):
         if observer.called_for(subject):
             yield from observer.kernels(subject, real)
+    if scene.projects and not scene.mixes:
+        return
     if scene.resolution.on_lattice:
-        from phy124.lattice import solids, walls, workers
+        from phy124.lattice import material, solids, walls, workers
 
-        viscous = [math.isfinite(section.viscous_limit(scene.dx)) for section in scene.materials]
-        named = zip(scene.materials, viscous, strict=True)
+        elastic = [section for section in scene.materials if is_elastic(section)]
+        viscous = [math.isfinite(section.viscous_limit(scene.dx)) for section in elastic]
+        named = zip(elastic, viscous, strict=True)
         laws = {section.device_law.name: (section.device_law, damped) for section, damped in named}
         yield from workers.kernels(list(laws.values()), real, device)
         yield from walls.kernels(scene.boundaries, real, device, several=bool(scene.objects))
         shapes = (body.shape or "" for body in scene.objects if body.free)
         yield from solids.kernels_of(shapes, real, device)
-        return
+        if not scene.couples:
+            return
+        yield from material.kernels_of(real, device)
     yield from substep.kernels(subject.laws, real, form)
     yield from fluctuation.kernels(scheme_of(scene), real, form)
     for boundary in scene.boundaries:

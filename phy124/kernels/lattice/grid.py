@@ -1,0 +1,284 @@
+"""Contact of surface points with the material on a grid, by impulses on the nodes of both.
+
+The surface of the material is where it fills half of the space, by the masses of the grid's nodes
+(phy124/lattice/coupled.py). A point meets the mean velocity of these nodes, weighted by their
+masses, and its impulse is shared out among them by the same weights: their velocities change by
+equal fractions w_i / sum w_i m_i of it, so momentum is exact.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Ints, types
+from phy124.kernels.build import kernel
+from phy124.kernels.collide import strides, xyz
+from phy124.kernels.contacts import MOMENT as PAIR_MOMENT
+from phy124.kernels.contacts import SUMS as PAIR_SUMS
+from phy124.kernels.diagnostics import add3, wide
+from phy124.kernels.lattice.contact import RELAXED
+from phy124.kernels.lattice.rows import Rows
+from phy124.kernels.pairs import mass_at
+from phy124.kernels.transfer import slope, spline
+
+SURFACE = wp.constant(0.5)
+"""Part of the space that the material fills at its surface."""
+THINNEST, STEEPEST = wp.constant(0.02), wp.constant(0.05)
+"""Least filled part of the space, and least slope of it [1/cell], at a point in contact."""
+
+
+@cache
+def make_grid_near(real: Any, rows: Rows):
+    """Kernel over surface points: sets a flag if there is any mass on the nodes around a point."""
+    t, moved_by = types(real), rows.moved_by
+
+    @kernel(f"phy124_lattice_grid_near_{rows.name}{real.__name__}", real, seconds=0.4)
+    def grid_near(
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        rest: t.vec3s,
+        u: t.vec3s,
+        lattice,
+        window,
+        grid,
+        near_out: Ints,
+    ):
+        s = wp.tid()
+        f = (rest[s] + moved_by(u, nodes, weights, s) - xyz(lattice)) / lattice[3]
+        first = wp.vec3i(
+            int(wp.floor(f[0] - real(0.5))),
+            int(wp.floor(f[1] - real(0.5))),
+            int(wp.floor(f[2] - real(0.5))),
+        )
+        near_out[s] = 0
+        for i in range(3):
+            for j in range(3):
+                for k in range(3):
+                    if mass_at(grid, window, first + wp.vec3i(i, j, k)) > real(0.0):
+                        near_out[s] = 1
+
+    return grid_near
+
+
+@cache
+def make_grid_touch(real: Any, rows: Rows):
+    """Kernel of one thread: finds points that touch the material, and applies earlier impulses.
+
+    `fill` is the filled part of the space at a node per mass. `gap_out` is the normal of the
+    material and the distance of each listed point, infinite for points out of reach; `on_out` its
+    position in nodes, and sum w_i m_i; `yields_out` the change of the relative velocity by an
+    impulse of 1 N s. A material that does not move (`moves` is 0) has no yield.
+    """
+    t = types(real)
+    moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
+
+    @kernel(f"phy124_lattice_grid_touch_{rows.name}{real.__name__}", real, seconds=0.8)
+    def grid_touch(
+        near: Ints,
+        count: int,
+        fill: real,
+        moves: int,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        rest: t.vec3s,
+        inverse: t.reals,
+        u: t.vec3s,
+        clock,
+        lattice,
+        window,
+        grid,
+        v_out: t.vec3s,
+        gap_out: t.vec4s,
+        on_out: t.vec4s,
+        place_out: t.vec3s,
+        yields_out: t.reals,
+        force_out: t.vec3s,
+    ):
+        zero = real(0.0)
+        for a in range(count):
+            s = near[a]
+            y = rest[s] + moved_by(u, nodes, weights, s)
+            place_out[s] = y
+            f = (y - xyz(lattice)) / lattice[3]
+            first = wp.vec3i(
+                int(wp.floor(f[0] - real(0.5))),
+                int(wp.floor(f[1] - real(0.5))),
+                int(wp.floor(f[2] - real(0.5))),
+            )
+            wx = spline(f[0] - real(first[0]))
+            wy = spline(f[1] - real(first[1]))
+            wz = spline(f[2] - real(first[2]))
+            sx = slope(f[0] - real(first[0]))
+            sy = slope(f[1] - real(first[1]))
+            sz = slope(f[2] - real(first[2]))
+            mass = zero
+            squares = zero
+            grad = t.vec3()
+            for i in range(3):
+                for j in range(3):
+                    for k in range(3):
+                        m = mass_at(grid, window, first + wp.vec3i(i, j, k))
+                        if m > zero:
+                            w = wx[i] * wy[j] * wz[k]
+                            mass += w * m
+                            squares += w * w * m
+                            grad += m * wp.vector(
+                                sx[i] * wy[j] * wz[k], wx[i] * sy[j] * wz[k], wx[i] * wy[j] * sz[k]
+                            )
+            part = fill * mass
+            steep = fill * wp.length(grad)
+            gap_out[s] = wp.vector(zero, zero, zero, real(wp.inf))
+            yields_out[s] = yielding(inverse, nodes, weights, s)
+            if moves == 1 and mass > zero:
+                yields_out[s] = yields_out[s] + squares / (mass * mass)
+            if part > real(THINNEST) and steep > real(STEEPEST) and yields_out[s] > zero:
+                n = -wp.normalize(grad)
+                far = (real(SURFACE) - part) / steep * lattice[3]
+                gap_out[s] = wp.vector(n[0], n[1], n[2], far)
+                on_out[s] = wp.vector(f[0], f[1], f[2], mass)
+                impulse = clock[0] * force_out[s]
+                if wp.dot(impulse, impulse) > zero:
+                    strike(v_out, inverse, nodes, weights, s, impulse)
+                    if moves == 1:
+                        push_back(grid, window, on_out[s], impulse)
+            else:
+                force_out[s] = t.vec3()
+
+    return grid_touch
+
+
+@wp.func
+def push_back(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: Any, impulse: Any):
+    """Let the nodes around a point take the opposite of an impulse [N s]."""
+    half = type(on[0])(0.5)
+    first = wp.vec3i(
+        int(wp.floor(on[0] - half)), int(wp.floor(on[1] - half)), int(wp.floor(on[2] - half))
+    )
+    wx = spline(on[0] - type(half)(first[0]))
+    wy = spline(on[1] - type(half)(first[1]))
+    wz = spline(on[2] - type(half)(first[2]))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                node = first + wp.vec3i(i, j, k)
+                if mass_at(grid, window, node) > type(half)(0.0):
+                    index = wp.dot(node - window[0], strides(window[1]))
+                    part = wx[i] * wy[j] * wz[k] / on[3]
+                    q = grid[index]
+                    grid[index] = wp.vector(
+                        q[0] - part * impulse[0], q[1] - part * impulse[1],
+                        q[2] - part * impulse[2], q[3],
+                    )  # fmt: skip
+
+
+@wp.func
+def mean_velocity(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: Any):
+    """Return the mean velocity of the nodes around a point, weighted by their masses."""
+    half = type(on[0])(0.5)
+    first = wp.vec3i(
+        int(wp.floor(on[0] - half)), int(wp.floor(on[1] - half)), int(wp.floor(on[2] - half))
+    )
+    wx = spline(on[0] - type(half)(first[0]))
+    wy = spline(on[1] - type(half)(first[1]))
+    wz = spline(on[2] - type(half)(first[2]))
+    total = xyz(on) - xyz(on)
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                node = first + wp.vec3i(i, j, k)
+                m = mass_at(grid, window, node)
+                if m > type(half)(0.0):
+                    q = grid[wp.dot(node - window[0], strides(window[1]))]
+                    total += (wx[i] * wy[j] * wz[k] * m) * xyz(q)
+    return total / on[3]
+
+
+@cache
+def make_grid_resist(sticky: bool, real: Any, rows: Rows):
+    """Kernel of one thread: projected Gauss-Seidel over points and the grid, forwards and back."""
+    t = types(real)
+    moved_by, strike = rows.moved_by, rows.strike
+    kind = "sticky" if sticky else "separate"
+
+    @kernel(f"phy124_lattice_grid_resist_{kind}_{rows.name}{real.__name__}", real, seconds=0.8)
+    def grid_resist(
+        near: Ints,
+        count: int,
+        restore: real,
+        friction,
+        moves: int,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        inverse: t.reals,
+        gap: t.vec4s,
+        on: t.vec4s,
+        yields: t.reals,
+        clock,
+        window,
+        grid,
+        v_out: t.vec3s,
+        force_out: t.vec3s,
+    ):
+        zero = real(0.0)
+        for b in range(2 * count):
+            a = b
+            if b >= count:
+                a = 2 * count - 1 - b
+            s = near[a]
+            g = gap[s]
+            if not wp.isinf(g[3]) and clock[0] > zero:
+                n = xyz(g)
+                relative = moved_by(v_out, nodes, weights, s)
+                if moves == 1:
+                    relative -= mean_velocity(grid, window, on[s])
+                last = clock[0] * force_out[s]
+                bias = g[3] / wp.max(clock[0], clock[1])
+                speed = wp.dot(relative, n)
+                along = relative - speed * n
+                pressed = wp.dot(last, n)
+                if bias < zero or pressed != zero:
+                    bias = restore * bias
+                part = real(RELAXED) / yields[s]
+                press = pressed - part * (speed + bias)
+                drag = last - pressed * n - part * along
+                if wp.static(sticky):
+                    if g[3] > zero and pressed == zero:
+                        press = wp.max(press, zero)
+                    if press == zero:
+                        drag = t.vec3()
+                else:
+                    press = wp.max(press, zero)
+                    most = friction * press
+                    size = wp.length(drag)
+                    if size > most:
+                        drag = drag * (most / size)
+                impulse = press * n + drag
+                change = impulse - last
+                force_out[s] = impulse / clock[0]
+                if wp.dot(change, change) > zero:
+                    strike(v_out, inverse, nodes, weights, s, change)
+                    if moves == 1:
+                        push_back(grid, window, on[s], change)
+
+    return grid_resist
+
+
+@cache
+def make_grid_sum(real: Any):
+    """Kernel of one thread: adds impulses of points, and their moments, to a sum per body."""
+    t = types(real)
+
+    @kernel(f"phy124_lattice_grid_sum_{real.__name__}", real, seconds=0.3)
+    def grid_sum(
+        near: Ints, count: int, body: Ints, place: t.vec3s, force: t.vec3s, clock, sums_out
+    ):
+        for a in range(count):
+            s = near[a]
+            impulse = wide(clock[0] * force[s])
+            if wp.dot(impulse, impulse) > wp.float64(0.0):
+                at = wp.static(PAIR_SUMS) * body[s]
+                add3(sums_out, at, impulse)
+                add3(sums_out, at + wp.static(PAIR_MOMENT), wp.cross(wide(place[s]), impulse))
+
+    return grid_sum

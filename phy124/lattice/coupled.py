@@ -1,0 +1,316 @@
+"""CoupledSolver: bodies on their lattices together with bodies of the material point method.
+
+Both take the same substeps. After the particles' grids are updated, the lattices' nodes are kicked;
+then all contact acts, and walls act on the grids; then particles and lattices move.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.lattice.material import Material
+from phy124.lattice.solver import LatticeSolver
+from phy124.mpm import Accumulator, Attachable, Clock, Model, Pair, Solver, State
+from phy124.mpm.free import Plane
+from phy124.mpm.pairs import fill_of
+from phy124.mpm.timestep import Substep
+
+STATE = ("x", "v", "C", "F")
+"""Arrays of the state that the points of a lattice have."""
+
+
+class CoupledClock(Clock):
+    """The clock of the particles, whose substeps are stable for the lattices, too."""
+
+    lattice: Clock | None = None
+    """The clock of the lattices."""
+
+    def stable(self) -> Substep:
+        """Return the longest substep that is stable for all bodies."""
+        substeps = [super().stable(), *([self.lattice.stable()] if self.lattice else [])]
+        return min(substeps, key=lambda substep: substep.dt)
+
+
+class CoupledSolver(Solver):
+    """Advances bodies on lattices and bodies of particles in time."""
+
+    clock_type = CoupledClock
+
+    def __init__(
+        self,
+        model: Model,
+        surface: NDArray,
+        state: State,
+        *,
+        uniform: Sequence[Attachable] = (),
+        walls: Sequence[Any] = (),
+        pairs: Sequence[Pair] = (),
+        still: Sequence[int] = (),
+        ceiling: float = math.inf,
+        **options: Any,
+    ) -> None:
+        """Divide the bodies between two solvers.
+
+        Args:
+            model: All particles; the bodies `Model.wet` are on lattices.
+            surface: Surface points [m], outward normals at rest, and indices of bodies [S,7].
+            state: Their initial state.
+            uniform: The forces as they act on the lattices, which must be uniform.
+            walls: The boundaries as they act on the lattices.
+            pairs: Pairs of bodies whose contact differs from the default.
+            still: Bodies on lattices that never move.
+            ceiling: Longest substep allowed [s].
+            options: Further arguments of `Solver`.
+
+        Raises:
+            InputError: As in `Solver` and `LatticeSolver`.
+        """
+        self._lattice: LatticeSolver | None = None
+        super().__init__(model, state, pairs=pairs, ceiling=ceiling, graph=False, **options)
+        bodies = sorted(model.wet)
+        part = _part_of(model, bodies, still)
+        number = {body: place for place, body in enumerate(bodies)}
+        between = [
+            Pair(number[p.first], number[p.second], p.friction, p.sticky)
+            for p in pairs
+            if {p.first, p.second} <= model.wet
+        ]
+        index = np.concatenate([np.arange(len(model))[model.particles(body)] for body in bodies])
+        motion = (np.asarray(array.numpy(), np.float64)[index] for array in (state.v, state.C))
+        rows = surface.copy()
+        rows[:, 6] = np.searchsorted(bodies, rows[:, 6])
+        self._index, self._numbers = index, number
+        self._lattice = LatticeSolver(
+            part,
+            rows,
+            State.of(part, *motion),
+            forces=uniform,
+            boundaries=walls,
+            pairs=between,
+            ceiling=ceiling,
+            threads=1,
+        )
+        fill = fill_of(model)
+        self.materials = []
+        """Contact of each body on a lattice with each body of particles."""
+        for pair in self.pairs.all:
+            soft = {pair.first, pair.second} & model.wet
+            if len(soft) != 1:
+                continue
+            (body,) = soft
+            (other,) = {pair.first, pair.second} - soft
+            moves = other not in model.held
+            known = self._lattice.surface, self._lattice.nodes_state, part, pair, fill[other]
+            self.materials.append(Material(*known, body=number[body], moves=moves))
+        assert isinstance(self.clock, CoupledClock)
+        self.clock.lattice = self._lattice.clock
+        self._lattice.guests = [self]
+        self._kick = (0.0, 0.0)
+        self.bind(
+            options.get("forces", ()),
+            options.get("boundaries", ()),
+            options.get("accumulators", ()),
+            options.get("planes", ()),
+            uniform=uniform,
+            walls=walls,
+        )
+
+    @property
+    def lattice(self) -> LatticeSolver:
+        """The solver of the bodies on lattices."""
+        assert self._lattice is not None
+        return self._lattice
+
+    @property
+    def guest(self) -> CoupledSolver:
+        """What acts between the update of the grids and the walls."""
+        return self
+
+    @property
+    def meetings(self) -> Any:
+        """Contact of the bodies on lattices with each other."""
+        return self.lattice.meetings
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes of all windows and lattices."""
+        return super().nodes + (self._lattice.nodes if self._lattice is not None else 0)
+
+    def bind(
+        self,
+        forces: Sequence[Attachable] = (),
+        boundaries: Sequence[Attachable] = (),
+        accumulators: Sequence[Accumulator] = (),
+        planes: Sequence[Plane] = (),
+        *,
+        uniform: Sequence[Attachable] = (),
+        walls: Sequence[Any] = (),
+    ) -> None:
+        """Replace forces, boundaries and sums, from the next substep on.
+
+        Args:
+            forces: Forces, in the order in which they act.
+            boundaries: Boundaries, in the order in which they act.
+            accumulators: Sums that are updated in every substep.
+            planes: Flat walls with which free bodies collide.
+            uniform: The forces as they act on the lattices.
+            walls: The boundaries as they act on the lattices.
+
+        Raises:
+            InputError: As in `__init__`.
+        """
+        if self._lattice is not None:
+            self._lattice.bind(uniform, walls)
+        super().bind(forces, boundaries, accumulators, planes)
+        if self._lattice is not None:
+            self.rejection.keep(_Undo(self))
+
+    def stages(self) -> list[list[Any]]:
+        """Return the launches of contact between lattices and particles, for the lattices."""
+        return [
+            [("pairs", material.stage(number)) for material in self.materials]
+            for number in range(3)
+        ]
+
+    def launch(self) -> None:
+        """Kick the lattices' nodes, and let all contact of the lattices act."""
+        if self._lattice is not None:
+            self._lattice.start_step(*self._kick)
+
+    def advance(
+        self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
+    ) -> None:
+        """Take substeps of stable length.
+
+        Args:
+            until: The time at which to stop [s].
+            after: Called after each substep.
+            each: Whether `after` must be called after each substep, which it always is.
+
+        Raises:
+            Unstable: A particle left the grid's window or is no longer finite.
+        """
+        lattice = self.lattice
+        lattice.rejection.begin(self.clock.time, until)
+        lattice.measure_if_due()
+        before = [material.sums.numpy().copy() for material in self.materials]
+        super().advance(until, after=after, each=each)
+        lattice.clock.time, lattice.clock.last_dt = self.clock.time, self.clock.last_dt
+        lattice.follow()
+        self._copy_state()
+        for material, old in zip(self.materials, before, strict=True):
+            first, second = material.pair[:2]
+            soft, other = (first, second) if first in self._numbers else (second, first)
+            impulse, moment = np.split(material.sums.numpy() - old, 2)
+            self.pairs.add(other, soft, impulse, moment)
+
+    def _copy_state(self) -> None:
+        """Copy the state of the lattices' points to that of all particles."""
+        for name in STATE:
+            array = getattr(self.state, name)
+            values = array.numpy()
+            values[self._index] = getattr(self.lattice.state, name).numpy()
+            array.assign(values)
+        if len(self.state.total):
+            total = self.state.total.numpy()
+            total[self._index] = self.lattice.state.F.numpy()
+            self.state.total.assign(total)
+
+    def _stable_step(self, until: float) -> None:
+        """Take one substep, of a length that is stable for all bodies."""
+        if self.lattice.measure_if_due():
+            for material in self.materials:
+                material.due = True
+        super()._stable_step(until)
+
+    def step(self, kick: float, drift: float) -> None:
+        """Take one substep: velocities change over `kick` [s], positions and F over `drift` [s]."""
+        super().step(kick, drift)
+        self.lattice.end_step(drift)
+
+    def _careful_step(self, dt: float) -> float:
+        dt = super()._careful_step(dt)
+        self.lattice.end_step(dt)
+        return dt
+
+    def _scatter(self, kick: float, drift: float) -> None:
+        self._kick = kick, drift
+        super()._scatter(kick, drift)
+
+    def _record(self) -> None:
+        """Record the launches of one substep, in order."""
+        if self._lattice is not None:
+            for material in self.materials:
+                pair = material.pair
+                (other,) = {pair.first, pair.second} - self._numbers.keys()
+                clock = self._lattice.tracks.clock
+                material.record(self.grids[other], clock, self._lattice.walls.recovery)
+                material.due = True
+            self._lattice.record()
+        super()._record()
+        self.flying = False
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state that `restore` needs to continue bit for bit."""
+        return {**super().snapshot(), **_Undo(self).snapshot()}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot; if the number of threads differs, only to within rounding."""
+        super().restore(snapshot)
+        _Undo(self).restore(snapshot)
+
+
+class _Undo:
+    """The parts of the state that a rejected substep has changed on the lattices."""
+
+    def __init__(self, solver: CoupledSolver) -> None:
+        self._solver = solver
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the current state."""
+        materials = {str(i): each.snapshot() for i, each in enumerate(self._solver.materials)}
+        return {"lattice": self._solver.lattice.snapshot(), "materials": materials}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot."""
+        self._solver.lattice.restore(snapshot["lattice"])
+        for number, material in enumerate(self._solver.materials):
+            material.restore(snapshot["materials"][str(number)])
+
+
+def _part_of(model: Model, bodies: Sequence[int], still: Sequence[int]) -> Model:
+    """Return the model of some bodies, numbered in their order."""
+    groups, runs, start = [], [], 0
+    for place, body in enumerate(bodies):
+        for group in model.groups:
+            if group.body == body:
+                stop = start + len(group)
+                groups.append(replace(group, start=start, stop=stop, body=place))
+                runs.append(np.arange(group.start, group.stop))
+                start = stop
+    index = np.concatenate(runs)
+    laws = {group.law.name for group in groups}
+    names = tuple(model.names[body] for body in bodies) if model.names else ()
+
+    def chosen(array: wp.array) -> wp.array:
+        return model.array(array.numpy()[index], model.real)
+
+    return replace(
+        model,
+        rest=model.rest[index],
+        mass=chosen(model.mass),
+        volume=chosen(model.volume),
+        history=model.history[index],
+        groups=tuple(groups),
+        materials=tuple(m for m in model.materials if m.device_law.name in laws),
+        held=frozenset(place for place, body in enumerate(bodies) if body in still),
+        wet=frozenset(),
+        names=names,
+    )

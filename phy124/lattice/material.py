@@ -1,0 +1,149 @@
+"""Contact of surface points on lattices with bodies of the material point method.
+
+A body of particles is met on its grid, after the update of a substep and before walls act.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.arguments import types
+from phy124.kernels.contacts import SUMS
+from phy124.kernels.lattice import grid as kernels
+from phy124.kernels.lattice.rows import rows_for
+from phy124.lattice.surface import Surface
+from phy124.lattice.walls import Nodes
+from phy124.mpm.grid import Grid
+from phy124.mpm.model import Model
+from phy124.mpm.pairs import Pair
+
+
+class Material:
+    """Contact of the surface points of one body with one body of particles."""
+
+    def __init__(
+        self,
+        surface: Surface,
+        nodes: Nodes,
+        model: Model,
+        pair: Pair,
+        fill: float,
+        *,
+        body: int,
+        moves: bool,
+    ) -> None:
+        """Prepare contact without any point.
+
+        Args:
+            surface: Surface points of all bodies on lattices.
+            nodes: The nodes of the lattices.
+            model: The constants of the bodies on lattices.
+            pair: The contact of the two bodies.
+            fill: Filled part of the space at a node of the particles, per mass [1/kg].
+            body: Index of the body among those on lattices.
+            moves: Whether the particles may move.
+        """
+        self.pair, self._model, self._nodes = pair, model, nodes
+        self._fill, self._moves = fill, int(moves)
+        self._mine = surface.body == body
+        t, count, device = types(model.real), surface.count, model.device
+
+        def zeros(kind: Any) -> wp.array:
+            return wp.zeros(count, dtype=kind, device=device)
+
+        self._near: NDArray[np.int32] = np.zeros(0, np.int32)
+        self._list, self._flags, self._bodies = zeros(int), zeros(int), zeros(int)
+        self._gap, self._on, self._place = zeros(t.vec4), zeros(t.vec4), zeros(t.vec3)
+        self._yields, self.force = zeros(model.real), zeros(t.vec3)
+        self.sums = wp.zeros(SUMS, dtype=wp.float64, device=device)
+        """Impulse of the particles on the body, and its moment about the origin."""
+        self._points = [
+            wp.array(surface.nodes, dtype=int, device=device),
+            model.array(surface.weights, model.real),
+            model.array(surface.x, t.vec3),
+        ]
+        self.due = True
+        """Whether the points near the particles must be listed in the next substep."""
+        self.most = 0
+        """Largest number of points near the particles."""
+
+    def record(self, grid: Grid, clock: wp.array, recovery: float) -> None:
+        """Record the launches for the current window of the particles' grid.
+
+        Args:
+            grid: The grid of the particles.
+            clock: The clock of the substeps.
+            recovery: Part of their depth by which points come out of the material in a substep.
+        """
+        model, nodes, rows = self._model, self._nodes, self._nodes.rows
+        on_grid = [grid.lattice, grid.window, grid.nodes]
+        count = len(self._list)
+        kernel = kernels.make_grid_near(model.real, rows)
+        inputs = [*self._points, nodes.u, *on_grid]
+        self._look = model.launch(kernel, count, inputs, [self._flags])
+        inputs = [self._list, 0, self._fill, self._moves, *self._points]
+        inputs += [nodes.movable, nodes.u, clock, *on_grid]
+        outputs = [nodes.v, self._gap, self._on, self._place, self._yields, self.force]
+        touch = model.launch(kernels.make_grid_touch(model.real, rows), 1, inputs, outputs)
+        inputs = [self._list, 0, recovery, self.pair.friction, self._moves, *self._points[:2]]
+        inputs += [nodes.movable, self._gap, self._on, self._yields, clock, *on_grid[1:]]
+        kernel = kernels.make_grid_resist(self.pair.sticky, model.real, rows)
+        resist = model.launch(kernel, 1, inputs, [nodes.v, self.force])
+        inputs = [self._list, 0, self._bodies, self._place, self.force, clock]
+        total = model.launch(kernels.make_grid_sum(model.real), 1, inputs, [self.sums])
+        self._launches = [cast("wp.Launch", launch) for launch in (touch, resist, total)]
+
+    def stage(self, number: int) -> Callable[[], None]:
+        """Return a stage of the substep: apply impulses, correct them, or sum them."""
+
+        def act() -> None:
+            if number == 0 and self.due:
+                self._list_near()
+            if len(self._near):
+                launch = self._launches[number]
+                launch.set_param_at_index(1, len(self._near))
+                launch.launch()
+
+        return act
+
+    def _list_near(self) -> None:
+        """List the points around which there is material."""
+        self.due = False
+        if self._look is None:
+            return
+        self._look.launch()
+        near = np.flatnonzero((self._flags.numpy() > 0) & self._mine)
+        if not np.array_equal(near, self._near):
+            force = self.force.numpy()
+            kept = np.zeros_like(force)
+            kept[near] = force[near]
+            self.force.assign(kept)
+            self._near = near.astype(np.int32)
+            self.most = max(self.most, len(near))
+            if len(near):
+                self._list[: len(near)].assign(self._near)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return forces and sums."""
+        near = self._near.copy()
+        return {"force": self.force.numpy().copy(), "sums": self.sums.numpy().copy(), "near": near}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot."""
+        self.force.assign(snapshot["force"])
+        self.sums.assign(snapshot["sums"])
+        self._near = np.array(snapshot["near"], np.int32)
+        if len(self._near):
+            self._list[: len(self._near)].assign(self._near)
+
+
+def kernels_of(real: Any, device: str) -> Iterator[Any]:
+    """Yield the kernels of contact with bodies of particles."""
+    rows = rows_for(real, device)
+    yield from (kernels.make_grid_near(real, rows), kernels.make_grid_touch(real, rows))
+    yield from (kernels.make_grid_resist(False, real, rows), kernels.make_grid_sum(real))

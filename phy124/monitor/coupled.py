@@ -1,0 +1,136 @@
+"""Observers of bodies on lattices that move together with bodies of particles.
+
+Walls keep their sums for the lattices (phy124/monitor/lattice.py) and are measured on the grids of
+the particles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.boundaries import Boundary
+from phy124.gaussians import Wrench
+from phy124.kernels.lattice.contact import MOMENT
+from phy124.monitor.diagnostics import Diagnostics, Totals
+from phy124.monitor.external_work import LIQUID, ExternalWork
+from phy124.monitor.lattice import LatticePairs, LatticeTotals, LatticeWatchdog
+from phy124.monitor.observer import Effect, Observer, Subject
+from phy124.monitor.wrenches import Wrenches, wall_names
+from phy124.mpm import Attachable, Clock
+from phy124.scene import Scene
+
+if TYPE_CHECKING:
+    from phy124.lattice.coupled import CoupledSolver
+
+
+class CoupledTotals(Totals):
+    """Sums over all particles, with those over nodes for bodies on lattices."""
+
+    def __init__(self, solver: CoupledSolver) -> None:
+        """Record the launches."""
+        super().__init__(solver.model, solver.state)
+        lattice = solver.lattice
+        self._points, self._nodes = Totals(lattice.model, lattice.state), LatticeTotals(lattice)
+
+    def read(self, clock: Clock) -> Diagnostics:
+        """Return the diagnostics of the current state."""
+        every, points, nodes = (
+            super().read(clock),
+            self._points.read(clock),
+            self._nodes.read(clock),
+        )
+        return replace(
+            every,
+            momentum=every.momentum - points.momentum + nodes.momentum,
+            angular=every.angular - points.angular + nodes.angular,
+            kinetic=every.kinetic - points.kinetic + nodes.kinetic,
+            middle=every.middle - points.middle + nodes.middle,
+        )
+
+
+class CoupledWatchdog(LatticeWatchdog):
+    """Checks one run of lattices and particles."""
+
+    def totals_of(self, solver: Any) -> Totals:
+        """Return the sums over the solver's nodes and particles."""
+        return CoupledTotals(solver)
+
+
+class CoupledWork(ExternalWork):
+    """External impulse and work on lattices and particles."""
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Read the sums of the lattices' walls, too."""
+        self._solver = solver
+        super().bind(solver, observers)
+
+    def _read_impulses(self) -> None:
+        """Keep the sums of earlier walls, and read those of the lattices' walls."""
+        if LIQUID in self._device:
+            self._closed[LIQUID] = self._closed[LIQUID] + self._open(LIQUID)
+        self._device[LIQUID] = self._solver.lattice.walls.sums
+
+
+class CoupledWrenches(Wrenches):
+    """Wrenches on walls, from lattices and particles, and between bodies."""
+
+    def wrap_walls(
+        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+    ) -> Sequence[Attachable]:
+        """Return the measured walls, and keep the names of their parts."""
+        self._parts = [
+            name if len(wall.parts()) == 1 else f"{name}_{part}"
+            for name, wall in zip(wall_names(walls), walls, strict=True)
+            for part in wall.part_names()
+        ]
+        return super().wrap_walls(walls, inner)
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, whose lattices' walls keep sums."""
+        super().bind(solver, observers)
+        self._before = self._now()
+
+    def before_attempt(self, *, closely: bool = False) -> None:
+        """Store the sums of the lattices at the start of the frame."""
+        super().before_attempt(closely=closely)
+        self._before = self._now()
+
+    def of_wall(self, wall: str, centre: NDArray, fps: float) -> Wrench:
+        """Return the mean wrench on a wall since the frame began."""
+        force, torque = super().of_wall(wall, centre, fps)
+        rows = self._before - self._now()
+        for name, row in zip(self._parts, rows, strict=True):
+            if name == wall or name.rpartition("_")[0] == wall:
+                impulse, moment = row[:3], row[MOMENT : MOMENT + 3]
+                force = force + fps * impulse
+                torque = torque + fps * (moment - np.cross(centre, impulse))
+        return Wrench(force, torque)
+
+    def _now(self) -> NDArray[np.float64]:
+        solver: Any = self._solver
+        sums: NDArray[Any] = solver.lattice.walls.sums.numpy()
+        return sums.astype(np.float64)
+
+
+class CoupledPairs(LatticePairs):
+    """The row of the effects report for lattices that move together with particles."""
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row before a run."""
+        bodies = ", ".join(elastic_names(subject.scene))
+        return Effect(f"rest lattices (accuracy.solver = lattice) for {bodies}; others by MPM")
+
+    def finished_effect(self, subject: Subject) -> Effect:
+        """Return the row after a run."""
+        return self.effect(subject)
+
+
+def elastic_names(scene: Scene) -> list[str]:
+    """Return the names of the objects that are on lattices."""
+    return [name for name, soft in zip(scene.names, scene.on_lattices, strict=True) if soft]

@@ -1,0 +1,120 @@
+"""Bodies on lattices together with bodies of the material point method (phy124/lattice/coupled)."""
+
+import math
+
+import numpy as np
+import pytest
+
+from phy124.boundaries import HalfSpace
+from phy124.errors import InputError
+from phy124.forces import Gravity
+from phy124.lattice.coupled import CoupledSolver
+from phy124.materials import NeoHookean
+from phy124.mpm import Model, Pair, State
+from phy124.particles.lattice import lattice_of
+from phy124.runtime.context import RunContext
+from phy124.scene import Scene
+from phy124.simulation import Simulation, prepare
+from phy124.studies.validation.bodies import lattice, surface_of_ball
+from test_lattice import DX, block
+
+DAMPED = NeoHookean(E=1e5, nu=0.3, density=1000, damping=300.0)
+
+
+def make(counts, low, solid, *, v=None, forces=(), boundaries=(), pairs=()):
+    """Return a solver of a block of particles, body 0, and a solid on its lattice, body 1."""
+    soft = np.asarray(low) + lattice(counts, DX / 2)
+    points = lattice_of(solid, density=DAMPED.density, dx=DX)
+    x = np.concatenate([soft, points.x]).astype(float)
+    volume = np.concatenate([np.full(len(soft), (DX / 2) ** 3), points.volume])
+    body = np.repeat([0, 1], [len(soft), len(points)])
+    kind = {"body": body, "material": body, "wet": [1], "dx": DX, "precision": "float64"}
+    kind["origin"] = (0, 0, -0.75 * DX)
+    model = Model.of(x, volume, [DAMPED, DAMPED], **kind)
+    motion = None if v is None else np.asarray(v, float)[body]
+    surface = points.surface + [0, 0, 0, 0, 0, 0, 1]
+    state, acting = State.of(model, motion), {"forces": forces, "boundaries": boundaries}
+    return CoupledSolver(
+        model, surface, state, **acting, uniform=forces, walls=boundaries, pairs=pairs, threads=1
+    )
+
+
+def momenta(solver):
+    """Return the momenta of the particles and of the nodes [2,3], kg m/s."""
+    nodes, run = solver.lattice.nodes_state, solver.model.particles(0)
+    moves = nodes.inverse.numpy() > 0
+    of_nodes = (nodes.v.numpy()[moves] / nodes.inverse.numpy()[moves, None]).sum(axis=0)
+    of_soft = solver.model.mass.numpy()[run] @ solver.state.v.numpy()[run]
+    return np.array([of_soft, of_nodes])
+
+
+def test_lattice_hits_particles_with_exact_momentum():
+    moving = [(0, 0, 0), (-1, 0, 0)]
+    solver = make((6, 6, 6), (0.2, 0.2, 0.2), block((0.3,) * 3, low=(0.6, 0.3, 0.3)), v=moving)
+    before = momenta(solver)
+    solver.pairs.begin()
+    solver.advance(0.2)
+    after = momenta(solver)
+    assert np.allclose(after.sum(axis=0), before.sum(axis=0), atol=1e-12 * 27, rtol=0)
+    assert after[1, 0] > 0.7 * before[1, 0]
+    (force, _), *_ = solver.pairs.wrenches(1.0).values()
+    assert np.allclose(force, after[1] - before[1], atol=1e-9)
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.5])
+def test_lattice_slides_on_particles(friction):
+    angle, g = math.radians(20), 0.5
+    pull = Gravity(g=(g * math.sin(angle), 0, -g * math.cos(angle)))
+    floor = HalfSpace(contact="sticky")
+    solid = block((0.375, 0.3, 0.3), low=(0.125, 0.1, 0.3), per=4)
+    both = {"forces": [pull], "boundaries": [floor], "pairs": [Pair(0, 1, friction)]}
+    solver = make((24, 10, 6), (0, 0, 0), solid, **both)
+    solver.advance(0.8)
+    before = momenta(solver)[1, 0]
+    solver.advance(1.3)
+    gained = (momenta(solver)[1, 0] - before) / 0.5 / 33.75 / g
+    slides = friction < math.tan(angle)
+    expected = math.sin(angle) - friction * math.cos(angle) if slides else 0.0
+    assert gained == pytest.approx(expected, abs=1e-2)
+
+
+def bury(**changes):
+    """Return a scene in which sand falls on an elastic object on its lattice."""
+    data = Scene.named("bury").data()
+    data |= {"accuracy": {"cells": 6, "solver": "lattice"}, "wrenches": True, **changes}
+    data["time"]["frames"] = 12
+    return Scene.from_data(data)
+
+
+def test_coupled_run_resumes_bit_for_bit_and_reports():
+    setup = prepare(surface_of_ball(100), bury(), RunContext(threads=2))
+    first = Simulation(setup)
+    for _ in range(8):
+        first.step()
+    saved = first.snapshot()
+    ahead = [first.step().gaussians.means for _ in range(2)]
+    second = Simulation(setup)
+    second.restore(saved)
+    assert all(np.array_equal(second.step().gaussians.means, means) for means in ahead)
+    report = first.report()
+    assert report["balance"]["momentum_gain"] < 1e-5
+    assert report["pairs"]["object_on_sand"]["largest_force"] > 0
+    weight = 9.81 * setup.particles.mass.sum()
+    assert report["walls"]["ground"]["largest_force"] > weight
+    assert any("rest lattices" in row for row in report["effects"]["ran"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"forces": [{"kind": "wind", "v": [1.0, 0.0, 0.0]}]}, "forces.0"),
+        (
+            {"stiffness_profile": {"kind": "sine", "frequency": 1.0, "offset": 2.0}},
+            "stiffness_profile",
+        ),
+    ],
+)
+def test_coupled_scene_refuses_what_it_cannot_do(changes, field):
+    with pytest.raises(InputError, match='solver = "mpm"') as refusal:
+        prepare(surface_of_ball(50), bury(**changes), RunContext(threads=1))
+    assert refusal.value.field == field
