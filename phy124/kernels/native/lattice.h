@@ -336,28 +336,41 @@ report();
 
 //: follow
 const float* const still = (const float*)rest.data;
+// Writes nine numbers of a point for each cell.
+const auto store = [&](const Lanes* values, float* to, int point) {
+    Lanes m[8];
+    for (int k = 0; k < 8; ++k) m[k] = values[k];
+    transpose(m);
+    for (int k = 0; k < 16; ++k) {
+        float* const out = to + 9 * (8L * cells[k] + point);
+        *(Eight*)out = *(const Eight*)((const float*)(m + k % 8) + k / 8 * 8);
+        out[8] = ((const float*)(values + 8))[k];
+    }
+};
 for (int point = 0; point < 8; ++point) {
     const Weights a = weigh(point);
-    Lanes c[9], C[9], at[3] = {}, speed[3] = {};
-    for (int d = 0; d < 3; ++d)
-        for (int r = 0; r < 9; ++r) {
-            const Lanes across = a.w[0][r / 3] * a.w[1][r % 3];
+    alignas(64) Lanes c[9], C[9], moved[8] = {};
+    for (int r = 0; r < 9; ++r) {
+        const Lanes across = a.w[0][r / 3] * a.w[1][r % 3];
+        const Lanes low = across * a.w[2][0], middle = across * a.w[2][1], high = across * a.w[2][2];
+        for (int d = 0; d < 3; ++d) {
             const Lanes* const n = U + 9 * r + d;
             const Lanes* const m = W + 9 * r + d;
-            at[d] += across * (a.w[2][0] * n[0] + a.w[2][1] * n[3] + a.w[2][2] * n[6]);
-            speed[d] += across * (a.w[2][0] * m[0] + a.w[2][1] * m[3] + a.w[2][2] * m[6]);
+            moved[d] += low * n[0] + middle * n[3] + high * n[6];
+            moved[3 + d] += low * m[0] + middle * m[3] + high * m[6];
         }
+    }
     const Lanes J = cofactors(F_all[point], c);
     strain_rate(rates[point], c, 1.0f / larger(J, Lanes{} + FLOOR), C);
-    for (int lane = 0; lane < 16; ++lane) {
-        const long p = 8L * cells[lane] + point;
+    store(C, (float*)C_out.data, point);
+    store(F_all[point], (float*)F_out.data, point);
+    transpose(moved);
+    for (int k = 0; k < 16; ++k) {
+        const long p = 3 * (8L * cells[k] + point);
+        const float* const row = (const float*)(moved + k % 8) + k / 8 * 8;
         for (int d = 0; d < 3; ++d) {
-            ((float*)x_out.data)[3 * p + d] = still[3 * p + d] + at[d][lane];
-            ((float*)v_out.data)[3 * p + d] = speed[d][lane];
-        }
-        for (int k = 0; k < 9; ++k) {
-            ((float*)C_out.data)[9 * p + k] = C[k][lane];
-            ((float*)F_out.data)[9 * p + k] = F_all[point][k][lane];
+            ((float*)x_out.data)[p + d] = still[p + d] + row[d];
+            ((float*)v_out.data)[p + d] = row[3 + d];
         }
     }
 }
