@@ -6,11 +6,13 @@ its last good frame and named on the standard output. Objects have fewer Gaussia
 the accuracy is draft. The sheet `objects` shows real objects, credited in docs/gallery.md, in
 several scenes, a row for each object; their files are no part of the repository: they are read from
 $PHY124_OBJECTS or ../shared/objects, and without them the sheet is not made. Run
-`python docs/images/gallery.py [presets, water, PRESET or objects]`; `water` is the duck as water.
+`python docs/images/gallery.py [presets, water, materials, PRESET or objects]`; `water` is the duck
+as water, `materials` shows sand, snow, plasticine and metal.
 """
 
 import os
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
@@ -40,6 +42,13 @@ PRESETS = ("bounce", "drop", "press", "push_away", "push_right", "spin", "sway",
 PICTURES = ("duck", "teddy", "sunflower")
 EASED = {"rigid": {"material.E": 1e7}}
 """Changes to a law that takes minutes with its defaults."""
+SUBSTANCES = (
+    ("sand", "sand", "duck", {}),
+    ("snow", "snow", "teddy", {}),
+    ("plasticine", "press", "chick", {"material.law": "plasticine"}),
+    ("metal", "metal", "duck", {}),
+)
+"""Rows of the sheet `materials`: label, preset, picture and changes."""
 GAUSSIANS, SIZE, LABEL = 20_000, 128, 92
 OBJECTS = Path(os.environ.get("PHY124_OBJECTS", HERE.parents[2] / "shared/objects"))
 REAL = (
@@ -59,7 +68,7 @@ def made_of(name: str) -> Gaussians:
 
 
 def shown(
-    clip: Clip, scene: Scene, size: int = SIZE, index: tuple[int, ...] = ()
+    clip: Clip, scene: Scene, size: int = SIZE, index: Sequence[int] = ()
 ) -> list[np.ndarray]:
     """Some frames on a stage; by default the middle one and the last one."""
     view = scene.view.model_copy(update={"size": (size, size), "stage": "studio"})
@@ -129,6 +138,19 @@ def water() -> list[np.ndarray]:
     return [np.concatenate(cells[k : k + 4], axis=1) for k in (0, 4)]
 
 
+def materials() -> list[np.ndarray]:
+    """Return six instants of sand, snow, plasticine and metal, at standard accuracy, a row each."""
+    rows = []
+    for label, preset, picture, changes in SUBSTANCES:
+        scene = Scene.named(preset).replaced({"accuracy": "standard", **changes})
+        clip = Simulation(prepare(made_of(picture), scene)).run()
+        instants = np.linspace(0, len(clip) - 1, 6).round().astype(int).tolist()
+        cells = shown(clip, scene, 200, instants)
+        rows.append(np.concatenate([labelled(label, height=200), *cells], axis=1))
+        print(label, flush=True)
+    return rows
+
+
 def real(name: str) -> np.ndarray:
     """The middle frame of a real object in each scene, with its name in front."""
     cells = [labelled(name, height=SMALL)]
@@ -157,6 +179,8 @@ def sheet(preset: str) -> str:
         rows = all_presets()
     elif preset == "water":
         rows = water()
+    elif preset == "materials":
+        rows = materials()
     else:
         objects = [made_of(name) for name in PICTURES]
         rows = [row(preset, law, objects) for law in LAWS.by_name]
@@ -168,5 +192,7 @@ def sheet(preset: str) -> str:
 
 if __name__ == "__main__":
     with ProcessPoolExecutor(2) as pool:
-        for done in pool.map(sheet, sys.argv[1:] or ("presets", "water", *PRESETS, "objects")):
+        for done in pool.map(
+            sheet, sys.argv[1:] or ("presets", "water", "materials", *PRESETS, "objects")
+        ):
             print(done, flush=True)

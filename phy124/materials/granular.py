@@ -18,6 +18,10 @@ Under isotropic compression to the stretch 1 - c, snow stores psi = 3/2 (2 mu + 
 Packing by d releases the energy 3 (2 mu + 3 lambda) c d, while the hardening raises psi by the
 fraction 3 xi d. This raise exceeds the released energy if xi c > 2/3.
 """
+GENTLE, STEEPER = 30.0, 0.3
+"""Repose angle up to which heaps stop at the angle at which they flow [degrees]; the difference of
+both angles per degree above it, as measured (docs/lab/physics.md).
+"""
 
 
 class Sand(Logarithmic):
@@ -61,11 +65,13 @@ class Sand(Logarithmic):
     def theta(self) -> tuple[float, ...]:
         """Return (mu, lambda, alpha); alpha is the slope of the cone.
 
-        An infinite slope fails without change of volume where its shear stress is 3 alpha / sqrt(2)
-        times the pressure.
+        An infinite slope flows without change of volume where its shear stress is 3 alpha / sqrt(2)
+        times the pressure, that is, at an angle a with tan(a) = 3 alpha / sqrt(2). At rest it bears
+        up to asin(tan(a)), so steep heaps stop above a. Therefore a is below their repose angle.
         """
         if self.repose_angle is not None:
-            return *self.lame, math.sqrt(2) / 3 * math.tan(math.radians(self.repose_angle))
+            flow = self.repose_angle - STEEPER * max(0.0, self.repose_angle - GENTLE)
+            return *self.lame, math.sqrt(2) / 3 * math.tan(math.radians(flow))
         sine = math.sin(math.radians(self.friction_angle))
         return *self.lame, math.sqrt(2 / 3) * 2 * sine / (3 - sine)
 

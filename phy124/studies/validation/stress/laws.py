@@ -114,7 +114,7 @@ def heap(setting: Setting) -> list[Check]:
     below this angle, since it becomes flatter by inertia.
     """
     checks, cells = [], 20 if setting.long else 12
-    for angle in (20.0, 25.0, 30.0) if setting.long else (25.0, 30.0):
+    for angle in (20.0, 25.0, 30.0, 35.0, 40.0) if setting.long else (25.0, 35.0):
         s = cone(angle, angle + 5, cells, setting)
         s.advance(0.8)
         earlier = host(s.state.x)
