@@ -250,10 +250,12 @@ class Phases:
         outputs = [cells.phi, cells.known, cells.also, cells.liquid]
         kernel = active.make_forget(self._model.real)
         forget = self._over_cells(worker, "active", kernel, [], outputs)
-        inputs = [part, len(self._workers), cells.window, cells.lowest, cells.highest]
-        count = launch(active.count_active, parts, inputs, [*ends, counts])
-        inputs = [part, cells.window, *ends, counts]
-        listed = launch(active.list_active, parts, inputs, [cells.active, cells.ends])
+        where = [int(self._walls.move), cells.window, cells.shares]
+        inputs = [part, len(self._workers), *where, cells.lowest, cells.highest]
+        kernel = active.make_count_active(self._model.real)
+        count = launch(kernel, parts, inputs, [*ends, counts])
+        kernel = active.make_list_active(self._model.real)
+        listed = launch(kernel, parts, [part, *where, *ends, counts], [cells.active, cells.ends])
         return [[forget, ("active", count)], [("active", listed)]]
 
     def _scatter(self, worker: int) -> list[Named]:
@@ -465,7 +467,8 @@ def kernels(real: Any, form: str) -> Iterator[Any]:
     yield from (make(real, form) for make in (transfer.make_gather, transfer.make_displace))
     yield from (faces.make_sum_copies(real, width) for width in (2, 8))
     yield from (make(real) for make in (faces.make_extent, active.make_sweep))
-    yield from (active.count_active, active.list_active, active.make_forget(real))
+    yield from (active.make_count_active(real), active.make_list_active(real))
+    yield active.make_forget(real)
     yield from (make(real) for make in (surface.make_levels, surface.make_refill))
     yield from (make(real) for make in (pressure.make_assemble, pressure.make_divergence))
     yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))

@@ -1,7 +1,9 @@
 """Lists the active cells: those that particles may reach or change in this step.
 
-Columns of cells along z store how far particles extend. Kernels over cells visit the listed cells
-only. All other cells hold no liquid, and their velocity is not known.
+Columns of cells along z store how far particles extend. Cells whose B-spline lies inside fixed
+walls are left out. Kernels over cells visit the listed cells
+only, none of which is at the border of the window. All other cells hold no liquid, and their
+velocity is not known.
 """
 
 from functools import cache
@@ -40,73 +42,96 @@ def make_sweep(real: Any):
     return sweep
 
 
-@kernel("phy124_liquid_count_active", seconds=0.2)
-def count_active(
-    part: int,
-    copies: int,
-    window: wp.array(dtype=wp.vec3i),
-    lowest: Ints,
-    highest: Ints,
-    begins_out: Ints,
-    ends_out: Ints,
-    counts_out: Ints,
-):
-    """Combine the columns of all copies and widen them; count the cells of a part of them."""
-    p = part + wp.tid()
-    size = window[1]
-    columns = size[0] * size[1]
-    span = share(columns, p, counts_out.shape[0])
-    found = int(0)
-    for c in range(span[0], span[1]):
-        i = c // size[1]
-        j = c - i * size[1]
-        low = int(size[2])
-        high = int(-1)
-        for a in range(wp.max(i - REACH, 0), wp.min(i + REACH + 1, size[0])):
-            for b in range(wp.max(j - REACH, 0), wp.min(j + REACH + 1, size[1])):
-                for copy in range(copies):
-                    m = copy * columns + a * size[1] + b
-                    low = wp.min(low, lowest[m])
-                    high = wp.max(high, highest[m])
-        begin = int(0)
-        end = int(0)
-        if high >= low:
-            begin = wp.max(low - REACH, 0)
-            end = wp.min(high + REACH + 1, size[2])
-        begins_out[c] = begin
-        ends_out[c] = end
-        found += end - begin
-    counts_out[p] = found
+@cache
+def make_count_active(real: Any):
+    """Kernel over parts of the columns: combines all copies, widens them and counts their cells.
+
+    With `all` 0, cells whose B-spline lies inside walls are not counted.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_count_active_{real.__name__}", real, seconds=0.2)
+    def count_active(
+        part: int,
+        copies: int,
+        all: int,
+        window,
+        shares: t.vec2s,
+        lowest: Ints,
+        highest: Ints,
+        begins_out: Ints,
+        ends_out: Ints,
+        counts_out: Ints,
+    ):
+        p = part + wp.tid()
+        size = window[1]
+        columns = size[0] * size[1]
+        span = share(columns, p, counts_out.shape[0])
+        count = int(0)
+        for c in range(span[0], span[1]):
+            i = c // size[1]
+            j = c - i * size[1]
+            low = int(size[2])
+            high = int(-1)
+            for a in range(wp.max(i - REACH, 0), wp.min(i + REACH + 1, size[0])):
+                for b in range(wp.max(j - REACH, 0), wp.min(j + REACH + 1, size[1])):
+                    for copy in range(copies):
+                        m = copy * columns + a * size[1] + b
+                        low = wp.min(low, lowest[m])
+                        high = wp.max(high, highest[m])
+            begin = int(0)
+            end = int(0)
+            if high >= low and inner(wp.vec3i(i, j, 1), size, 1):
+                begin = wp.max(low - REACH, 1)
+                end = wp.min(high + REACH + 1, size[2] - 1)
+            begins_out[c] = begin
+            ends_out[c] = end
+            for k in range(begin, end):
+                if all > 0 or shares[c * size[2] + k][1] < real(1.0):
+                    count += 1
+        counts_out[p] = count
+
+    return count_active
 
 
-@kernel("phy124_liquid_list_active", seconds=0.2)
-def list_active(
-    part: int,
-    window: wp.array(dtype=wp.vec3i),
-    begins: Ints,
-    ends: Ints,
-    counts: Ints,
-    active_out: Ints,
-    shares_out: Ints,
-):
-    """List the cells of a part of the columns, and divide all listed cells among the workers."""
-    p = part + wp.tid()
-    size = window[1]
-    at = int(0)
-    total = int(0)
-    for k in range(counts.shape[0]):
-        if k == p:
-            at = total
-        total += counts[k]
-    span = share(size[0] * size[1], p, counts.shape[0])
-    for c in range(span[0], span[1]):
-        for k in range(begins[c], ends[c]):
-            active_out[at] = c * size[2] + k
-            at += 1
-    if p == 0:
-        workers = shares_out.shape[0] - 1
-        for w in range(workers + 1):
-            shares_out[w] = share(total, w, workers)[0]
+@cache
+def make_list_active(real: Any):
+    """Kernel over parts of the columns: lists their cells, and divides them among the workers."""
+    t = types(real)
+
+    @kernel(f"phy124_liquid_list_active_{real.__name__}", real, seconds=0.2)
+    def list_active(
+        part: int,
+        all: int,
+        window,
+        shares: t.vec2s,
+        begins: Ints,
+        ends: Ints,
+        counts: Ints,
+        active_out: Ints,
+        shares_out: Ints,
+    ):
+        p = part + wp.tid()
+        size = window[1]
+        at = int(0)
+        total = int(0)
+        for k in range(counts.shape[0]):
+            if k == p:
+                at = total
+            total += counts[k]
+        span = share(size[0] * size[1], p, counts.shape[0])
+        for c in range(span[0], span[1]):
+            for k in range(begins[c], ends[c]):
+                n = c * size[2] + k
+                if all > 0 or shares[n][1] < real(1.0):
+                    active_out[at] = n
+                    at += 1
+        if p == 0:
+            workers = shares_out.shape[0] - 1
+            for w in range(workers + 1):
+                shares_out[w] = share(total, w, workers)[0]
+
+    return list_active
 
 
 @cache

@@ -228,18 +228,17 @@ def make_gradient(real: Any):
         v = velocity_out[n]
         if shifts > real(0.0):
             v = t.vec4()
-        if inner(cell_of(n, size), size, 1):
-            for axis in range(3):
-                m = n - stride(axis, size)
-                wet = liquid[n] + liquid[m]
-                if wet > 0 and open[n][axis] > real(0.0):
-                    rise = rise_to(n, m, phi, liquid, pressure)
-                    if shifts > real(0.0):
-                        rise = lattice[3] * wp.clamp(rise, -shifts, shifts)
-                    v[axis] = v[axis] - rise
-                    known += 1 << axis
-                else:
-                    v[axis] = real(0.0)
+        for axis in range(3):
+            m = n - stride(axis, size)
+            wet = liquid[n] + liquid[m]
+            if wet > 0 and open[n][axis] > real(0.0):
+                rise = rise_to(n, m, phi, liquid, pressure)
+                if shifts > real(0.0):
+                    rise = lattice[3] * wp.clamp(rise, -shifts, shifts)
+                v[axis] = v[axis] - rise
+                known += 1 << axis
+            else:
+                v[axis] = real(0.0)
         velocity_out[n] = v
         known_out[n] = known
 

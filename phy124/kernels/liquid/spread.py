@@ -13,7 +13,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import kernel
-from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
+from phy124.kernels.liquid.faces import cell_of, entry, stride
 from phy124.kernels.liquid.walls import centre_of, point, speed_of
 
 
@@ -41,7 +41,7 @@ def make_spread(real: Any):
         size = window[1]
         mask = known[n]
         missing = int(0)
-        if mask < 7 and inner(cell_of(n, size), size, 1):
+        if mask < 7:
             dx = stride(0, size)
             dy = stride(1, size)
             missing = known[n - 1] | known[n + 1] | known[n - dy] | known[n + dy]
@@ -136,10 +136,10 @@ def make_slide(real: Any):
         if n < 0:
             return
         size = window[1]
-        cell = cell_of(n, size)
         v = velocity[n]
         # The spline of a cell that is far from walls has no solid share.
-        if known[n] > 0 and shares[n][1] > real(0.0) and inner(cell, size, 1):
+        if known[n] > 0 and shares[n][1] > real(0.0):
+            cell = cell_of(n, size)
             for axis in range(3):
                 at = wp.vec3i(1, 1, 1)
                 at[axis] = 0
