@@ -34,6 +34,15 @@ def test_each_makes_its_cause_less():
     assert scene.replaced(softer.changes).material.E == 1e6 / 16
 
 
+def test_damping_is_a_remedy_on_the_lattice_only():
+    scene = Scene.named("press").replaced({"material.damping": 1.0})
+    assert find_remedies(["damping"], scene) == ()
+    scene = scene.replaced({"accuracy.solver": "lattice"})
+    (damped,) = find_remedies(["damping"], scene)
+    assert scene.replaced(damped.changes).material.damping > 100
+    assert find_remedies(["damping"], scene.replaced(damped.changes)) == ()
+
+
 def test_gentler_push_halves_speeds_forces_and_press():
     scene = Scene.named("press").replaced({"object.velocity": (0, 2, 0)})
     (gentler,) = find_remedies(["push"], scene)

@@ -72,7 +72,7 @@ def _damp(scene: Scene) -> Remedy | None:
     if scene.resolution.solver != "lattice" or damping is None or scene.properties is not None:
         return None
     enough = DAMPING * material.density * material.sound_speed() * scene.object.size
-    if damping >= enough:
+    if damping >= 0.9 * enough:
         return None
     return change_field("material.damping", float(f"{enough:.2g}"))
 

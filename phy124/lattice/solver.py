@@ -387,8 +387,10 @@ class LatticeSolver:
         Args:
             elapsed: Time since the last measurement [s].
         """
-        if int(self._crew.stray.numpy()[0]):
-            raise Unstable(f"{int(self._crew.stray.numpy()[0])} particles are NaN or infinite")
+        if lost := int(self._crew.stray.numpy()[0]):
+            raise Unstable(
+                f"the body was squeezed so fast that it turned inside out ({lost} points)"
+            )
         speed, gradient = self._crew.take_maxima()
         extremes, pull = self.clock.extremes, self.rejection.acceleration
         fastest = max(speed, extremes.speed) + self.rejection.wall

@@ -71,7 +71,7 @@ F, and the part lost by rounding strains the body. Measured values are 3e-10 per
 and 7e-10 with half the `accuracy.cfl`, at any distance from the origin. The energy is quadratic in
 the strain, and a quarter of it is tolerated.
 """
-FAST = ("push", "cells")
+FAST = ("damping", "push", "cells")
 ROUNDED = ("precision",)
 """Causes of violations (`phy124.budget.remedies`): a run too fast for its window, and rounding."""
 SWOLLEN = 2.0
