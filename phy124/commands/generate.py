@@ -31,9 +31,11 @@ from phy124.io.video import encoder_problem, refuse_missing_encoder
 from phy124.particles.thinning import check_count
 from phy124.pipeline.capture import Capture, adapt_scene, capture
 from phy124.rendering.compose import compose, photograph_of
+from phy124.runtime.compiling import looking_up
 from phy124.runtime.context import RunContext
 from phy124.runtime.light_imports import SCIPY, import_lightly
 from phy124.scene import Scene
+from phy124.simulation.solver import kernels
 from phy124.weights.store import search_first
 
 
@@ -220,7 +222,8 @@ class Simulate:
         bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staging(out)
         with bars, place:  # a folder that cannot be used is refused before any work
             context = self.options.context(bars)
-            with context.watch.stage("read"):
+            needed = kernels(scene, context.device)
+            with looking_up(needed, context.device), context.watch.stage("read"):
                 read = self._read(file, scene, context)
             about = {
                 "generator": str(self.file),

@@ -22,6 +22,7 @@ from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
 from phy124.runtime.device import pick_device
 from phy124.runtime.installation import with_program
+from phy124.runtime.light_imports import FILMING, import_lightly
 from phy124.scene import Scene, View, merge_changes, parse_changes
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ class Render:
     def run(self) -> int:
         """Render the clip; print the files."""
         refuse_threads(self.threads)
+        import_lightly(*FILMING)
         clip = Clip.load(self.clip)
         changes = self.view.changes()
         others = _view_changes(parse_changes(self.set))

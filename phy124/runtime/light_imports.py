@@ -19,9 +19,7 @@ from types import ModuleType
 from typing import Any
 
 UNUSED = {
-    **{
-        f"numpy.{name}": () for name in ("char", "ctypeslib", "f2py", "ma", "polynomial", "testing")
-    },
+    **{f"numpy.{name}": () for name in ("char", "ctypeslib", "f2py", "polynomial", "testing")},
     "unittest.mock": ("Mock", "patch"),
 }
 """Modules that are not imported, with the classes that their importers need."""
@@ -29,6 +27,8 @@ TYPED_ONLY = "pydantic_core.core_schema"
 """Module whose typed dictionaries only type checkers read."""
 SCIPY = ("scipy.ndimage", "scipy.sparse.linalg", "scipy.spatial", "scipy.fft")
 """Modules of SciPy that a run uses."""
+FILMING = ("scipy.fft", "scipy.special")
+"""Modules of SciPy that a film of a clip uses."""
 _lock = Lock()
 
 
