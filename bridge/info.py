@@ -54,7 +54,9 @@ def describe(path: Path) -> list[str]:
 
 
 def describe_clip(clip: Clip) -> list[str]:
-    """Describe a clip: frames, points, and message sizes."""
+    """Describe a clip: frames, points, error bound, and message sizes."""
+    from phy124.accuracy.promises import Promise
+
     count = clip.means.shape[1]
     seconds = float(clip.times[-1] - clip.times[0])
     rate = (len(clip) - 1) / seconds if seconds else 0.0
@@ -63,6 +65,8 @@ def describe_clip(clip: Clip) -> list[str]:
         f"clip: {len(clip)} frames of {count:,} Gaussians, {seconds:.3f} s at {rate:.4g} frames/s",
         f"velocities: {velocities if len(clip) > 1 else 'no (vx, vy, vz will be NaN)'}",
     ]
+    if bound := clip.report.get("promise"):
+        lines.append(Promise(**bound).brief)
     full = 4 * (len(FULL) + (clip.object_id is not None))
     for name, step in (("small", SMALL.itemsize), ("viz", 4 * len(VIZ)), ("full", full)):
         size = count * step / 1e6

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from bridge.__main__ import main
 from bridge.command_line import split_ros_arguments
 from bridge.commands import COMMANDS
 from bridge.info import describe_clip, diagnose
+from phy124.accuracy.promises import promise_own
 from phy124.schema.arguments.words import join_repeats
 from support.clips import random_clip
 
@@ -101,6 +103,11 @@ def test_info_says_where_velocities_come_from():
     assert "from the positions" in describe_clip(random_clip(velocities=False))[1]
     one = random_clip(frames=1, velocities=False)
     assert "no (vx, vy, vz will be NaN)" in describe_clip(one)[1]
+
+
+def test_info_has_the_error_of_the_report():
+    own = promise_own({"about": 0.01, "at_most": 0.02, "until": None, "cells": 16})
+    assert describe_clip(random_clip().with_report({"promise": asdict(own)}))[2] == own.sentence
 
 
 def test_play_and_record_beside(clip, monkeypatch, capsys):
