@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from phy124.__main__ import main
-from phy124.accuracy import Forecaster
+from phy124.accuracy import Forecaster, companion
 from phy124.accuracy import forecast as module
-from phy124.accuracy.forecast import Forecast, pixels_per_size
+from phy124.accuracy.forecast import QUIET, Forecast, pixels_per_size
 from phy124.accuracy.probe import CELLS, Pilot, SubstepCost, coarsen, run_pilot
 from phy124.accuracy.promises import Promise
 from phy124.rendering.nearest import ROOM
@@ -53,6 +53,17 @@ def test_substeps_are_predicted(name):
     assert predicted.substeps == pytest.approx(simulation.solver.clock.substeps, rel=0.06)
     assert predicted.limiters == {"elastic": pytest.approx(1.0)}
     assert predicted.caveat is None
+
+
+def test_forecast_has_the_companion_of_runs_that_afford_it(monkeypatch):
+    simulation, forecaster = Simulation(prepare(OBJECT, scene("press"))), Forecaster()
+    options = {"filming": False, "load": QUIET}
+    assert "companion" not in forecaster.of(simulation, **options).stages  # too expensive
+    monkeypatch.setattr(companion, "AFFORDABLE", 1e6)
+    made = forecaster.of(simulation, **options)
+    cost = made.stages["companion"] / made.stages["simulate"]
+    assert cost == pytest.approx(companion.forecast(simulation, made.substeps)) and cost > 0.2
+    assert "companion" not in forecaster.of(simulation, error=False, **options).stages
 
 
 def test_substeps_are_proportional_to_cells():

@@ -71,7 +71,7 @@ RANGE = {
 def test_predictions_add_the_groups_and_never_extrapolate():
     press = Scene.named("press").replaced({"accuracy": "standard", "time.frames": 14})
     coefficients = {
-        "all": {"one": -3.0, "cells": -1.0},
+        "all": {"one": -3.0, "cells": -1.0, "coarse": 2.0},
         "squeezed": {"one": 0.5, "thickness": -1.0},
         "elastic": {"one": 0.25},
         "sand": {"one": 9.0},
@@ -81,6 +81,8 @@ def test_predictions_add_the_groups_and_never_extrapolate():
     assert error == pytest.approx(np.exp(-3 + 0.5 + 0.25) / 2)
     finer = press.replaced({"accuracy": {"cells": 128}})
     assert expect(finer, Proportions(10 / 32, 0.3), known).error == pytest.approx(error)
+    coarser = press.replaced({"accuracy": {"cells": 16}})
+    assert expect(coarser, Proportions(20 / 32, 0.3), known).error == pytest.approx(8 * error)
 
 
 def test_violence_sees_forces_walls_and_hands():

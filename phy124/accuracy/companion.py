@@ -69,6 +69,8 @@ FACTORS = {
     "sand": Factors(0.85, 1.0),
     "snow": Factors(0.8, 4.5),
     "fluid": Factors(1.3, 2.1),
+    "metal": Factors(0.6, 2.6),
+    "foam": Factors(0.6, 0.95),
 }
 """Factors of the laws that were measured by themselves; those of other laws by kind of motion."""
 USUAL_CELLS = 16
@@ -138,7 +140,7 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
     scene = coarsen(run.scene)
     if scene.resolution.cells < min_cells(scene):
         return OwnError(why_not="a solid of the scene is too thin for a coarser grid")
-    cost = forecast(run, len(run.setup.particles) * RATIO**3)
+    cost = forecast(run, run.solver.clock.substeps)
     if cost > AFFORDABLE:
         return OwnError(cost=round(cost, 4), why_not=f"it would cost {cost:.0%} of the dynamics")
     with run.setup.context.watch.stage("companion"):
@@ -152,15 +154,18 @@ def coarsen(scene: Scene) -> Scene:
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 
 
-def forecast(run: Simulation, particles: float) -> float:
+def forecast(run: Simulation, substeps: int, particles: int | None = None) -> float:
     """Return the time of the companion as a fraction of the time of a run's dynamics.
 
     Args:
-        run: The finished run.
-        particles: Number of particles of the companion.
+        run: The run.
+        substeps: Number of substeps of the run.
+        particles: Number of particles of the companion; None: estimated.
     """
     rates, (once, each) = RATES["cpu" if run.device == "cpu" else "cuda"], PREPARING
-    substeps = max(run.solver.clock.substeps, 1)
+    substeps = max(substeps, 1)
+    if particles is None:
+        particles = round(len(run.setup.particles) * RATIO**3)
     dynamics = substeps * (rates.substep + rates.particle * len(run.setup.particles))
     companion = RATIO * substeps * (rates.substep + rates.particle * particles)
     return (once + each * len(run.setup.gaussians) + companion) / dynamics
@@ -203,7 +208,7 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
     cells = scene.resolution.cells
     try:
         companion = _prepare(run.setup, scene)
-        cost = forecast(run, len(companion.particles))
+        cost = forecast(run, run.solver.clock.substeps, len(companion.particles))
         distances = _distances(companion, clip, indices) / run.scene.object.size
     except Cancelled:
         return OwnError(cells=cells, why_not="it was cancelled")

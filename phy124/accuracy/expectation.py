@@ -133,6 +133,7 @@ def regressors(values: Mapping[str, float]) -> dict[str, float]:
     return {
         "one": 1.0,
         "cells": math.log(values["cells"] / 32),
+        "coarse": max(0.0, math.log(32 / values["cells"])),
         "thickness": math.log(values["thickness"] / 5),
         "compliance": math.log(values["compliance"] / 0.5),
         "violence": math.log(max(values["violence"], 1e-4) / 0.1),

@@ -21,6 +21,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from phy124.accuracy import companion
 from phy124.accuracy.probe import (
     Pilot,
     SubstepCost,
@@ -362,13 +363,19 @@ class Forecaster:
         return made.with_measured("particles", context.watch.seconds["particles"])
 
     def of(
-        self, simulation: Simulation, *, filming: bool = True, load: Load | None = None
+        self,
+        simulation: Simulation,
+        *,
+        filming: bool = True,
+        error: bool = True,
+        load: Load | None = None,
     ) -> Forecast:
         """Forecast a simulation that has not started, without changing its state.
 
         Args:
             simulation: The simulation.
             filming: Whether the clip will be rendered to videos.
+            error: Whether the run will estimate its own error, if that is cheap.
             load: Load from other programs; None: it is measured.
         """
         scene = simulation.scene
@@ -383,6 +390,9 @@ class Forecaster:
             "deform": scene.time.frames * time_shapes(simulation),
             **(self._filming(simulation.setup.shown, scene) if filming else {}),
         }
+        cost = companion.forecast(simulation, substeps)
+        if error and cost <= companion.AFFORDABLE and scene.time.frames >= companion.FEWEST:
+            stages["companion"] = cost * stages["simulate"]
         return Forecast(
             stages,
             measured=(),

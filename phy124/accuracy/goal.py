@@ -115,6 +115,7 @@ STAGES = {
     "preparing": "the particles and the forecast of each grid",
     "simulate": "the simulation",
     "deform": "the shapes of the Gaussians",
+    "companion": "the own error",
     "observe": "contacts, forces and torn material in each frame",
     "render": "the pictures",
     "encode": "the videos",

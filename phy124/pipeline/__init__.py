@@ -187,7 +187,7 @@ def simulate(
         warn_of_room(run, folder.out, films=films)
         if forecaster is not None:
             with context.watch.stage("forecast"):
-                folder.predicted = forecaster.of(run)
+                folder.predicted = forecaster.of(run, error=folder.error)
         return run, run.run(each and partial(each, run), record=folder.recording.see, shapes=False)
 
     return folder.fill(run_scene)

@@ -10,6 +10,7 @@ with the errors of objects that were left out of the fit.
 import json
 import math
 from collections import Counter
+from collections.abc import Mapping
 from functools import cache
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -31,7 +32,7 @@ from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 
 FILE = ROOT / "phy124/accuracy/measured.json"
-HOLD = 0.92
+HOLD = 0.94
 """Fraction of the errors of objects left out at which the prediction from the others holds."""
 ENOUGH = 4
 """Number of objects from which a kind of scene, or a feature, counts as measured."""
@@ -177,14 +178,16 @@ def known_features(known: list[Sample]) -> list[str]:
     return sorted(name for name, number in count.items() if number >= ENOUGH)
 
 
-def model_of(known: list[Sample], fit: Fit, chosen: NDArray, safety: float = 0.0) -> dict[str, Any]:
+def model_of(
+    known: list[Sample], fit: Fit, chosen: NDArray, safety: Mapping[str, float] | None = None
+) -> dict[str, Any]:
     """Return the model fitted to the chosen samples.
 
     Args:
         known: All samples.
         fit: Their columns.
         chosen: Mask of the samples that are used.
-        safety: Logarithm of the factor on all predictions.
+        safety: Terms that are added for all groups.
     """
     used = [sample for sample, use in zip(known, chosen, strict=True) if use]
     logs = np.log([sample.error + FLOOR for sample in used])
@@ -194,14 +197,16 @@ def model_of(known: list[Sample], fit: Fit, chosen: NDArray, safety: float = 0.0
     table: dict[str, dict[str, float]] = {}
     for (group, term), value in zip(fit.columns, coefficients, strict=True):
         table.setdefault(group, {})[term] = round(float(value), 4)
-    table["all"]["one"] += safety
+    for term, value in (safety or {}).items():
+        table["all"][term] = table["all"].get(term, 0.0) + value
     return {"coefficients": table, "kinds": ranges(used), "features": known_features(used)}
 
 
-def left_out(known: list[Sample]) -> tuple[list[float | None], float]:
-    """Return the prediction for each sample from all other objects, and the safety factor's log.
+def left_out(known: list[Sample]) -> tuple[list[float | None], dict[str, float]]:
+    """Return the prediction for each sample from all other objects, and the terms of safety.
 
-    A prediction is None if it is not measured.
+    A prediction is None if it is not measured. Safety makes a fraction `HOLD` of the predictions
+    hold on coarse grids, and on all others.
     """
     fit, objects = Fit.of(known), np.array([sample.object for sample in known])
     told: list[float | None] = [None] * len(known)
@@ -210,13 +215,19 @@ def left_out(known: list[Sample]) -> tuple[list[float | None], float]:
         for index in np.flatnonzero(objects == name):
             sample = known[index]
             told[index] = expect(sample.scene, sample.proportions, model).error
-    logs = [
-        np.log((sample.error + FLOOR) / bound)
-        for sample, bound in zip(known, told, strict=True)
-        if sample.judged and bound is not None
-    ]
-    safety = max(0.0, float(np.quantile(logs, HOLD)))
-    return [None if bound is None else math.exp(safety) * bound for bound in told], safety
+    logs: dict[bool, list[float]] = {True: [], False: []}
+    for sample, bound in zip(known, told, strict=True):
+        if sample.judged and bound is not None:
+            coarse = sample.scene.resolution.cells < GRIDS["standard"][-2]
+            logs[coarse].append(math.log((sample.error + FLOOR) / bound))
+    usual, at_draft = (max(0.0, float(np.quantile(logs[coarse], HOLD))) for coarse in (False, True))
+    safety = {"one": usual, "coarse": max(0.0, at_draft - usual) / math.log(2)}
+    wider = []
+    for sample, bound in zip(known, told, strict=True):
+        terms = regressors(properties(sample.scene, sample.proportions))
+        factor = math.exp(sum(value * terms[term] for term, value in safety.items()))
+        wider.append(None if bound is None else factor * bound)
+    return wider, safety
 
 
 class Pair(NamedTuple):
