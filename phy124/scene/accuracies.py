@@ -77,8 +77,8 @@ class Accuracy(Section):
         exclude_if=lambda value: value is None,
         description="Solver of the law fluid. compressible: particles with a pressure of their "
         "own. projection: incompressible flow, which keeps its volume and takes longer steps; for "
-        "one liquid, also among others that move. Absent: projection wherever it is supported; "
-        "the effects in the report say why it is not.",
+        "one liquid, also among others that move. Absent: projection where it is supported; the "
+        "report's effects say why it is not.",
     )
 
     @property
