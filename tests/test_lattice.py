@@ -14,8 +14,8 @@ from phy124.errors import InputError
 from phy124.forces import Gravity, TotalForce, Wind
 from phy124.kernels.lattice.stress import GRADIENT, SPEED
 from phy124.kernels.work import IMPULSE, WORK
+from phy124.lattice import material, solids, workers
 from phy124.lattice import walls as lattice_walls
-from phy124.lattice import workers
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.solver import MEASURE, TRIAL, LatticeSolver
 from phy124.materials import Hencky, NeoHookean
@@ -427,8 +427,9 @@ def test_lattice_compiles_for_cuda(arch, tmp_path):
     walls = [Ground(), Held()]
     laws = [(SOFT.device_law, False), (Hencky(damping=1.0).device_law, True)]
     kind = wp.float32, "cuda"
-    both = *workers.kernels(laws, *kind), *lattice_walls.kernels(walls, *kind)
-    modules = {made.module.name: made.module for made in both}
+    made = *workers.kernels(laws, *kind), *lattice_walls.kernels(walls, *kind, several=True)
+    made += *solids.kernels_of(["box", "sphere"], *kind), *material.kernels_of(*kind)
+    modules = {kernel.module.name: kernel.module for kernel in made}
     for name, module in modules.items():
         folder = tmp_path / name
         folder.mkdir()

@@ -92,8 +92,14 @@ def test_balls_exchange_momentum_exactly(precision):
 
 def test_stack_of_three_stands():
     solids = [block((0.4, 0.4, 0.2), low=(0, 0, 0.2 * k)) for k in range(3)]
-    solver = make(solids, held=[0], forces=[Gravity(g=(0, 0, -2.0))])
+    pull = Gravity(g=(0, 0, -2.0))
+    solver = make(solids, held=[0], forces=[pull])
     solver.advance(1.5)
+    before = solver.meetings.snapshot()
+    solver.bind(forces=[pull])
+    after = solver.meetings.snapshot()
+    assert np.array_equal(after["2"]["force"], before["2"]["force"])
+    assert len(after["2"]["force"])
     before = solver.state.x.numpy()
     solver.advance(2.0)
     assert np.abs(solver.state.x.numpy() - before).max() < 0.01 * DX

@@ -121,6 +121,8 @@ class LatticeSolver:
         self.free = Solids(model, free, self.surface, self.nodes_state)
         # Bodies on their lattices need none of these; observers and reports read them.
         self.repair, self.outliers = Repair(model, self.state), Outliers(model, self.state)
+        self._meeting_points: Callable[[], dict[str, Any]] = dict
+        """Returns the pairs of points, which stay when forces and boundaries are replaced."""
         self.guests: list[Any] = []
         """Further contact, with launches like those of walls."""
         self.softened = 1.0
@@ -168,7 +170,11 @@ class LatticeSolver:
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
         self.free.prepare(tracks, walls.recovery)
+        kept = self._meeting_points()
         self.meetings = Meetings(surface, model, nodes, tracks, self.pairs, walls.recovery)
+        self._meeting_points = self.meetings.snapshot
+        if kept:
+            self.meetings.restore(kept)
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self._sample = tracks.record()
         self._sample.launch()
