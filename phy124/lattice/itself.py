@@ -29,8 +29,8 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 MOVED, BETWEEN = 0.6, 0.15
-"""Ways relative to the mean motion after which the parts of a body, and two bodies, are compared
-again [cells].
+"""Half of the relative way after which the parts of a body, and two bodies, are compared again
+[cells].
 """
 SLID = 0.4
 """Way of a point along the surface of the other part after which pairs are listed again [cells]."""
@@ -170,9 +170,8 @@ class Meeting:
             x: Current positions of the sampled points [K,3], m.
         """
         moved = x - self._seen
-        moved -= moved.mean(axis=0)
         most = (BETWEEN if self._between else MOVED) * self._model.dx
-        if self._away or np.abs(moved).max(initial=0.0) > most:
+        if self._away or (len(x) and np.ptp(moved, axis=0).max() > 2 * most):
             self._look(x)
 
     def part(self) -> None:
