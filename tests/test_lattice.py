@@ -114,6 +114,12 @@ def test_surface_points_cover_a_ball_of_resampled_voxels(per):
     assert gap.max() < 0.6 * DX
 
 
+def test_needle_has_surface_points():
+    """A needle fills 1 % of each of its cells."""
+    solid = block((1.0, 0.01, 0.01), dx=0.02)
+    assert len(surface_points(solid, DX)) > 10
+
+
 def test_ties_extrapolate_linear_motions():
     solid = block((0.35, 0.325, 0.325), low=(0.075, 0.075, 0.0875), per=8)
     x, volume = integration_points(solid, DX)

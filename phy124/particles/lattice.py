@@ -246,7 +246,8 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
     place = np.floor((index + solid.first) * (solid.voxel / dx) + 1e-9).astype(np.int64)
     part = fraction * (solid.voxel / dx) ** 3
     _, cell = _cells(_merge_slivers(place, part))
-    outside &= (np.bincount(cell, part) >= HAZE)[cell]
+    clear = outside & (np.bincount(cell, part) >= HAZE)[cell]
+    outside = clear if clear.any() else outside  # A needle fills all its cells that little.
     index, fraction, normal = index[outside], fraction[outside], normal[outside]
     across = solid.voxel * np.abs(normal).sum(axis=1)
     out = normal * ((fraction - 0.5) * across)[:, None]
