@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, Particles
 from phy124.motion.recorded import Motion
-from phy124.runtime.memory import release
+from phy124.runtime.memory import release, trim
 
 STEP_X = 2e-5
 """Largest step of the stored positions of particles, relative to the object's size."""
@@ -58,12 +58,16 @@ def pack(motion: Motion) -> Packed:
         base, chunks = _base(name, rest), []
         for start in range(0, len(rows), FRAMES):
             part = [rows[i] for i in range(start, min(start + FRAMES, len(rows)))]
-            values = np.stack(part)
+            values = np.stack(part).reshape(len(part), len(rest), -1)
             release(part[0])
-            whole = np.rint((values.reshape(len(values), len(rest), -1) - base) / steps[name])
-            if not (np.abs(whole) < 2**30).all():
-                raise OverflowError(f"{name} is too large for the steps of a clip")
-            chunks.append(_pack_steps(whole.astype(np.int64)[:, order]))
+            whole = np.empty((values.shape[2], *values.shape[:2]), np.int32)
+            for k, column in enumerate(whole):
+                exact = np.rint((values[..., k] - base[:, k]) / steps[name])
+                if not (np.abs(exact) < 2**30).all():
+                    raise OverflowError(f"{name} is too large for the steps of a clip")
+                column[:] = exact[:, order]
+            chunks.append(_pack_steps(whole))
+            trim()  # the chunks would keep the gaps between them from being used again
         tensors[f"motion.{name}"], lengths = _join(chunks)
         arrays[name] = {"chunks": lengths}
     facts = {"arrays": arrays, "steps": steps, "frames": len(motion.x)}
@@ -209,11 +213,10 @@ def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
     return volume
 
 
-def _pack_steps(steps: NDArray[np.int64]) -> bytes:
-    """Pack whole numbers [T,P,K]: differences in time, then along the curve."""
-    steps = np.diff(steps, axis=0, prepend=0)
-    steps = np.diff(steps, axis=1, prepend=0)
-    return _compress(_zigzag(steps.transpose(2, 0, 1), 4))
+def _pack_steps(steps: NDArray[np.int32]) -> bytes:
+    """Pack whole numbers [K,T,P]: differences in time, then along the curve."""
+    steps = np.diff(steps, axis=1, prepend=np.int32(0))
+    return _compress(_zigzag(np.diff(steps, axis=2, prepend=np.int32(0)), 4))
 
 
 def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int64]:
