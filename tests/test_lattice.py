@@ -151,6 +151,17 @@ def test_frequency_follows_a_squeezed_body():
     assert solver._spectrum.square / at_rest == pytest.approx(stiffer / (lam + 2 * mu), rel=0.15)
 
 
+def test_measured_damping_covers_the_fastest_decay():
+    solver = make(block((0.4, 0.3, 0.3)), SOFT.model_copy(update={"damping": 200.0}))
+    spectrum = solver._spectrum
+    assumed = 2 * spectrum._delay * spectrum._least
+    start = np.random.default_rng(1).normal(size=(solver.nodes, 3))
+    start[solver.lattice.tied] = 0
+    spectrum._shape.assign(start)
+    largest = spectrum._iterate(0.0, 150, velocities=solver.nodes_state.v)
+    assert largest < assumed < 1.25 * largest
+
+
 def test_free_swing_keeps_its_energy():
     solver = make(block((1.0, 0.2, 0.2)))
     lattice, nodes = solver.lattice, solver.nodes_state
