@@ -137,6 +137,16 @@ def test_light_nodes_get_mass_from_heavy_ones():
     assert lattice.mass[lattice.mass > 0].min() > 0.0199 * DX**3
 
 
+def test_ties_leave_no_node_without_mass():
+    rng = np.random.default_rng(47)
+    fraction = (rng.random((7, 7, 7)) < 0.35).astype(np.float32)
+    fraction *= rng.random((7, 7, 7)).astype(np.float32)
+    x, volume = integration_points(Solid(np.zeros(3, int), DX / 2, fraction), DX)
+    lattice = RestLattice.of(x, volume, volume, DX)
+    free = np.setdiff1d(np.arange(len(lattice)), lattice.tied)
+    assert lattice.mass[free].min() > 0
+
+
 def test_frequency_follows_a_squeezed_body():
     solver = make(block((0.4, 0.3, 0.3)))
     squeezed = 0.5

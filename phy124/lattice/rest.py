@@ -138,11 +138,8 @@ class RestLattice:
         )
         density = float(mass.sum() / volume.sum())
         whole = density * dx**3
-        least = LIGHTEST * whole
         corner = (np.bincount(number.ravel()) == 1) & (of_nodes < CORNER * whole)
-        tied, ties = _tie(index, np.where(corner, 0, of_nodes), least, least)
-        of_nodes = of_nodes + ties.T @ of_nodes[tied]
-        of_nodes[tied] = 0
+        tied, ties, of_nodes = _tie_light(index, of_nodes, LIGHTEST * whole, corner)
         of_nodes = _share(index, of_nodes, LIGHT * whole, GIVING * whole)
         rows = number[:, ::3].astype(np.int32)
         body = np.zeros(len(index), np.int64)
@@ -192,6 +189,30 @@ def _weights(offset: NDArray) -> NDArray[np.float64]:
     x, y, z = np.moveaxis(splines(offset), 1, 0)
     product: NDArray[np.float64] = np.einsum("pi,pj,pk->pijk", x, y, z)
     return product.reshape(len(offset), 27)
+
+
+def _tie_light(
+    index: NDArray[np.int64], mass: NDArray, least: float, corner: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, NDArray[np.float64]]:
+    """Return tied nodes, their ties, and the masses after the tied nodes have given theirs.
+
+    Args:
+        index: Indices of the nodes [N,3].
+        mass: Their masses [N], kg.
+        least: Mass below which a node is tied [kg].
+        corner: Whether a node is tied in any case [N].
+    """
+    candidates, light = mass, corner
+    # Weights of ties can be negative: nodes that would be left without mass are tied, too.
+    while True:
+        candidates = np.where(light, 0, candidates)
+        tied, ties = _tie(index, candidates, least, least)
+        result: NDArray[np.float64] = mass + ties.T @ mass[tied]
+        result[tied] = 0
+        light = (result < least / 2) & (candidates > 0)
+        light[tied] = False
+        if not light.any():
+            return tied, ties, result
 
 
 def _share(
