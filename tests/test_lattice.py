@@ -114,6 +114,14 @@ def test_surface_points_cover_a_ball_of_resampled_voxels(per):
     assert gap.max() < 0.6 * DX
 
 
+def test_frequency_without_a_trial_stays():
+    solver = make(block((0.2, 0.2, 0.2)))
+    square = solver._spectrum.square
+    solver._spectrum._shape.zero_()
+    solver._spectrum.follow()
+    assert solver._spectrum.square == square
+
+
 def test_needle_has_surface_points():
     """A needle fills 1 % of each of its cells."""
     solid = block((1.0, 0.01, 0.01), dx=0.02)

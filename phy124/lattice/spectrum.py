@@ -115,9 +115,11 @@ class Spectrum:
             velocities: Velocities of the nodes, which are changed instead of the displacements, so
                 that the result is the largest rate of damping [1/s]; None: the displacements.
         """
-        square = 0.0
+        square, peak = 0.0, self._peak()
         for _ in range(rounds):
-            for index, value in enumerate((1 / self._peak(), share, self._size)):
+            if not peak > 0:  # The trial vanished in rounding: a needle has no other motion.
+                return square
+            for index, value in enumerate((1 / peak, share, self._size)):
                 self._try.set_param_at_index(index, value)
             self._try.launch()
             if velocities is not None:
@@ -128,8 +130,9 @@ class Spectrum:
             self._crew.accelerate(trial=True)
             self._compare.launch()
             peak = self._peak()
-            longer = peak * _norm(self._shape.numpy() * (1 / peak))
-            square = longer / _norm(self._mixed.numpy()) / self._size
+            if peak > 0:
+                longer = peak * _norm(self._shape.numpy() * (1 / peak))
+                square = longer / _norm(self._mixed.numpy()) / self._size
         return square
 
     def _peak(self) -> float:
