@@ -188,10 +188,10 @@ def _find_departure(clip: Clip, view: View, side: str) -> Departure | None:
     return Departure(side, first, worst, float(outside[worst]), round(distance, 3))
 
 
-def _radii(points: Values, cameras: list[Camera]) -> Values:
+def _radii(points: NDArray[np.floating], cameras: list[Camera]) -> Values:
     """Return the smallest camera distances from the target that show each point [T,S], m."""
 
-    def radius(points: Values, camera: Camera) -> Values:
+    def radius(points: NDArray[np.floating], camera: Camera) -> Values:
         across, down, ahead = ((points - camera.target) @ camera.view[:3, :3].T).T
         half_width, half_height = camera.halves
         return np.maximum(np.abs(across) / half_width, np.abs(down) / half_height) - ahead

@@ -151,7 +151,9 @@ def release(cells: int, viscosity: float) -> Values:
     x = fill((1, width, 2), cells)
     channel = Container(inside=Region(lower=(0, 0, 0), upper=(9, width, 9)), contact="slip")
     solver = solver_of(x, np.zeros_like(x), cells, [channel], GRAVITY, viscosity)
-    times = SAMPLE * np.arange(1, 1 + math.ceil(math.sqrt(2) * HEIGHTS[-1] / SAMPLE))
+    times: NDArray[np.float64] = SAMPLE * np.arange(
+        1.0, 1 + math.ceil(math.sqrt(2) * HEIGHTS[-1] / SAMPLE)
+    )
     fronts, heights = [], []
     for time in times:
         solver.advance(time * unit)
