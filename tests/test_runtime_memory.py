@@ -40,3 +40,37 @@ def test_threads_share_a_heap_unless_another_number_is_chosen(tmp_path, chosen):
     subprocess.run([sys.executable, "-c", COUNT, told], env=environment, check=True)
     heaps = told.read_text().count("<heap nr=")
     assert heaps > 1 if chosen else heaps == 1
+
+
+REPEATED = """
+import re, sys, tempfile
+from pathlib import Path
+from phy124.runtime.memory import share_heap
+share_heap()
+from phy124 import pipeline
+from phy124.generators.shapes import ball
+from phy124.scene import Scene
+
+scene = Scene.named("press").replaced(
+    {"accuracy": {"cells": 10}, "time.frames": 4, "view.size": 64, "view.views": ["front"]}
+)
+for count in range(1, 31):
+    with tempfile.TemporaryDirectory() as folder:
+        pipeline.simulate(ball(500), scene, Path(folder))
+    if count in (10, 30):
+        status = Path("/proc/self/status").read_text()
+        print(re.search(r"RssAnon:\\s+(\\d+)", status)[1])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_repeated_runs_keep_their_memory():
+    done = subprocess.run(
+        [sys.executable, "-c", REPEATED],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    before, after = map(int, done.stdout.split()[-2:])
+    assert after < before + 16_000, "kB"
