@@ -1,5 +1,7 @@
 """relief: closed, bounded, deterministic, true to the picture in front, plain behind."""
 
+import threading
+
 import numpy as np
 import pytest
 import scipy.ndimage as ndi
@@ -434,3 +436,25 @@ def test_colours_are_the_same_on_both_sides_of_the_rim():
         for low, high in ((0.1, 0.3), (-0.3, -0.1))
     )
     assert behind == pytest.approx(before, abs=0.03)
+
+
+def test_factors_are_freed_by_the_thread_that_made_them(monkeypatch):
+    threads = []
+
+    class Made:
+        def __init__(self, *_, **__):
+            threads.append(threading.get_ident())
+
+        def solve(self, values):
+            return values
+
+        def __del__(self):
+            threads.append(threading.get_ident())
+
+    monkeypatch.setattr("scipy.sparse.linalg.splu", Made)
+    factors = Factors(None)
+    assert factors.solve(3) == 3
+    pool = factors._pool
+    del factors
+    pool.shutdown()
+    assert threads[0] == threads[1] != threading.get_ident()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import Any
+from weakref import finalize
 
 import numpy as np
 import scipy
@@ -14,6 +16,33 @@ Field = NDArray[np.float64]
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 THETA_MIN = 0.1
 """Smallest distance to the rim that is used [pixels]; it keeps the matrix well conditioned."""
+
+
+class Factors:
+    """Sparse LU factors, which a second thread computes, uses and frees.
+
+    SciPy frees the memory of factors only in the thread that made them.
+    """
+
+    def __init__(self, matrix: Any) -> None:
+        """Start to factorise a matrix."""
+        self._pool, made = ThreadPoolExecutor(1, "factorise"), list[Any]()
+        self._made = made
+        # Supernodal panels wider than one column take 1.5 times as long.
+        factorise = partial(scipy.sparse.linalg.splu, panel_size=1, relax=1)
+        self._pool.submit(lambda: made.append(factorise(matrix, "MMD_AT_PLUS_A")))
+        finalize(self, _free, self._pool, made).atexit = False
+
+    def solve(self, values: NDArray) -> NDArray:
+        """Return the solution for the right-hand sides [N] or [N,C]."""
+        made = self._made
+        return self._pool.submit(lambda: made[0].solve(values)).result()
+
+
+def _free(pool: ThreadPoolExecutor, made: list[Any]) -> None:
+    """Free factors in their thread, and end the thread."""
+    pool.submit(made.clear)
+    pool.shutdown(wait=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,25 +57,20 @@ class Silhouette:
     """Mask of the pixels whose centre is inside [H,W]."""
     weights: Field
     """Weights 1/theta of the rim towards each neighbour [4,H,W]; 0 if the neighbour is inside."""
-    factorising: Future[scipy.sparse.linalg.SuperLU]
-    """Factors of the operator, which a second thread computes."""
+    factors: Factors
+    """Factors of the operator."""
 
     @classmethod
     def of(cls, alpha: Field) -> Silhouette:
         """Return the operator for an alpha [H,W] in 0..1 with a transparent border."""
         inside = alpha > 0.5
         weights = np.stack([_rim_weight(alpha, inside, shift) for shift in NEIGHBOURS])
-        pool = ThreadPoolExecutor(1, "factorise")
-        # Supernodal panels wider than one column take 1.5 times as long.
-        factorise = partial(scipy.sparse.linalg.splu, panel_size=1, relax=1)
-        factors = pool.submit(factorise, _laplacian(inside, weights), "MMD_AT_PLUS_A")
-        pool.shutdown(wait=False)
-        return cls(inside, weights, factors)
+        return cls(inside, weights, Factors(_laplacian(inside, weights)))
 
     def poisson(self, source: float) -> Field:
         """Solve -Laplace(u) = source with u = 0 on the rim; return u [H,W], 0 outside."""
         u = np.zeros(self.inside.shape)
-        u[self.inside] = self.factorising.result().solve(np.full(int(self.inside.sum()), source))
+        u[self.inside] = self.factors.solve(np.full(int(self.inside.sum()), source))
         return u
 
     def harmonic(self, values: Field) -> Field:
@@ -55,9 +79,7 @@ class Silhouette:
         for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True):
             known += weight[..., None] * np.roll(values, (-dy, -dx), (0, 1))
         filled = np.array(values)
-        filled[self.inside] = self.factorising.result().solve(
-            np.ascontiguousarray(known[self.inside])
-        )
+        filled[self.inside] = self.factors.solve(np.ascontiguousarray(known[self.inside]))
         return filled
 
     @cached_property
