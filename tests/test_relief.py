@@ -11,7 +11,7 @@ from phy124.camera import Camera
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import rotation_matrices
 from phy124.generators.relief import VIEW_DISTANCE, relief
-from phy124.generators.relief.height import Silhouette
+from phy124.generators.relief.height import Factors, Silhouette
 from phy124.generators.relief.surface import Surface, spread
 from phy124.particles.seeding import fill
 from phy124.rendering.render import Renderer
