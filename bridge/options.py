@@ -188,7 +188,7 @@ def camera_name(side: str) -> str:
 
 
 def live_points(profile: Profile | None, asked: int | None) -> int:
-    """Return the Gaussians per frame of a live profile; if `asked` is 0 or None, the default."""
+    """Return a live profile's Gaussians per frame; for `asked` = 0 or None, return the default."""
     if profile == "splats":
         return min(asked or LIVE_SPLATS, LIVE_SPLATS)
     return asked or LIVE_POINTS

@@ -176,7 +176,7 @@ def check_length(field: str, data: Any, settings: Settings) -> None:
 
 
 def _check_counts(data: dict[str, Any], settings: Settings) -> None:
-    """Refuse lists of a scene that are too long, before validation; raises InputError."""
+    """Raise InputError if a list of the scene is too long, before validation."""
     counts = {name: len(data[name]) for name in LISTS if isinstance(data.get(name), list)}
     pushes = counts.get("forces", 0) + counts.get("boundaries", 0)
     check_most(

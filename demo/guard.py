@@ -102,7 +102,7 @@ class Doorkeeper:
         if CLOSED.match(scope["path"]):
             return PlainTextResponse("There is no such address here.", 404)
         if scope["method"] not in ("GET", "HEAD") and not self._from_own_page(headers):
-            return PlainTextResponse("This page takes nothing from the pages of other sites.", 403)
+            return PlainTextResponse("This page refuses requests from pages of other sites.", 403)
         return None
 
 
@@ -121,7 +121,7 @@ def split_names(more: str, space: str = "") -> frozenset[str]:
 
 
 def own_names(more: str, space: str = "") -> frozenset[str]:
-    """Return the host names of the page, in addition to IP addresses."""
+    """Return the host names under which the page is served; IP addresses are always allowed."""
     here = socket.gethostname().lower()
     return frozenset({"localhost", here, f"{here}.local"}) | split_names(more, space)
 

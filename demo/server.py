@@ -87,7 +87,9 @@ def check_address(settings: Settings) -> None:
             limit = "This user may not listen there."
             raise InputError("port", port, limit, "Give one from 1024 on.") from None
         limit = "This machine cannot listen there."
-        raise InputError("host", host, limit, "127.0.0.1 is itself, 0.0.0.0 all of it.") from None
+        raise InputError(
+            "host", host, limit, "127.0.0.1 admits only this machine, 0.0.0.0 every network."
+        ) from None
 
 
 def _family(host: str) -> socket.AddressFamily:

@@ -44,7 +44,7 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 
 FIRST = (12, 16, 24)
-"""Cells across the object of the first levels; observing an order requires three levels."""
+"""Cells across the object on the first levels; an order is observed on three levels."""
 STEP = 1.5
 """Largest ratio of a new level's cells to the cells of the finest level so far."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)

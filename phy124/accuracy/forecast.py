@@ -201,7 +201,7 @@ class Forecast:
     caveat: str | None = None
     """Reason why the predicted time is only a guess; None if it is not."""
     load: Load = QUIET
-    """Load from other programs on this machine when the probes ran."""
+    """How busy other programs kept this machine while the probes ran."""
     proportions: Proportions | None = None
     """Proportions of the objects; None if unknown."""
     device: str = "cpu"

@@ -1,6 +1,6 @@
 """The error of a scene or of a run ("promise"), and all messages about errors.
 
-There is one error for each state of knowledge, and `promise` returns it. Before a run it is the
+The stated error depends on what is known so far; `promise` chooses it. Before a run it is the
 expectation of a model fitted to many objects (phy124/accuracy/expectation.py). After a run it is
 the run's own error (phy124/accuracy/companion.py), or the error that was measured for a goal. If
 none of them is known, the error is "not measured". A study of the scene (`phy124 accuracy`) can
@@ -53,7 +53,7 @@ class Promise:
         )
 
     def with_study(self, command: str) -> str:
-        """Return `sentence`, but recommend `command` for measuring the error of the scene."""
+        """Return `sentence` with `command` as the command that measures the scene's error."""
         return self.sentence.replace(STUDY, command)
 
     @property

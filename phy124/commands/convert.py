@@ -204,7 +204,7 @@ def _note_dropped(count: int) -> list[str]:
 
 
 def _note_far(content: Content) -> list[str]:
-    """Note that the positions were shifted towards the origin."""
+    """Return a note if the positions were shifted towards the origin."""
     if not any(content.origin):
         return []
     place = ", ".join(f"{x:.10g}" for x in content.origin)

@@ -130,7 +130,7 @@ class Validate:
                 pass
 
     def _write(self, done: Sequence[Outcome], *, whole: bool) -> None:
-        """Write the requested files; the page of a clone only if no experiment is missing."""
+        """Write the requested files; the documentation only if every experiment has run."""
         if self.docs and whole:
             save_page(done, *DOCS, machine=_machine())
         if self.out is not None and done:

@@ -22,7 +22,7 @@ GAP = 0.01
 COUNTED = 0.05
 """Smallest area of an object that is counted, relative to the largest object."""
 NEAR = 0.02
-"""Largest distance between a point and the object that it selects, in longest sides."""
+"""Largest distance of a point from the object that it selects, over the object's longest side."""
 WINDOWS = (0.7, 0.45, 0.3)
 """Sides of the windows around a point that are segmented, in longest sides."""
 MINIMUM = 0.02

@@ -1,8 +1,8 @@
 """Splits two objects that touch, where the silhouette has a neck and the colours change.
 
-A neck alone is not evidence (a head on shoulders), nor are colours alone (trousers and shirt). Both
-are required, and each part must be large. A sail is still taken for a separate object; error rates
-are in docs/lab/cutouts.md.
+A narrow neck alone does not show two objects (heads sit on necks), nor does a change of colour
+alone (trousers and shirt). Both are required, and each part must be large. A sail is still taken
+for a separate object; error rates are in docs/lab/cutouts.md.
 """
 
 from __future__ import annotations

@@ -171,7 +171,7 @@ def linear(distances: Any, across: Any):
 
 @wp.func
 def ending(distances: Any, across: Any):
-    """Return the ratios g of a velocity that is zero where the region ends.
+    """Return the ratios g for a velocity that falls to zero at the end of the region.
 
     `across` is the cell size [m].
     """

@@ -102,7 +102,7 @@ def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float6
 def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     """Clamp the stretches to [smallest, largest]; the excess changes Jp (eqs. 9, 10 there).
 
-    Nothing is clamped if that would raise the energy, including hardening: a stretch under pressure
+    Nothing, hardening included, is clamped if that would raise the energy: a stretch under pressure
     causes no fracture, however large it is. Without this rule, snow with a Poisson's ratio near 1/2
     gains energy by fracture. For most elastic particles, bounds of the eigenvalues of F F^T are
     within the range; computing these bounds needs no eigenvalues.

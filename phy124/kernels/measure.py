@@ -22,9 +22,9 @@ GRADIENT = 1
 STIFFNESS = 2
 """Index of A / rho0 [m^2/s^2]."""
 LOW = 3
-"""Index of the first of three components: minus the lowest corner of the particles [m]."""
+"""Index of the first component of minus the particles' lowest corner, m."""
 HIGH = 6
-"""Index of the first of three components: the highest corner of the particles [m]."""
+"""Index of the first component of the particles' highest corner, m."""
 COUNT = 9
 """Number of maxima."""
 SPEEDS = 2

@@ -173,7 +173,7 @@ class CoupledSolver(Solver):
             self.rejection.keep(_Undo(self))
 
     def stages(self) -> list[list[Any]]:
-        """Return the launches of contact between lattices and particles, for the lattices."""
+        """Return the launches by which contact with particles acts on the lattices."""
         return [
             [("pairs", material.stage(number)) for material in self.materials]
             for number in range(3)

@@ -207,7 +207,7 @@ class _Touch:
         return act
 
     def list_near(self, reach: float, more: float) -> None:
-        """List the points within `reach` and `more` [m] of the solid."""
+        """List the points within `reach` + `more` [m] of the solid."""
         if self._look is None:
             return
         self._look.launch()

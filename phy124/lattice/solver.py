@@ -46,7 +46,7 @@ STRAIN, WAY = 0.25, 0.25
 between two measurements of its distance from walls.
 """
 TRAVEL = 3.0
-"""Largest approach of points to walls until all distances are measured again [cells]."""
+"""How far points may approach walls before all distances are measured again [cells]."""
 VIOLENT = 0.35
 """Product of rate of strain and substep above which limits are measured before every substep."""
 FORGET = 4

@@ -150,6 +150,6 @@ class Spectrum:
 
 
 def _norm(values: NDArray[Any]) -> float:
-    """Return the fourth root of the sum of the fourth powers, of a largest value near 1."""
+    """Return the 4-norm (fourth root of the sum of fourth powers); the largest value is near 1."""
     squares = values * values
     return float(np.vdot(squares, squares)) ** 0.25

@@ -275,7 +275,7 @@ class Crew:
         return largest
 
     def accelerate(self, *, trial: bool = False) -> None:
-        """Compute the accelerations `a`, or `trial_a`, of the nodes by the summed forces."""
+        """Compute the accelerations `a`, or `trial_a`, of the nodes from the summed forces."""
         (self.trial_a if trial else self.a).zero_()
         for _, launch in self._accelerate[trial]:
             launch()

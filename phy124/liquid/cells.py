@@ -84,7 +84,7 @@ class Cells:
 
     @property
     def points(self) -> int:
-        """Number of points of the lattice of distances, which has half the spacing."""
+        """Number of points at which distances are computed; their spacing is half a cell."""
         return int(np.prod(2 * self.size + 1))
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:

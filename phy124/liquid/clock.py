@@ -74,7 +74,7 @@ class LiquidClock(Clock):
         return self.last_dt / 2 * float(self.pull @ momentum)
 
     def sweeps(self, kick: float) -> int:
-        """Return the pairs of steps of Jacobi's method that leave a thousandth of the error."""
+        """Return how many pairs of Jacobi's steps reduce the error to a thousandth."""
         k = 6 * self.viscosity * kick
         if k == 0:  # the first kick of a probe has no duration
             return 1

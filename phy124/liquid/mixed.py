@@ -23,7 +23,7 @@ from phy124.mpm.model import part_of
 
 
 class MixedClock(Clock):
-    """The clock of the bodies' substeps, which knows how far the liquid's velocities are behind."""
+    """The clock of the bodies' substeps; it keeps the lag of the liquid's velocities."""
 
     liquid: LiquidClock
     """The clock of the liquid."""

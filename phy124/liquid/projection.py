@@ -53,7 +53,7 @@ class Projection:
         """Velocity and angular velocity of each solid for a vector, computed by each part."""
 
     def part(self, worker: int) -> tuple[int, int]:
-        """Return the first part of a worker, and its number of parts."""
+        """Return a worker's first part, and how many parts the worker has."""
         return (worker, 1) if self._parts == self._workers else (0, self._parts)
 
     def list_cells(self, cells: Cells, worker: int) -> tuple[list[Recorded], list[Recorded]]:

@@ -69,7 +69,7 @@ def held_rate(
     shapes: bool = True,
     show: Callable[[Frame], object] = lambda frame: None,
 ) -> Choice:
-    """Find the finest grid on which this machine runs a scene at a rate, with lattice binding.
+    """Find the finest grid on which this machine runs a scene at a frame rate (lattice binding).
 
     Args:
         gaussians: The object.

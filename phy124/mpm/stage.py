@@ -26,7 +26,7 @@ class Stage(NamedTuple):
     keeps_C: bool = False
     """Whether the stage never changes C, so that summing its work need not read C."""
     by_run: bool = False
-    """Whether the stage is recorded for each worker and pushes only the particles of `Grid.run`."""
+    """Whether each worker records the stage for its own particles, those of `Grid.run`."""
     alone: bool = False
     """Whether one worker launches the stage for all layers while the others wait."""
     with_update: Callable[[Grid], wp.Launch | None] | None = None

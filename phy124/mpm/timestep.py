@@ -131,7 +131,7 @@ def beside_elastic(cfl: float) -> float:
 
 
 def beside_rpic(cfl: float) -> float:
-    """Return the fraction of the elastic limit that is stable if the strain rate in C is damped.
+    """Return the stable substep, as a fraction of the elastic limit, if C's strain rate is damped.
 
     An oscillator that keeps the fraction s of its velocity in each substep is stable while (omega
     dt)^2 <= 2 + 2 s; in the worst case s is 0.

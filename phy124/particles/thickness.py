@@ -56,8 +56,8 @@ def measure_proportions(*objects: tuple[Solid, float]) -> Proportions:
 def compliance(shape: Solid) -> float:
     """Return the mean deflection of an upright object in its softest horizontal direction [m].
 
-    The object is a beam clamped at its lowest `FOOT`, and loaded sideways by an acceleration a with
-    rho a / E = 1 / L, where L is its longest side.
+    The object is a beam whose lowest part, `FOOT` high, is clamped. It is loaded sideways by an
+    acceleration a with rho a / E = 1 / L, where L is its longest side.
     """
     inside = _inside(shape)
     length, (_, _, height) = shape.voxel * max(inside.shape), inside.shape

@@ -146,7 +146,7 @@ def frames_of(path: str | os.PathLike[str]) -> Growing | None:
 
 
 def read_frames(path: str | os.PathLike[str]) -> dict[str, Any] | None:
-    """Return the description of a run's frame file; None if the run's file has the frames."""
+    """Return the description of a separate file of frames; None if the run's file has them."""
     return _read(Path(path), tensors=False)[0]["frames"].get("growing")
 
 

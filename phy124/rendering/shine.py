@@ -132,7 +132,7 @@ class Shine:
         return replace(clip, means=means, quats=quats, scales=scales), {**gloss, "hues": hues}
 
     def _surface(self, frame: Frame) -> tuple[Gaussians, dict[str, NDArray]]:
-        """Return the Gaussians as they are drawn, and the normals [n,3] of each glossy law."""
+        """Return the Gaussians to draw, and the normals [n,3] of each glossy law."""
         if frame.index in self._surfaces:
             return self._surfaces[frame.index]
         gaussians, normals = frame.gaussians, {}

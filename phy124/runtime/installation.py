@@ -43,7 +43,7 @@ def program() -> str:
 
 
 def with_program(message: str) -> str:
-    """Return a message in which commands (`phy124 ...` in backquotes) start the running program."""
+    """Return a message whose commands (`phy124 ...` in backquotes) name the running program."""
     return message.replace(f"`{PACKAGE} ", f"`{program()} ")
 
 

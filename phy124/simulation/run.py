@@ -467,7 +467,7 @@ class Simulation:
 class Spent:
     """CPU time of the simulation's busiest thread [s], which excludes other programs.
 
-    On a GPU, whose time is not measured per program, wall-clock time is used.
+    On a GPU, wall-clock time is used, since GPU time is not measured per program.
     """
 
     def __init__(self, team: Team[int], device: str) -> None:

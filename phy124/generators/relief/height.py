@@ -98,7 +98,7 @@ class Silhouette:
     def sides(self) -> tuple[Field, Field]:
         """Return the outermost columns of the rim on the left and right of each row [H] each.
 
-        In a row without inside pixels, the left side is to the right of the right side.
+        A row without pixels of the object is marked by a left side beyond the right side.
         """
         rows, width = np.arange(len(self.inside)), self.inside.shape[1]
         first, last = self.inside.argmax(axis=1), width - 1 - self.inside[:, ::-1].argmax(axis=1)

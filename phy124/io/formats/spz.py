@@ -255,7 +255,7 @@ def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
         size, raw = ENTRY.unpack_from(data, at + ENTRY.size * i)
         if raw != wanted:
             raise refusal(
-                KIND, path, f"its header states an impossible size of stream {i}, {raw:,} bytes."
+                KIND, path, f"its header states an impossible size ({raw:,} bytes) for stream {i}."
             )
         if start + size > len(data):
             raise _short(path)

@@ -32,7 +32,7 @@ def sum_workers(pool: wp.array(dtype=Any), low: Ints, high: Ints, begin: Ints, n
 def make_kick(real: Any):
     """Kernel over nodes from `start` to `stop`: changes velocities by forces and gravity.
 
-    `before_out` keeps the velocities before, from which the work of walls is computed.
+    `before_out` keeps the velocities before the kick, from which the work of walls is computed.
     """
     t = types(real)
 

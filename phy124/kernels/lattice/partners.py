@@ -125,7 +125,7 @@ def make_expose(real: Any, rows: Rows):
 
 @cache
 def make_partner(real: Any):
-    """Kernel over points of the surface: finds the nearest place opposite to each.
+    """Kernel over surface points: finds the nearest place on the opposite surface.
 
     `chosen` lists the points, `x` and `turned` are their current positions and normals. At an edge
     of the other part, the side around the point determines the direction of the contact.

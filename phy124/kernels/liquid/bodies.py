@@ -139,7 +139,7 @@ def make_yield(real: Any):
 
 @cache
 def make_answer(real: Any):
-    """Kernel over bodies: writes their rigid motions after the pressure, and sums its impulses.
+    """Kernel over bodies: writes the rigid motions that the pressure causes, and sums its impulses.
 
     `given_out` has the impulse on each body and its moment about the origin.
     """

@@ -164,7 +164,7 @@ def precondition(
 
 @wp.func
 def rigid_sums(sums: Table, solid: int):
-    """Return the force and the moment of a vector on a solid."""
+    """Return the force and the moment on a solid by a vector of pressures."""
     row = RIGID + 6 * solid
     return (
         wp.vec3d(total(sums, row), total(sums, row + 1), total(sums, row + 2)),

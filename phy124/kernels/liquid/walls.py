@@ -57,7 +57,7 @@ def triangle(a: Any, b: Any, c: Any):
 
 @wp.func
 def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
-    """Return the positive fraction of a square with values at its corners, in order, and centre."""
+    """Return the part of a square with positive values, from those at corners and centre."""
     return type(a)(0.25) * (
         triangle(a, b, middle)
         + triangle(b, c, middle)

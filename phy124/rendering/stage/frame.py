@@ -16,7 +16,7 @@ Box = tuple[Array, Array]
 TOGETHER = 64
 """Points per row in the computation of minimum and maximum: wide rows are faster."""
 POOL = 0.5
-"""Additional brightness in the middle of a studio's floor, for a grey of 1/2."""
+"""Brightness added in the middle of a studio's floor whose grey is 1/2."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ def split_operands(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str]:
-    """Return the words with each option once: lists are joined, equal values are merged.
+    """Return the command line's words with each option once: lists are joined, equal values merged.
 
     Otherwise argparse, which reads the command line, would silently use only the last value.
     Operands are rewritten so that none looks like an option (`-x.png` becomes `./-x.png`), because

@@ -32,7 +32,7 @@ shorter step, this scatter dominates the differences: with 0.01, the derivatives
 for a pressed duck were up to nine times too large.
 """
 END = 0.005
-"""Distance from the end of a range below which a note warns, as a fraction of the range."""
+"""A note warns of values closer than this to an end of their range, as a fraction of the range."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ RATIO = 0.85
 GREY = 0.5
 """Colour behind the object."""
 SETS = ("triposr", "triposr-int8", "triposr-torch")
-"""Sets of weights, best first: int8 weights, int8 weights and activations, float32 in torch."""
+"""Sets of weights, best first: weights in int8; also activations in int8; float32 (torch)."""
 Image_ = Image.Image | NDArray[np.uint8]
 
 

@@ -22,7 +22,7 @@ MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 DENSITY_BIAS = -1.0
 """Added to the decoder's first output, whose exponential is the density."""
 UNUSED = "image_tokenizer.model.pooler."
-"""Prefix of tensors in the checkpoint that TripoSR never uses."""
+"""Prefix of those tensors of the checkpoint that TripoSR never uses."""
 OFFSET = 0.1
 """Added to the number of patches per side when position embeddings are resized. transformers 4.35,
 with which the network was trained, does so; without it, the positions shift slightly."""
