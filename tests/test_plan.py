@@ -47,8 +47,8 @@ def test_a_dry_run_says_what_would_run_and_writes_nothing(file, tmp_path, capsys
 
 def test_missing_error_names_the_study_of_this_scene(file, capsys):
     arguments = ["simulate", str(file), *SMALL, "--accuracy", "draft", "--dry-run"]
-    assert main([*arguments, "--scene", "sand"]) == 0
-    study = f"`phy124 accuracy sand --image {file} --frames 2` measures it."
+    assert main([*arguments, "--scene", "snow"]) == 0
+    study = f"`phy124 accuracy snow --image {file} --frames 2` measures it."
     assert study in capsys.readouterr().out
 
 

@@ -56,7 +56,7 @@ def make_flag(real: Any):
 
     @kernel(f"phy124_lattice_flag_{real.__name__}", real, seconds=0.5)
     def flag(
-        grid: wp.uint64,
+        cells: wp.uint64,
         between: bool,
         far: real,
         dx: real,
@@ -71,7 +71,7 @@ def make_flag(real: Any):
         a = sample[i]
         here = x[i]
         near = int(0)
-        query = wp.hash_grid_query(grid, here, far)
+        query = wp.hash_grid_query(cells, here, far)
         j = int(0)
         while wp.hash_grid_query_next(query, j):
             way = x[j] - here
@@ -134,7 +134,7 @@ def make_partner(real: Any):
 
     @kernel(f"phy124_lattice_partner_{real.__name__}", real, seconds=0.6)
     def partner(
-        grid: wp.uint64,
+        cells: wp.uint64,
         between: bool,
         reach: real,
         dx: real,
@@ -154,7 +154,7 @@ def make_partner(real: Any):
         zero = real(0.0)
         best = int(-1)
         least = reach
-        query = wp.hash_grid_query(grid, here, reach)
+        query = wp.hash_grid_query(cells, here, reach)
         j = int(0)
         while wp.hash_grid_query_next(query, j):
             b = chosen[j]
