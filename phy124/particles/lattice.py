@@ -10,6 +10,7 @@ than a cell are up to 12 % too stiff.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -172,16 +173,18 @@ def _filled_parts(
     shift = np.zeros((len(index), 3))
     spread = np.tile(np.eye(3) / 12, (len(index), 1, 1))
     cut = np.flatnonzero(fraction < 1)
-    across, offset, thickness = _sheets(solid, index[cut])
-    sheet = (thickness < THIN) | ~normal[cut].any(axis=1)
-    across[~sheet], offset[~sheet] = normal[cut][~sheet], -np.inf
+    across, offset, sheet = normal[cut], np.full(len(cut), -np.inf), np.zeros(len(cut), bool)
+    flat, across[flat], offset[flat] = _find_sheets(
+        solid, index[cut], np.logical_not(across.any(axis=1))
+    )
+    sheet[flat] = True
     line = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
     points = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
     of_sample = np.eye(3) / (12 * SAMPLES**2)
-    for rows in np.array_split(np.arange(len(cut)), max(1, len(cut) // 20_000)):
-        some, flat = cut[rows], sheet[rows]
+    for rows in np.array_split(np.arange(len(cut)), max(1, len(cut) // 500)):
+        some, thin = cut[rows], sheet[rows]
         height = across[rows] @ points.T
-        height[flat] = np.abs(height[flat] - offset[rows][flat, None])
+        height[thin] = np.abs(height[thin] - offset[rows][thin, None])
         width = np.abs(across[rows]).sum(axis=1)[:, None] / SAMPLES
         low, high = (end(axis=1)[:, None] for end in (height.min, height.max))
         low, high, share = low - width, high + width, height
@@ -198,22 +201,23 @@ def _filled_parts(
     return shift, spread
 
 
-def _sheets(
-    solid: Solid, index: NDArray
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the sheets of which some voxels would be part, in voxels.
+def _find_sheets(
+    solid: Solid, index: NDArray, no_normal: NDArray
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Find the voxels in thin sheets, and the sheets, in voxels.
 
     Args:
         solid: The body.
         index: Indices of the voxels [V,3].
+        no_normal: Voxels that must be part of a sheet [V].
 
     Returns:
-        Normals [V,3], in which the filled parts of the 125 voxels around extend least; distances of
-        the sheets from the voxels' middles [V]; and thicknesses [V], infinite next to a full voxel.
+        Numbers of the K voxels [K]; normals [K,3], in which the filled parts of the 125 voxels
+        around extend least; and distances of the sheets from the voxels' middles [K].
     """
     padded = np.pad(solid.fraction.astype(np.float64), 2)
 
-    def around(reach: int) -> tuple[NDArray, NDArray, NDArray]:
+    def around(index: NDArray, reach: int) -> tuple[NDArray, NDArray, NDArray]:
         """Return steps to all voxels within a reach, their filled parts, and the centres."""
         line = np.arange(-reach, reach + 1)
         steps = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -222,15 +226,18 @@ def _sheets(
         total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
         return steps, weight, weight @ steps / total
 
+    _, weight, centre = around(index, 1)
+    layers = np.where(weight.max(axis=1) < FULL, weight.sum(axis=1) / 9, np.inf)
+    # The thickness is `layers` times the largest component of the normal, at least 1 / sqrt(3).
+    near = np.flatnonzero((layers < math.sqrt(3) * THIN) | no_normal)
     # Two layers of voxels would not tell a sheet's normal from a direction across its rim.
-    steps, weight, centre = around(2)
-    arm = steps - centre[:, None]
+    steps, weight, middle = around(index[near], 2)
+    arm = steps - middle[:, None]
     _, axes = np.linalg.eigh(np.einsum("vn,vna,vnb->vab", weight, arm, arm))
     normal = axes[:, :, 0]
-    _, weight, centre = around(1)
-    offset = np.einsum("vi,vi->v", centre, normal)
-    thickness = weight.sum(axis=1) / 9 * np.abs(normal).max(axis=1)
-    return normal, offset, np.where(weight.max(axis=1) < FULL, thickness, np.inf)
+    thin = (layers[near] * np.abs(normal).max(axis=1) < THIN) | no_normal[near]
+    near, normal = near[thin], normal[thin]
+    return near, normal, np.einsum("vi,vi->v", centre[near], normal)
 
 
 def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
