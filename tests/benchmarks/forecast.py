@@ -60,7 +60,7 @@ def count_within(rows: list[dict], part: float) -> str:
     """Return how many forecasts without a caveat are met within a part of the time."""
     ratios = [row["ratio"] for row in rows if row["promised"]]
     within = sum(1 - part <= ratio <= 1 + part for ratio in ratios)
-    ends = f"between {1 - part:.2g} and {1 + part:.2g}"
+    ends = f"between {1 - part:.3g} and {1 + part:.3g}"
     return f"{within} of {len(ratios)} ratios of spent to predicted are {ends}."
 
 
