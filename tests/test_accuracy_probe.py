@@ -95,3 +95,9 @@ def test_probe_of_a_graph_leaves_the_state(monkeypatch):
     assert any(counts), "no graph was used"
     assert cost.particle > 0 and cost.node == 0 and nodes > 0 and checks > 0
     assert (run.solver.state.x.numpy() == x).all() and run.solver.clock.substeps == 0
+
+
+def test_a_liquid_at_rest_is_probed():
+    scene = Scene.named("water").replaced({"accuracy": {"cells": 8}, "time.frames": 2})
+    cost, nodes, _ = probe(Simulation(prepare(ball(200), scene)))
+    assert cost.particle > 0 and nodes > 0

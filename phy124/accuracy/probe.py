@@ -53,6 +53,8 @@ FILMED, TRIES = (2, 6), 2
 
 The two lengths separate the fixed cost of a video from the cost per frame.
 """
+SHORT_STEP = 1e-3
+"""Length of a step without any limit [s]."""
 NODE_STAGES = ("clear", "grid")
 """Stages whose time is proportional to the nodes, in addition to the stages of the boundaries."""
 
@@ -153,7 +155,11 @@ def _advance(solver: AnySolver, substeps: int, after: Callable[[], None] | None)
     if limit is None:
         solver.step(0.0, 0.0)
         limit = solver.clock.stable()
-    solver.advance(solver.clock.time + substeps * limit.dt, after=after)
+    if not math.isfinite(limit.dt):  # a liquid at rest has no limit until forces act
+        solver.advance(solver.clock.time + SHORT_STEP)
+        limit = solver.clock.stable()
+    dt = limit.dt if math.isfinite(limit.dt) else SHORT_STEP
+    solver.advance(solver.clock.time + substeps * dt, after=after)
 
 
 def _node_fraction(solver: AnySolver) -> float:
