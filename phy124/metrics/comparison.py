@@ -109,7 +109,8 @@ def check_comparable(a: Clip, b: Clip) -> None:
     """
     if not len(a) or not a.opacities.size:
         raise _refusal("the first clip is empty.", "Give clips with frames and Gaussians.")
-    first, second = len(a.surface.opacities), len(b.surface.opacities)
+    a, b = a.surface, b.surface
+    first, second = len(a.opacities), len(b.opacities)
     if first != second:
         raise _refusal(
             f"they have {first:,} and {second:,} Gaussians.",
