@@ -50,7 +50,7 @@ class Goal:
         }
         if not match or float(match[1]) <= 0:
             remedy = "Write 2px, 1% or 3mm, for example."
-            raise InputError("max_error", text, "it is not a number with a unit.", remedy)
+            raise InputError("max_error", text, "it is not a positive number with a unit.", remedy)
         kind, scale = units[match[2]]
         return cls(kind, float(match[1]) * scale, text.strip())
 
