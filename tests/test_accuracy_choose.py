@@ -36,7 +36,7 @@ def test_goals_are_read(text, kind, value):
 
 @pytest.mark.parametrize("text", ["", "2", "px", "-1px", "0%", "1e3px", "2 apples"])
 def test_what_is_no_error_is_refused(text):
-    with pytest.raises(InputError, match=r"it is not a positive number with a unit\. Write 2px, 1% or 3mm"):
+    with pytest.raises(InputError, match="it is not a positive number with a unit"):
         Goal.error(text)
 
 
