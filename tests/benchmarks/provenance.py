@@ -17,12 +17,12 @@ PROGRAM = re.compile(
 MACHINE = "2 cores of an AMD EPYC"
 HEAD = f"""# The lab
 
-What was measured, where, when and with which version. The [results](../results/accuracy.md) are
-short summaries of these pages. The machine of all tables is a virtual one with {MACHINE} and
-without a GPU, unless a page names another one.
+These pages have all measurements, with machine, date and version. The
+[results](../results/accuracy.md) are short summaries of these pages. Unless a page names another
+machine, the tables were measured on a virtual machine with {MACHINE} and no GPU.
 
-*Commit* is the version of phy124 whose history contains the figures of a table, and *date* is the
-day of that commit. `python tests/benchmarks/provenance.py` writes this page.
+*Commit* is the version of phy124 in which the numbers of a table were last changed, and *date* is
+the day of that commit. `python tests/benchmarks/provenance.py` writes this page.
 
 """
 
