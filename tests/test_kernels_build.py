@@ -1,11 +1,14 @@
 """How kernels are built: contracted, forward only, beside whatever flags the user has set."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import warp as wp
 
 from phy124.kernels.arguments import types
-from phy124.kernels.build import CONTRACT, kernel
+from phy124.kernels import build
+from phy124.kernels.build import CONTRACT, build_once, kernel
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +62,16 @@ def test_undeclared_arguments_are_refused():
         @kernel("phy124_test_arguments", wp.float32)
         def push(speed_limit):
             pass
+
+
+def test_no_two_threads_build_variants_at_once():
+    calls = []
+
+    @build_once
+    def make(real):
+        calls.append(real)
+        with ThreadPoolExecutor(1) as other:
+            return other.submit(build.BUILDING.acquire, blocking=False).result()
+
+    assert make(wp.float32) is make(wp.float32) is False
+    assert calls == [wp.float32]

@@ -6,20 +6,19 @@ particle that crosses the window's edge during the gather, in either direction, 
 twice.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Box, Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.transfer import first_node, in_window
 
 OUT_OF_SIGHT = wp.constant(4)
 """Distance below the window [nodes] at which no particle gathers."""
 
 
-@cache
+@build_once
 def make_hide(real: Any):
     """Kernel: hides the chosen particles that were outside the window during the scatter."""
     t = types(real)
@@ -42,7 +41,7 @@ def make_hide(real: Any):
     return hide
 
 
-@cache
+@build_once
 def make_fly(real: Any):
     """Kernel: restores the hidden particles' positions, then kicks and moves them ballistically."""
     t = types(real)

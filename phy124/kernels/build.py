@@ -11,7 +11,9 @@ compares two commits.
 
 import inspect
 from collections.abc import Callable
-from typing import Any
+from functools import cache, wraps
+from threading import RLock
+from typing import Any, ParamSpec, TypeVar
 
 import warp as wp
 
@@ -20,6 +22,27 @@ from phy124.runtime.startup import prepare
 
 prepare()
 CONTRACT = "-ffp-contract=fast"
+
+Options, Built = ParamSpec("Options"), TypeVar("Built")
+
+BUILDING = RLock()
+"""Held while a variant is built; a factory may call another one."""
+
+
+def build_once(make: Callable[Options, Built]) -> Callable[Options, Built]:
+    """Let a factory of kernels build each variant once, however many threads ask for it.
+
+    `functools.cache` alone does not suffice: two threads that ask at the same time would both build
+    the variant, and its module would contain the kernel twice.
+    """
+    kept = cache(make)
+
+    @wraps(make)
+    def make_once(*args: Options.args, **kwargs: Options.kwargs) -> Built:
+        with BUILDING:
+            return kept(*args, **kwargs)
+
+    return make_once
 
 
 def kernel(

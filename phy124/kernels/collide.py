@@ -14,13 +14,12 @@ columns agree, and bodies would be squeezed flat.)
 directions.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.columns import (
     RESPONSES,
     add_rows,
@@ -136,7 +135,7 @@ FLAT = {"half_space"}
 """Shapes whose normal is the same everywhere, so that no node is in two columns."""
 
 
-@cache
+@build_once
 def make_settle(real: Any):
     """Kernel over the nodes of a sub-box: adds the mean of the changes from a node's columns.
 
@@ -160,7 +159,7 @@ def make_settle(real: Any):
     return settle
 
 
-@cache
+@build_once
 def make_contact(shape: str, response: str, moving: bool, real: Any, updating: bool = False):
     """Kernel: the nodes of a sub-box respond to a wall in columns of three.
 
@@ -452,7 +451,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
     return contact
 
 
-@cache
+@build_once
 def make_collider(shape: str, response: str, moving: bool, real: Any):
     """Kernel over the nodes of a sub-box: nodes inside a shape respond to its wall.
 

@@ -6,20 +6,19 @@ receives m_p w_ip (v_after - v_before). The shares add up to the node's impulse,
 m_p w_ip. A wrench is the total impulse of a wall on all nodes and its moment, in float64.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.grid import row_in_copy, row_in_grid
 from phy124.kernels.reduction import lower_to, raise_to
 from phy124.kernels.transfer import first_node, in_window, spline
 
 
-@cache
+@build_once
 def make_contact_copy(real: Any):
     """Kernel: copies the nodes of a box before a wall acts.
 
@@ -41,7 +40,7 @@ def make_contact_copy(real: Any):
     return contact_copy
 
 
-@cache
+@build_once
 def make_contact_reach(real: Any):
     """Kernel: replaces each node copied by `make_contact_copy` by the change that a wall made.
 
@@ -78,7 +77,7 @@ def make_contact_reach(real: Any):
     return contact_reach
 
 
-@cache
+@build_once
 def make_contacts(real: Any):
     """Kernel over particles: adds each particle's share of the changes since `contact_copy`."""
     t = types(real)
@@ -130,7 +129,7 @@ IMPULSE, MOMENT, SUMS = 0, 3, 6
 """Index of the first component of each sum, and the number of sums."""
 
 
-@cache
+@build_once
 def make_wall_wrench(real: Any):
     """Kernel over the segments of `make_wall_copy`: adds a wall's wrench since that copy.
 

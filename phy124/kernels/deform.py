@@ -8,13 +8,12 @@ length move with the material instead of flickering. The thin axes of needle-sha
 accurate; they would be lost if Sigma itself were decomposed. Quaternions are in wxyz order.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.native import code, constants, native_func
 from phy124.kernels.spectral import to_double
@@ -426,7 +425,7 @@ def turn_of_material(
     rotations_out[i] = wp.vec4f(q)
 
 
-@cache
+@build_once
 def make_carry(real: Any):
     """Kernel: computes centres and F of the Gaussians from particles of one precision.
 
@@ -473,7 +472,7 @@ def make_carry(real: Any):
     return carry
 
 
-@cache
+@build_once
 def make_follow(real: Any):
     """Kernel: gives each Gaussian the position and F of its own particle, of one precision."""
     t = types(real)
@@ -493,7 +492,7 @@ def make_follow(real: Any):
     return follow
 
 
-@cache
+@build_once
 def make_count_broken(real: Any):
     """Kernel: counts the particles whose position, and those whose F, is not finite."""
     t = types(real)

@@ -5,13 +5,12 @@ The kinetic energy includes the energy of APIC's C: m/2 (|v|^2 + dx^2/4 |C|^2), 
 a quadratic B-spline (Jiang et al. 2017, eq. 12).
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.elastic import largest_stretch_squared
 from phy124.kernels.reduction import add_to, raise_to
 from phy124.kernels.spectral import to_double
@@ -58,7 +57,7 @@ def spin(C: Any, dx: Any):
     )
 
 
-@cache
+@build_once
 def make_totals(law: Law, real: Any):
     """Kernel: computes the `SUMS` over the particles, the range of J, and the unsound particles.
 
@@ -138,7 +137,7 @@ def make_totals(law: Law, real: Any):
     return totals
 
 
-@cache
+@build_once
 def make_energies(law: Law, real: Any):
     """Kernel: computes kinetic plus elastic energy of each particle [J], to locate a particle."""
     energy, exact = law.energy, wp.types.vector(law.width, wp.float64)
@@ -161,7 +160,7 @@ def make_energies(law: Law, real: Any):
     return energies
 
 
-@cache
+@build_once
 def make_probe(law: Law, real: Any):
     """Kernel: evaluates stress, modulus, energy and return mapping of a law for single states."""
     t = types(real)
@@ -195,7 +194,7 @@ def make_probe(law: Law, real: Any):
     return probe
 
 
-@cache
+@build_once
 def make_reset(real: Any):
     """Kernel: sets deformations that no law can handle to the identity.
 
@@ -228,7 +227,7 @@ def make_reset(real: Any):
     return reset
 
 
-@cache
+@build_once
 def make_limit_total(real: Any):
     """Kernel: scales down the F_total of fluid or plastic material before it overflows."""
 
@@ -244,7 +243,7 @@ def make_limit_total(real: Any):
     return limit_total
 
 
-@cache
+@build_once
 def make_apart(real: Any):
     """Kernel: counts particles that are stretched apart from their neighbours.
 
@@ -266,7 +265,7 @@ def make_apart(real: Any):
     return apart
 
 
-@cache
+@build_once
 def make_neighbours_lost(real: Any):
     """Kernel: marks particles that are farther than a distance from a neighbour at rest.
 

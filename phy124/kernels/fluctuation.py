@@ -13,17 +13,16 @@ RPIC: the symmetric part of C decays; its skew part, the spin, does not. PhysGau
 al. 2015, section 5.1) and the damping depends on the substep. Here the damping is a rate.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.transfer import GATHERS, SCATTERS, columns4, first_node, in_window, member
 
 
-@cache
+@build_once
 def make_carry(real: Any, form: str):
     """Kernel: scatters momentum and mass of a motion (v, C) to the grid, without stress."""
     spread = SCATTERS[form]
@@ -47,7 +46,7 @@ def make_carry(real: Any, form: str):
     return carry
 
 
-@cache
+@build_once
 def make_fluctuation(real: Any, form: str):
     """Kernel: subtracts from a motion (v, C) its round trip over the grid; zero off the window."""
     t = types(real)
@@ -80,7 +79,7 @@ def make_fluctuation(real: Any, form: str):
     return fluctuation
 
 
-@cache
+@build_once
 def make_keep(real: Any):
     """Kernel: restores a share of the fluctuation, without its noise, to the particles."""
     t = types(real)
@@ -107,7 +106,7 @@ def without_strain(C: Any, share: Any):
     return C - (type(share)(0.5) * share) * (C + wp.transpose(C))
 
 
-@cache
+@build_once
 def make_rpic(real: Any):
     """Kernel, right before a scatter: sym C decays as exp(-rate t), with the rate in 1/s."""
 

@@ -9,16 +9,15 @@ velocities. The group may turn and deform freely about X. A force f gives each p
 acceleration w f / sum(w m); with any weights, the total force is f.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Doubles, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 
 
-@cache
+@build_once
 def make_accelerate(real: Any, per_mass: bool):
     """Kernel: v += kick a, or kick f / m if `per_mass` (the paper's particle force)."""
     name = f"phy124_accelerate_{'force' if per_mass else 'field'}_{real.__name__}"
@@ -35,7 +34,7 @@ def make_accelerate(real: Any, per_mass: bool):
     return accelerate
 
 
-@cache
+@build_once
 def make_zone(real: Any):
     """Kernel: v += kick a for the particles that are inside a box at the current time.
 
@@ -62,7 +61,7 @@ def make_zone(real: Any):
     return zone
 
 
-@cache
+@build_once
 def make_drag(real: Any):
     """Kernel: v approaches the wind, dv/dt = rate (u - v), exactly, and never overshoots.
 
@@ -85,7 +84,7 @@ def make_drag(real: Any):
     return drag
 
 
-@cache
+@build_once
 def make_attract(real: Any):
     """Kernel: v += kick g d / r, g linear inside `radius` and falling as 1 / d^2 outside."""
     t = types(real)
@@ -100,7 +99,7 @@ def make_attract(real: Any):
     return attract
 
 
-@cache
+@build_once
 def make_set_velocity(real: Any):
     """Kernel: v = s (u + omega x (x - centre)), C = s [omega]x while active; s is the profile."""
     t = types(real)
@@ -162,7 +161,7 @@ def forget(
     second_out[0] = wp.mat33d()
 
 
-@cache
+@build_once
 def make_centre(real: Any):
     """Kernel: computes X and V of a group of particles while its track is active."""
 
@@ -183,7 +182,7 @@ def make_centre(real: Any):
     return centre
 
 
-@cache
+@build_once
 def make_second(real: Any):
     """Kernel: computes the second moments of a group about X, divided by its mass [m^2]."""
 
@@ -201,7 +200,7 @@ def make_second(real: Any):
     return second
 
 
-@cache
+@build_once
 def make_draw(real: Any):
     """Kernel: pulls X to a moving target with a spring and a damper."""
     t = types(real)
@@ -222,7 +221,7 @@ def make_draw(real: Any):
     return draw
 
 
-@cache
+@build_once
 def make_wrench(real: Any):
     """Kernel: applies a force at X, and a torque about X as if the group were rigid."""
     t = types(real)
@@ -256,7 +255,7 @@ def make_wrench(real: Any):
     return wrench
 
 
-@cache
+@build_once
 def make_vortex(real: Any):
     """Kernel: v += kick b(x, t), where b makes a given motion exact (manufactured solution).
 

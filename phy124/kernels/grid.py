@@ -4,13 +4,12 @@ Loops in C++ that a CPU vectorises copy, clear, add and compare rows of nodes in
 (native/reduction.h). On a GPU each thread handles one node, in the code before the loop.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Box, Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.native import code
 from phy124.kernels.reduction import load, raise_to
 
@@ -80,7 +79,7 @@ def velocity_of(q: Any, kick: Any, a: Any):
     return q
 
 
-@cache
+@build_once
 def make_update(real: Any):
     """Kernel: (momentum, mass) becomes (velocity, mass), kicked by the uniform acceleration."""
 
@@ -93,7 +92,7 @@ def make_update(real: Any):
     return update
 
 
-@cache
+@build_once
 def make_merge(real: Any):
     """Kernel over rows of nodes: sums the grids that several workers scattered to.
 
@@ -129,7 +128,7 @@ def make_merge(real: Any):
     return merge
 
 
-@cache
+@build_once
 def make_grid_speed(real: Any):
     """Kernel: computes the largest squared speed of nodes with mass, for step rejection."""
     t = types(real)

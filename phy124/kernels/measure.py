@@ -4,13 +4,12 @@
 The lowest corner is stored as the maximum of -x.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.native import code
 from phy124.kernels.reduction import finite, greater, raise_all, raise_to
 from phy124.kernels.transfer import Law, between, member
@@ -31,7 +30,7 @@ SPEEDS = 2
 """Number of maxima that `make_measure_speeds` computes: the first ones."""
 
 
-@cache
+@build_once
 def make_measure(law: Law, real: Any):
     """Kernel: measures the limits of the substep and the extent of the particles.
 
@@ -123,7 +122,7 @@ for kinds in (types(wp.float32), types(wp.float64)):
         ...
 
 
-@cache
+@build_once
 def make_measure_speeds(real: Any):
     """Kernel: measures only `SPEED` and `GRADIENT`, of all particles of any law.
 

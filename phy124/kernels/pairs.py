@@ -16,13 +16,12 @@ bodies decides. At the rim of a contact, where the gap is curved, the mean of th
 is larger than the gap at the node.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Box, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.collide import place, steepest, strides, xyz
 from phy124.kernels.columns import coulomb
 from phy124.kernels.contacts import IMPULSE, MOMENT
@@ -228,7 +227,7 @@ def stop(relative: Any, n: Any, friction: Any):
     return approach * n + coulomb(along, approach, friction) * along
 
 
-@cache
+@build_once
 def make_pair(real: Any):
     """Kernel over nodes that two bodies share: applies equal and opposite impulses to the bodies.
 

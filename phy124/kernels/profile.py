@@ -7,13 +7,12 @@ substep: means include all its periods, and a wall's speed is then the differenc
 positions divided by the substep.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 
 MEAN = 1
 """Flag of a track that is averaged over the kick."""
@@ -126,7 +125,7 @@ def skips(times: wp.array(dtype=Any), first: int, last: int, at: Any, to: Any, p
     return passed > 1
 
 
-@cache
+@build_once
 def make_sampler(real: Any):
     """Kernel: samples value and rate of every track now; slot 0 is the uniform acceleration.
 

@@ -4,14 +4,13 @@ The limits, their double precision and their order are those of phy124/mpm/times
 phy124/mpm/rejection.py. On one device, both versions take the same substeps, bit for bit.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels import measure as at
 from phy124.kernels.arguments import Doubles, Ints
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 
 DONE, LOOK, CAREFUL = 1, 2, 3
 """Reasons why substeps end: the time is reached, the host must measure, or the next substep could
@@ -192,7 +191,7 @@ def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
     )
 
 
-@cache
+@build_once
 def make_timestep(real: Any):
     """Kernel of one thread: finishes a substep, then chooses the next or stops with a reason.
 

@@ -23,13 +23,12 @@ Parameters of all laws: F, the deformation gradient; C, the velocity gradient [1
 variables of the particle; theta, the parameters of the law; dt, the length of the substep [s].
 """
 
-from functools import cache
 from typing import Any, NamedTuple
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.native import code
 from phy124.kernels.reduction import add, load, run_of, store
 
@@ -292,7 +291,7 @@ GATHERS = {"plain": gather, "simd": gather_rows, "spline": gather}
 """
 
 
-@cache
+@build_once
 def make_p2g(law: Law, real: Any, form: str):
     """Kernel: computes stress, then scatters momentum and mass to the grid."""
     t = types(real)
@@ -331,7 +330,7 @@ def make_p2g(law: Law, real: Any, form: str):
     return p2g
 
 
-@cache
+@build_once
 def make_g2p(law: Law, real: Any, form: str):
     """Kernel: gathers velocities from the grid, then updates x and F.
 

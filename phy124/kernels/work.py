@@ -6,13 +6,12 @@ the mean of the stresses at its ends: this is correct to second order for elasti
 equals the yield stress during plastic flow.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Doubles, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import add3, kinetic_energy, wide
 from phy124.kernels.grid import copy_row, next_changed, row_in_copy, row_in_grid
 from phy124.kernels.native import code
@@ -43,7 +42,7 @@ def add_given(
     add_to(sums, TURNED, turned)
 
 
-@cache
+@build_once
 def make_push_copy(real: Any, keeps_C: bool = False):
     """Kernel: stores v, and C unless no force changes C, before forces act on the particles."""
 
@@ -72,7 +71,7 @@ for kinds in (types(wp.float32), types(wp.float64)):
         ...
 
 
-@cache
+@build_once
 def make_push_sums_v(real: Any):
     """Kernel: like `make_push_sums`, for forces that do not change C."""
     t = types(real)
@@ -86,7 +85,7 @@ def make_push_sums_v(real: Any):
     return push_sums_v
 
 
-@cache
+@build_once
 def make_push_sums(real: Any):
     """Kernel: adds changes of momentum and kinetic energy since `push_copy` to the `GIVEN` sums."""
     t = types(real)
@@ -111,7 +110,7 @@ def make_push_sums(real: Any):
     return push_sums
 
 
-@cache
+@build_once
 def make_wall_copy(real: Any):
     """Kernel: copies the nodes of a box before walls act.
 
@@ -128,7 +127,7 @@ def make_wall_copy(real: Any):
     return wall_copy
 
 
-@cache
+@build_once
 def make_wall_sums(real: Any):
     """Kernel: adds the impulse and the work of walls on the nodes of a box to the `GIVEN` sums.
 
@@ -164,7 +163,7 @@ def make_wall_sums(real: Any):
     return wall_sums
 
 
-@cache
+@build_once
 def make_uniform_sums(real: Any):
     """Kernel of one thread: adds impulse and work of the uniform acceleration in a substep.
 
@@ -211,7 +210,7 @@ of the rate-independent part [J].
 """
 
 
-@cache
+@build_once
 def make_dissipation(law: Law, real: Any):
     """Kernel, right after a gather: adds the work of the stress in a substep to the `LOST` sums.
 

@@ -1,12 +1,11 @@
 """Exchange of momentum between grid nodes and a free body."""
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Doubles, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.collide import strides
 from phy124.kernels.columns import coulomb
 from phy124.kernels.diagnostics import add3, wide
@@ -55,7 +54,7 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
     return wp.vec2d(wp.float64(1.0), coulomb(relative - approach * n, approach, friction))
 
 
-@cache
+@build_once
 def make_begin(real: Any):
     """Kernel of one thread: kicks a body once per substep; its motion is the first solution."""
 
@@ -71,7 +70,7 @@ def make_begin(real: Any):
     return begin
 
 
-@cache
+@build_once
 def make_assemble(real: Any):
     """Kernel over rows of the nodes around a body: adds their terms to the six equations."""
     numbers = wp.types.vector(SYSTEM, wp.float64)
@@ -127,7 +126,7 @@ def make_assemble(real: Any):
     return assemble
 
 
-@cache
+@build_once
 def make_apply(real: Any):
     """Kernel over rows of the nodes around a body: nodes take on the velocity of its surface.
 
@@ -186,7 +185,7 @@ def make_apply(real: Any):
     return apply
 
 
-@cache
+@build_once
 def make_finish(real: Any):
     """Kernel of one thread: subtracts the nodes' impulses from the body and adds the walls'.
 

@@ -1,12 +1,11 @@
 """Contact of a free body with material: contact nodes and their normals."""
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.collide import xyz
 from phy124.kernels.columns import coverage
 from phy124.kernels.diagnostics import wide
@@ -67,7 +66,7 @@ def volume_of_box(d: Any, s: Any, geometry: Any, dx: Any):
     return wp.vector(n[0], n[1], n[2], fill)
 
 
-@cache
+@build_once
 def make_touch(shape: str, real: Any):
     """Kernel over the nodes around a body: marks the nodes in contact, with their normals.
 

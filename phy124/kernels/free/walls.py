@@ -1,12 +1,11 @@
 """Impulses of flat walls on a free body, and the motion of the body."""
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.free.numbers import (
     ANGULAR,
@@ -86,7 +85,7 @@ def within_cone(J: wp.vec3d, push: wp.float64, n: wp.vec3d, friction: wp.float64
     return push * n + grip
 
 
-@cache
+@build_once
 def make_walls(drifts: bool, real: Any):
     """Kernel of one thread: solves the six equations together with the impulses of flat walls.
 

@@ -17,13 +17,12 @@ frequency omega, if it were larger than (omega dt)^2.
 The result of Gauss-Seidel depends on the order of points, so each of its kernels is one thread.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.contacts import MOMENT as PAIR_MOMENT
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.distance import SHAPES
@@ -44,7 +43,7 @@ The first `GIVEN` sums are those of phy124/kernels/work.py.
 """
 
 
-@cache
+@build_once
 def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
     """Kernel of one thread: finds points near a wall and applies their previous impulse to them.
 
@@ -111,7 +110,7 @@ def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
     return touch
 
 
-@cache
+@build_once
 def make_yields(real: Any, rows: Rows):
     """Kernel over the points near a wall: computes the change of their velocities by 1 N s [1/kg].
 
@@ -140,7 +139,7 @@ def make_yields(real: Any, rows: Rows):
     return lattice_yields
 
 
-@cache
+@build_once
 def make_resist(response: str, moving: bool, real: Any, rows: Rows):
     """Kernel of one thread: projected Gauss-Seidel over the points near a wall, forwards and back.
 
@@ -222,7 +221,7 @@ def make_resist(response: str, moving: bool, real: Any, rows: Rows):
     return resist
 
 
-@cache
+@build_once
 def make_meet(real: Any, rows: Rows):
     """Kernel of one thread: finds the gaps of pairs of surface points, like `make_touch`.
 
@@ -279,7 +278,7 @@ def make_meet(real: Any, rows: Rows):
     return meet
 
 
-@cache
+@build_once
 def make_exchange(real: Any):
     """Kernel of one thread: adds the impulses of pairs of surface points, and their moments.
 
@@ -312,7 +311,7 @@ def make_exchange(real: Any):
     return exchange
 
 
-@cache
+@build_once
 def make_place(real: Any, rows: Rows):
     """Kernel over some surface points: computes their positions."""
     t = types(real)
@@ -333,7 +332,7 @@ def make_place(real: Any, rows: Rows):
     return lattice_place
 
 
-@cache
+@build_once
 def make_account(real: Any, rows: Rows):
     """Kernel over the points near a wall: adds impulse, moment and work of a substep to its sums.
 
@@ -368,7 +367,7 @@ def make_account(real: Any, rows: Rows):
     return account
 
 
-@cache
+@build_once
 def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
     """Kernel over surface points: computes the distances from a wall.
 
@@ -409,7 +408,7 @@ def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
     return lattice_reach
 
 
-@cache
+@build_once
 def make_distances(shape: str, real: Any):
     """Kernel over points: computes the normal of a shape, and the signed distance from it [m]."""
     t = types(real)

@@ -6,13 +6,12 @@ masses, and its impulse is shared out among them by the same weights: their velo
 equal fractions w_i / sum w_i m_i of it, so momentum is exact.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.collide import strides, xyz
 from phy124.kernels.contacts import MOMENT as PAIR_MOMENT
 from phy124.kernels.contacts import SUMS as PAIR_SUMS
@@ -28,7 +27,7 @@ THINNEST, STEEPEST = wp.constant(0.02), wp.constant(0.05)
 """Least filled part of the space, and least slope of it [1/cell], at a point in contact."""
 
 
-@cache
+@build_once
 def make_grid_near(real: Any, rows: Rows):
     """Kernel over surface points: sets a flag if there is any mass on the nodes around a point."""
     t, moved_by = types(real), rows.moved_by
@@ -61,7 +60,7 @@ def make_grid_near(real: Any, rows: Rows):
     return grid_near
 
 
-@cache
+@build_once
 def make_grid_touch(real: Any, rows: Rows):
     """Kernel of one thread: finds points that touch the material, and applies earlier impulses.
 
@@ -194,7 +193,7 @@ def mean_velocity(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), o
     return total / on[3]
 
 
-@cache
+@build_once
 def make_grid_resist(sticky: bool, real: Any, rows: Rows):
     """Kernel of one thread: projected Gauss-Seidel over points and the grid, forwards and back."""
     t = types(real)
@@ -264,7 +263,7 @@ def make_grid_resist(sticky: bool, real: Any, rows: Rows):
     return grid_resist
 
 
-@cache
+@build_once
 def make_grid_sum(real: Any):
     """Kernel of one thread: adds impulses of points, and their moments, to a sum per body."""
     t = types(real)

@@ -5,13 +5,12 @@ and begin at `begin[w]`. The ties are stored as two sparse matrices: `donor_*` l
 that each node carries, and `tied_*` lists the nodes that carry each tied node.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import ANGULAR, KINETIC, MIDDLE, MOMENTUM, add3, wide
 from phy124.kernels.lattice.contact import MOMENT
 from phy124.kernels.reduction import add_to
@@ -28,7 +27,7 @@ def sum_workers(pool: wp.array(dtype=Any), low: Ints, high: Ints, begin: Ints, n
     return total
 
 
-@cache
+@build_once
 def make_kick(real: Any):
     """Kernel over nodes from `start` to `stop`: changes velocities by forces and gravity.
 
@@ -65,7 +64,7 @@ def make_kick(real: Any):
     return kick
 
 
-@cache
+@build_once
 def make_try(real: Any):
     """Kernel over nodes: adds accelerations to a shape, and displaces the nodes by the sum.
 
@@ -99,7 +98,7 @@ def make_try(real: Any):
     return lattice_try
 
 
-@cache
+@build_once
 def make_compare(real: Any):
     """Kernel over nodes: computes the change of accelerations by a trial displacement."""
     t = types(real)
@@ -112,7 +111,7 @@ def make_compare(real: Any):
     return lattice_compare
 
 
-@cache
+@build_once
 def make_hold(real: Any):
     """Kernel over held nodes: sets velocities to the clamp's velocity while its track is active.
 
@@ -152,7 +151,7 @@ def make_hold(real: Any):
     return hold
 
 
-@cache
+@build_once
 def make_pin(real: Any):
     """Kernel over pairs of a held and a free node: makes the motion zero where the clamp ends.
 
@@ -212,7 +211,7 @@ def make_pin(real: Any):
     return pin
 
 
-@cache
+@build_once
 def make_drift(real: Any):
     """Kernel over nodes from `start` to `stop`: changes displacements; tied nodes follow donors."""
     t = types(real)
@@ -245,7 +244,7 @@ def make_drift(real: Any):
     return drift
 
 
-@cache
+@build_once
 def make_node_totals(real: Any):
     """Kernel over nodes: sums momentum, angular momentum, kinetic energy, mass times position."""
     t = types(real)

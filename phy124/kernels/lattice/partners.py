@@ -1,12 +1,11 @@
 """Finds surface points that may meet, and the place opposite to each of them."""
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.lattice.contact import NODES
 from phy124.kernels.lattice.points import inverse_rows
 from phy124.kernels.lattice.rows import Rows
@@ -46,7 +45,7 @@ def may_meet(
     return ahead > type(dx)(FACING)
 
 
-@cache
+@build_once
 def make_flag(real: Any):
     """Kernel over sampled points: flags those near which points may meet.
 
@@ -88,7 +87,7 @@ def make_flag(real: Any):
     return flag
 
 
-@cache
+@build_once
 def make_expose(real: Any, rows: Rows):
     """Kernel over points of the surface: computes current positions, normals and cofactors of F."""
     t = types(real)
@@ -123,7 +122,7 @@ def make_expose(real: Any, rows: Rows):
     return expose
 
 
-@cache
+@build_once
 def make_partner(real: Any):
     """Kernel over surface points: finds the nearest place on the opposite surface.
 

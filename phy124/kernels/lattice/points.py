@@ -4,13 +4,12 @@
 position relative to its cell's first node [cells]. Eight consecutive points form a cell.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.transfer import slope, spline
 
 PER_CELL, ROWS = 8, 9
@@ -108,7 +107,7 @@ def safe_volume(J: Any):
     return wp.max(J, type(J)(1.0e-4))
 
 
-@cache
+@build_once
 def make_follow(real: Any):
     """Kernel over points: computes x, v, F and C = dF/dt F^-1 from the nodes."""
     t = types(real)
@@ -140,7 +139,7 @@ def make_follow(real: Any):
     return follow
 
 
-@cache
+@build_once
 def make_locate(real: Any):
     """Kernel over points: computes x and v from the nodes, before forces act on the points."""
     t = types(real)
@@ -168,7 +167,7 @@ def make_locate(real: Any):
     return locate
 
 
-@cache
+@build_once
 def make_push(real: Any):
     """Kernel over points: adds the force m (v - kept) / kick of pushes to the nodes' forces."""
     t = types(real)

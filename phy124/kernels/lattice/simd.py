@@ -7,7 +7,6 @@ each point, each for all sixteen cells of a block in a row.
 """
 
 import math
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import Ints
+from phy124.kernels.build import build_once
 from phy124.kernels.lattice.nodes import make_drift, make_kick
 from phy124.kernels.lattice.points import PER_CELL
 from phy124.kernels.native import code, native_kernel
@@ -77,7 +77,7 @@ def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
     return Blocks(np.ascontiguousarray(order), packed, len(parts[0]))
 
 
-@cache
+@build_once
 def make_stress_simd(law: Law, viscous: bool):
     """Kernel over blocks of sixteen cells: works like `make_stress`, for float32 on a CPU.
 
@@ -108,7 +108,7 @@ def make_stress_simd(law: Law, viscous: bool):
     return lattice_stress_simd
 
 
-@cache
+@build_once
 def make_measure_simd():
     """Kernel over blocks of sixteen cells: works like `make_lattice_measure`, for float32."""
 
@@ -133,7 +133,7 @@ def make_measure_simd():
     return lattice_measure_simd
 
 
-@cache
+@build_once
 def make_follow_simd():
     """Kernel over blocks of sixteen cells: works like `make_follow`, for float32."""
 
@@ -163,7 +163,7 @@ def make_follow_simd():
     return lattice_follow_simd
 
 
-@cache
+@build_once
 def make_kick_simd():
     """Kernel over runs of `NODES` nodes: works like `make_kick`, for float32."""
     return native_kernel("phy124_lattice_kick_simd", code("lattice:kick"), seconds=0.3)(
@@ -171,7 +171,7 @@ def make_kick_simd():
     )
 
 
-@cache
+@build_once
 def make_drift_simd():
     """Kernel over runs of `NODES` nodes: works like `make_drift`, for float32."""
     return native_kernel("phy124_lattice_drift_simd", code("lattice:drift"), seconds=0.3)(

@@ -7,13 +7,12 @@ holds its motion with the impulses that flat walls had in the last substep, so t
 what the walls will hold.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.collide import xyz
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.distance import SHAPES
@@ -39,7 +38,7 @@ ALIGNED = wp.constant(0.9)
 """Least cosine between a box's normal and the opposite of a point's at which they touch."""
 
 
-@cache
+@build_once
 def make_solid_begin(real: Any):
     """Kernel of one thread: kicks a solid, and predicts its motion with the walls' last impulses.
 
@@ -77,7 +76,7 @@ def make_solid_begin(real: Any):
     return solid_begin
 
 
-@cache
+@build_once
 def make_solid_finish(real: Any):
     """Kernel of one thread: gives a solid the change of motion by the impulses of all points."""
 
@@ -118,7 +117,7 @@ def turning_of(body: wp.array(dtype=wp.float64), moments: wp.vec3d):
     return wp.inverse(inertia_of(axes(body), moments))
 
 
-@cache
+@build_once
 def make_solid_near(shape: str, real: Any, rows: Rows):
     """Kernel over surface points: computes the distances from a solid."""
     t, moved_by = types(real), rows.moved_by
@@ -152,7 +151,7 @@ def way_out(p: Any, half: Any, m: Any):
     return way
 
 
-@cache
+@build_once
 def make_solid_touch(shape: str, real: Any, rows: Rows):
     """Kernel of one thread: finds points near a solid, and applies their previous impulses.
 
@@ -224,7 +223,7 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
     return solid_touch
 
 
-@cache
+@build_once
 def make_solid_resist(sticky: bool, real: Any, rows: Rows):
     """Kernel of one thread: projected Gauss-Seidel over points and a solid, forwards and back."""
     t = types(real)

@@ -3,13 +3,12 @@
 P = tau F^-T is the first Piola-Kirchhoff stress of the law's Kirchhoff stress tau.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.lattice.points import (
     PER_CELL,
     inverse_rows,
@@ -27,7 +26,7 @@ inverted, would otherwise stop the run.
 """
 
 
-@cache
+@build_once
 def make_stress(law: Law, real: Any, viscous: bool):
     """Kernel over points: adds the force of a law's stress to the nodes.
 
@@ -87,7 +86,7 @@ def compression(C: Any):
     return wp.sqrt(wp.ddot(deviator, deviator) * type(C[0, 0])(2.0 / 3.0)) - mean
 
 
-@cache
+@build_once
 def make_lattice_measure(real: Any):
     """Kernel over points: finds the largest speed and rate of compression."""
     t = types(real)

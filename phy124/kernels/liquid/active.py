@@ -6,13 +6,12 @@ only, none of which is at the border of the window. All other cells hold no liqu
 velocity is not known.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.conjugate import share
 from phy124.kernels.liquid.faces import cell_at, entry, inner, local
 
@@ -26,7 +25,7 @@ NONE = 1 << 30
 """Lowest cell of a column without particles."""
 
 
-@cache
+@build_once
 def make_sweep(real: Any):
     """Kernel over particles: extends the columns of cells that they are in."""
 
@@ -42,7 +41,7 @@ def make_sweep(real: Any):
     return sweep
 
 
-@cache
+@build_once
 def make_count_active(real: Any):
     """Kernel over parts of the columns: combines all copies, widens them and counts their cells.
 
@@ -94,7 +93,7 @@ def make_count_active(real: Any):
     return count_active
 
 
-@cache
+@build_once
 def make_list_active(real: Any):
     """Kernel over parts of the columns: lists their cells, and divides them among the workers."""
     t = types(real)
@@ -134,7 +133,7 @@ def make_list_active(real: Any):
     return list_active
 
 
-@cache
+@build_once
 def make_forget(real: Any):
     """Kernel over cells: clears those that were active in the step before."""
     t = types(real)

@@ -6,13 +6,12 @@ Fernandez, Mullaert and Vidrascu 2013). The second one is zero at rest; without 
 of a light or soft body would become unstable.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Box, Doubles, Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.liquid import shapes
 from phy124.kernels.liquid.active import EMPTY
@@ -33,7 +32,7 @@ Motions = wp.array2d(dtype=wp.vec3d)
 Row = wp.types.vector(MOMENTS, wp.float64)
 
 
-@cache
+@build_once
 def make_moments(real: Any):
     """Kernel: sums mass, momentum and moments over the particles of a body.
 
@@ -80,7 +79,7 @@ def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size
     return wp.where(sheet[m][3] > sheet[n][3], m, n)
 
 
-@cache
+@build_once
 def make_yield(real: Any):
     """Kernel over cells: adds the motion and response of the surfaces of bodies to the equation.
 
@@ -137,7 +136,7 @@ def make_yield(real: Any):
     return surface_yield
 
 
-@cache
+@build_once
 def make_answer(real: Any):
     """Kernel over bodies: writes the rigid motions that the pressure causes, and sums its impulses.
 
@@ -175,7 +174,7 @@ def make_answer(real: Any):
     return answer
 
 
-@cache
+@build_once
 def make_body_change(real: Any):
     """Kernel over the cells of a region: the change of a body's velocity by the pressure [m/s].
 
@@ -207,7 +206,7 @@ def make_body_change(real: Any):
     return body_change
 
 
-@cache
+@build_once
 def make_contact(real: Any):
     """Kernel over the cells of a region: the area of a body that lies on walls which never move.
 
@@ -242,7 +241,7 @@ def make_contact(real: Any):
     return contact
 
 
-@cache
+@build_once
 def make_head(real: Any):
     """Kernel over cells: sums the mean of q - a x dt / dx at the surface of a body.
 
@@ -279,7 +278,7 @@ def make_head(real: Any):
     return head
 
 
-@cache
+@build_once
 def make_film(real: Any):
     """Kernel over the cells of a region: pressure of a film of liquid between a body and walls.
 
@@ -340,7 +339,7 @@ def make_film(real: Any):
     return film
 
 
-@cache
+@build_once
 def make_body_gather(real: Any):
     """Kernel: computes the rates at which the pressure changes v and C of a body's particles.
 
@@ -384,7 +383,7 @@ def make_body_gather(real: Any):
     return body_gather
 
 
-@cache
+@build_once
 def make_body_push(real: Any):
     """Kernel: accelerates particles by the pressure of the liquid."""
     t = types(real)

@@ -3,13 +3,12 @@
 A vector for each cell holds the values of its three low faces and of its centre.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 
 FILL = 3
 """Component of the volume with quadratic weights at the cell's centre [m^3]."""
@@ -17,7 +16,7 @@ HAT = 7
 """Component of the volume with linear weights at the cell's centre [m^3]."""
 
 
-@cache
+@build_once
 def sums(real: Any):
     """Return the type of a cell's sums: momentum of faces, fill, mass of faces, linear weight."""
     return wp.types.vector(8, real)
@@ -88,7 +87,7 @@ def entry(active: wp.array(dtype=int), ends: wp.array(dtype=int), worker: int, k
     return active[at]
 
 
-@cache
+@build_once
 def make_sum_copies(real: Any, width: int):
     """Kernel over active cells: adds vectors of all other copies of the cells to the first copy.
 
@@ -116,7 +115,7 @@ def make_sum_copies(real: Any, width: int):
     return sum_copies
 
 
-@cache
+@build_once
 def make_extent(real: Any):
     """Kernel: computes the bounding box of the particles and their largest squared speed.
 

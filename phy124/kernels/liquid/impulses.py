@@ -5,13 +5,12 @@ zero). The pressure there is that of the cell's centre, plus the weight of the l
 and wall.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.conjugate import count_of, share
 from phy124.kernels.liquid.faces import cell_of, stride
 from phy124.kernels.liquid.pressure import NEAREST
@@ -63,7 +62,7 @@ def take_row(sums: Sums, wall: int):
     return row
 
 
-@cache
+@build_once
 def make_wall_impulses(real: Any):
     """Kernel over parts of the listed cells: adds the impulses of pressure to `sums_out`.
 

@@ -7,13 +7,12 @@ counts. In the first row below the surface, the density is compared with the den
 surface.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.surface import opening
 
@@ -31,7 +30,7 @@ def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size
     return opening(open, n, size) <= type(open[n][0])(0.0)
 
 
-@cache
+@build_once
 def make_excess(real: Any):
     """Kernel over cells: computes the part of the density's error that a step removes.
 

@@ -7,13 +7,12 @@ cell's own compressibility, that of water, keeps a closed pocket without a surfa
 singular.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import centre_of, solid_face, speed_of
 
@@ -35,7 +34,7 @@ def beyond(here: Any, there: Any):
     return type(here)(1.0e3)
 
 
-@cache
+@build_once
 def make_assemble(real: Any):
     """Kernel over cells: computes the matrix of the pressure equation, symmetric and positive.
 
@@ -87,7 +86,7 @@ def make_assemble(real: Any):
     return assemble
 
 
-@cache
+@build_once
 def make_divergence(real: Any):
     """Kernel over cells: computes minus the flux out of each cell, relative to its walls [m/s].
 
@@ -156,7 +155,7 @@ def rise_to(
     return rise
 
 
-@cache
+@build_once
 def make_anticipate(real: Any):
     """Kernel over cells: adds `factor` times the differences of the last q to the low faces.
 
@@ -195,7 +194,7 @@ def make_anticipate(real: Any):
     return anticipate
 
 
-@cache
+@build_once
 def make_gradient(real: Any):
     """Kernel over cells: adds minus the differences of q to the velocities of the low faces.
 

@@ -5,13 +5,12 @@ from the surface of the liquid does (`surface`). This rounds edges off, so the s
 outwards until the volume inside is the body's.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Box, Doubles, Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.active import EMPTY
 from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number
 from phy124.kernels.liquid.surface import depth
@@ -33,7 +32,7 @@ def spline(s: Any, cell: wp.vec3i, a: int, b: int, c: int):
     return weight
 
 
-@cache
+@build_once
 def make_body_scatter(real: Any):
     """Kernel: adds momentum, mass and volume of a body's particles to the cells.
 
@@ -90,7 +89,7 @@ def eighth(cell: wp.vec3i, a: int, b: int, c: int, like: Any):
     )
 
 
-@cache
+@build_once
 def make_body_level(real: Any):
     """Kernel over the cells of a region: computes the distance from a body's surface [cells].
 
@@ -141,7 +140,7 @@ def level_at(level: wp.array(dtype=Any), s: Any, size: wp.vec3i):
     return total
 
 
-@cache
+@build_once
 def make_body_volume(real: Any):
     """Kernel over the cells of a region: sums the volume inside a body's surface [cells].
 
@@ -176,7 +175,7 @@ def make_body_volume(real: Any):
     return body_volume
 
 
-@cache
+@build_once
 def make_body_distance(real: Any):
     """Kernel over points at half the spacing: stores distances from a body if they are smaller."""
     t = types(real)
@@ -205,7 +204,7 @@ def make_body_distance(real: Any):
     return body_distance
 
 
-@cache
+@build_once
 def make_body_openings(real: Any):
     """Kernel over the cells of a region: multiplies open shares by what a body leaves open.
 
@@ -257,7 +256,7 @@ def make_body_openings(real: Any):
     return body_openings
 
 
-@cache
+@build_once
 def make_body_push_out(real: Any):
     """Kernel: moves particles of the liquid out of bodies; the first body has the number `wall`."""
     t = types(real)

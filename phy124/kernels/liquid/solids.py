@@ -10,13 +10,12 @@ A cell's pressure acts at its centre. The weight of the liquid between centre an
 without which buoyancy would jump when the solid's bottom passes a layer of centres.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.free.numbers import (
     ANGULAR,
@@ -48,7 +47,7 @@ from phy124.kernels.liquid.impulses import Sums, take_row, way_to_wall
 from phy124.kernels.liquid.walls import centre_of, solid_face
 
 
-@cache
+@build_once
 def make_motions(real: Any):
     """Kernel over walls: computes a wall's velocity, angular velocity and centre from its track."""
     t = types(real)
@@ -78,7 +77,7 @@ def put_motion(motions: wp.array2d(dtype=Any), wall: int, V: wp.vec3d, w: wp.vec
     motions[wall, 2] = like
 
 
-@cache
+@build_once
 def make_jumps(real: Any):
     """Kernel over cells: computes the rows of J, for the velocity and for the angular velocity.
 
@@ -134,7 +133,7 @@ def make_jumps(real: Any):
     return jumps
 
 
-@cache
+@build_once
 def make_lift(real: Any):
     """Kernel over parts: sums the weight of liquid between cells' centres and solids' surfaces.
 
@@ -179,7 +178,7 @@ def make_lift(real: Any):
     return lift
 
 
-@cache
+@build_once
 def make_kick(real: Any):
     """Kernel of one thread: kicks a free solid, and writes its motion, mobility and centre.
 
@@ -215,7 +214,7 @@ def make_kick(real: Any):
     return kick
 
 
-@cache
+@build_once
 def make_predict(real: Any):
     """Kernel over solids: writes the motion of a solid before the pressure of the solution acts.
 
@@ -241,7 +240,7 @@ def make_predict(real: Any):
     return predict
 
 
-@cache
+@build_once
 def make_respond(real: Any):
     """Kernel of one thread: gives the solid the opposite of its impulses on the liquid.
 

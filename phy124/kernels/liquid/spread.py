@@ -6,18 +6,17 @@ acts on the first layer of faces: Coulomb friction, up to the coefficient times 
 sticking.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.faces import cell_of, entry, stride
 from phy124.kernels.liquid.walls import centre_of, point, speed_of
 
 
-@cache
+@build_once
 def make_spread(real: Any):
     """Kernel over cells: sets unknown faces to the mean of their known neighbours.
 
@@ -100,7 +99,7 @@ def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size
     return wp.normalize(n)
 
 
-@cache
+@build_once
 def make_slide(real: Any):
     """Kernel over cells: faces inside walls follow the wall, and faces next to them feel friction.
 

@@ -5,13 +5,12 @@ wherever it lies between two layers of cells. Near walls, the fill counts the op
 thickness of a layer on a wall is the volume in a column of cells.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.faces import FILL, HAT, cell_of, entry, inner, stride, sums
 from phy124.kernels.liquid.walls import SHUT, point
 
@@ -140,7 +139,7 @@ def level(
     return filled, phi, wet
 
 
-@cache
+@build_once
 def make_levels(real: Any):
     """Kernel over cells: converts sums to velocities, densities, and the distance to the surface.
 
@@ -200,7 +199,7 @@ def make_levels(real: Any):
     return levels
 
 
-@cache
+@build_once
 def make_refill(real: Any):
     """Kernel over cells: computes densities and the distance to the surface from volumes alone."""
     t = types(real)

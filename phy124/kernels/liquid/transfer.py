@@ -6,13 +6,12 @@ half a cell, which makes some of the four weights zero (Jiang et al. 2015, "The 
 particle-in-cell method"). The readable form serves GPUs and float64, native/liquid.h CPU cores.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.faces import cell_at, inner, local, number, sums
 from phy124.kernels.liquid.surface import LONE
 from phy124.kernels.native import code
@@ -256,7 +255,7 @@ FORMS = {
 """Forms of the transfers."""
 
 
-@cache
+@build_once
 def make_scatter(real: Any, form: str):
     """Kernel: adds mass, momentum and volume of particles to the cells' sums."""
     vec8 = sums(real)
@@ -285,7 +284,7 @@ def make_scatter(real: Any, form: str):
     return liquid_scatter
 
 
-@cache
+@build_once
 def make_scatter_volume(real: Any, form: str):
     """Kernel: adds the volume of particles to the fill and hat of the cells."""
     t = types(real)
@@ -303,7 +302,7 @@ def make_scatter_volume(real: Any, form: str):
     return liquid_scatter_volume
 
 
-@cache
+@build_once
 def make_gather(real: Any, form: str):
     """Kernel: gathers velocity and its gradient from the faces, then moves the particles.
 
@@ -377,7 +376,7 @@ def make_gather(real: Any, form: str):
     return liquid_gather
 
 
-@cache
+@build_once
 def make_displace(real: Any, form: str):
     """Kernel: moves particles by a field of displacements [m], without changing velocities."""
     t = types(real)

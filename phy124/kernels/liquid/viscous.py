@@ -7,13 +7,12 @@ slides stops only the component across it. Each component diffuses by itself. Th
 coupling of components at a surface (Batty and Bridson 2008), so jets do not fold or coil correctly.
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride, sums
 from phy124.kernels.liquid.spread import normal_at
 from phy124.kernels.liquid.walls import centre_of, point, speed_of
@@ -69,7 +68,7 @@ def wall_link(
     return g, gu, owner
 
 
-@cache
+@build_once
 def make_diffuse(real: Any):
     """Kernel over cells: takes a step of Jacobi's method from one array of velocities to another.
 
@@ -126,7 +125,7 @@ def make_diffuse(real: Any):
     return diffuse
 
 
-@cache
+@build_once
 def make_drag(real: Any):
     """Kernel over cells: takes over the diffused velocities, and sums the drag of walls.
 

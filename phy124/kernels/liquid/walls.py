@@ -5,13 +5,12 @@ fraction of each face that is open (Ng, Min and Gibou 2009) and the volume of ea
 that is solid follow from it. A new shape needs only its distance function (distance.py).
 """
 
-from functools import cache
 from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Box, Doubles, Ints, types
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
 from phy124.kernels.collide import FLAT
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.distance import SHAPES
@@ -94,7 +93,7 @@ def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
     return wp.vector(type(n[0])(w[0]), type(n[0])(w[1]), type(n[0])(w[2]))
 
 
-@cache
+@build_once
 def make_wall_distance(shape: str, real: Any):
     """Kernel over points at half the spacing: stores distances from some walls if they are smaller.
 
@@ -174,7 +173,7 @@ def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
     return point(cell, at[0], at[1], at[2], size)
 
 
-@cache
+@build_once
 def make_openings(shape: str, real: Any):
     """Kernel over cells: multiplies the low faces' open shares by what some walls leave open.
 
@@ -285,7 +284,7 @@ def make_openings(shape: str, real: Any):
     return openings
 
 
-@cache
+@build_once
 def make_eighths(shape: str, real: Any):
     """Kernel over eighths of cells: multiplies their open fractions by what some walls leave open.
 
@@ -331,7 +330,7 @@ def make_eighths(shape: str, real: Any):
     return eighths
 
 
-@cache
+@build_once
 def make_solid_shares(real: Any):
     """Kernel over cells: computes which fractions of two B-splines lie inside walls.
 
@@ -380,7 +379,7 @@ def make_solid_shares(real: Any):
     return solid_shares
 
 
-@cache
+@build_once
 def make_push_out(shape: str, real: Any):
     """Kernel: moves particles out of all walls of a shape and stops them there.
 
