@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from phy124.boundaries import HalfSpace
-from phy124.errors import InputError
 from phy124.forces import Gravity
 from phy124.lattice.coupled import CoupledSolver
 from phy124.materials import NeoHookean
@@ -102,19 +101,3 @@ def test_coupled_run_resumes_bit_for_bit_and_reports():
     weight = 9.81 * setup.particles.mass.sum()
     assert report["walls"]["ground"]["largest_force"] > weight
     assert any("rest lattices" in row for row in report["effects"]["ran"])
-
-
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [
-        ({"forces": [{"kind": "wind", "v": [1.0, 0.0, 0.0]}]}, "forces.0"),
-        (
-            {"stiffness_profile": {"kind": "sine", "frequency": 1.0, "offset": 2.0}},
-            "stiffness_profile",
-        ),
-    ],
-)
-def test_coupled_scene_refuses_what_it_cannot_do(changes, field):
-    with pytest.raises(InputError, match='solver = "mpm"') as refusal:
-        prepare(surface_of_ball(50), bury(**changes), RunContext(threads=1))
-    assert refusal.value.field == field

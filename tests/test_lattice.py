@@ -10,7 +10,6 @@ from scipy.spatial import KDTree
 
 from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.boundaries.motion import Path
-from phy124.errors import InputError
 from phy124.forces import Gravity, TotalForce, Wind
 from phy124.kernels.lattice.stress import GRADIENT, SPEED
 from phy124.kernels.work import IMPULSE, WORK
@@ -398,26 +397,6 @@ def test_lattice_resumes_bit_for_bit(threads):
     second.restore(saved)
     again = [second.step().gaussians.means for _ in range(3)]
     assert all(np.array_equal(a, b) for a, b in zip(ahead, again, strict=True))
-
-
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [
-        ({"material": {"law": "sand"}}, "material.law"),
-        ({"binding": "particles"}, "binding"),
-        ({"contacts": True}, "contacts"),
-    ],
-)
-def test_lattice_refuses_what_it_cannot_do(changes, field):
-    scene = Scene.from_data({**lattice_scene().data(), **changes})
-    with pytest.raises(InputError, match='solver = "mpm"') as refusal:
-        prepare(surface_of_ball(500), scene, RunContext(threads=1))
-    assert refusal.value.field == field
-
-
-def test_lattice_has_no_transfer_options():
-    with pytest.raises(InputError, match="transfer"):
-        lattice_scene(transfer="xpic2")
 
 
 @pytest.mark.parametrize("damping", [0.0, 100.0])

@@ -1,4 +1,7 @@
-"""Refuses scenes that the lattice solver does not support; the error names the field."""
+"""Decides which scenes the lattice solver supports; an error names the field that it does not.
+
+An argument `scene` is a `phy124.scene.Scene`, whose module imports this one.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,11 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 from phy124.errors import InputError
-from phy124.materials import Material
+from phy124.materials import LAWS, Material
 from phy124.materials.elastic import Elastic
 
+TRANSFERS = ("transfer", "gradient", "rpic_damping")
+"""Settings of the accuracy that belong to transfers, which the lattice solver does not have."""
 REMEDY = 'Use accuracy.solver = "mpm", or leave {field} out.'
 
 
@@ -21,11 +26,35 @@ class Refusal(NamedTuple):
     remedy: str = ""
 
 
+def reason_for_particles(scene: Any) -> str:
+    """Return why the elastic objects of a scene cannot move on lattices; empty if they can.
+
+    The answer does not depend on `accuracy.solver`, and needs no Gaussians. With a file of
+    properties, the laws in this file are read.
+
+    Raises:
+        InputError: The scene's file of properties cannot be read.
+    """
+    accuracy = scene.resolution
+    for name in TRANSFERS:
+        value = getattr(accuracy, name)
+        if value != type(accuracy).model_fields[name].default:
+            return f"accuracy.{name} is {value}"
+    if scene.projects:
+        return "its liquid is computed by pressure projection"
+    accuracy = accuracy.model_copy(update={"solver": "lattice"})
+    scene = scene.model_copy(update={"accuracy": accuracy})
+    if not any(scene.on_lattices):
+        return "no object is elastic as a whole"
+    refusal = next(_refusals(scene, scene.materials), None)
+    return f"{refusal.field} is {refusal.value}: {refusal.limit}" if refusal else ""
+
+
 def refuse_for_lattice(scene: Any, materials: Sequence[Material]) -> None:
     """Check that the lattice solver can run a scene.
 
     Args:
-        scene: The scene, a `phy124.scene.Scene`.
+        scene: The scene.
         materials: Materials of its particles.
 
     Raises:
@@ -38,13 +67,9 @@ def refuse_for_lattice(scene: Any, materials: Sequence[Material]) -> None:
 
 def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
     """Yield the features that the lattice solver lacks, in the order of the scene's fields."""
-    other = 'Use accuracy.solver = "mpm", or an elastic law.'
     if scene.couples:
         yield from _refusals_of_couples(scene)
-    for section in materials:
-        if not is_elastic(section) and not scene.couples:
-            limit = "the lattice solver is for elastic laws, which do not yield."
-            yield Refusal("material.law", getattr(section, "law", "?"), limit, other)
+    yield from _refusals_of_materials(scene, materials)
     if scene.binding != "lattice":
         yield Refusal("binding", scene.binding, "its particles are not on a lattice.")
     if scene.contacts or "force" in scene.view.outputs:
@@ -61,6 +86,21 @@ def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
             limit = "on its lattice a body can only be held in all directions."
             remedy = 'Use contact = "sticky", or accuracy.solver = "mpm".'
             yield Refusal(field, boundary.contact, limit, remedy)
+
+
+def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
+    """Yield laws that yield or flow, of an object that the scene declares as elastic."""
+    remedy = 'Use accuracy.solver = "mpm", or an elastic law.'
+    for section in materials:
+        if not is_elastic(section) and not scene.couples:
+            limit = "the lattice solver is for elastic laws, which do not yield."
+            yield Refusal("material.law", getattr(section, "law", "?"), limit, remedy)
+    if scene.properties is None or not scene.on_lattices[0]:
+        return
+    for law in sorted(scene.properties.laws() & LAWS.by_name.keys()):
+        if not is_elastic(LAWS.by_name[law].model_validate({"law": law})):
+            limit = "on its lattice an object is elastic as a whole."
+            yield Refusal("properties.file", f"law {law}", limit, remedy)
 
 
 def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:

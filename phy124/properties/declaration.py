@@ -38,6 +38,14 @@ class Properties(Section):
         "a .ply file with this up axis.",
     )
 
+    def laws(self) -> frozenset[str]:
+        """Return the names of the laws in the file.
+
+        Raises:
+            InputError: If the file cannot be read.
+        """
+        return frozenset(read_table(self.file).columns.get("law", ()))
+
     def columns(
         self,
         x: NDArray,

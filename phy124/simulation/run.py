@@ -18,6 +18,7 @@ from phy124.budget.remedies import advise, find_remedies, find_speedups
 from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame
 from phy124.io.clip import Clip, stack_arrays
+from phy124.lattice.refusals import refuse_for_lattice
 from phy124.monitor.diagnostics import describe_substep
 from phy124.monitor.observer import Kind, Observer, Violation, find, restore_all, snapshots
 from phy124.monitor.watchdog import Watchdog
@@ -147,6 +148,8 @@ class Simulation:
         solid_scene = keep_solver(scene.with_solids(), self.setup.solid_scene)
         if solid_scene.projects:
             refuse_unprojectable(solid_scene, self.setup.materials)
+        if scene.resolution.on_lattice:
+            refuse_for_lattice(scene, self.setup.materials)
         self.solver.bind(**wrap(solid_scene, self.observers))
         self.solver.rejection.rejected = rejected
         self.scene = scene
