@@ -365,8 +365,8 @@ def test_a_saved_session_is_a_scene_no_longer_than_a_run_may_be(player):
 
 def test_session_may_be_longer_than_a_run():
     page = Settings()
-    assert limits_of(page, 50_000).max_frames == 250, "half of 1000 MB at 2 MB per frame"
-    assert limits_of(page, 100).max_frames == 432, "18 s, a tenth of the longest run"
+    assert limits_of(page, 100_000).max_frames == 277, "half of 1000 MB at 1.8 MB per frame"
+    assert limits_of(page, 50_000).max_frames == 432, "18 s, a tenth of the longest run"
     assert limits_of(Settings(max_visitor_mb=1, max_frames=30), 50_000).max_frames == 30
     holds = [{"kind": "grab", "start": k / 24, "end": (k + 1) / 24} for k in range(FORCES + 9)]
     session = small(forces=holds, boundaries=[{"kind": "ground"}], time={"fps": 24, "frames": 80})

@@ -12,12 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from phy124.budget.cost import BYTES_PER_GAUSSIAN
 from phy124.errors import InputError
 from phy124.scene import Scene
 
 from ..settings import Settings
 from ..work import Order
+from ..work.order import BYTES_MOVED, BYTES_SHOWN
 
 WAITS = 60.0
 """Time within which a page must show its ticket [s]."""
@@ -25,9 +25,8 @@ FULL = "This server cannot run more live runs at the same time."
 FPS = 24.0
 """Frames per second of a live run."""
 ROOM, TIME = 0.5, 0.1
-"""Largest size of a clip relative to a visitor's disk space, and its longest duration relative to
-
-the time limit of a run."""
+"""Largest size of a clip and its viewer's file relative to a visitor's disk space, and its longest
+duration relative to the time limit of a run."""
 FORCES = 64
 """Smallest limit of forces and boundaries: each grab and each change of gravity needs one."""
 
@@ -131,7 +130,8 @@ class Table:
 
 def limits_of(settings: Settings, gaussians: int) -> Settings:
     """Return the limits for saving a live run of an object with `gaussians` Gaussians."""
-    room = ROOM * 1e6 * settings.max_visitor_mb / (BYTES_PER_GAUSSIAN * max(gaussians, 1))
+    frame = (BYTES_MOVED + BYTES_SHOWN) * max(gaussians, 1)
+    room = ROOM * 1e6 * settings.max_visitor_mb / frame
     frames = int(min(room, TIME * FPS * settings.max_seconds))
     most = {"max_frames": max(settings.max_frames, frames)}
     most["max_forces"] = max(settings.max_forces, FORCES)

@@ -24,7 +24,7 @@ from phy124.gaussians import Array, Frame, Gaussians, of_walls, rotate_sh, stack
 from phy124.io.files import replacing
 from phy124.io.opening import obstacle
 from phy124.motion.packing import Packed, pack, unpack
-from phy124.motion.recorded import Computed, Motion, Recorded, make_arrays
+from phy124.motion.recorded import Computed, Motion, frames_of, make_arrays
 
 FORMAT = "phy124-clip"
 VERSION, MOTION = "1", "2"
@@ -302,10 +302,10 @@ class Clip:
         if "motion" in metadata:
             try:
                 motion = unpack(arrays, json.loads(metadata["motion"]), np.array(arrays["times"]))
-                arrays |= make_arrays(Recorded(motion))
+                arrays |= make_arrays(frames_of(motion))
             except (ValueError, KeyError, IndexError, TypeError, ZstdError) as error:
                 raise _refusal(path, f"its motion is damaged ({error!r}).") from error
-            still = motion.gaussians
+            still = motion.shown
             static = {"opacities": still.opacities, "sh": still.sh, OBJECT: still.object_id}
             arrays |= {name: array for name, array in static.items() if array is not None}
         missing = [name for name in REQUIRED if name not in arrays]
@@ -358,7 +358,8 @@ def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
     with safe_open(path, framework="np") as file:
         if "motion" in (metadata := file.metadata()):
             facts = json.loads(metadata["motion"])
-            return facts["frames"], facts["arrays"]["means"]["shape"][0]
+            counts = (facts["arrays"].get(name) for name in ("means", "exposed.means"))
+            return facts["frames"], sum(each["shape"][0] for each in counts if each)
         if "means" not in file.keys():  # noqa: SIM118
             raise _refusal(path, "the tensor means is missing.")
         frames, gaussians, _ = file.get_slice("means").get_shape()

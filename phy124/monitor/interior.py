@@ -24,6 +24,8 @@ from phy124.kernels.diagnostics import make_neighbours_lost
 from phy124.materials import AnyMaterial
 from phy124.monitor.observer import Effect, Observed, Observer, Subject, find
 from phy124.monitor.tearing import APART, Tearing
+from phy124.motion.exposed import Exposed
+from phy124.motion.recorded import Computed, Torn, make_arrays
 from phy124.particles import Particles, by_object
 from phy124.particles.grains import leave_room, make_grains
 
@@ -34,8 +36,6 @@ if TYPE_CHECKING:
 
 NEIGHBOURS = 7
 """Number of neighbours at rest: six in a lattice, and the particle itself."""
-HIDDEN = 1e-3
-"""Size of a hidden Gaussian, relative to its full size."""
 Opened = dict[str, NDArray]
 
 
@@ -140,33 +140,37 @@ class Interior(Observer):
 
     def complete(self, clip: Clip) -> Clip:
         """Return the clip with a Gaussian for each particle that is exposed in any frame."""
-        ids = np.unique(
-            np.concatenate([np.zeros(0, int), *(o["ids"] for o in self._opened.values())])
-        )
-        if not len(ids):
+        exposed = self._list_exposed(len(clip))
+        if exposed is None:
             return clip
+        means: Any = clip.means
+        if isinstance(means, Computed):
+            moving = make_arrays(Torn(means.recorded, exposed))
+        else:
+            moving = _add_exposed(clip, exposed)
+        whole, motion = join([self._shown, exposed.grains]), clip.motion
+        fixed = {name: getattr(whole, name) for name in ("opacities", "sh", "object_id")}
+        clip = replace(clip, **moving, **fixed)
+        return clip if motion is None else clip.with_motion(replace(motion, exposed=exposed))
+
+    def _list_exposed(self, count: int) -> Exposed | None:
+        """Return the particles that are exposed in any of `count` frames; None if there are none.
+
+        A frame that was not examined, because nothing had moved, is like the one before.
+        """
+        latest: Opened = {"ids": np.zeros(0, int), "x": np.zeros((0, 3), np.float32)}
+        frames = [latest := self._opened.get(index, latest) for index in range(count)]
+        ids, grain = np.unique(np.concatenate([f["ids"] for f in frames]), return_inverse=True)
+        if not len(ids):
+            return None
         if self._inside is None:
             self._prepare()
         above, grains = self._make_grains(ids)
-        means = clip.means[:, above].copy()
-        scales = np.repeat(HIDDEN * grains.scales[None], len(clip), axis=0)
-        latest: Opened = {"ids": ids[:0], "x": means[0, :0]}
-        for index in range(len(clip)):
-            latest = self._opened.get(index, latest)
-            at = np.searchsorted(ids, latest["ids"])
-            means[index, at], scales[index, at] = latest["x"], grains.scales[at]
-        added = {"means": means, "quats": clip.quats[:, above], "scales": scales}
-        for name in ("rotations", "velocities"):
-            if getattr(clip, name) is not None:
-                added[name] = getattr(clip, name)[:, above]
-        if clip.contacts is not None:
-            added["contacts"] = np.zeros_like(means)
-        moving = {n: np.concatenate([getattr(clip, n), a], axis=1) for n, a in added.items()}
-        rest = (clip.means[0], clip.quats[0], clip.scales[0])
-        surface = Gaussians(*rest, clip.opacities, clip.sh, clip.object_id)
-        whole = join([surface, grains])
-        fixed = {name: getattr(whole, name) for name in ("opacities", "sh", "object_id")}
-        return replace(clip, **moving, **fixed)
+        frame = np.repeat(np.arange(count, dtype=np.int32), [len(f["ids"]) for f in frames])
+        order = np.argsort(grain, kind="stable")
+        x = np.concatenate([f["x"] for f in frames])
+        listed = grain.astype(np.int32)[order], frame[order], x[order]
+        return Exposed(grains, above.astype(np.int32), *listed)
 
     def snapshot(self) -> dict[str, Any]:
         """Return the exposed particles of the frames so far."""
@@ -227,3 +231,19 @@ class Interior(Observer):
         """Return an object's Gaussians at rest."""
         every = len(gaussians) == len(self._shown)
         return self._shown if every else self._shown.select(gaussians)
+
+
+def _add_exposed(clip: Clip, exposed: Exposed) -> dict[str, Any]:
+    """Return the arrays of all frames with the exposed Gaussians added."""
+    above, count = exposed.above, len(exposed.above)
+    names = ("means", "quats", "scales", "rotations", "velocities")
+    known = {name: array for name in names if (array := getattr(clip, name)) is not None}
+    rows = {name: np.asarray(array[:, above]) for name, array in known.items()}
+    shown = [
+        exposed.show({name: array[index] for name, array in rows.items()}, index, np.arange(count))
+        for index in range(len(clip))
+    ]
+    added = {name: np.stack([row[name] for row in shown]) for name in known}
+    if clip.contacts is not None:
+        known["contacts"], added["contacts"] = clip.contacts, np.zeros_like(added["means"])
+    return {name: np.concatenate([known[name], added[name]], axis=1) for name in known}

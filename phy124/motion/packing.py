@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, Particles
+from phy124.motion.exposed import Exposed
 from phy124.motion.recorded import Motion
 from phy124.runtime.memory import release, trim
 
@@ -36,6 +37,8 @@ Tensors = dict[str, NDArray]
 Packed = tuple[Tensors, dict[str, Any]]
 """Arrays [bytes] by name, and the facts that `unpack` needs."""
 STATIC = ("means", "quats", "scales", "opacities", "sh", "object_id")
+EXPOSED = ("above", "grain", "frame", "x")
+"""Arrays of `Exposed` besides its Gaussians; their names in a file begin with `exposed.`."""
 
 
 def pack(motion: Motion) -> Packed:
@@ -46,6 +49,9 @@ def pack(motion: Motion) -> Packed:
     exact |= {"moves": motion.moves, "rest": particles.x, "volume": volumes}
     exact |= {"gaussian": particles.gaussian, "body": particles.body, "carriers": motion.carriers}
     exact |= {"tracks": motion.tracks, "poses": motion.poses, **motion.limits}
+    if (torn := motion.exposed) is not None:
+        exact |= {f"exposed.{name}": getattr(torn.grains, name) for name in STATIC}
+        exact |= {f"exposed.{name}": getattr(torn, name) for name in EXPOSED}
     tensors, arrays = {}, {}
     for name, array in exact.items():
         if array is not None:
@@ -86,8 +92,10 @@ def unpack(tensors: Mapping[str, NDArray], facts: Mapping[str, Any], times: NDAr
         for name in arrays
         if name not in ("x", "F")
     }
-    means, quats, scales, opacities, sh = (exact.pop(name) for name in STATIC[:5])
-    still = Gaussians(means, quats, scales, opacities, sh, exact.pop("object_id", None))
+    still, exposed = _take_gaussians(exact), None
+    if "exposed.means" in exact:
+        grains = _take_gaussians(exact, "exposed.")
+        exposed = Exposed(grains, *(exact.pop(f"exposed.{name}") for name in EXPOSED))
     x = exact.pop("rest")
     particles = Particles(
         x=x,
@@ -124,8 +132,15 @@ def unpack(tensors: Mapping[str, NDArray], facts: Mapping[str, Any], times: NDAr
         tracks=tracks,
         free=tuple(facts["free"]),
         poses=poses,
+        exposed=exposed,
         **rows,
     )
+
+
+def _take_gaussians(arrays: Tensors, prefix: str = "") -> Gaussians:
+    """Remove the arrays of Gaussians from others, and return the Gaussians."""
+    means, quats, scales, opacities, sh = (arrays.pop(prefix + name) for name in STATIC[:5])
+    return Gaussians(means, quats, scales, opacities, sh, arrays.pop(f"{prefix}object_id", None))
 
 
 class Steps:
@@ -232,7 +247,7 @@ def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str,
     last, chunks = None, []
     for index in _column_order(name, len(columns)):
         column = columns[index]
-        if name == "quats" and index == 0:
+        if name.endswith("quats") and index == 0:
             column = column - _bits(_real_part(columns))
         same = last is not None and np.array_equal(column, last)
         size = column.dtype.itemsize
@@ -262,7 +277,7 @@ def _unpack_exact(data: NDArray, facts: Mapping[str, Any]) -> NDArray:
 
 def _column_order(name: str, count: int) -> Sequence[int]:
     """Return the order of columns: the real part of quaternions follows from the others."""
-    return (1, 2, 3, 0) if name == "quats" and count == 4 else range(count)
+    return (1, 2, 3, 0) if name.endswith("quats") and count == 4 else range(count)
 
 
 def _real_part(columns: NDArray) -> NDArray[np.float32]:

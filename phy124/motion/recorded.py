@@ -17,7 +17,8 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
-from phy124.gaussians import Array, Gaussians, Particles, rotate_sh
+from phy124.gaussians import Array, Gaussians, Particles, join, rotate_sh
+from phy124.motion.exposed import Exposed
 from phy124.motion.scenery import Scenery
 from phy124.runtime.cores import cores
 from phy124.runtime.memory import release, trim
@@ -79,8 +80,17 @@ class Motion:
     """Centres [m] and rotations (wxyz) of the rigid solids [T,R,7]."""
     binding: Binding | None = None
     """Particles that carry the Gaussians that move, if they are known."""
+    exposed: Exposed | None = None
+    """Further Gaussians, which tears expose."""
     describes: tuple[Any, ...] = ()
     """Arrays of a clip that this motion gives (`phy124.io.clip.DESCRIBED`)."""
+
+    @property
+    def shown(self) -> Gaussians:
+        """All Gaussians at rest, those that tears expose last."""
+        return (
+            self.gaussians if self.exposed is None else join([self.gaussians, self.exposed.grains])
+        )
 
 
 class Track:
@@ -238,10 +248,46 @@ class Recorded:
         self._F = np.zeros((len(particles.x), 3, 3), np.float32)
 
 
+class Torn:
+    """Frames of a motion with the Gaussians that tears expose, which come last."""
+
+    def __init__(self, recorded: Frames, exposed: Exposed) -> None:
+        """Refer to the frames without these Gaussians."""
+        self._recorded, self._exposed = recorded, exposed
+        self.count, self.turns = recorded.count + len(exposed.above), recorded.turns
+        self._last: tuple[int, dict[str, Array]] = -1, {}
+
+    def __len__(self) -> int:
+        return len(self._recorded)
+
+    def row(self, index: int) -> dict[str, Array]:
+        """Return the arrays of a frame by name."""
+        if self._last[0] != index:
+            every = np.arange(self.count)
+            carried, grains = self._split(every)
+            row = {name: array[carried] for name, array in self._recorded.row(index).items()}
+            self._last = index, self._exposed.show(row, index, grains)
+        return self._last[1]
+
+    def rows_of(self, chosen: NDArray) -> Iterator[dict[str, Array]]:
+        """Yield the arrays of some Gaussians in each frame, which are not kept."""
+        carried, grains = self._split(chosen)
+        for index, row in enumerate(self._recorded.rows_of(carried)):
+            yield self._exposed.show(row, index, grains)
+
+    def _split(self, chosen: NDArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the carried Gaussian of each chosen one, and its index among the exposed or -1."""
+        grains = np.maximum(chosen - self._recorded.count, -1)
+        return np.where(grains < 0, chosen, self._exposed.above[grains]), grains
+
+
+Frames = Recorded | Torn
+
+
 class Computed(NDArrayOperatorsMixin):
     """One array of all frames [T,N,...], computed frame by frame when it is read."""
 
-    def __init__(self, recorded: Recorded, name: str, *, columns: slice | None = None) -> None:
+    def __init__(self, recorded: Frames, name: str, *, columns: slice | None = None) -> None:
         """Refer to an array by its name in `MOVING`."""
         self.recorded, self.name, self.columns = recorded, name, columns
         count = len(range(recorded.count)[columns or slice(None)])
@@ -290,7 +336,13 @@ class Computed(NDArrayOperatorsMixin):
         return Computed(self.recorded, self.name, columns=columns)
 
 
-def make_arrays(recorded: Recorded) -> dict[str, Any]:
+def frames_of(motion: Motion) -> Frames:
+    """Return the frames of a motion, which are computed when they are read."""
+    frames = Recorded(motion)
+    return frames if motion.exposed is None else Torn(frames, motion.exposed)
+
+
+def make_arrays(recorded: Frames) -> dict[str, Any]:
     """Return the arrays of all frames by name."""
     names = MOVING if recorded.turns else MOVING[:3]
     return {name: Computed(recorded, name) for name in names}

@@ -220,10 +220,10 @@ class Simulation:
             scene=setup.cleaned_scene.data(),
             objects=self.scene.names if self.scene.objects else (),
         )
+        if self._follows_particles():
+            clip = clip.with_motion(self._motion(clip.times))
         for observer in self.observers:
             clip = observer.complete(clip)
-        if self._follows_particles(clip):
-            clip = clip.with_motion(self._motion(clip.times))
         report = self.report() | report_clip(setup, clip)
         return clip.with_report(report | (self.shapes_of(clip) if shapes or not self.light else {}))
 
@@ -327,14 +327,11 @@ class Simulation:
         self._moved.motion = motion
         return self._moved
 
-    def _follows_particles(self, clip: Clip) -> bool:
-        """Return whether all Gaussians of a clip follow from the recorded motion.
-
-        Those inside torn material, which are added to a finished clip, follow no particle.
-        """
+    def _follows_particles(self) -> bool:
+        """Return whether the Gaussians of all frames follow from the recorded motion."""
         every = all(frame.carried is not None for frame in self.frames)
         known = not self.setup.free or len(self.poses) == len(self.frames)
-        return every and known and len(clip.opacities) == len(self.setup.shown)
+        return every and known
 
     def _motion(self, times: NDArray[np.float64]) -> Motion:
         """Return what moves the Gaussians of the frames at some times [T], s."""
