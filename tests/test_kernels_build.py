@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from phy124.kernels.arguments import types
 from phy124.kernels import build
+from phy124.kernels.arguments import types
 from phy124.kernels.build import CONTRACT, build_once, kernel
 
 
