@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict
 from phy124.accuracy import promises
 from phy124.accuracy.promises import Promise
 from phy124.scene import Scene
-from phy124.studies.validation.accuracy.study import Report, error_on
+from phy124.studies.validation.accuracy.report import Report, error_on
 
 GRIDS = (12, 16, 24)
 """Grids of a study [cells across the object]."""

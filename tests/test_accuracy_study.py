@@ -19,15 +19,16 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Stopped, prepare
 from phy124.studies.validation.accuracy import plots
+from phy124.studies.validation.accuracy import report as report_of
 from phy124.studies.validation.accuracy import study as study_of
-from phy124.studies.validation.accuracy.study import (
+from phy124.studies.validation.accuracy.report import (
     Report,
     Row,
-    Study,
     error_on,
     kept_promises,
     recommend,
 )
+from phy124.studies.validation.accuracy.study import Study
 from support.shapes import ball
 
 LEVELS = (8, 12, 16)
@@ -218,12 +219,14 @@ def row(cells: int, error: float | None, seconds: float, name: str = "") -> Row:
 
 def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
     found, scene = Convergence(1.0, (0.01,)), Scene.named("press")
-    monkeypatch.setattr(study_of, "promise", lambda scene, thickness: Promise(0.06, ""))
+    monkeypatch.setattr(report_of, "promise", lambda scene, thickness: Promise(0.06, ""))
     said = kept_promises(scene, 0.5, (row(16, 0.05, 1), row(32, 0.08, 3)), found)
     assert said["draft"] == "at most 6.0%, measured 5.0%: holds"
     assert said["standard"] == "at most 6.0%, measured 8.0%: DOES NOT HOLD"
     assert said["fine"] == "not tried"
-    monkeypatch.setattr(study_of, "promise", lambda scene, thickness: Promise(None, "not measured"))
+    monkeypatch.setattr(
+        report_of, "promise", lambda scene, thickness: Promise(None, "not measured")
+    )
     said = kept_promises(scene, 0.5, (row(16, 0.05, 1),), found)
     assert said["draft"] == "this kind of scene has no expected error; measured here: 5.0%"
     lost = Convergence(None, why_not="not converging: finer grids do not come closer")

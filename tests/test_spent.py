@@ -6,9 +6,8 @@ import pytest
 
 from phy124.mpm.threads import Team
 from phy124.scene import Scene
-from phy124.simulation import Simulation, prepare
-from phy124.simulation import run as run_of
-from phy124.simulation.run import Spent
+from phy124.simulation import Simulation, prepare, spent
+from phy124.simulation.spent import Spent
 from support.shapes import ball
 
 
@@ -29,7 +28,7 @@ def test_a_busy_machine_does_not_stop_a_run(monkeypatch):
 
 def test_a_run_that_computes_for_too_long_stops(monkeypatch):
     looks = iter(range(10**9))
-    monkeypatch.setattr(run_of.time, "thread_time", lambda: 50.0 * next(looks))
+    monkeypatch.setattr(spent.time, "thread_time", lambda: 50.0 * next(looks))
     long = run()
     long.run()
     assert "twice time.budget" in str(long.stopped)
@@ -65,6 +64,6 @@ def test_the_busiest_thread_counts():
 
 def test_on_a_gpu_the_clock_counts(monkeypatch):
     looks = iter([0.0, 1.0, 4.0, 9.0])
-    monkeypatch.setattr(run_of.time, "perf_counter", lambda: next(looks))
+    monkeypatch.setattr(spent.time, "perf_counter", lambda: next(looks))
     counted = Spent(Team(1, lambda member, task: None), "cuda:0")
     assert counted.total() == pytest.approx(1.0)

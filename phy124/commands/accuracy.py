@@ -26,7 +26,7 @@ from phy124.scene import Scene, Timing, merge_changes, parse_changes
 from phy124.weights.store import search_first
 
 if TYPE_CHECKING:
-    from phy124.studies.validation.accuracy.study import Report
+    from phy124.studies.validation.accuracy.report import Report
 
 KEPT = "the results cover only the settings that were run"
 
@@ -147,7 +147,7 @@ class ShowAccuracy:
     def _advice(self, levels: tuple[int, ...], report: Report, per_axis: float) -> str:
         """Return a line with a command that may yield an error estimate, or an empty text."""
         from phy124.accuracy.choose import DENSEST
-        from phy124.studies.validation.accuracy.study import COARSEST
+        from phy124.studies.validation.accuracy.report import COARSEST
 
         run = [row.cells for row in report.rows if row.level and not row.torn]
         finest = max(run, default=levels[0])

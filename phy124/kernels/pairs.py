@@ -22,10 +22,11 @@ import warp as wp
 
 from phy124.kernels.arguments import Box, types
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.collide import place, steepest, strides, xyz
-from phy124.kernels.columns import coulomb
+from phy124.kernels.collide import steepest
+from phy124.kernels.columns import coulomb, xyz
 from phy124.kernels.contacts import IMPULSE, MOMENT
 from phy124.kernels.diagnostics import add3, wide
+from phy124.kernels.window import place, strides
 
 LIGHTEST = wp.constant(1e-6)
 """Smallest volume fraction of each body at a node for contact to be considered."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
 from phy124.mpm.model import Model
-from phy124.mpm.timestep import TRAVEL
+from phy124.mpm.timestep import TRAVEL, Maxima
 
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Lowest and highest corner of a box [m]."""
@@ -189,3 +189,20 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
             # When particles of the body return, the body needs a new window.
             grid.stale = True
     return changed
+
+
+def corners_of(rows: NDArray[np.float64], bodies: Sequence[int], count: int) -> list[Corners]:
+    """Return the lowest and highest corner of each body; -inf and inf for a body without rows.
+
+    Args:
+        rows: Measured maxima of parts of the particles [R,M], see `Maxima.of`.
+        bodies: The body of each row.
+        count: Number of bodies.
+    """
+    if count == 1:
+        return [Maxima.of(rows.max(axis=0)).corners]
+    number = np.array(bodies)
+    return [
+        Maxima.of(rows[number == body].max(axis=0, initial=-np.inf)).corners
+        for body in range(count)
+    ]

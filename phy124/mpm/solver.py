@@ -23,7 +23,7 @@ from phy124.mpm.clock import MEASURE_EVERY, Clock
 from phy124.mpm.fluctuation import APIC, Fluctuation, Scheme, usable_rpic
 from phy124.mpm.free import FreeBodies, FreeBody, Plane
 from phy124.mpm.graph import Graph, usable
-from phy124.mpm.grid import Corners, Grid, Unstable, fit_all, grids_of
+from phy124.mpm.grid import Corners, Grid, Unstable, corners_of, fit_all, grids_of
 from phy124.mpm.model import Model, State
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pair, Pairs
@@ -431,18 +431,9 @@ class Solver:
 
     def _corners(self, rows: NDArray[np.float64]) -> list[Corners]:
         """Return the lowest and highest corner of each body [m] from the measured maxima."""
-        if len(self.grids) == 1:
-            return [Maxima.of(rows.max(axis=0)).corners]
         parts = self.slabs.parts if self.slabs else ()
-        body = np.array([part.group.body for part in parts] or range(len(rows)))
-        none = np.full(rows.shape[1], -np.inf)
-        bodies = range(len(self.grids))
-        return [
-            Maxima.of(
-                rows[body == number].max(axis=0, initial=-np.inf) if number in body else none
-            ).corners
-            for number in bodies
-        ]
+        bodies = [part.group.body for part in parts] or range(len(rows))
+        return corners_of(rows, bodies, len(self.grids))
 
     def _fit_slabs(self, rows: NDArray[np.float64], force: bool) -> bool:
         """Fit private nodes to their particles, or divide again; return whether slabs changed."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -25,7 +24,6 @@ from phy124.monitor.watchdog import Watchdog
 from phy124.motion.deform import Deformer
 from phy124.motion.recorded import Motion, Recorded, make_arrays
 from phy124.mpm import MEASURE_EVERY, Unstable
-from phy124.mpm.threads import Team
 from phy124.mpm.workers import HOST, REPAIR, run_timed
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.device import one_at_a_time
@@ -34,6 +32,7 @@ from phy124.scene.liquids import keep_solver, refuse_unprojectable
 from phy124.simulation.report import report_clip, report_run
 from phy124.simulation.setup import Setup
 from phy124.simulation.solver import kernels, make_solver, wrap
+from phy124.simulation.spent import Spent
 
 
 class Stopped(RuntimeError):
@@ -462,43 +461,3 @@ class Simulation:
             progress("simulate", index, frames)
 
         return after
-
-
-class Spent:
-    """CPU time of the simulation's busiest thread [s], which excludes other programs.
-
-    On a GPU, wall-clock time is used, since GPU time is not measured per program.
-    """
-
-    def __init__(self, team: Team[int], device: str) -> None:
-        """Start at zero.
-
-        Args:
-            team: The threads that simulate.
-            device: Warp device.
-        """
-        self._team, self._on_cpu = team, device == "cpu"
-        self.before = 0.0
-        """Time spent in earlier `counting` contexts [s]."""
-        self._start = self._now()
-
-    @contextmanager
-    def counting(self) -> Iterator[None]:
-        """Count time within this context; the same thread must enter and leave it."""
-        self._start = self._now()
-        try:
-            yield
-        finally:
-            self.before = self.total()
-            self._start = self._now()
-
-    def total(self) -> float:
-        """Return the time counted so far [s]; call it from the thread that counts."""
-        pairs = zip(self._now(), self._start, strict=True)
-        return self.before + max(now - start for now, start in pairs)
-
-    def _now(self) -> list[float]:
-        """Return one clock reading per thread [s]; differences of readings are the time used."""
-        if not self._on_cpu:
-            return [time.perf_counter()]
-        return [time.thread_time(), *self._team.seconds[1:]]

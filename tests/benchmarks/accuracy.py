@@ -29,7 +29,8 @@ from phy124.metrics import psnr
 from phy124.scene import preset_names
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.accuracy.plots import save_picture
-from phy124.studies.validation.accuracy.study import Report, Row, Study
+from phy124.studies.validation.accuracy.report import Report, Row
+from phy124.studies.validation.accuracy.study import Study
 from phy124.studies.validation.accuracy.verify import verify
 
 sys.path.insert(0, str(Path(__file__).parent))

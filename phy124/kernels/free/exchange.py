@@ -6,7 +6,6 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, types
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.collide import strides
 from phy124.kernels.columns import coulomb
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.free.numbers import (
@@ -38,6 +37,7 @@ from phy124.kernels.free.numbers import (
     spin_of,
 )
 from phy124.kernels.reduction import add_to
+from phy124.kernels.window import strides
 
 
 @wp.func

@@ -6,8 +6,7 @@ import warp as wp
 
 from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.collide import xyz
-from phy124.kernels.columns import coverage
+from phy124.kernels.columns import coverage, xyz
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.free.numbers import arm_of, axes, first_node

@@ -12,7 +12,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.collide import strides, xyz
+from phy124.kernels.columns import xyz
 from phy124.kernels.contacts import MOMENT as PAIR_MOMENT
 from phy124.kernels.contacts import SUMS as PAIR_SUMS
 from phy124.kernels.diagnostics import add3, wide
@@ -20,6 +20,7 @@ from phy124.kernels.lattice.contact import RELAXED
 from phy124.kernels.lattice.rows import Rows
 from phy124.kernels.pairs import mass_at
 from phy124.kernels.transfer import slope, spline
+from phy124.kernels.window import strides
 
 SURFACE = wp.constant(0.5)
 """Part of the space that the material fills at its surface."""

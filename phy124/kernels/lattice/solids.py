@@ -13,7 +13,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.collide import xyz
+from phy124.kernels.columns import xyz
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.free.numbers import (

@@ -18,7 +18,7 @@ from phy124.errors import InputError
 from phy124.io.files import replacing
 from phy124.runtime.installation import install_command
 from phy124.scene import PRESETS
-from phy124.studies.validation.accuracy.study import Report, Row
+from phy124.studies.validation.accuracy.report import Report, Row
 
 PathLike = str | os.PathLike[str]
 BLUE, GREY, ORANGE = "#2563a8", "#9aa3ad", "#c2571a"

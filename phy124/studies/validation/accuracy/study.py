@@ -10,18 +10,15 @@ levels.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from phy124.accuracy.convergence import TRUSTED, Convergence, distances, longest_convergence
-from phy124.accuracy.difference import Difference, difference
+from phy124.accuracy.convergence import Convergence, distances, longest_convergence
+from phy124.accuracy.difference import difference
 from phy124.accuracy.forecast import QUIET, Forecaster, pixels_per_size
-from phy124.accuracy.promises import check_promise, promise, torn
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
@@ -33,111 +30,18 @@ from phy124.particles.thickness import Proportions
 from phy124.progress import Progress
 from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure, is_stop
-from phy124.scene import PRESETS, Accuracy, Scene
+from phy124.scene import Accuracy, Scene
 from phy124.simulation import Simulation, Stopped, prepare
+from phy124.studies.validation.accuracy.report import Report, Row, kept_promises, recommend
 
 LEVELS = (16, 24, 32, 48)
 """Cells across the object on each level, from coarse to fine, including those of all presets."""
 MIN_PARTICLES_PER_AXIS = 1.5
 """Particles per cell and axis below which finer grids are not more accurate."""
-COARSEST = 8
-"""Minimum number of cells across the object of a level that is recommended."""
-KNOWN = 0.5
-"""Minimum fraction of the frames whose errors must be known to recommend a level."""
-MOVING = 2
-"""Minimum number of frames after the first whose errors must be known to recommend a level."""
 VARIED = 24
 """Cells across the object of the level at which other options are varied, one at a time."""
-GOOD = 0.04
-"""Maximum error of a recommended setting, as a fraction of the object's size."""
 SIZE = 256
 """Maximum width and height of the compared videos [pixels]."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """The time and the error of one setting."""
-
-    name: str
-    cells: int
-    precision: str
-    cfl: float
-    binding: str
-    particles: int
-    particles_per_axis: float
-    """Median number of particles per axis, over all cells that contain particles."""
-    substeps: int
-    predicted: float | None
-    """Predicted time of simulation and shapes [s]; None without a forecast."""
-    seconds: float
-    """Measured time of simulation and shapes [s], without the time to split the energy loss."""
-    limiters: dict[str, float]
-    """Name of a limit of the substep -> fraction of the substeps that it determines."""
-    energy_lost: float
-    """Energy that was lost, as a fraction of the energy supplied."""
-    lost_to: dict[str, float] | None
-    """The energy lost to each cause (material, contact, numerical); None if it cannot be split."""
-    angular_momentum_lost: float | None
-    """Relative change of the angular momentum; None if forces or walls may change it."""
-    from_finest: Difference | None = None
-    """Difference from the finest level; None for the finest level itself."""
-    error: float | None = None
-    """Estimated error as a fraction of the object's size; None if the levels do not converge."""
-    pixels: float | None = None
-    """Estimated error in the video [pixels]; None without an error."""
-    torn: str = ""
-    """Reason why the grid may have torn the material; a torn setting has no error."""
-
-    @property
-    def level(self) -> bool:
-        """Whether the setting is a level, not a variation of another option."""
-        return self.name.startswith("D/")
-
-
-@dataclass(frozen=True)
-class Report:
-    """The result of a study."""
-
-    rows: tuple[Row, ...]
-    skipped: tuple[str, ...]
-    """Sentences about settings that were left out or are torn, with the reasons."""
-    convergence: Convergence
-    object_size: float
-    """Longest side of the object at rest [m]."""
-    recommendation: str
-    promises: dict[str, str]
-    """Name of a preset -> a sentence about whether its error bound holds in this scene."""
-    until: float | None = None
-    """Time up to which the errors hold [s]; None: the whole motion."""
-    closest: float | None = None
-    """Distance between the two finest levels, in object sizes; None with only one level."""
-    interrupted: bool = False
-    """Whether a cancellation or an error ended the study before all settings had been run."""
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """Sentences about the result, without duplicates."""
-        sentences = (*self.skipped, self._extent, self.convergence.why_not, self.recommendation)
-        return tuple(sentence for sentence in dict.fromkeys(sentences) if sentence)
-
-    @property
-    def _extent(self) -> str:
-        """A sentence about the limits of the errors; empty if they hold for the whole motion."""
-        if self.until is not None:
-            return (
-                f"The motions on different levels diverge after {self.until:.3g} s. "
-                "All errors are for the motion until then."
-            )
-        if self.convergence.error is None and self.closest is not None:
-            return (
-                f"The error is unknown; the two finest levels differ by {self.closest:.1%} of the "
-                "object's size."
-            )
-        return ""
-
-    def data(self) -> dict[str, Any]:
-        """Return plain data for accuracy.json; infinity and NaN become None."""
-        return _plain(asdict(self))
 
 
 @dataclass
@@ -415,91 +319,6 @@ def _without_torn(rows: list[Row], convergence: Convergence) -> Convergence:
     )
 
 
-def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> float | None:
-    """Return the error on any grid, from the errors of a study's levels.
-
-    On a grid between two levels, it is the error of the coarser level. On grids finer than all
-    levels, it decreases with the observed order (clamped to `TRUSTED`), or is constant if no order
-    was observed. On grids coarser than all levels, the error is unknown (None).
-
-    Args:
-        cells: Cells across the object on the grid.
-        errors: Cells across the object on a level -> the level's error.
-        order: The observed order; None if no order was observed.
-    """
-    within = [level for level in errors if level <= cells]
-    if not within:
-        return None
-    nearest = max(within)
-    if order is None or nearest < max(errors):
-        return errors[nearest]
-    return errors[nearest] * (nearest / cells) ** min(max(order, TRUSTED[0]), TRUSTED[1])
-
-
-def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int, int]) -> str:
-    """Recommend a level in a sentence, and compare it with the next finer level.
-
-    Args:
-        rows: The settings that were run.
-        convergence: The convergence of the levels.
-        known: Number of frames after the first whose errors are known, and number of all frames
-            after the first.
-    """
-    levels = [row for row in rows if row.level and not row.torn and row.cells >= COARSEST]
-    no = "No setting can be recommended by its error"
-    if convergence.error is None:
-        return f"{no}: {convergence.why_not}."
-    if known[0] < max(MOVING, KNOWN * known[1]):
-        return f"{no}, which is known for only {known[0]} of {known[1]} frames after the first."
-    if not levels:
-        return f"{no}: every level is coarser than D/{COARSEST}."
-    good = [row for row in levels if row.error is not None and row.error <= GOOD]
-    best = min(good or levels[-1:], key=lambda row: row.seconds)
-    advice = (
-        f"Recommended: {best.name}, with an error of {best.error or 0:.1%} of the object's size "
-        f"in {best.seconds:.1f} s"
-    )
-    finer = [row for row in levels if row.cells > best.cells]
-    if not good:
-        return f"{advice}; no level reached {GOOD:.0%}, which needs a finer grid."
-    if not finer:
-        return f"{advice}; it is the finest grid that was run."
-    ratio = finer[0].seconds / best.seconds
-    better = f"with an error of {finer[0].error or 0:.1%}"
-    return f"{advice}; {finer[0].name} would take {ratio:.1f} times as long, {better}."
-
-
-def kept_promises(
-    scene: Scene,
-    proportions: Proportions | None,
-    rows: tuple[Row, ...],
-    convergence: Convergence,
-    until: float | None = None,
-) -> dict[str, str]:
-    """Describe for each preset whether its error bound holds in this scene.
-
-    Args:
-        scene: The scene.
-        proportions: Proportions of the object; None if unknown.
-        rows: The settings that were run.
-        convergence: The convergence of the levels.
-        until: Time up to which the errors hold [s]; None: the whole motion.
-    """
-    sentences = {}
-    for name, accuracy in PRESETS.items():
-        row = next((row for row in rows if row.level and row.cells == accuracy.cells), None)
-        if row is None:
-            sentences[name] = "not tried"
-        elif row.torn:
-            sentences[name] = f"none: {torn([row.name])}"
-        elif convergence.error is None or row.error is None:
-            sentences[name] = f"cannot be judged: {convergence.why_not}"
-        else:
-            promised = promise(scene.model_copy(update={"accuracy": name}), proportions)
-            sentences[name] = check_promise(promised, row.error, until)
-    return sentences
-
-
 def _require_particles(per_axis: float | None) -> None:
     """Refuse a scene with so few particles per cell that finer grids are not more accurate."""
     if per_axis is not None and per_axis < MIN_PARTICLES_PER_AXIS:
@@ -521,14 +340,3 @@ def _momentum_lost(scene: Scene, before: Diagnostics, after: Diagnostics) -> flo
     if scene.acting or scene.boundaries or start == 0:
         return None
     return float(np.linalg.norm(after.angular - before.angular)) / start
-
-
-def _plain(value: Any) -> Any:
-    """Return a copy of a value that can be written as JSON."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,67 @@
+"""Nodes of a window of the grid: their position, their place in memory, and whether they hold mass.
+
+Node (i, j, k) of the window is at origin + (window[0] + (i, j, k)) dx.
+"""
+
+from typing import Any
+
+import warp as wp
+
+
+@wp.func
+def place(lattice: Any, node: wp.vec3i):
+    """Return the position of a node of the grid [m]."""
+    dx = lattice[3]
+    return wp.vector(
+        lattice[0] + dx * type(dx)(node[0]),
+        lattice[1] + dx * type(dx)(node[1]),
+        lattice[2] + dx * type(dx)(node[2]),
+    )
+
+
+@wp.func
+def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
+    """Return whether a node is in the window and in the layers that a launch may change."""
+    return (
+        node[0] >= span[0]
+        and node[1] >= 0
+        and node[2] >= 0
+        and node[0] < span[1]
+        and node[1] < size[1]
+        and node[2] < size[2]
+    )
+
+
+@wp.func
+def node_at(n: int, size: wp.vec3i):
+    """Return the n-th node of a window."""
+    row = n // size[2]
+    return wp.vec3i(row // size[1], row % size[1], n % size[2])
+
+
+@wp.func
+def in_box(node: wp.vec3i, extent: wp.vec3i):
+    """Return whether a node, counted from the first node of a box, is in the box."""
+    return (
+        node[0] >= 0
+        and node[1] >= 0
+        and node[2] >= 0
+        and node[0] < extent[0]
+        and node[1] < extent[1]
+        and node[2] < extent[2]
+    )
+
+
+@wp.func
+def strides(size: wp.vec3i):
+    """Return the distance in memory between neighbours along each axis."""
+    return wp.vec3i(size[1] * size[2], size[2], 1)
+
+
+@wp.func
+def laden(grid: wp.array(dtype=Any), size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
+    """Return whether this launch may change a node and the node has mass."""
+    if not holds(size, span, node):
+        return False
+    q = grid[wp.dot(node, strides(size))]
+    return q[3] > type(q[3])(0.0)
