@@ -11,6 +11,7 @@ from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions, rotate_sh, rotation_matrices, sh_basis
 from phy124.rendering import render
+from phy124.rendering.projection import FILTERS, NEAR
 from phy124.rendering.render import Renderer
 from support.shapes import splats as cloud
 
@@ -26,7 +27,7 @@ def reference(
     gaussians: Gaussians, camera: Camera, background=(1.0, 1.0, 1.0), filter="dilate"
 ) -> np.ndarray:
     """Kerbl et al. 2023 written out plainly; [H,W,4], the last channel the coverage."""
-    low_pass, keeps_light = render.FILTERS[filter]
+    low_pass, keeps_light = FILTERS[filter]
     seen = gaussians.means.astype(float) @ camera.view[:3, :3].T + camera.view[:3, 3]
     directions = gaussians.means - np.array(camera.eye)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -39,7 +40,7 @@ def reference(
     done = np.zeros_like(left, bool)
     for i in np.argsort(seen[:, 2], kind="stable"):
         depth, f = seen[i, 2], camera.focal
-        if depth <= render.NEAR:
+        if depth <= NEAR:
             continue
         u, v = np.clip(seen[i, :2] / depth, -tangent, tangent)
         jacobian = f / depth * np.array([[1, 0, -u], [0, 1, -v]]) @ camera.view[:3, :3]
@@ -137,7 +138,7 @@ JUDGED = {
 }
 
 
-@pytest.mark.parametrize("filter", render.FILTERS)
+@pytest.mark.parametrize("filter", FILTERS)
 @pytest.mark.parametrize("name", JUDGED)
 def test_single_precision_costs_less_than_80_db(name, filter, rng):
     """Of the image; a contribution right at 1/255 may fall on either side."""
@@ -158,7 +159,7 @@ def test_mip_pictures_are_as_bright_however_small(rng):
         np.ones((1, 3)),
     )
     shares = {}
-    for filter in render.FILTERS:
+    for filter in FILTERS:
         renderer = Renderer(device="cpu", filter=filter)
         covered = [
             renderer(wire, Camera.orbit(0, 0, 1.5, size), alpha=True)[..., 3].sum() / size**2

@@ -34,7 +34,8 @@ from phy124.io.rasters import (
     write_png16,
 )
 from phy124.rendering.framing import cameras
-from phy124.rendering.render import BLACK, NEAR, Renderer
+from phy124.rendering.projection import NEAR
+from phy124.rendering.render import BLACK, Renderer
 from phy124.runtime.context import RunContext
 from phy124.scene import View
 from phy124.scene.view import Output

@@ -22,6 +22,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Array, Gaussians
 from phy124.kernels.splat import blend, project, screen, stage
 from phy124.rendering.copies import HostCopies
+from phy124.rendering.projection import FILTERS, make_view
 from phy124.rendering.stage.draw import Surroundings
 from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.compiling import compile_missing
@@ -43,18 +44,6 @@ BLENDS = {
 and a pixel per thread (used on CUDA)."""
 BLEND_STAGED = stage.blend_staged_simd
 """The variant `simd` with a stage behind the Gaussians."""
-FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
-"""Anti-aliasing filter -> addition to the screen covariance [px^2], and whether opacity is reduced
-to compensate. 3D Gaussian Splatting does not reduce it, which thickens thin objects seen from far
-away; Mip-Splatting does (Yu et al. 2024, section 4.2)."""
-NEAR = 0.01
-"""Smallest distance from the camera at which a Gaussian's centre is drawn, m."""
-FRUSTUM_MARGIN = 1.3
-"""Largest offset from the image centre at which the projection is linearised, in half images
-
-(Kerbl et al. 2023)."""
-MAX_PIXELS = 1 << 26
-"""Number of pixels of the largest image (8192 x 8192)."""
 
 
 class Renderer:
@@ -293,10 +282,7 @@ class Renderer:
     def _look(self, camera: Camera) -> Any:
         """Return the camera as a `screen.View` with the renderer's filter."""
         if self._seen is None or self._seen[0] is not camera:
-            view = pinhole(camera)
-            view.low_pass, view.keeps_light = self._filter
-            view.low_area = float(np.float32(view.low_pass) ** 2)
-            self._seen = camera, view
+            self._seen = camera, make_view(camera, self._filter)
         return self._seen[1]
 
     def _project(self, gaussians: Gaussians, view: Any) -> None:
@@ -498,39 +484,3 @@ def runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
         last = max(first + 1, int(np.searchsorted(sums, before + limit, "right")))
         yield first, last
         first = last
-
-
-def pinhole(camera: Camera) -> Any:
-    """Convert the camera to a `screen.View`; the filter is not set.
-
-    Raises:
-        InputError: The camera or the size of its image cannot be used.
-    """
-    width, height = camera.width, camera.height
-    if min(width, height) < 1 or width * height > MAX_PIXELS:
-        raise InputError(
-            "size",
-            f"{width} x {height}",
-            f"an image has 1 to {MAX_PIXELS:,} pixels.",
-            "Choose a size such as 512 x 512.",
-        )
-    with np.errstate(all="ignore"):
-        matrix = camera.view.astype(np.float32)
-    if not (np.isfinite(matrix).all() and 0 < camera.fov_y < 180):
-        raise InputError(
-            "camera",
-            camera,
-            "the camera has no viewing direction or no field of view.",
-            "Place eye and target apart, at finite positions, and take 0 < fov_y < 180 degrees.",
-        )
-    view = screen.View()
-    view.rotation = wp.mat33(matrix[:3, :3].ravel())
-    view.translation, view.eye = wp.vec3(*matrix[:3, 3]), wp.vec3(*camera.eye)
-    view.focal, view.near = camera.focal, NEAR
-    x, y = camera.centre
-    view.centre = wp.vec2(x, y)
-    farthest = wp.vec2(max(x, width - x), max(y, height - y))
-    view.limit = FRUSTUM_MARGIN * farthest / camera.focal
-    view.width, view.height = width, height
-    view.columns, view.rows = (math.ceil(side / screen.TILE) for side in (width, height))
-    return view
