@@ -101,6 +101,8 @@ def features(scene: Scene) -> list[str]:
             names.add("a clamp that moves" if wall.holds else "a wall that moves")
     if scene.projects:
         names.add("a liquid by projection")
+        if len({section.density for section in scene.materials if section.law == "fluid"}) > 1:
+            names.add("liquids of different densities")
     if scene.binding == "particles":
         names.add("binding = particles")
     if scene.resolution.on_lattice:

@@ -16,6 +16,7 @@ from phy124.kernels.liquid import (
     active,
     faces,
     impulses,
+    mixture,
     packing,
     pressure,
     spread,
@@ -28,6 +29,7 @@ from phy124.liquid.bodies import STAGE as BODIES
 from phy124.liquid.bodies import Bodies
 from phy124.liquid.cells import Cells
 from phy124.liquid.impulses import WallImpulses
+from phy124.liquid.mixture import Mixture
 from phy124.liquid.projection import Projection
 from phy124.liquid.solids import Solids
 from phy124.liquid.walls import Walls, span
@@ -82,14 +84,16 @@ class Phases:
         """Number of particles that are not finite."""
         self.carry = wp.ones(1, dtype=wp.float64, device=device)
         """Factor from the last pressure to the first guess of the next one."""
-        density = float(model.total_mass / np.sum(model.volume.numpy(), dtype=np.float64))
-        self._density, self._solids = density, Solids(model, free, density, projection)
+        self._mixture = Mixture(model)
+        density = self._mixture.density
+        self._solids = Solids(model, free, density, projection)
         self._bodies = bodies
         if bodies is not None:
             bodies.join(self._solids, projection.mobility)
-        viscosity = max(getattr(section, "viscosity", 0.0) for section in model.materials)
-        self.viscosity = viscosity / (density * model.dx**2)
-        """Rate at which velocities diffuse to a neighbouring face [1/s]."""
+        self.viscosity = self._mixture.viscosity / (density * model.dx**2)
+        """Rate at which velocities diffuse to a neighbouring face [1/s], at the mean density."""
+        self.fastest_diffusion = self._mixture.viscosity / (self._mixture.lightest * model.dx**2)
+        """Upper bound of this rate [1/s]."""
 
     def record(
         self,
@@ -109,6 +113,7 @@ class Phases:
             grid: A grid without nodes, which stages of forces expect.
         """
         self._tracks, self._walls, self._impulses_of_walls = tracks, walls, impulses_of_walls
+        self._mixture.fit(self._cells.count)
         names: list[str] = []
         for index, worker in enumerate(self._workers):
             named = list(self._phases(pushes, index, grid))
@@ -151,7 +156,7 @@ class Phases:
         if solids:
             yield "drift", launches(self._drift(worker))
             yield "fill", launches(self._push_out(worker, stops=False))
-        yield "fill", self._fill(worker)
+        yield "fill", self._fill(worker, self._model.volume)
         for records in self._density_equation(worker):
             yield "fill", launches(records)
         for phase in solve.phases(cells, cells.packing, worker):
@@ -167,6 +172,10 @@ class Phases:
             yield "scatter", launches(records)
         yield "scatter", launches([self._sum_copies(worker)])
         yield "scatter", launches([self._levels(worker)])
+        for weights, mixed in zip(self._mixture.weights, self._mixture.mixed, strict=True):
+            yield "scatter", self._fill(worker, weights)
+            yield "scatter", launches([self._sum_fills(worker)])
+            yield "scatter", launches([self._mix(worker, mixed)])
         if self.viscosity > 0:
             cells = self._cells
             yield "scatter", launches([self._anticipate(worker, -1.0)])
@@ -181,7 +190,7 @@ class Phases:
     def _equation(self, worker: int) -> Iterator[list[Recorded]]:
         """Yield a worker's phases that set up the pressure equation."""
         cells, solve = self._cells, self._projection
-        yield [self._assemble(worker), *self._jumps(worker)]
+        yield [self._assemble(worker, self._mixture.densities), *self._jumps(worker)]
         yield from solve.list_cells(cells, worker)
         yield from self._couple(worker)
         yield [self._divergence(worker), *self._yields(worker)]
@@ -202,7 +211,7 @@ class Phases:
         """Yield a worker's phases that set up the equation of the density."""
         yield [self._sum_fills(worker)]
         yield [self._refill(worker)]
-        yield [self._assemble(worker), self._excess(worker)]
+        yield [self._assemble(worker, self._mixture.uniform), self._excess(worker)]
         yield from self._projection.list_cells(self._cells, worker)
 
     def _displacements(self, worker: int) -> Iterator[list[Recorded]]:
@@ -297,11 +306,13 @@ class Phases:
         """Return the arguments that the kernels of viscosity share."""
         cells, walls = self._cells, self._walls
         inputs = [self.viscosity, cells.lattice, cells.window, self._tracks.clock, cells.known]
-        return [*inputs, cells.open, cells.distances, cells.owners, walls.frictions, walls.motions]
+        inputs += [self._mixture.densities, self._mixture.viscosities, cells.open]
+        return [*inputs, cells.distances, cells.owners, walls.frictions, walls.motions]
 
     def _anticipate(self, worker: int, factor: float) -> Recorded:
         cells = self._cells
-        inputs = [factor, cells.window, cells.open, cells.phi, cells.liquid]
+        inputs = [factor, cells.window, cells.open, self._mixture.densities]
+        inputs += [cells.phi, cells.liquid]
         inputs += [self.carry, cells.pressure]
         kernel = pressure.make_anticipate(self._model.real)
         return self._over_cells(worker, "viscosity", kernel, inputs, [cells.velocity])
@@ -318,9 +329,9 @@ class Phases:
         kernel = viscous.make_drag(self._model.real)
         return self._over_cells(worker, "viscosity", kernel, inputs, outputs)
 
-    def _assemble(self, worker: int) -> Recorded:
+    def _assemble(self, worker: int, densities: wp.array) -> Recorded:
         cells = self._cells
-        inputs = [cells.window, cells.open, cells.phi, cells.liquid]
+        inputs = [cells.window, cells.open, densities, cells.phi, cells.liquid]
         outputs = [cells.diagonal, cells.links, cells.inverse]
         kernel = pressure.make_assemble(self._model.real)
         return self._over_cells(worker, "levels", kernel, inputs, outputs)
@@ -341,7 +352,8 @@ class Phases:
     def _couple(self, worker: int) -> list[list[Recorded]]:
         if not self._solids.present:
             return []
-        return self._solids.couple(self._cells, self._walls, self._tracks, worker)
+        densities = self._mixture.densities
+        return self._solids.couple(self._cells, densities, self._walls, self._tracks, worker)
 
     def _yields(self, worker: int) -> list[Recorded]:
         if self._bodies is None:
@@ -368,8 +380,9 @@ class Phases:
 
     def _gradient(self, solution: wp.array, worker: int, *, shifts: float = 0.0) -> Recorded:
         cells = self._cells
-        inputs = [shifts, cells.lattice, cells.window, cells.open, cells.phi, cells.liquid]
-        inputs.append(solution)
+        densities = self._mixture.uniform if shifts > 0 else self._mixture.densities
+        inputs = [shifts, cells.lattice, cells.window, cells.open, densities]
+        inputs += [cells.phi, cells.liquid, solution]
         kernel = pressure.make_gradient(self._model.real)
         outputs = [cells.velocity, cells.known]
         return self._over_cells(worker, "spread", kernel, inputs, outputs)
@@ -379,9 +392,10 @@ class Phases:
         if not walls.all:
             return "walls", None
         part, parts = self._projection.part(worker)
-        inputs = [part, self._density, self._projection.counts, cells.listed, cells.lattice]
+        inputs = [part, self._mixture.density, self._projection.counts, cells.listed, cells.lattice]
         inputs += [cells.window, tracks.clock, tracks.values, walls.motions]
-        inputs += [cells.open, cells.distances, cells.owners, cells.phi, cells.pressure]
+        inputs += [cells.open, cells.distances, cells.owners, self._mixture.densities]
+        inputs += [cells.phi, cells.pressure]
         outputs = [self._impulses_of_walls.rows(worker)]
         if self._bodies is None:
             inputs.append(len(walls.all))
@@ -402,9 +416,10 @@ class Phases:
     def _slide(self, worker: int, motions: wp.array, *, rubs: bool) -> Recorded:
         cells, walls, dx = self._cells, self._walls, self._model.dx
         mode = 2 if rubs and self.viscosity > 0 else int(rubs)
-        inputs = [mode, self._density * dx**3, cells.lattice, cells.window, motions]
+        inputs = [mode, self._mixture.density * dx**3, cells.lattice, cells.window, motions]
         inputs += [walls.frictions, cells.open, cells.shares, cells.distances, cells.owners]
-        inputs += [cells.liquid, cells.known, cells.pressure, cells.velocity]
+        inputs += [self._mixture.densities, cells.liquid, cells.known]
+        inputs += [cells.pressure, cells.velocity]
         kernel = spread.make_slide(self._model.real)
         outputs = [cells.other, self._impulses_of_walls.rows(worker)]
         return self._over_cells(worker, "spread", kernel, inputs, outputs)
@@ -425,10 +440,11 @@ class Phases:
             out = [(BODIES, self._bodies.push_out(cells, walls, self._model, s.x[run]))]
         return [*out, *walls.push_out(cells, run, s.x, s.v, sums, stops=stops)]
 
-    def _fill(self, worker: int) -> list[Named]:
+    def _fill(self, worker: int, volume: wp.array) -> list[Named]:
+        """Return a worker's launches that sum volumes [m^3] of its particles over the cells."""
         model, run, cells = self._model, self._run(worker), self._cells
         fills = self._copy(cells.fills, worker)
-        inputs = [model.volume[run], cells.lattice, cells.window, self._state.x[run]]
+        inputs = [volume[run], cells.lattice, cells.window, self._state.x[run]]
         kernel = transfer.make_scatter_volume(model.real, self._form)
         launch = model.launch(kernel, run.stop - run.start, inputs, [fills])
         return [("density", fills.zero_), *launches([("density", launch)])]
@@ -439,6 +455,12 @@ class Phases:
             return "density", None
         kernel = faces.make_sum_copies(self._model.real, 2)
         return self._over_cells(worker, "density", kernel, [cells.count, workers], [cells.fills])
+
+    def _mix(self, worker: int, mixed: wp.array) -> Recorded:
+        cells = self._cells
+        inputs = [cells.window, self._copy(cells.fills, 0), self._copy(cells.sums, 0)]
+        kernel = mixture.make_mix(self._model.real)
+        return self._over_cells(worker, "density", kernel, inputs, [mixed])
 
     def _refill(self, worker: int) -> Recorded:
         cells = self._cells
@@ -468,7 +490,7 @@ def kernels(real: Any, form: str) -> Iterator[Any]:
     yield from (faces.make_sum_copies(real, width) for width in (2, 8))
     yield from (make(real) for make in (faces.make_extent, active.make_sweep))
     yield from (active.make_count_active(real), active.make_list_active(real))
-    yield active.make_forget(real)
+    yield from (active.make_forget(real), mixture.make_mix(real))
     yield from (make(real) for make in (surface.make_levels, surface.make_refill))
     yield from (make(real) for make in (pressure.make_assemble, pressure.make_divergence))
     yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))

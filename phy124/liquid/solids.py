@@ -66,12 +66,13 @@ class Solids:
         return records
 
     def couple(
-        self, cells: Cells, walls: Walls, tracks: Tracks, worker: int
+        self, cells: Cells, densities: wp.array, walls: Walls, tracks: Tracks, worker: int
     ) -> list[list[Recorded]]:
         """Return a worker's launches before the divergence of the velocities is computed.
 
         Args:
             cells: The cells.
+            densities: Relative densities of the liquid in the cells.
             walls: The walls.
             tracks: Quantities that change over time.
             worker: Index of the worker.
@@ -82,7 +83,8 @@ class Solids:
         model, projection = self._model, self._projection
         part, parts = projection.part(worker)
         inputs = [part, projection.counts, cells.listed, cells.lattice, cells.window, tracks.clock]
-        inputs += [tracks.values, cells.distances, cells.which, cells.jumps, self.centres]
+        inputs += [tracks.values, densities, cells.distances, cells.which, cells.jumps]
+        inputs.append(self.centres)
         lift = model.launch(kernels.make_lift(model.real), parts, inputs, [projection.sums])
         if worker > 0:
             return [[(STAGE, lift)], []]

@@ -139,7 +139,7 @@ class LiquidSolver:
             bodies,
         )
         self.team = Team[int](count, self._run_member)
-        self.clock.diffuse(self._phases.viscosity)
+        self.clock.diffuse(self._phases.fastest_diffusion)
         self._kick = 0.0
         """Duration over which the current pressure acted [s]."""
         self._fitted = False
@@ -219,6 +219,7 @@ class LiquidSolver:
             Unstable: A particle is no longer finite, or too far away.
         """
         del each
+        self._fit()
         started, named = time.perf_counter(), self._seconds()
         self._begin(until)
         with self._threads():

@@ -44,7 +44,7 @@ def keep_solver(scene: Any, before: Any) -> Any:
 
 
 def refuse_unprojectable(scene: Any, materials: Sequence[AnyMaterial]) -> None:
-    """Check that a scene has a single liquid, and nothing that its solver cannot compute.
+    """Check that a scene has nothing that the solver of its liquids cannot compute.
 
     Args:
         scene: The scene, with solids on a path as walls.
@@ -73,7 +73,8 @@ def _obstacles(
         materials: Materials of the particles.
         mixes: Whether some of them are not liquid.
     """
-    yield from _of_liquids(materials)
+    if mixes:
+        yield from _of_densities(materials)
     yield from _of_objects(scene, mixes=mixes)
     for wall in () if mixes else scene.boundaries:
         if wall.holds:
@@ -89,15 +90,12 @@ def _obstacles(
     yield from ((field, "set", limit) for field, (wanted, limit) in asked.items() if wanted)
 
 
-def _of_liquids(
-    materials: Sequence[AnyMaterial],
-) -> Iterator[tuple[str, object, str]]:
-    """Yield the properties in which the liquids among some materials differ."""
-    liquids = [section for section in materials if section.law == "fluid"]
-    for name, plural in (("density", "densities"), ("viscosity", "viscosities")):
-        values = sorted({getattr(section, name) for section in liquids})
-        if len(values) > 1:
-            yield f"material.{name}", values, f"liquids of different {plural}"
+def _of_densities(materials: Sequence[AnyMaterial]) -> Iterator[tuple[str, object, str]]:
+    """Yield the densities of the liquids among some materials, if they differ."""
+    values = sorted({section.density for section in materials if section.law == "fluid"})
+    if len(values) > 1:
+        limit = "liquids of different densities next to other materials"
+        yield "material.density", values, limit
 
 
 def _of_objects(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:

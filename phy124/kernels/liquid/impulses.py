@@ -13,6 +13,7 @@ from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.conjugate import count_of, share
 from phy124.kernels.liquid.faces import cell_of, stride
+from phy124.kernels.liquid.mixture import CENTRE
 from phy124.kernels.liquid.pressure import NEAREST
 from phy124.kernels.liquid.walls import centre_of, halves, point, solid_face, speed_of
 from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
@@ -84,6 +85,7 @@ def make_wall_impulses(real: Any):
         open: t.vec4s,
         distances: t.reals,
         owners: Ints,
+        densities: t.vec4s,
         phi: t.reals,
         pressure: Doubles,
         bodies: int,
@@ -108,7 +110,8 @@ def make_wall_impulses(real: Any):
                     if owner >= 0:
                         way = way_to_wall(cell, axis, jump, size, distances, dx)
                         # p dt / (density dx) at the wall.
-                        here = real(pressure[n]) + clock[0] * way * a[axis] / dx
+                        head = clock[0] * way * a[axis] / dx * densities[n][CENTRE]
+                        here = real(pressure[n]) + head
                         if phi[n] > real(0.0):
                             # The surface of a thin layer is between the wall and the centre.
                             centre = wp.abs(way) / dx

@@ -1,10 +1,10 @@
 """The pressure equation, and the velocities that the pressure leaves free of divergence.
 
-The unknown is q = p dt / (rho dx) [m/s], so that the velocity of a face changes by the difference
-of q across it. Walls enter by the open shares of faces (Ng, Min and Gibou 2009); at the surface p
-is zero where phi crosses zero between two cells (ghost fluid: Enright et al. 2003; Gibou 2002). A
-cell's own compressibility, that of water, keeps a closed pocket without a surface from being
-singular.
+The unknown is q = p dt / (rho dx) [m/s] with a reference density rho, so that the velocity of a
+face changes by the difference of q across it, divided by the face's density relative to rho. Walls
+enter by the open shares of faces (Ng, Min and Gibou 2009); at the surface p is zero where phi
+crosses zero between two cells (ghost fluid: Enright et al. 2003; Gibou 2002). A cell's own
+compressibility, that of water, keeps a closed pocket without a surface from being singular.
 """
 
 from typing import Any
@@ -50,6 +50,7 @@ def make_assemble(real: Any):
         ends: Ints,
         window,
         open: t.vec4s,
+        densities: t.vec4s,
         phi: t.reals,
         liquid: Ints,
         diagonal_out: Doubles,
@@ -67,11 +68,13 @@ def make_assemble(real: Any):
                 step = stride(axis, size)
                 for side in range(2):
                     m = n + step
-                    share = open[n + step][axis]
+                    face = n + step
                     if side == 0:
                         m = n - step
-                        share = open[n][axis]
+                        face = n
+                    share = open[face][axis]
                     if share > real(0.0):
+                        share /= densities[face][axis]
                         if liquid[m] == 1:
                             total += share
                             if side == 1:
@@ -172,6 +175,7 @@ def make_anticipate(real: Any):
         factor: real,
         window,
         open: t.vec4s,
+        densities: t.vec4s,
         phi: t.reals,
         liquid: Ints,
         carry: Doubles,
@@ -188,7 +192,7 @@ def make_anticipate(real: Any):
                 m = n - stride(axis, size)
                 if liquid[n] + liquid[m] > 0 and open[n][axis] > real(0.0):
                     rise = rise_to(n, m, phi, liquid, pressure)
-                    v[axis] = v[axis] + factor * real(carry[0]) * rise
+                    v[axis] = v[axis] + factor * real(carry[0]) * rise / densities[n][axis]
             velocity_out[n] = v
 
     return anticipate
@@ -213,6 +217,7 @@ def make_gradient(real: Any):
         lattice,
         window,
         open: t.vec4s,
+        densities: t.vec4s,
         phi: t.reals,
         liquid: Ints,
         pressure: Doubles,
@@ -231,7 +236,7 @@ def make_gradient(real: Any):
             m = n - stride(axis, size)
             wet = liquid[n] + liquid[m]
             if wet > 0 and open[n][axis] > real(0.0):
-                rise = rise_to(n, m, phi, liquid, pressure)
+                rise = rise_to(n, m, phi, liquid, pressure) / densities[n][axis]
                 if shifts > real(0.0):
                     rise = lattice[3] * wp.clamp(rise, -shifts, shifts)
                 v[axis] = v[axis] - rise

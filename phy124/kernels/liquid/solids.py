@@ -44,6 +44,7 @@ from phy124.kernels.liquid.conjugate import (
 )
 from phy124.kernels.liquid.faces import cell_of, entry, stride
 from phy124.kernels.liquid.impulses import Sums, take_row, way_to_wall
+from phy124.kernels.liquid.mixture import CENTRE
 from phy124.kernels.liquid.walls import centre_of, solid_face
 
 
@@ -151,6 +152,7 @@ def make_lift(real: Any):
         window,
         clock,
         values,
+        densities: t.vec4s,
         distances: t.reals,
         which: Ints,
         jumps: Vectors,
@@ -171,7 +173,8 @@ def make_lift(real: Any):
                 for axis in range(3):
                     if j[axis] != wp.float64(0.0):
                         way = way_to_wall(cell, axis, -real(j[axis]), size, distances, dx)
-                        f[axis] = j[axis] * wp.float64(clock[0] * way * values[0][axis] / dx)
+                        head = clock[0] * way * values[0][axis] / dx * densities[n][CENTRE]
+                        f[axis] = j[axis] * wp.float64(head)
                 arm = wide(centre_of(cell, lattice, window[0])) - centres[which[n]]
                 add_rigid(sums_out, which[n], p, f, wp.cross(arm, f))
 

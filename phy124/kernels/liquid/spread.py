@@ -104,8 +104,9 @@ def make_slide(real: Any):
     """Kernel over cells: faces inside walls follow the wall, and faces next to them feel friction.
 
     `frictions` has a row for each wall: its coefficient, and 1 if it sticks. The impulse of
-    friction on the liquid is added to `sums_out`; `weight` is the mass of a full cell [kg]. With
-    `rubs` 2, sticking follows from viscosity (`viscous`), and acts here only inside walls.
+    friction on the liquid is added to `sums_out`; `weight` is the mass of a full cell [kg] of the
+    relative density 1. With `rubs` 2, sticking follows from viscosity (`viscous`), and acts here
+    only inside walls.
     """
     t = types(real)
 
@@ -124,6 +125,7 @@ def make_slide(real: Any):
         shares: t.vec2s,
         distances: t.reals,
         owners: Ints,
+        densities: t.vec4s,
         liquid: Ints,
         known: Ints,
         pressure: Doubles,
@@ -159,10 +161,11 @@ def make_slide(real: Any):
                     relative = whole(velocity, n, axis, size) - u
                     across = wp.dot(relative, normal)
                     along = relative - across * normal
+                    dense = densities[n][axis]
                     kept = real(1.0)
                     if rubs > 0:
                         back = n - stride(axis, size)
-                        pressed = real(wp.max(pressure[n], pressure[back]))
+                        pressed = real(wp.max(pressure[n], pressure[back])) / dense
                         speed = wp.length(along)
                         if speed > real(0.0):
                             kept = wp.max(real(0.0), real(1.0) - rough[0] * pressed / speed)
@@ -173,7 +176,7 @@ def make_slide(real: Any):
                     elif kept < real(1.0):
                         change = (kept - real(1.0)) * along[axis]
                         if liquid[n] + liquid[n - stride(axis, size)] > 0:
-                            impulse = wp.float64(weight * open[n][axis] * change)
+                            impulse = wp.float64(weight * dense * open[n][axis] * change)
                             mean = wp.float64(v[axis] + real(0.5) * change)
                             wp.atomic_add(sums_out, owner, axis, impulse)
                             wp.atomic_add(sums_out, owner, 6, impulse * mean)

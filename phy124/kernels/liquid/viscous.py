@@ -1,10 +1,11 @@
 """Viscosity of a liquid: implicit diffusion of the velocities of faces, by Jacobi's method.
 
 The velocity u of a face follows from that before, u0: (1 + k sum g) u = u0 + k sum g u', over the
-neighbouring faces, with k = eta dt / (rho dx^2) and g = 1. Across the surface nothing diffuses. A
-wall to which the liquid sticks has its own velocity at its distance d, g = dx / d; one on which it
-slides stops only the component across it. Each component diffuses by itself. This leaves out the
-coupling of components at a surface (Batty and Bridson 2008), so jets do not fold or coil correctly.
+neighbouring faces, with k = eta dt / (rho dx^2) and g = 1. Between two liquids, eta is the harmonic
+mean of the viscosities at both faces. Across the surface nothing diffuses. A wall to which the
+liquid sticks has its own velocity at its distance d, g = dx / d; one on which it slides stops only
+the component across it. Each component diffuses by itself. This leaves out the coupling of
+components at a surface (Batty and Bridson 2008), so jets do not fold or coil correctly.
 """
 
 from typing import Any
@@ -14,6 +15,7 @@ import warp as wp
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride, sums
+from phy124.kernels.liquid.mixture import between
 from phy124.kernels.liquid.spread import normal_at
 from phy124.kernels.liquid.walls import centre_of, point, speed_of
 
@@ -72,7 +74,8 @@ def wall_link(
 def make_diffuse(real: Any):
     """Kernel over cells: takes a step of Jacobi's method from one array of velocities to another.
 
-    `known` has a bit for each face with mass. `viscosity` is eta / (rho dx^2) [1/s].
+    `known` has a bit for each face with mass. `viscosity` is eta / (rho dx^2) [1/s] for a relative
+    density and viscosity of 1.
     """
     t = types(real)
 
@@ -86,6 +89,8 @@ def make_diffuse(real: Any):
         window,
         clock,
         known: Ints,
+        densities: t.vec4s,
+        viscosities: t.vec4s,
         open: t.vec4s,
         distances: t.reals,
         owners: Ints,
@@ -102,24 +107,25 @@ def make_diffuse(real: Any):
         v = before[n]
         mask = known[n]
         if mask > 0 and inner(cell_of(n, size), size, 1):
-            k = viscosity * clock[0]
             for axis in range(3):
                 bit = 1 << axis
                 if mask & bit > 0:
+                    k = viscosity * clock[0] / densities[n][axis]
+                    eta = viscosities[n][axis]
                     total = v[axis]
                     weight = real(1.0)
                     for along in range(3):
                         step = stride(along, size)
-                        if known[n - step] & bit > 0:
-                            total += k * velocity[n - step][axis]
-                            weight += k
-                        if known[n + step] & bit > 0:
-                            total += k * velocity[n + step][axis]
-                            weight += k
+                        for side in range(2):
+                            m = n + (2 * side - 1) * step
+                            if known[m] & bit > 0:
+                                link = k * between(eta, viscosities[m][axis])
+                                total += link * velocity[m][axis]
+                                weight += link
                     g, gu, _ = wall_link(
                         n, axis, lattice, window, open, distances, owners, frictions, motions
                     )
-                    v[axis] = (total + k * gu) / (weight + k * g)
+                    v[axis] = (total + k * eta * gu) / (weight + k * eta * g)
         velocity_out[n] = v
 
     return diffuse
@@ -144,6 +150,8 @@ def make_drag(real: Any):
         window,
         clock,
         known: Ints,
+        densities: t.vec4s,
+        viscosities: t.vec4s,
         open: t.vec4s,
         distances: t.reals,
         owners: Ints,
@@ -166,7 +174,7 @@ def make_drag(real: Any):
                         n, axis, lattice, window, open, distances, owners, frictions, motions
                     )
                     if owner >= 0:
-                        k = viscosity * clock[0]
+                        k = viscosity * clock[0] * viscosities[n][axis] / densities[n][axis]
                         impulse = wp.float64(cells[n][4 + axis] * k * (gu - g * v[axis]))
                         wp.atomic_add(sums_out, owner, axis, impulse)
                         wp.atomic_add(sums_out, owner, 6, impulse * wp.float64(v[axis]))

@@ -1,0 +1,71 @@
+"""Mixture: density and viscosity at each face, in a tank whose liquids may differ."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.arguments import types
+from phy124.mpm import Model
+
+VISCOSITY = 2
+"""Index of the viscosity among a fluid's parameters."""
+
+
+class Mixture:
+    """Properties of the liquids of a run, relative to those that the equations are scaled with."""
+
+    def __init__(self, model: Model) -> None:
+        """Compare the particles' densities and viscosities.
+
+        Args:
+            model: The particles.
+        """
+        self._model = model
+        mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
+        viscosities = _viscosities(model)
+        self.density = float(mass.sum() / volume.sum())
+        """Mean density, to which densities are relative [kg/m^3]."""
+        self.viscosity = float(viscosities.max())
+        """Largest viscosity, to which viscosities are relative [Pa s]."""
+        self.lightest = float((mass / volume).min())
+        """Smallest density [kg/m^3]."""
+        self.differ = [_differ(mass / volume), _differ(viscosities)]
+        """Whether the liquids differ in their density, and in their viscosity."""
+        each = mass / self.density, volume * viscosities / max(self.viscosity, 1e-300)
+        self.weights = [
+            model.array(values, model.real)
+            for values, differ in zip(each, self.differ, strict=True)
+            if differ
+        ]
+        """Volume times relative density, and times relative viscosity, where these differ [P]."""
+
+    def fit(self, count: int) -> None:
+        """Allocate the arrays of a window.
+
+        Args:
+            count: Number of cells.
+        """
+        model = self._model
+        kind = types(model.real).vec4
+        self.uniform = wp.full(count, kind(1.0, 1.0, 1.0, 1.0), dtype=kind, device=model.device)
+        """1 in every cell."""
+        self.mixed = [wp.zeros_like(self.uniform) for _ in self.weights]
+        """Mixed values of the properties that differ, in the order of `weights`."""
+        mixed = iter(self.mixed)
+        self.densities, self.viscosities = (
+            next(mixed) if differ else self.uniform for differ in self.differ
+        )
+
+
+def _differ(values: NDArray) -> bool:
+    return float(np.ptp(values)) > 1e-4 * float(np.abs(values).max())
+
+
+def _viscosities(model: Model) -> NDArray[np.float64]:
+    """Return the viscosity of each particle [P], Pa s."""
+    values = np.zeros(len(model))
+    for group in model.groups:
+        values[group.particles] = group.theta.numpy()[:, VISCOSITY]
+    return values

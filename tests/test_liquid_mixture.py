@@ -1,0 +1,128 @@
+"""Liquids of different densities and viscosities in one tank, by pressure projection."""
+
+import numpy as np
+import pytest
+
+from phy124.accuracy.expectation import features
+from phy124.boundaries import Container, HalfSpace
+from phy124.errors import InputError
+from phy124.forces import Gravity
+from phy124.liquid.solver import LiquidSolver
+from phy124.materials import Fluid
+from phy124.mpm import Model, State
+from phy124.scene import Scene
+from phy124.scene.liquids import refuse_unprojectable
+from phy124.schema.region import Region
+from test_liquid import DENSITY, TANK, G, block, field, heights, run
+
+OIL = 0.8 * DENSITY
+NARROW = Container(inside=Region(lower=(0, 0, 0), upper=(1, 0.25, 1e9)), contact="slip")
+
+
+def two_liquids(x, second, densities, *, cells=8, viscosities=(0.0, 0.0), walls=(), g=G, threads=1):
+    """Particles of two liquids, with 8 in each cell; `second` says which ones are of the second."""
+    order = np.argsort(second, kind="stable")
+    x, number = x[order], second[order].astype(int)
+    pairs = zip(densities, viscosities, strict=True)
+    liquids = [Fluid(density=density, viscosity=viscosity) for density, viscosity in pairs]
+    volume = np.full(len(x), 1 / cells**3 / 8)
+    model = Model.of(x, volume, liquids, dx=1 / cells, material=number, body=number)
+    forces = [Gravity(g=(0, 0, -g))] if g else []
+    named = [(f"wall_{index}", wall) for index, wall in enumerate(walls)]
+    state = State.of(model)
+    return LiquidSolver(model, state, forces=forces, boundaries=named, threads=threads), number
+
+
+def layers(below, above, walls=(TANK,), depth=1.0, **options):
+    """Two layers in a tank, each 0.25 m deep."""
+    x = block((0, 0, 0), (1, depth, 0.5), 8)
+    return two_liquids(x, x[:, 2] > 0.25, (below, above), walls=walls, **options)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_oil_on_water_stays_flat_with_hydrostatic_pressure(threads):
+    solver, number = layers(DENSITY, OIL, threads=threads)
+    run(solver, 24)
+    level = heights(solver)
+    assert level.mean() == pytest.approx(0.5, rel=0.005)
+    assert np.ptp(level) < 0.05 / 8
+    x = solver.state.x.numpy()
+    assert (x[number == 0, 2] < 0.26).all() and (x[number == 1, 2] > 0.24).all()
+    density = (DENSITY + OIL) / 2  # the reference of the unknown
+    pressure = field(solver, "pressure") * density / 8 / solver.clock.last_dt
+    bottom = pressure.max(axis=2)[pressure.max(axis=2) > 0]
+    exact = G * (OIL * 0.25 + DENSITY * (0.25 - 1 / 16))
+    np.testing.assert_allclose(bottom, exact, rtol=0.01)
+    impulse = solver.impulses.wrench("wall_0_z_low").numpy()[2]
+    duration = solver.clock.time - solver.clock.last_dt / 2
+    assert impulse == pytest.approx(solver.model.total_mass * G * duration, rel=0.01)
+
+
+def test_oil_below_water_rises_and_settles_on_top():
+    solver, number = layers(OIL, DENSITY, walls=[NARROW], depth=0.25)
+    x, mass = solver.state.x.numpy(), solver.model.mass.numpy().astype(float)
+    v = np.zeros_like(x)
+    v[:, 2] = 0.2 * np.cos(np.pi * x[:, 0])
+    solver.state.v.assign(v)
+    start = G * mass @ x[:, 2] + mass @ np.sum(v**2, axis=1) / 2
+    run(solver, 9 * 48)
+    x, v = solver.state.x.numpy(), solver.state.v.numpy()
+    assert G * mass @ x[:, 2] + mass @ np.sum(v**2, axis=1) / 2 < start
+    oil, water = x[number == 0, 2], x[number == 1, 2]
+    assert np.median(oil) == pytest.approx(0.375, abs=0.04)
+    assert np.median(water) == pytest.approx(0.125, abs=0.04)
+    assert (np.sum(oil < 0.1875) + np.sum(water > 0.3125)) / len(x) < 0.12
+    assert heights(solver).mean() == pytest.approx(0.5, rel=0.005)
+
+
+def test_colliding_liquids_conserve_momentum():
+    x = np.concatenate([block((0, 0, z), (0.5, 0.5, z + 0.5), 8) for z in (0.0, 0.625)])
+    solver, number = two_liquids(x, x[:, 2] > 0.5, (DENSITY, 0.5 * DENSITY), g=0)
+    v = np.where(number[:, None] == 1, (0.0, 0.0, -2.0), 0.0)
+    solver.state.v.assign(v)
+    mass = solver.model.mass.numpy().astype(float)
+    start = mass @ v
+    run(solver, 12)
+    v = solver.state.v.numpy()
+    assert mass[number == 0] @ v[number == 0, 2] < 0.3 * start[2]
+    np.testing.assert_allclose(mass @ v, start, atol=0.03 * abs(start[2]))
+
+
+def test_liquids_side_by_side_fall_as_their_viscosities_say():
+    """Between sticky plates, both halves approach a parabola with the same stress in the middle."""
+    g, width, viscosities = 2.0, 0.5, np.array([100.0, 300.0])
+    plates = [
+        HalfSpace(point=(0, y, 0), normal=(0, sign, 0), contact="sticky")
+        for y, sign in ((0.0, 1), (width, -1))
+    ]
+    sides = Container(inside=Region(lower=(0, -9, -9), upper=(0.125, 9, 9)), contact="slip")
+    x = block((0, 0, 0), (0.125, width, 1.5), 16)
+    solver, _ = two_liquids(
+        x, x[:, 1] > width / 2, (DENSITY, DENSITY), cells=16, viscosities=viscosities,
+        walls=[*plates, sides], g=g,
+    )  # fmt: skip
+    run(solver, 48)
+    x, v = solver.state.x.numpy(), solver.state.v.numpy()
+    middle = np.abs(x[:, 2] - np.median(x[:, 2])) < 0.2
+    half, (a, b) = width / 2, viscosities
+    stress = DENSITY * g * half * (1 / a - 1 / b) / (1 / a + 1 / b) / 2
+    for place, viscosity, sign in ((half / 2, a, 1), (3 * half / 2, b, -1)):
+        y = half / 2  # distance from the plate
+        exact = (DENSITY * g * (half * y - y * y / 2) - sign * stress * y) / viscosity
+        near = middle & (np.abs(x[:, 1] - place) < 1 / 16)
+        assert -v[near, 2].mean() == pytest.approx(exact, rel=0.05)
+
+
+def test_error_of_two_liquids_is_not_predicted():
+    assert "liquids of different densities" in features(Scene.named("oil"))
+    assert "liquids of different densities" not in features(Scene.named("water"))
+
+
+def test_different_densities_next_to_other_materials_are_refused():
+    data = Scene.named("oil").data()
+    stone = {"name": "stone", "shape": "sphere", "size": 0.2, "material": {"law": "sand"}}
+    data["objects"] = [*data["objects"], stone]
+    data["accuracy"] = {"liquid": "projection"}
+    scene = Scene.from_data(data)
+    with pytest.raises(InputError, match="different densities next to other materials"):
+        refuse_unprojectable(scene, scene.materials)
