@@ -6,3 +6,7 @@ come the state arrays that are only read, and last the arrays that are written. 
 written arrays end in `_out`. Launches pass their arguments in the same order.
 tests/test_kernels_order.py checks these rules. `arguments` declares what each name means.
 """
+
+from phy124.runtime.late_parsing import parse_late
+
+parse_late()
