@@ -14,6 +14,7 @@ from phy124.generators.ply_file import PlyFile, normalise_size
 from phy124.imaging.objects import Point
 from phy124.io import ply
 from phy124.io.axes import FRONTS
+from phy124.io.content import for_run
 from phy124.io.dialect import Axes, likely_axes
 from phy124.io.files import replacing, staging
 from phy124.io.formats import recognise
@@ -130,7 +131,8 @@ def open_gaussians(path: Path, out: Path, count: int, deadline: Deadline) -> Gau
 
 def _open_gaussians(path: Path, out: Path, count: int) -> GaussianFile:
     """Read a file of Gaussians in this process."""
-    file = PlyFile(str(path), UNTURNED).open()
+    with for_run(count):
+        file = PlyFile(str(path), UNTURNED).open()
     kept = thin(file.gaussians, count)
     notes = [*file.notes, *file.cleaning]
     if len(kept) < len(file.gaussians):

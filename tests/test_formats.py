@@ -2,6 +2,7 @@
 
 import zlib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.generators.ply_file import PlyFile
 from phy124.io import content
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.content import MAX_GAUSSIANS
@@ -26,6 +28,8 @@ from phy124.io.formats import (
 )
 from phy124.io.formats.quantise import make_codebook, make_palette, nearest_codes
 from phy124.io.ply import read_ply, write_ply
+from phy124.pipeline.capture import capture
+from phy124.scene import Scene
 from support.quantisation import Errors, bound, errors, many
 
 FOREIGN = Path(__file__).parent / "support" / "formats"
@@ -217,6 +221,29 @@ def test_file_larger_than_the_memory_is_refused(tmp_path, three_gaussians, monke
     for name in ("a.splat", "a.ply"):
         with pytest.raises(InputError, match="3 Gaussians needs about"):
             read_gaussians(tmp_path / name)
+
+
+def head_of(name: str, count: int) -> bytes:
+    """The first bytes of a file that states a number of Gaussians."""
+    if name == "a.spz":
+        return bomb(count)
+    columns = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    head += [f"property float {column}" for column in columns.split()]
+    return "\n".join([*head, "end_header\n"]).encode()
+
+
+@pytest.mark.parametrize("name", ["a.spz", "a.ply"])
+def test_too_many_for_a_run_are_refused_by_the_header(tmp_path, name, monkeypatch):
+    """The rows are missing: they are looked for only if half of the Gaussians would be kept."""
+    (tmp_path / name).write_bytes(head_of(name, 20_000_000))
+    monkeypatch.setattr(content, "free_memory", lambda: 8.4e9)
+    file = PlyFile(str(tmp_path / name))
+    with pytest.raises(InputError, match=r"20,000,000 Gaussians needs about 12.0 GB .* 6.7 GB may"):
+        capture(file, Scene())
+    for read in (partial(capture, file, Scene(), count=10_000_000), partial(read_as_is, file.path)):
+        with pytest.raises(InputError, match=r"more than fit|cut short"):
+            read()
 
 
 def test_unknown_formats_and_folders_are_refused(tmp_path, three_gaussians):

@@ -13,13 +13,11 @@ from phy124.errors import InputError, Remedy
 from phy124.gaussians import Gaussians
 from phy124.materials import AnyMaterial
 from phy124.particles import Particles
-from phy124.runtime.memory import free_memory
+from phy124.runtime.memory import MEMORY_FRACTION, free_memory
 from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
 """Minimum ratio of the largest wave speed to the second largest for a note on the stiffest part."""
-MEMORY_FRACTION = 0.8
-"""Maximum fraction of the free memory that a run may use."""
 FARTHEST_CELLS = 1e5
 """Maximum distance from the origin [cells] at which float32 resolves a hundredth of a cell."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,7 +17,7 @@ from phy124.gaussians import Gaussians
 from phy124.generators.mesh import is_mesh, read_mesh
 from phy124.generators.surroundings import surroundings
 from phy124.io.axes import orientation, parse_numbers, rotate_gaussians
-from phy124.io.content import Y_DOWN, Content, describe_coarseness
+from phy124.io.content import Y_DOWN, Content, describe_coarseness, for_run
 from phy124.io.dialect import likely_dialect
 from phy124.io.formats import read_as_is, recognise, rotation_of
 from phy124.particles.cleaning import weighted_quantile
@@ -148,7 +149,8 @@ class PlyFile:
         orientation(*axes)  # refuses bad options before the file is read
         box = self._box()
         path = Path(self.path)
-        content = read_mesh(path) if is_mesh(path) else read_as_is(path)
+        with for_run() if box is None else nullcontext():  # a box may keep few of many
+            content = read_mesh(path) if is_mesh(path) else read_as_is(path)
         self._hint(content)
         everything, dropped = content.gaussians, content.dropped
         rotation = rotation_of(content, *axes)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -13,12 +16,14 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.gaussians import BLOCK, SH_COEFFICIENTS, Gaussians, finite_rows
 from phy124.io.opening import obstacle
-from phy124.runtime.memory import free_memory
+from phy124.runtime.memory import MEMORY_FRACTION, free_memory
 
 MAX_GAUSSIANS = 50_000_000
 """Largest number of Gaussians in a file; larger files are refused before they are read."""
 READING = 250
-"""Memory of a Gaussian while a file is read [bytes]."""
+"""Memory of a Gaussian of degree 0 while a binary file is read [bytes]."""
+RUNNING = 600
+"""Memory of a Gaussian in a run, from reading to films [bytes]; docs/results/scale.md has it."""
 DENSEST = 100
 """Largest ratio of unpacked to compressed bytes: files of real objects reach 10, zip bombs 1000."""
 SMALL = 1 << 22
@@ -35,6 +40,8 @@ Y_DOWN = ("-y", "-z")
 Y_UP = ("y", "z")
 """Up and front directions in glTF and SPZ files, where y is up."""
 AGAIN = "Copy or download it again."
+_kept: ContextVar[float] = ContextVar("kept", default=0)
+"""Largest number of Gaussians of a file that a run keeps; 0 if the file is only read."""
 
 
 class Content(NamedTuple):
@@ -133,8 +140,28 @@ def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
         raise refusal(kind, path, limit)
 
 
-def check_size(kind: str, path: Path, count: int) -> None:
+@contextmanager
+def for_run(most: float = math.inf) -> Iterator[None]:
+    """Within this context, files are read for a run that keeps at most `most` Gaussians.
+
+    A file from which the run would not fit into the memory is then refused before it is read.
+    Inner contexts can only lower the number.
+    """
+    token = _kept.set(min(most, _kept.get() or math.inf))
+    try:
+        yield
+    finally:
+        _kept.reset(token)
+
+
+def check_size(kind: str, path: Path, count: int, *, more: float = 0.0) -> None:
     """Refuse more Gaussians than a file may have, or than fit into the free memory.
+
+    Args:
+        kind: Name of the format.
+        path: The file.
+        count: Number of Gaussians that the file's header states.
+        more: Memory in addition to `READING` for each Gaussian while the file is read [bytes].
 
     Raises:
         InputError: If there are too many.
@@ -143,10 +170,23 @@ def check_size(kind: str, path: Path, count: int) -> None:
     if count > MAX_GAUSSIANS:
         limit = f"its header states {count:,} Gaussians; the limit is {MAX_GAUSSIANS:,}."
         raise refusal(kind, path, limit, remedy)
-    needed, free = READING * count, free_memory()
+    needed, free = (READING + more) * count, free_memory()
     if needed > free:
         limit = f"reading its {count:,} Gaussians needs about {needed / 1e9:.1f} GB of memory, and "
         raise refusal(kind, path, f"{limit}{free / 1e9:.1f} GB are free.", remedy)
+    kept = min(count, _kept.get())
+    needed, free = RUNNING * kept, MEMORY_FRACTION * free
+    if needed > free:
+        limit = f"a run of {kept:,} Gaussians needs about {needed / 1e9:.1f} GB of memory, and "
+        limit += f"{free / 1e9:.1f} GB may be used ({MEMORY_FRACTION:.0%} of the free memory)."
+        fewer = max(int(free / RUNNING), 1)
+        fewer -= fewer % 10 ** max(len(str(fewer)) - 2, 0)  # two significant digits
+        raise refusal(
+            kind,
+            path,
+            limit,
+            f"Set --gaussians to {fewer} or fewer, or reduce the file in a splat editor.",
+        )
 
 
 def drop_non_finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:

@@ -47,6 +47,9 @@ from phy124.io.plyheader import Header, read_header, refusal
 
 BLOCK = 1 << 16
 """Number of Gaussians that are written at a time."""
+PLAIN, WIDER, TEXT = 68, 3, 70
+"""Size of a row of degree 0 [bytes]; memory per further byte of a row, and per value of an ascii
+row [bytes], while a file is read."""
 FILTER = "filter_3D"
 """Column with the standard deviation of Mip-Splatting's filter, in the file's unit of length
 (Yu et al. 2023, eq. 7)."""
@@ -343,7 +346,9 @@ def read_rows(path: Path) -> NDArray[Any]:
 
 
 def _rows(path: Path, header: Header) -> NDArray[Any]:
-    check_size("PLY", path, header.count)
+    columns = len(header.row.names or ())
+    more = TEXT * columns if header.ascii else WIDER * max(header.row.itemsize - PLAIN, 0)
+    check_size("PLY", path, header.count, more=more)
     if header.ascii:
         return _read_ascii(path, header)
     available = max(path.stat().st_size - header.start, 0) // header.row.itemsize

@@ -17,6 +17,8 @@ try:
 except ImportError:  # Windows
     resource = None
 
+MEMORY_FRACTION = 0.8
+"""Maximum fraction of the free memory that a run may use."""
 M_ARENA_MAX = -8
 """Constant of glibc's malloc.h."""
 HEAPS = "MALLOC_ARENA_MAX"

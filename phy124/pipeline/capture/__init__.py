@@ -7,6 +7,7 @@ the file's unit.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians, join, quaternions, rotation_matrices
 from phy124.generators.ply_file import Opened, PlyFile, robust_bounds, unit_transform
 from phy124.io.axes import rotate_gaussians, upright
+from phy124.io.content import for_run
 from phy124.particles import clean
 from phy124.particles.thinning import thin
 from phy124.pipeline.capture.floor import Floor, find_floor
@@ -64,7 +66,8 @@ def capture(
     Raises:
         InputError: The file cannot be read, or no floor is found.
     """
-    opened = file.open(progress)
+    with nullcontext() if count is None else for_run(count):
+        opened = file.open(progress)
     opened = opened._replace(gaussians=thin(opened.gaussians, count, seed=scene.seed))
     has_up = file.reading.up is not None or file.reading.rotate is not None
     read = _on_floor(opened, has_up=has_up) if file.reading.floor else _alone(opened, file.path)
