@@ -216,7 +216,7 @@ def _measure(studio: Studio) -> Callable[[gr.Request, MeasureRequest], Iterator[
         if study is None:
             raise refusal("measure: The result is no longer stored. Call /measure again.")
         promise = study.promise(scene.resolution.cells)
-        yield promise.error, promise.sentence, study.rows()
+        yield promise.about, promise.sentence, study.rows()
 
     return measure
 

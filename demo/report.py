@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 from phy124.accuracy import Stop
-from phy124.accuracy.promises import Promise
+from phy124.accuracy.promises import Promise, format_percent
 from phy124.imaging.cutout import title_of
 from phy124.scene import Scene
 
@@ -76,7 +76,7 @@ def _accuracy(
     name = scene.get("accuracy")
     rows = [
         ("Accuracy", name if isinstance(name, str) else "custom"),
-        ("Measured error" if promise.of_scene else "Error bound", promise.row[1]),
+        promise.row,
         ("Predicted time", f"{predicted:.1f} s"),
         ("Time", f"{report['seconds']:.1f} s"),
         ("Gaussians", f"{report['gaussians']:,}"),
@@ -100,13 +100,12 @@ def _pareto(report: dict[str, Any], promise: Promise, stops: Sequence[Stop]) -> 
     marks = [
         f'<circle class="stop" cx="{x(a):.1f}" cy="{y(b):.1f}" r="3.5"/>'
         f'<text x="{x(a):.1f}" y="{y(b) - 7:.1f}" text-anchor="{_anchor(x(a))}">'
-        f"{escape(stop.name)}, {error:.1%}, {stop.seconds:.0f} s</text>"
+        f"{escape(stop.name)}, {format_percent(error)}, {stop.seconds:.0f} s</text>"
         for (stop, error), (a, b) in zip(known, points, strict=True)
     ]
     line = " ".join(f"{x(a):.1f},{y(b):.1f}" for a, b in points)
     here = f'<circle class="reached" cx="{x(run[0]):.1f}" cy="{y(run[1]):.1f}" r="5.5"/>'
-    how = "about" if promise.of_scene else "at most about"
-    label = f"this run: {run[0]:.1f} s, error {how} {run[1]:.1%} of the size"
+    label = f"this run: {run[0]:.1f} s, error {promise.size('the size')}"
     return _section(
         "Accuracy over time",
         f'<svg viewBox="0 0 {WIDTH} {TALL}" role="img" aria-label="{escape(label)}">'

@@ -32,6 +32,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse
 from starlette.routing import BaseRoute, Route
 
+from phy124.accuracy.promises import Promise
 from phy124.generators.extras import DepthMap, OtherViews
 from phy124.scene import Scene, View, preset_names
 
@@ -305,6 +306,6 @@ def _summary(result: Mapping[str, Any]) -> str:
     lines += [str(result[name]) for name in ("sentence", "error") if result.get(name) is not None]
     lines += [f"[{Path(link).name}]({link})" for link in result.get("files", [])]
     promise = (result.get("report") or {}).get("promise") or {}
-    if promise.get("error"):
-        lines.append(f"Error bound: {promise['error']:.2%} of the object's size.")
+    if promise.get("error") is not None:
+        lines.append(Promise(**promise).brief)
     return "\n".join(lines) or "Done."

@@ -110,6 +110,22 @@ def test_missing_own_error_has_a_reason(run, monkeypatch, change, why):
     assert not promise(SCENE, Proportions(0.5, 0.3), report).of_scene
 
 
+def test_torn_run_has_no_own_error(run, monkeypatch):
+    simulation, clip = run
+    monkeypatch.setattr(companion, "AFFORDABLE", 1e3)
+    monkeypatch.setattr(companion, "_compare", None)  # nor does its companion run
+    balance = {**clip.report["balance"], "tearing": {"likely": True}}
+    torn = with_own_error(simulation, clip.with_report({**clip.report, "balance": balance}))
+    own = torn.report["error"]
+    assert own["about"] is None and own["at_most"] is None and "torn" in own["why_not"]
+
+
+def test_coarse_positions_have_no_own_error(tmp_path):
+    result = simulate(ball(300), SCENE, tmp_path, about={"capture": {"coarse": True}}, films=False)
+    assert "too little precision" in result.report["error"]["why_not"]
+    assert promise(SCENE, None, result.report).error is None
+
+
 def test_small_runs_have_no_companion(run):
     simulation, _ = run
     assert forecast(simulation, 100) > companion.AFFORDABLE

@@ -2,7 +2,7 @@
 
 import pytest
 
-from phy124.accuracy.goal import UNIT, Goal, format_error
+from phy124.accuracy.goal import UNIT, Goal, describe_goal, format_error
 from phy124.errors import InputError
 from phy124.scene import Scene
 
@@ -43,7 +43,18 @@ def test_goal_values_have_the_units_of_the_scene():
         format_error("fraction", 0.012),
         format_error("metres", 0.0034),
     ] == [
-        "2.0px",
-        "1.2%",
-        "3.4mm",
+        "2.0 px",
+        "1.2 %",
+        "3.4 mm",
     ]
+
+
+def test_search_names_the_error_of_each_grid():
+    goal = {"target": "3%", "unit": "fraction", "cells": 16, "levels": [12, 16, 24]}
+    goal |= {"errors": [0.034, 0.021, 0.009], "met": True, "why_not": ""}
+    tried = "estimated errors: D/12 3.4 %, D/16 2.1 %, D/24 0.90 %"
+    assert describe_goal(goal, 4.0) == (f"asked for an error of at most 3%: D/16 meets it; {tried}")
+    missed = {**goal, "met": False, "cells": 24, "why_not": "D/32 would take too long"}
+    assert f"D/24 is used, which does NOT meet it: D/32 would take too long; {tried}" in (
+        describe_goal(missed, 4.0)
+    )

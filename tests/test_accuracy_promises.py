@@ -10,7 +10,14 @@ from phy124.accuracy import forecast as load
 from phy124.accuracy import promises
 from phy124.accuracy.expectation import expect, kind_of, properties, table
 from phy124.accuracy.forecast import Load, format_span
-from phy124.accuracy.promises import check_promise, promise
+from phy124.accuracy.promises import (
+    Promise,
+    check_promise,
+    format_percent,
+    promise,
+    promise_measured,
+    promise_own,
+)
 from phy124.accuracy.severity import motion_of, violence, yielding
 from phy124.io.ply import write_ply
 from phy124.monitor.tearing import Tearing
@@ -20,6 +27,7 @@ from phy124.scene import PRESETS, Scene
 from phy124.simulation.bodies import proportions_of
 from support.shapes import ball
 
+ROOT = Path(promises.__file__).parents[2]
 USUAL = Proportions(0.3, 0.3)
 COMPRESSIBLE = {"accuracy": {"cells": 48, "liquid": "compressible"}}
 """Proportions of a compact object."""
@@ -199,8 +207,48 @@ def test_longer_scene_is_promised_its_measured_beginning():
     assert "What follows, up to 1.96 s, was not measured." in longer.brief
     assert longer.missing == "error after 0.54 s not measured" and not brief.missing
     assert longer.off(3.0).endswith("(3 px) in the first 0.54 s")
-    assert check_promise(longer, 0.5).endswith("for the first 0.54 s only; measured here: 50.0%")
+    assert check_promise(longer, 0.5).endswith("for the first 0.54 s only; measured here: 50 %")
     assert check_promise(brief, 0.5).endswith("DOES NOT HOLD")
+
+
+@pytest.mark.parametrize(
+    ("fraction", "text"),
+    [(0.0, "0.010 %"), (0.0084, "0.84 %"), (0.01, "1.0 %"), (0.123, "12 %"), (1.2, "120 %")],
+)
+def test_percentages_have_two_significant_digits(fraction, text):
+    assert format_percent(fraction) == text
+
+
+def test_verdict_shows_the_digits_that_decide_it():
+    said = check_promise(Promise(0.00801, ""), 0.00804, stated=0.011)
+    assert said == (
+        "at most 0.801 %, measured 0.804 %: DOES NOT HOLD; the run itself states at most 1.1 %"
+    )
+    assert check_promise(Promise(0.008, ""), 0.008) == "at most 0.80 %, measured 0.80 %: holds"
+
+
+def test_error_of_several_grids_has_a_bound_above_it():
+    said = promise_measured(0.01, 24, (12, 16, 24))
+    assert said.size() == "about 1.0 % of the object's size, at most 3.0 %"
+    assert said.off(8.0) == "off by at most 3.0 % (8 px)"
+    assert said.row == ("Error of this run", f"{said.size()}. Measured on D/12, D/16 and D/24.")
+
+
+def test_finished_run_without_its_own_error_says_why():
+    press = Scene.named("press").replaced({"accuracy": "draft"})
+    report = {"error": {"about": None, "why_not": "a coarser grid would take too long"}}
+    reason = " This run has no error of its own: a coarser grid would take too long."
+    for scene in (press, press.replaced({"material.E": 2e3})):
+        before, after = promise(scene, USUAL), promise(scene, USUAL, report)
+        assert after.sentence == before.sentence + reason and after.brief == before.brief + reason
+
+
+def test_player_and_report_word_the_parting_alike():
+    script = (ROOT / "phy124/io/viewer/player.js").read_text("utf-8")
+    words = "s other grids move otherwise: plausible, not predicted."
+    assert words in script
+    own = {"about": 0.01, "at_most": 0.02, "until": 1.2, "cells": 16}
+    assert words in promise_own(own).sentence
 
 
 @pytest.mark.parametrize("name", ["snow", "sand"])
@@ -313,13 +361,12 @@ def test_simulate_prints_what_is_promised(tmp_path, capsys):
 
 def test_no_one_else_words_a_promise():
     """What is said of promised and measured errors stands in one file only."""
-    root = Path(promises.__file__).parents[2]
-    words = ("can be promised", "Expected error", "Error promised", "error not measured")
+    words = ("can be promised", "Expected error", "Error of this run", "error not measured")
     sources = [
         path
         for part in ("phy124", "demo", "bridge")
         for kind in ("py", "js")
-        for path in (root / part).rglob(f"*.{kind}")
+        for path in (ROOT / part).rglob(f"*.{kind}")
     ]
     found = {p.name for p in sources if any(word in p.read_text("utf-8") for word in words)}
     assert found == {"promises.py"}

@@ -11,9 +11,10 @@ from phy124.__main__ import main
 from phy124.accuracy.convergence import Convergence
 from phy124.accuracy.difference import difference
 from phy124.accuracy.promises import Promise
-from phy124.commands.accuracy import KEPT
+from phy124.commands.accuracy import KEPT, ShowAccuracy
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
+from phy124.io.ply import write_ply
 from phy124.monitor.tearing import Tearing
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
@@ -203,6 +204,12 @@ def test_too_few_whole_levels_have_no_order(monkeypatch):
     assert report.promises["draft"].startswith("none: on D/16")
 
 
+def test_study_has_the_error_that_each_run_states(study):
+    own = {row.name: row.stated for row in study[1].rows}
+    assert all("of the time of the dynamics" in own[f"D/{n}"]["why_not"] for n in LEVELS)
+    assert {own[name] for name in own if not name.startswith("D/")} == {None}
+
+
 def test_json_is_whole(study):
     data = json.loads(json.dumps(study[1].data(), allow_nan=False))
     assert len(data["rows"]) == 6
@@ -220,15 +227,18 @@ def row(cells: int, error: float | None, seconds: float, name: str = "") -> Row:
 def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
     found, scene = Convergence(1.0, (0.01,)), Scene.named("press")
     monkeypatch.setattr(report_of, "promise", lambda scene, thickness: Promise(0.06, ""))
-    said = kept_promises(scene, 0.5, (row(16, 0.05, 1), row(32, 0.08, 3)), found)
-    assert said["draft"] == "at most 6.0%, measured 5.0%: holds"
-    assert said["standard"] == "at most 6.0%, measured 8.0%: DOES NOT HOLD"
+    broken = replace(row(32, 0.08, 3), stated={"about": 0.03, "at_most": 0.09})
+    said = kept_promises(scene, 0.5, (row(16, 0.05, 1), broken), found)
+    assert said["draft"] == "at most 6.0 %, measured 5.0 %: holds"
+    assert said["standard"] == (
+        "at most 6.0 %, measured 8.0 %: DOES NOT HOLD; the run itself states at most 9.0 %"
+    )
     assert said["fine"] == "not tried"
     monkeypatch.setattr(
         report_of, "promise", lambda scene, thickness: Promise(None, "not measured")
     )
     said = kept_promises(scene, 0.5, (row(16, 0.05, 1),), found)
-    assert said["draft"] == "this kind of scene has no expected error; measured here: 5.0%"
+    assert said["draft"] == "this kind of scene has no expected error; measured here: 5.0 %"
     lost = Convergence(None, why_not="not converging: finer grids do not come closer")
     assert kept_promises(scene, 0.5, (row(16, None, 1),), lost)["draft"].startswith(
         "cannot be judged: not con"
@@ -239,11 +249,11 @@ def test_the_recommendation_is_the_fastest_that_is_good_enough():
     found = Convergence(1.0, (0.01,))
     rows = (row(16, 0.09, 1.0), row(32, 0.03, 3.0), row(48, 0.02, 9.0))
     assert recommend(rows, found, (4, 4)) == (
-        "Recommended: D/32, with an error of 3.0% of the object's size in 3.0 s; "
-        "D/48 would take 3.0 times as long, with an error of 2.0%."
+        "Recommended: D/32, with an error of about 3.0 % of the object's size in 3.0 s; "
+        "D/48 would take 3.0 times as long, with an error of about 2.0 %."
     )
     unknown = Convergence(None, why_not="not converging: x")
-    assert "no level reached 4%" in recommend((row(16, 0.2, 1.0),), found, (4, 4))
+    assert "no level reached 4.0 %" in recommend((row(16, 0.2, 1.0),), found, (4, 4))
     assert "not converging" in recommend(rows, unknown, (4, 4))
 
 
@@ -354,6 +364,16 @@ def test_levels_that_are_done_survive_an_error(tmp_path, monkeypatch, capsys, la
     assert "there is not enough memory" in " ".join(kept["skipped"])
 
 
+def test_study_has_the_further_objects_of_a_scene(tmp_path):
+    for name, count in (("a", 60), ("b", 40)):
+        write_ply(tmp_path / f"{name}.ply", ball(count))
+    study = ShowAccuracy("collide", tmp_path / "a.ply", (tmp_path / "b.ply",))
+    gaussians, *_ = study._object(Scene.named("collide"), RunContext(device="cpu"))
+    assert np.bincount(gaussians.object_id).tolist() == [60, 40]
+    with pytest.raises(InputError, match="there is no picture of the first"):
+        replace(study, image=None)._object(Scene.named("collide"), RunContext())
+
+
 def test_study_on_the_command_line(tmp_path, capsys, monkeypatch):
     (tmp_path / "s.toml").write_text(
         'accuracy = {cells = 8}\ntime = {frames = 2}\nview = {size = 32, views = ["front"]}\n'
@@ -373,7 +393,7 @@ def test_study_on_the_command_line(tmp_path, capsys, monkeypatch):
     assert main([*arguments, "--device", "cpu"]) == 0
     assert seen[0].material.E == 3e4 and seen[0].time.frames == 3
     text = capsys.readouterr().out
-    assert re.search(r"the two finest levels differ by \d+\.\d% of the object's size", text)
+    assert re.search(r"the two finest levels differ by \d\S* % of the object's size", text)
     assert "fewer than three levels" in text
     assert f"Try `phy124 accuracy {tmp_path}/s.toml --frames 3 --levels 6 8 10 " in text
     assert "--set material.E=3e4 --set accuracy.particles_per_axis=3`" in text

@@ -14,6 +14,7 @@ from demo.jobs import Studio
 from demo.settings import Settings, table
 from demo.visitors import Visitors
 from phy124.accuracy.forecast import Load
+from phy124.accuracy.promises import format_percent
 from phy124.boundaries import BOUNDARIES
 from phy124.budget.cost import Work, count_substeps
 from phy124.errors import InputError
@@ -253,7 +254,7 @@ def test_accuracy_levels_follow_measurements_of_the_scene():
     assert [b.seconds / a.seconds for a, b in zip(stops, twice, strict=True)] == [2, 2, 2]
     table = stops_table(stops, scene.accuracy)
     assert table.count("<tr") == 3 and table.count("class=chosen") == 1
-    assert f"off by at most {stops[0].error:.1%} ({stops[0].pixels:.0f} px)" in table
+    assert f"off by at most {format_percent(stops[0].error)} ({stops[0].pixels:.0f} px)" in table
 
 
 def test_what_was_not_measured_is_not_promised():

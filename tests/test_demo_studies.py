@@ -43,8 +43,8 @@ def test_the_error_is_told_for_the_chosen_grid():
         (48, 0.02, "Extrapolated to D/48 from D/12, D/16 and D/24."),
     ):
         said = found.promise(cells)
-        assert said.error == pytest.approx(error) and said.why == why
-    assert found.promise(16).sentence.startswith("This run is off by about 6 % of the object")
+        assert said.about == pytest.approx(error) and said.why == why
+    assert found.promise(16).sentence.startswith("This run is off by about 6.0 % of the object")
     assert "no grid this coarse was measured" in found.promise(8).sentence
 
 
@@ -174,12 +174,12 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch):
     event = gr.EventData(None, {"job": study.name})
     finished = handlers.on_job_end(studio)(cutout, data, None, shown, event, None)
     assert finished[1] == gr.skip(), "the same run is shown"
-    assert "about 6.0%" in finished[handlers.results.REPORT - 4]["tables"]
+    assert "about 6.0 %" in finished[handlers.results.REPORT - 4]["tables"]
     again = studio.run("a", cutout, {**data, "view": {**data["view"], "elevation": 40.0}})
     assert again.wait(300) and again.progress.result.films != shown.films
     report = handlers.results.report_of(studio, again)
-    assert "about 6.0%" in report["tables"]
-    assert report["sentences"][1]["text"].startswith("It is off by about 6 % of its size")
+    assert "about 6.0 %" in report["tables"]
+    assert report["sentences"][1]["text"].startswith("It is off by about 6.0 % of its size")
 
 
 def test_missing_kernels_are_forecast_and_not_probed(visit, monkeypatch):

@@ -1,14 +1,19 @@
 """What a run shall achieve and what is predicted of it: one declaration for both commands."""
 
 import json
+from pathlib import Path
 
 import pytest
 
 from phy124.__main__ import main
-from phy124.accuracy.promises import format_percent, promise
+from phy124.accuracy import companion
+from phy124.accuracy.promises import SPREAD, format_percent, promise
+from phy124.commands.cutout import PictureOptions
 from phy124.commands.generate import Generate, Simulate
+from phy124.commands.options import SceneOptions
 from phy124.commands.plan import PlanOptions
 from phy124.errors import InputError
+from phy124.generators.ply_file import Reading
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from phy124.simulation.bodies import proportions_of
@@ -45,11 +50,33 @@ def test_a_dry_run_says_what_would_run_and_writes_nothing(file, tmp_path, capsys
     assert not out.exists()
 
 
+def test_forecast_omits_the_own_error_like_the_run(file, capsys, monkeypatch):
+    monkeypatch.setattr(companion, "AFFORDABLE", 1e9)
+    arguments = ["simulate", str(file), *SMALL[2:], "--frames", "3", "--dry-run", "--json"]
+    stages = []
+    for more in ([], ["--no-error"]):
+        assert main([*arguments, "--accuracy", "draft", *more]) == 0
+        stages.append(json.loads(capsys.readouterr().out)["stages"])
+    assert "companion" in stages[0] and "companion" not in stages[1]
+
+
 def test_missing_error_names_the_study_of_this_scene(file, capsys):
     arguments = ["simulate", str(file), *SMALL, "--accuracy", "draft", "--dry-run"]
     assert main([*arguments, "--scene", "snow"]) == 0
     study = f"`phy124 accuracy snow --image {file} --frames 2` measures it."
     assert study in capsys.readouterr().out
+
+
+def test_study_command_has_every_object_and_option():
+    scene, pictures = SceneOptions(scene="collide", seed=3), (Path("a.png"), (Path("b.png"),))
+    made = Generate(*pictures, options=scene, making=PictureOptions(gaussians=9))
+    assert made._study() == (
+        "phy124 accuracy collide --image a.png --more b.png --gaussians 9 --set seed=3"
+    )
+    read = Simulate(*pictures, options=scene, reading=Reading(up="y", floor=True))
+    assert read._study() == (
+        "phy124 accuracy collide --image a.png --more b.png --up y --floor --set seed=3"
+    )
 
 
 def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, monkeypatch):
@@ -81,9 +108,10 @@ def test_a_run_with_an_error_goal_names_one_error(file, tmp_path, capsys, monkey
     assert main(["simulate", str(file), "--out", str(out), *SMALL, "--max-error", "9%"]) == 0
     said = capsys.readouterr().out
     error = json.loads((out / "report.json").read_text())["goal"]["fraction"]
-    assert f"error {error:.1%}, met" in said
-    assert f"off by about {format_percent(error)} of the object's size" in said
-    assert "at most" not in said.replace("asked for at most 9%", "")
+    assert "1 m over as many cells as 9% needs, " in said
+    assert "asked for an error of at most 9%: D/8 meets it; estimated errors: D/8 " in said
+    size = f"about {format_percent(error)} of the object's size"
+    assert f"off by {size}, at most {format_percent(SPREAD * error)}. Measured" in said
 
 
 def test_a_time_that_cannot_be_met_says_what_can(file, tmp_path, capsys):

@@ -137,6 +137,8 @@ def test_clips_are_whole_and_told_in_the_manifest(made):
     for row in rows:
         assert row["status"] == "done" and row["frames"] == 3 and row["largest_force"] >= 0
         assert row["seconds.simulate"] > 0 and row["energy_gain"] <= 0.01
+        promised = json.loads((made / row["folder"] / "report.json").read_text())["promise"]
+        assert row["own_error"] is None and row["expected_error"] == promised["error"]
         assert (made / row["folder"] / "thumbnail.webp").stat().st_size > 50
     stiff = [row["substeps"] for row in rows[:3]]
     assert stiff == sorted(stiff) and stiff[2] > 5 * stiff[0]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from phy124.accuracy.expectation import expect
 from phy124.accuracy.probe import min_cells
+from phy124.accuracy.promises import format_percent, why_broken
 from phy124.accuracy.severity import motion_of
 from phy124.budget.cost import USUAL, Rates
 from phy124.errors import Cancelled
@@ -112,10 +113,11 @@ def with_own_error(run: Simulation, clip: Clip, *, omit: str = "") -> Clip:
         clip: The clip of the run.
         omit: Reason to leave the companion out; empty: it runs if it is cheap enough.
     """
+    omit = omit or why_broken(clip.report).rstrip(".")
     result = OwnError(why_not=omit) if omit else measure_error(run, clip)
     effects = dict(clip.report["effects"])
     if result.cells is not None:
-        cost = f"{result.cost:.0%} of the dynamics" if result.cost else "unknown"
+        cost = f"{format_percent(result.cost)} of the dynamics" if result.cost else "unknown"
         effects["ran"] = [*effects["ran"], f"own error, from D/{result.cells}: cost {cost}"]
     else:
         row = {"effect": "own error", "why": result.why_not}
@@ -130,8 +132,6 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
         run: The run.
         clip: The clip of the run.
     """
-    if not clip.report["complete"]:
-        return OwnError(why_not="the run stopped early")
     if len(clip) < FEWEST:
         return OwnError(why_not=f"the clip has fewer than {FEWEST} frames")
     indices = _sample(run.setup)
@@ -142,7 +142,9 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
         return OwnError(why_not="a solid of the scene is too thin for a coarser grid")
     cost = forecast(run, run.solver.clock.substeps)
     if cost > AFFORDABLE:
-        return OwnError(cost=round(cost, 4), why_not=f"it would cost {cost:.0%} of the dynamics")
+        took = f"a coarser grid would take {format_percent(cost)} of the time of the dynamics"
+        why = f"{took}, more than {format_percent(AFFORDABLE)}"
+        return OwnError(cost=round(cost, 4), why_not=why)
     with run.setup.context.watch.stage("companion"):
         return _compare(run, clip, scene, indices)
 

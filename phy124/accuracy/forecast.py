@@ -340,6 +340,8 @@ class Forecaster:
 
     context: RunContext = field(default_factory=RunContext)
     """Device and threads of the runs; its progress and stopwatch are not used."""
+    error: bool = True
+    """Whether the runs will estimate their own error, if that is cheap."""
     _known: dict[Any, Any] = field(default_factory=dict, repr=False)
     _meter: LoadMeter = field(init=False, repr=False)
 
@@ -375,7 +377,7 @@ class Forecaster:
         Args:
             simulation: The simulation.
             filming: Whether the clip will be rendered to videos.
-            error: Whether the run will estimate its own error, if that is cheap.
+            error: Whether this run will estimate its own error, if `error` of the forecaster.
             load: Load from other programs; None: it is measured.
         """
         scene = simulation.scene
@@ -391,7 +393,8 @@ class Forecaster:
             **(self._filming(simulation.setup.shown, scene) if filming else {}),
         }
         cost = companion.forecast(simulation, substeps)
-        if error and cost <= companion.AFFORDABLE and scene.time.frames >= companion.FEWEST:
+        wanted = error and self.error and scene.time.frames >= companion.FEWEST
+        if wanted and cost <= companion.AFFORDABLE:
             stages["companion"] = cost * stages["simulate"]
         return Forecast(
             stages,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from phy124.accuracy.forecast import Forecast, pixels_per_size
+from phy124.accuracy.promises import format_percent
 from phy124.budget.remedies import change_field
 from phy124.errors import InputError, Remedy
 from phy124.scene import Scene
@@ -68,10 +69,27 @@ class Goal:
 
 
 def format_error(kind: Kind, value: float) -> str:
-    """Format an error in the unit of a kind of goal."""
+    """Format an error in the unit of a kind of goal: "1.8 px", "0.84 %", "3.4 mm"."""
     if kind == "pixels":
-        return f"{value:.1f}px"
-    return f"{value:.1%}" if kind == "fraction" else f"{value * 1000:.2g}mm"
+        return f"{value:.1f} px"
+    return format_percent(value) if kind == "fraction" else f"{value * 1000:.2g} mm"
+
+
+def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
+    """Describe how a run met its goal, from the entry `goal` of its report.
+
+    Args:
+        goal: The goal, the grid that was chosen, and the result.
+        seconds: Time of the run [s].
+    """
+    target, grid = goal["target"], f"D/{goal['cells']}"
+    if goal["unit"] == "seconds":
+        return f"asked for at most {target}: {grid}, {seconds:.1f} s"
+    errors = dict(zip(goal["levels"], goal["errors"], strict=False))
+    tried = [f"D/{n} {format_error(goal['unit'], error)}" for n, error in errors.items()]
+    tried = f"; estimated errors: {', '.join(tried)}" if tried else ""
+    how = "meets it" if goal["met"] else f"is used, which does NOT meet it: {goal['why_not']}"
+    return f"asked for an error of at most {target}: {grid} {how.rstrip(': ')}{tried}"
 
 
 def explain_time(

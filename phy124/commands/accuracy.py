@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from phy124.accuracy.promises import format_percent
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import PictureOptions, announce_generator, doubt
 from phy124.commands.options import Device, help_of
@@ -39,6 +40,8 @@ class ShowAccuracy:
     """Preset or .toml file to study."""
     image: Path | None = None
     """Picture of the object, or a file of Gaussians; absent: a rubber ball."""
+    more: tuple[Path, ...] = ()
+    """Pictures, or files of Gaussians, of the scene's further objects."""
     verify: bool = False
     """Solve problems whose exact solution is known; no scene is needed."""
     levels: tuple[int, ...] = (16, 24, 32, 48)
@@ -165,6 +168,7 @@ class ShowAccuracy:
         values = {"image": self.image, "frames": self.frames, "seconds": self.seconds}
         for name, value in values.items():
             words += [] if value is None else [f"--{name}", str(value)]
+        words += ["--more", *map(str, self.more)] if self.more else []
         words += ["--levels", *map(str, grids)]
         for change in changes:
             words += ["--set", change]
@@ -173,6 +177,9 @@ class ShowAccuracy:
     def _object(self, scene: Scene, context: RunContext) -> tuple[Gaussians, Scene, Crop]:
         """Return the Gaussians to study, their scene, and their crop of the picture."""
         if self.image is None:
+            if self.more:
+                limit = "they are for further objects, and there is no picture of the first."
+                raise InputError("more", self.more[0], limit, "Add --image FILE.")
             from phy124.generators.shapes import ball
 
             self.making.refuse_without_picture()
@@ -184,12 +191,12 @@ class ShowAccuracy:
             how["generator"] = str(self.image)
         with search_first(self.making.cutting.weights):
             how |= {"on_cutout": self._look, "on_estimate": self._announce}
-            made = make_gaussians(self.image, scene, context, **how)
+            made = make_gaussians([self.image, *self.more], scene, context, **how)
         return made.gaussians, made.scene, made.crop
 
     def _look(self, cutout: Cutout) -> None:
         if not self.json:
-            see = f"Look at it with `phy124 cutout {self.image}`"
+            see = f"Look at it with `phy124 cutout {cutout.file}`"
             doubt(cutout, f"{see}; correct it with --pick or --mask.")
 
     def _announce(self, effort: Effort) -> None:
@@ -227,7 +234,8 @@ def table(rows: list[dict[str, Any]]) -> str:
         "substeps",
         "predicted s",
         "measured s",
-        "error %",
+        "error",
+        "run states at most",
         "pixels",
         "worst frame",
         "PSNR",
@@ -258,8 +266,10 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
     def number(value: float | None, form: str) -> str:
         return "-" if value is None else format(value, form)
 
-    worst = f"{apart['worst_frame']} ({apart['worst']:.1%})" if apart else "-"
-    error = None if row["error"] is None else 100 * row["error"]
+    def percent(value: float | None) -> str:
+        return "-" if value is None else format_percent(value)
+
+    worst = f"{apart['worst_frame']} ({percent(apart['worst'])})" if apart else "-"
     limited = ", ".join(f"{name} {fraction:.0%}" for name, fraction in row["limiters"].items())
     return (
         row["name"],
@@ -269,7 +279,8 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
         str(row["substeps"]),
         f"{row['predicted']:.1f}",
         f"{row['seconds']:.1f}",
-        number(error, ".2f"),
+        percent(row["error"]),
+        percent((row["stated"] or {}).get("at_most")),
         number(row["pixels"], ".1f"),
         worst,
         number(apart.get("psnr"), ".1f"),

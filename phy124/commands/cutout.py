@@ -140,6 +140,16 @@ class PictureOptions:
             **self.cutting.arguments(),
         }
 
+    def list_changes(self) -> dict[str, Any]:
+        """Return the options that differ from their defaults, by name."""
+        usual, changed = PictureOptions(), dict[str, Any]()
+        for name, value in vars(self).items():
+            if isinstance(value, Section):
+                changed |= value.model_dump(exclude_defaults=True)
+            elif value != getattr(usual, name):
+                changed[name] = value
+        return changed
+
     def refuse_without_picture(self) -> None:
         """Refuse options that need a picture, for a command without one.
 
@@ -147,16 +157,9 @@ class PictureOptions:
             InputError: Such an option is set.
         """
         self.reading.refuse("image", "none")
-        usual = PictureOptions()
-        for option, value in vars(self).items():
-            if value != getattr(usual, option):
-                name = option
-                if isinstance(value, Section):
-                    name = next(iter(value.model_dump(exclude_defaults=True)))
-                limit = f"--{name} is for a picture."
-                raise InputError(
-                    "image", "none", limit, f"Add --image FILE, or leave --{name} out."
-                )
+        for name in self.list_changes():
+            limit = f"--{name} is for a picture."
+            raise InputError("image", "none", limit, f"Add --image FILE, or leave --{name} out.")
 
 
 def announce_generator(generator: str, effort: Effort) -> str:

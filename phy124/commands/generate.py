@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import tyro
 
 from phy124 import pipeline
-from phy124.accuracy.choose import format_error
+from phy124.accuracy.goal import describe_goal
 from phy124.accuracy.promises import Promise
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import IF_WRONG, PictureOptions, announce_generator, describe, doubt
@@ -84,7 +84,7 @@ class Generate:
                 file = PlyFile(making.generator, making.reading)
                 scene = adapt_scene(file, scene, count=making.gaussians)
             return go_on(out, self.options, scene, self._study(), self.plan)
-        announce(scene, as_json=self.options.json)
+        announce(scene, goal, as_json=self.options.json)
         if self.plan.dry_run:
             with search_first(self.making.cutting.weights):
                 return self._predict(scene)
@@ -110,8 +110,7 @@ class Generate:
 
     def _study(self) -> str:
         """Return the command that measures the error of this scene."""
-        usual, chosen = type(self.making)().generator, self.making.generator
-        return self.options.study_command(self.image, "" if chosen == usual else chosen)
+        return self.options.study_command([self.image, *self.more], self.making.list_changes())
 
     def _compose(self, result: pipeline.Result, context: RunContext) -> pipeline.Result:
         """Film the object in the photograph; return the result with this film added."""
@@ -211,12 +210,12 @@ class Simulate:
         pipeline.check_sources(scene, self.more)
         out = self.out or default_out(str(self.file), self.options.scene)
         goal = self.plan.goal()
-        file, study = PlyFile(str(self.file), self.reading), self.options.study_command(self.file)
+        file, study = PlyFile(str(self.file), self.reading), self._study()
         if self.plan.resume:
             adapted = adapt_scene(file, scene, count=self.gaussians)
             return go_on(out, self.options, adapted, study, self.plan)
         check_count(self.gaussians)
-        announce(scene, as_json=self.options.json)
+        announce(scene, goal, as_json=self.options.json)
         if self.plan.dry_run:
             return self._predict(file, scene, study)
         bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staging(out)
@@ -243,6 +242,11 @@ class Simulate:
                 error=self.plan.error,
             )
         return show(result, study, as_json=self.options.json)
+
+    def _study(self) -> str:
+        """Return the command that measures the error of this scene."""
+        making = {"gaussians": self.gaussians, **self.reading.model_dump(exclude_defaults=True)}
+        return self.options.study_command([self.file, *self.more], making)
 
     def _read(self, file: PlyFile, scene: Scene, context: RunContext) -> Capture:
         read = capture(file, scene, count=self.gaussians, progress=context.progress)
@@ -363,11 +367,5 @@ def print_forecast(report: dict[str, Any]) -> None:
             f"predicted {forecast['predicted']:.1f} s, took {forecast['spent']:.1f} s "
             f"(ratio {forecast['ratio']:.2f}){caveat}"
         )
-    if goal and goal["unit"] == "seconds":
-        print(f"asked for at most {goal['target']}: D/{goal['cells']}, {report['seconds']:.1f} s")
-    elif goal:
-        error = (
-            goal["why_not"] if goal["error"] is None else format_error(goal["unit"], goal["error"])
-        )
-        met = "met" if goal["met"] else f"NOT met {goal['why_not']}".rstrip()
-        print(f"asked for at most {goal['target']}: D/{goal['cells']}, error {error}, {met}")
+    if goal:
+        print(describe_goal(goal, report["seconds"]))

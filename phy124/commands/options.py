@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -150,19 +151,24 @@ class SceneOptions:
             changes["time.seconds"] = scene.time.length
         return scene.replaced(changes)
 
-    def study_command(self, source: Path, generator: str = "") -> str:
+    def study_command(self, sources: Sequence[Path], making: Mapping[str, Any]) -> str:
         """Return the command that measures the error of this scene.
 
         Args:
-            source: Picture or file of Gaussians.
-            generator: Generator of the picture's Gaussians; empty: the default.
+            sources: Pictures or files of the scene's objects.
+            making: Options of making the Gaussians that differ from their defaults, by name.
         """
-        words = [PACKAGE, "accuracy", self.scene, "--image", str(source)]
+        first, *more = map(str, sources)
+        words = [PACKAGE, "accuracy", self.scene, "--image", first]
+        words += ["--more", *more] if more else []
         timed = self.frames is not None or self.seconds is not None
         changes = [*self.set, *([f"time.fps={self.fps:g}"] if timed and self.fps else [])]
-        options = {"generator": generator or None, "frames": self.frames, "seconds": self.seconds}
+        changes += [] if self.seed is None else [f"seed={self.seed}"]
+        options = {**making, "frames": self.frames, "seconds": self.seconds}
         for name, value in options.items():
-            words += [] if value is None else [f"--{name}", str(value)]
+            values = value if isinstance(value, tuple | list) else [value]
+            words += [] if value is None else [f"--{name.replace('_', '-')}"]
+            words += [] if value in (None, True) else map(str, values)
         for change in changes:
             words += ["--set", change]
         return with_program(f"`{shlex.join(words)}`")[1:-1]

@@ -28,7 +28,7 @@ class PlanOptions:
     dry_run: bool = False
     """Only print the stages, their predicted time and the error bound; write nothing."""
     max_error: str | None = None
-    """Choose the accuracy so that the error is at most this: 2px, 1% (of the size) or 3mm."""
+    """Use the coarsest grid whose estimated error is at most this: 2px, 1% (of the size) or 3mm."""
     max_seconds: float | None = None
     """Choose the finest accuracy whose total time [s] is at most this."""
     error: bool = True
@@ -55,14 +55,21 @@ class PlanOptions:
 
     def forecaster(self, context: RunContext) -> Forecaster | None:
         """Return the forecaster if the report is to contain a forecast, else None."""
-        return Forecaster(context) if self.forecast else None
+        return Forecaster(context, self.error) if self.forecast else None
 
 
-def announce(scene: Scene, *, as_json: bool) -> None:
-    """Print a summary of the scene, and a note on the part that makes it slow."""
+def announce(scene: Scene, goal: Goal | None, *, as_json: bool) -> None:
+    """Print a summary of the scene, and a note on the part that makes it slow.
+
+    Args:
+        scene: The scene.
+        goal: The goal that determines the grid; None: the scene's own grid is used.
+        as_json: Whether only JSON is printed, so nothing here.
+    """
     if as_json:
         return
-    print(f"scene: {summarise(scene)}", flush=True)
+    cells = "" if goal is None else f"as many cells as {goal.text} needs"
+    print(f"scene: {summarise(scene, cells)}", flush=True)
     stiff = note_stiffest_part(scene)
     if stiff:
         print(f"note: {stiff}", flush=True)
@@ -91,7 +98,8 @@ def predict(
         as_json: Print JSON and nothing else.
         effort: Expected effort of the slow generator that `relief` replaced in this forecast.
     """
-    forecaster, goal, spent = Forecaster(context), plan.goal(), dict(context.watch.seconds)
+    forecaster, goal = Forecaster(context, plan.error), plan.goal()
+    spent = dict(context.watch.seconds)
     if effort is not None:
         spent.pop("generate")
     if goal is None:

@@ -176,8 +176,16 @@ def simulate(
 
     def run_scene() -> tuple[Simulation, Clip]:
         if goal is not None:
-            record, elapsed = folder.recording.see, context.watch.total
-            reached = reach(goal, gaussians, scene, context, elapsed=elapsed, crop=crop, see=record)
+            reached = reach(
+                goal,
+                gaussians,
+                scene,
+                context,
+                elapsed=context.watch.total,
+                crop=crop,
+                forecaster=Forecaster(context, error),
+                see=folder.recording.see,
+            )
             folder.about["goal"] = reached.about
             return reached.simulation, reached.clip
         setup = prepare(gaussians, scene, context, crop=crop)

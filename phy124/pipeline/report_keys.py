@@ -99,9 +99,11 @@ class Promise(TypedDict):
     unmeasured: str
     """Kind of scene for which no error was measured, if this is why `error` is null."""
     about: float | None
-    """Error measured on this scene itself, as a fraction of the size; null if it was not."""
+    """Error estimated on this scene itself, as a fraction of the size; null if it was not."""
     seconds: float | None
     """The bound holds from the start to this time [s]; null: for the whole clip."""
+    unestimated: str
+    """Reason why the run has no error of its own; empty if it has one."""
 
 
 class OwnError(TypedDict):

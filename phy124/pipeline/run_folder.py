@@ -20,7 +20,7 @@ from typing import Any
 
 from phy124.accuracy.companion import with_own_error
 from phy124.accuracy.forecast import Forecast
-from phy124.accuracy.promises import promise
+from phy124.accuracy.promises import promise, why_broken
 from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.clip import Clip, restate
 from phy124.io.files import deliver, replacing, write_whole
@@ -156,7 +156,7 @@ class RunFolder:
         """Return the reason why the run's own error is not estimated; empty: it is."""
         if self.about.get("goal", {"unit": "seconds"})["unit"] != "seconds":
             return "the grids that were run for --max-error measure the error"
-        return "" if self.error else "it is not wanted (--no-error)"
+        return why_broken(self.about) if self.error else "it is not wanted (--no-error)"
 
     def _simulate(
         self, simulate: Callable[[], tuple[Simulation, Clip]]

@@ -16,8 +16,13 @@ BINDINGS = {
 """Binding -> description in words."""
 
 
-def summarise(scene: Scene) -> str:
-    """Return law and parameters, forces, boundaries, grid and frames in one line."""
+def summarise(scene: Scene, cells: str = "") -> str:
+    """Return law and parameters, forces, boundaries, grid and frames in one line.
+
+    Args:
+        scene: The scene.
+        cells: Description of the number of cells, if it is chosen later; empty: the scene's number.
+    """
     items = [_describe_material(scene.material)]
     if scene.parts:
         kinds = (
@@ -33,7 +38,7 @@ def summarise(scene: Scene) -> str:
     items.append(_list_kinds(scene.boundaries) or "no boundaries")
     accuracy, time = scene.resolution, scene.time
     items.append(
-        f"{format_number(scene.object.size)} m over {accuracy.cells} cells, "
+        f"{format_number(scene.object.size)} m over {cells or f'{accuracy.cells} cells'}, "
         f"{format_number(scene.particles_per_axis)} "
         f"particles per cell and axis, {accuracy.precision}, {BINDINGS[scene.binding]}"
     )

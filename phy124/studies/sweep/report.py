@@ -23,6 +23,8 @@ BARS = 12
 MEASURES = (
     ("seconds.clip", "seconds of one core per clip"),
     ("largest_force", "largest force on a wall [N]"),
+    ("own_error", "own error, at most [object sizes]"),
+    ("expected_error", "expected error, without an own one [sizes]"),
     ("energy_gain", "energy gained, of the energy supplied (below 0: lost)"),
     ("bytes", "bytes per clip"),
 )

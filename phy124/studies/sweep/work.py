@@ -6,14 +6,14 @@ import errno
 import io
 import json
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from PIL import Image
 
 from phy124.accuracy.companion import with_own_error
-from phy124.accuracy.promises import promise
+from phy124.accuracy.promises import Promise, promise
 from phy124.budget.cost import GAUSSIANS, count_nodes, count_particles, estimate_memory
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Gaussians
@@ -263,13 +263,14 @@ def _make_clip(order: Order, source: Made, storage: Storage, context: RunContext
             recording.leave()
             raise
         recording.discard()
-    promised = promise(scene, None, report)
+    promised = Promise(**report["promise"])
     return {
         "status": "done" if report["complete"] else "stopped",
         "sentence": report["stopped"],
         "folder": folder,
         "bytes": size,
-        "error": promised.error,
+        "own_error": promised.error if promised.of_scene else None,
+        "expected_error": None if promised.of_scene else promised.error,
         "error_seconds": promised.seconds,
         **_numbers(report),
     }
@@ -316,6 +317,7 @@ def _store(
     # Omit durations: they differ from run to run, but equal orders must give equal files.
     report = {k: v for k, v in clip.report.items() if k != "substep_stages"}
     report |= view_report(clip, scene.view) if order.films else {}
+    report["promise"] = asdict(promise(scene, None, report))
     here = filling.place
     with watch.stage("store"):
         clip.with_report(report).save(here / "clip.safetensors")

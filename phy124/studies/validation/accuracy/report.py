@@ -11,7 +11,7 @@ import numpy as np
 
 from phy124.accuracy.convergence import TRUSTED, Convergence
 from phy124.accuracy.difference import Difference
-from phy124.accuracy.promises import check_promise, promise, torn
+from phy124.accuracy.promises import check_promise, format_percent, promise, torn
 from phy124.particles.thickness import Proportions
 from phy124.scene import PRESETS, Scene
 
@@ -58,6 +58,9 @@ class Row:
     """Estimated error in the video [pixels]; None without an error."""
     torn: str = ""
     """Reason why the grid may have torn the material; a torn setting has no error."""
+    stated: dict[str, Any] | None = None
+    """The error that a run of this level states for itself, as `error` of its report; None for
+    other settings, and without a thorough study."""
 
     @property
     def level(self) -> bool:
@@ -101,8 +104,8 @@ class Report:
             )
         if self.convergence.error is None and self.closest is not None:
             return (
-                f"The error is unknown; the two finest levels differ by {self.closest:.1%} of the "
-                "object's size."
+                "The error is unknown; the two finest levels differ by "
+                f"{format_percent(self.closest)} of the object's size."
             )
         return ""
 
@@ -152,16 +155,16 @@ def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int,
     good = [row for row in levels if row.error is not None and row.error <= GOOD]
     best = min(good or levels[-1:], key=lambda row: row.seconds)
     advice = (
-        f"Recommended: {best.name}, with an error of {best.error or 0:.1%} of the object's size "
-        f"in {best.seconds:.1f} s"
+        f"Recommended: {best.name}, with an error of about {format_percent(best.error or 0)} of "
+        f"the object's size in {best.seconds:.1f} s"
     )
     finer = [row for row in levels if row.cells > best.cells]
     if not good:
-        return f"{advice}; no level reached {GOOD:.0%}, which needs a finer grid."
+        return f"{advice}; no level reached {format_percent(GOOD)}, which needs a finer grid."
     if not finer:
         return f"{advice}; it is the finest grid that was run."
     ratio = finer[0].seconds / best.seconds
-    better = f"with an error of {finer[0].error or 0:.1%}"
+    better = f"with an error of about {format_percent(finer[0].error or 0)}"
     return f"{advice}; {finer[0].name} would take {ratio:.1f} times as long, {better}."
 
 
@@ -192,7 +195,8 @@ def kept_promises(
             sentences[name] = f"cannot be judged: {convergence.why_not}"
         else:
             promised = promise(scene.model_copy(update={"accuracy": name}), proportions)
-            sentences[name] = check_promise(promised, row.error, until)
+            stated = (row.stated or {}).get("at_most")
+            sentences[name] = check_promise(promised, row.error, until, stated)
     return sentences
 
 

@@ -16,6 +16,7 @@ from functools import partial
 
 import numpy as np
 
+from phy124.accuracy.companion import with_own_error
 from phy124.accuracy.convergence import Convergence, distances, longest_convergence
 from phy124.accuracy.difference import difference
 from phy124.accuracy.forecast import QUIET, Forecaster, pixels_per_size
@@ -181,7 +182,9 @@ class Study:
             simulation.setup.context.watch.seconds,
             " ".join(tearing.notes() if tearing else ()),
         )
-        counts = solver.clock.limiters
+        counts, stated = solver.clock.limiters, None
+        if self.thorough and name.startswith("D/"):
+            stated = with_own_error(simulation, clip).report["error"]
         return Row(
             name=name,
             cells=accuracy.cells,
@@ -198,6 +201,7 @@ class Study:
             lost_to=_lost_to(clip.report.get("energy")),
             angular_momentum_lost=_momentum_lost(scene, before, diagnose(solver)),
             torn=torn,
+            stated=stated,
         ), f"{name}: {torn}" if torn else ""
 
     def _forecast(self, simulation: Simulation) -> float:
