@@ -14,7 +14,7 @@ OTHER = PydanticCustomError("another_type", "it is of another type")
 class Section(BaseModel):
     """A frozen group of options; unknown keys are errors."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
     AS_TEXT: ClassVar[bool] = False
     """Whether values are text, in which case "yes" is accepted as a boolean."""
 
