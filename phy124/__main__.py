@@ -25,6 +25,7 @@ from typing import Any
 
 from phy124 import __version__
 from phy124.runtime.failures import failure
+from phy124.runtime.late_builtins import declare_late
 from phy124.runtime.light_imports import import_lightly
 from phy124.runtime.memory import refuse_narrow, share_heap
 from phy124.runtime.signals import handling, interrupt
@@ -117,6 +118,7 @@ def _parse(arguments: list[str]) -> Any:
         refuse_narrow()  # before a command's module imports NumPy
         with suppress(ImportError):  # another version of tyro may not need it
             import_lightly("typeguard", "pydantic_core.core_schema")
+        declare_late()
         commands = COMMANDS
     command = parse(arguments, commands, program="phy124", description=__doc__)
     from phy124.commands.kinds import refuse_other_kind

@@ -1,0 +1,66 @@
+"""Makes Warp declare the variants of its functions for Python code when Python first calls one.
+
+Warp declares each function of its language once for kernels, and about 2,300 variants for the
+types of values outside kernels, such as `wp.vec3`. Kernels do not use the variants, which took half
+of the time to import Warp.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
+
+DECLARING = "warp._src.builtins"
+"""Module of Warp that declares its functions."""
+
+
+class LateVariants:
+    """Finder of modules that finds none, but prepares Warp before it declares its functions."""
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> None:
+        """Prepare Warp if this module declares its functions."""
+        if name == DECLARING:
+            sys.meta_path.remove(self)  # pyright: ignore[reportArgumentType]
+            _declare_late()
+
+
+def declare_late() -> None:
+    """Make Warp declare variants late, if it is not imported yet."""
+    if DECLARING not in sys.modules:
+        sys.meta_path.insert(0, LateVariants())  # pyright: ignore[reportArgumentType]
+
+
+def _declare_late() -> None:
+    """Replace the function by which Warp declares functions; unknown versions are not changed."""
+    try:
+        from warp._src import context, types
+
+        declare, resolve = context.add_builtin, context.Function._resolve_builtin_call
+        declared, is_generic = context.builtin_functions, types.type_is_generic
+    except (ImportError, AttributeError):
+        return
+    waiting: defaultdict[str, list[Callable[[], None]]] = defaultdict(list)
+
+    def declare_generic(
+        key: str, input_types: dict[str, Any] | None = None, export: bool = True, **options: Any
+    ) -> None:
+        signature = options.get("export_func") or (lambda types: types)
+        if not export or not any(map(is_generic, signature(input_types or {}).values())):
+            declare(key, input_types, export=export, **options)
+            return
+        waiting[key].append(lambda: declare(key, input_types, **options))
+        first = key not in declared
+        declare(key, input_types, export=False, **options)  # Warp makes variants of exports alone
+        if first:
+            declared[key].mangled_name = key  # Warp resolves only calls of functions with one
+            setattr(sys.modules["warp"], key, declared[key])
+
+    def resolve_from_python(function: Any, *arguments: Any, **options: Any) -> Any:
+        for declare_variants in waiting.pop(function.key, ()):
+            declare_variants()
+        return resolve(function, *arguments, **options)
+
+    context.add_builtin = declare_generic
+    context.Function._resolve_builtin_call = resolve_from_python  # pyright: ignore[reportAttributeAccessIssue]

@@ -1,0 +1,37 @@
+"""Warp's functions give the same results in Python and in kernels if their variants are late."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+PROGRAM = """
+import sys
+from phy124.runtime.late_builtins import declare_late
+if sys.argv[1] == "late":
+    declare_late()
+import warp as wp
+from warp._src.context import builtin_functions
+wp.config.log_level = wp.LOG_ERROR
+wp.init()
+print(sum(len(getattr(each, 'overloads', ())) for each in builtin_functions.values()))
+v = wp.vec3(1.0, 2.0, 3.0)
+turn = wp.quat_from_axis_angle(wp.vec3(0.0, 0.0, 1.0), 0.5)
+print(2.0 * v + v, -v, wp.dot(v, v), wp.normalize(wp.vec3d(1.0, 2.0, 2.0)), wp.max(1, 2))
+print(wp.quat_rotate(turn, v), wp.mat22(1.0, 2.0, 3.0, 4.0) @ wp.vec2(1.0, 1.0))
+try:
+    wp.dot(v, 1.0)
+except Exception as error:
+    print(type(error).__name__, error)
+"""
+
+
+def test_late_variants_give_the_same_results() -> None:
+    usual, late = (
+        subprocess.run(
+            [sys.executable, "-c", PROGRAM, mode], check=True, capture_output=True, text=True
+        ).stdout.splitlines()
+        for mode in ("usual", "late")
+    )
+    assert int(late[0]) < int(usual[0]) / 2
+    assert late[1:] == usual[1:]
