@@ -91,8 +91,8 @@ def test_companion_reuses_the_interior_and_binds_no_frame(run, monkeypatch):
     [
         ({"omit": "not wanted"}, "not wanted"),
         ({"affordable": 1e-9}, "of the dynamics"),
-        ({"cancel": True}, "cancelled"),
-        ({"fail": True}, "D/8 failed"),
+        ({"cancel": True}, "companion on D/8 was interrupted"),
+        ({"fail": True}, "companion on D/8 failed"),
     ],
 )
 def test_missing_own_error_has_a_reason(run, monkeypatch, change, why):
@@ -107,6 +107,9 @@ def test_missing_own_error_has_a_reason(run, monkeypatch, change, why):
         monkeypatch.setattr(companion, "_distances", stop)
     report = with_own_error(simulation, clip, omit=change.get("omit", "")).report
     assert report["error"]["about"] is None and why in report["error"]["why_not"]
+    assert report["effects"]["left_out"][-1]["why"] == report["error"]["why_not"]
+    noted = report["notes"][len(clip.report["notes"]) :]
+    assert len(noted) == (error is not None) and all(why in sentence for sentence in noted)
     assert not promise(SCENE, Proportions(0.5, 0.3), report).of_scene
 
 

@@ -105,6 +105,10 @@ class OwnError(NamedTuple):
     """Reason why there is no estimate."""
 
 
+class Lost(Exception):
+    """A companion ended early; the message says why."""
+
+
 def with_own_error(run: Simulation, clip: Clip, *, omit: str = "") -> Clip:
     """Return the clip of a finished run with the run's own error in its report.
 
@@ -114,7 +118,13 @@ def with_own_error(run: Simulation, clip: Clip, *, omit: str = "") -> Clip:
         omit: Reason to leave the companion out; empty: it runs if it is cheap enough.
     """
     omit = omit or why_broken(clip.report).rstrip(".")
-    result = OwnError(why_not=omit) if omit else measure_error(run, clip)
+    result, notes = OwnError(why_not=omit), list(clip.report["notes"])
+    if not omit:
+        try:
+            result = measure_error(run, clip)
+        except Lost as lost:  # the run itself is finished and must not be lost
+            result = OwnError(why_not=str(lost))
+            notes.append(f"This run does not state its own error: {lost}.")
     effects = dict(clip.report["effects"])
     if result.cells is not None:
         cost = f"{format_percent(result.cost)} of the dynamics" if result.cost else "unknown"
@@ -122,7 +132,8 @@ def with_own_error(run: Simulation, clip: Clip, *, omit: str = "") -> Clip:
     else:
         row = {"effect": "own error", "why": result.why_not}
         effects["left_out"] = [*effects["left_out"], row]
-    return clip.with_report({**clip.report, "error": result._asdict(), "effects": effects})
+    changes = {"error": result._asdict(), "effects": effects, "notes": notes}
+    return clip.with_report({**clip.report, **changes})
 
 
 def measure_error(run: Simulation, clip: Clip) -> OwnError:
@@ -131,6 +142,9 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
     Args:
         run: The run.
         clip: The clip of the run.
+
+    Raises:
+        Lost: The companion was interrupted, or failed.
     """
     if len(clip) < FEWEST:
         return OwnError(why_not=f"the clip has fewer than {FEWEST} frames")
@@ -212,10 +226,11 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
         companion = _prepare(run.setup, scene)
         cost = forecast(run, run.solver.clock.substeps, len(companion.particles))
         distances = _distances(companion, clip, indices) / run.scene.object.size
-    except Cancelled:
-        return OwnError(cells=cells, why_not="it was cancelled")
-    except Exception as error:  # the run itself is finished and must not be lost
-        return OwnError(cells=cells, why_not=f"D/{cells} failed: {failure(error).sentence}")
+    except Cancelled as cancelled:
+        raise Lost(f"the companion on D/{cells} was interrupted") from cancelled
+    except Exception as error:
+        why = failure(error).sentence.rstrip(".")
+        raise Lost(f"the companion on D/{cells} failed: {why}") from error
     expected = expect(run.scene, run.setup.proportions).error
     about, at_most, until = estimate(distances, clip.times, factors_of(scene, cells), expected)
     why_not = "" if about is not None else "other grids move otherwise from the start"
