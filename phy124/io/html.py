@@ -25,9 +25,10 @@ import gzip
 import html
 import json
 import os
+import tempfile
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,10 @@ SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "stage.js", "shine.js", "playe
 READER = "p4d.mjs"
 STYLE = "player.css"
 LICENCE = "vendor/LICENSE-playcanvas.txt"
+GZIP = 31
+"""zlib's number for the largest window, with a gzip header."""
+BLOCK = 3 << 20
+"""Number of bytes that are read and written at a time; a multiple of 3, as base64 requires."""
 LOOSE = 0.5
 """Largest error of the Gaussians' shapes at which the page contains a P4D file."""
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
@@ -77,36 +82,54 @@ def pack(
     """
     if not len(clip) or not clip.opacities.size:
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
-    rest, count = np.maximum(clip.scales[0], 1e-9), len(clip.opacities)
-    head = {"splats": count, "times": clip.times.tolist(), **measure(clip)}
+    head = {"splats": len(clip.opacities), "times": clip.times.tolist(), **measure(clip)}
     head |= _describe(clip, camera, background, stage, shine)
-    shades = [] if stage is None else [_differences(stage[1])]
-    low, high = np.array(head["low"]), np.array(head["high"])
-    centres = np.empty((len(clip), 3, count), "<u2")
-    quats = np.empty((len(clip), 4, count), np.int8)
-    ratios, speeds = (
-        np.empty((len(clip), 3, count), np.uint8),
-        np.empty((len(clip), count), np.uint8),
-    )
-    # Frame by frame: a clip of floats may be larger than the memory.
-    for index in range(len(clip)):
-        centres[index] = _centres(clip.means[index], low, high).T
-        quats[index] = np.rint(clip.quats[index] * 127).clip(-127, 127).T
-        ratio = np.log(np.maximum(clip.scales[index], 1e-9) / rest)
-        ratios[index] = _quantise(ratio, *head["ratio"]).T
-    for index, speed in enumerate(measure_speeds(clip)):
-        speeds[index] = _quantise(speed, 0.0, head["speed"])
-    arrays = [
-        _colours(clip),
-        rest.astype("<f4"),
-        *_split(_differences(centres)),
-        *map(_differences, (quats, ratios, speeds)),
-        *shades,
-        *([_differences(_planar(shine["hues"]))] if shine and "hues" in shine else []),
-    ]
     text = json.dumps(head, allow_nan=False).encode()
-    body = b"".join(array.tobytes() for array in arrays)
-    return gzip.compress(len(text).to_bytes(4, "little") + text + body, compresslevel=4, mtime=0)
+    with tempfile.TemporaryFile() as file:
+        file.write(len(text).to_bytes(4, "little") + text)
+        _write_arrays(file, clip, head)
+        if stage is not None:
+            file.write(_differences(stage[1]).tobytes())
+        if shine and "hues" in shine:
+            file.write(_differences(_planar(shine["hues"])).tobytes())
+        return _compress(file)
+
+
+def _write_arrays(file: IO[bytes], clip: Clip, head: dict[str, Any]) -> None:
+    """Append the arrays of the Gaussians to a file, frame by frame.
+
+    A clip is longer than the memory is large; each array's place in the file is known.
+    """
+    rest = np.maximum(clip.scales[0], 1e-9)
+    file.write(_colours(clip).tobytes() + rest.astype("<f4").tobytes())
+    sizes = [width * len(rest) for width in (3, 3, 4, 3, 1)]
+    starts = file.tell() + len(clip) * np.cumsum([0, *sizes])
+    low, high = np.array(head["low"]), np.array(head["high"])
+    last: list[NDArray] = []
+    for index, speed in enumerate(measure_speeds(clip)):
+        ratio = np.log(np.maximum(clip.scales[index], 1e-9) / rest)
+        steps: list[NDArray] = [
+            _centres(clip.means[index], low, high).T,
+            np.rint(clip.quats[index] * 127).clip(-127, 127).astype(np.int8).T,
+            _quantise(ratio, *head["ratio"]).T,
+            _quantise(speed, 0.0, head["speed"]),
+        ]
+        changes = [now - before for now, before in zip(steps, last, strict=True)] if last else steps
+        last = steps
+        arrays = [*_split(changes[0]), *changes[1:]]
+        for start, size, array in zip(starts, sizes, arrays, strict=False):
+            file.seek(start + index * size)
+            file.write(array.tobytes())
+    file.seek(starts[-1])
+
+
+def _compress(file: IO[bytes]) -> bytes:
+    """Return the gzip of a whole file."""
+    packer, parts = zlib.compressobj(4, wbits=GZIP), []
+    file.seek(0)
+    while block := file.read(BLOCK):
+        parts.append(packer.compress(block))
+    return b"".join([*parts, packer.flush()])
 
 
 def write_html(
@@ -140,18 +163,20 @@ def write_html(
     names = (*SCRIPTS, READER, STYLE, LICENCE)
     parts = {name: _asset(viewer / name) for name in names}
     scripts = "\n".join(parts[name] for name in SCRIPTS)
-    page = PAGE.format(
-        title=html.escape(title),
-        licence=parts[LICENCE].replace("--", "- -"),
-        style=parts[STYLE],
-        data=base64.b64encode(
-            _pack_smallest(clip, camera, background=background, stage=stage, shine=shine)
-        ).decode(),
-        scripts=base64.b64encode(gzip.compress(scripts.encode(), 9, mtime=0)).decode(),
-        reader=parts[READER],
-    )
-    with replacing(path) as temporary:
-        temporary.write_text(page, "utf-8")
+    before, after = PAGE.split("{data}")
+    texts = {
+        "title": html.escape(title),
+        "licence": parts[LICENCE].replace("--", "- -"),
+        "style": parts[STYLE],
+        "scripts": base64.b64encode(gzip.compress(scripts.encode(), 9, mtime=0)).decode(),
+        "reader": parts[READER],
+    }
+    packed = _pack_smallest(clip, camera, background=background, stage=stage, shine=shine)
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        file.write(before.format(**texts).encode())
+        for start in range(0, len(packed), BLOCK):
+            file.write(base64.b64encode(packed[start : start + BLOCK]))
+        file.write(after.format(**texts).encode())
 
 
 def _pack_smallest(

@@ -1,18 +1,20 @@
 """Writes `.4dgs` files: all frames in one file, as keyframes and the changes between them.
 
-This is the open container of 4dgs.dev, version 1, model `keyframe-delta`, written by its official
-library (package fourdgs, Apache-2.0, needs only numpy). The file declares an error bound for each
-value: 2 % of the median scale for positions, 0.5 % for scales, 0.0005 for rotations, 0.5 / 255 for
-colours and opacities. Every Gaussian keeps its index in all frames, and readers can seek. Colours
-are constant and of degree 0. The axes are those of glTF: y up, z to the front, metres.
+This is the open container of 4dgs.dev, version 1, model `keyframe-delta`. The official library
+encodes its records (package fourdgs, Apache-2.0, needs only numpy). The library's `write_sequence`
+would hold all frames, so this module writes its file one frame at a time. The file declares an
+error bound for each value: 2 % of the first frame's median scale for positions, 0.5 % for scales,
+0.0005 for rotations, 0.5 / 255 for colours and opacities. Every Gaussian keeps its index in all
+frames, and readers can seek. Colours are constant and of degree 0. The axes are those of glTF: y
+up, z to the front, metres.
 """
 
 from __future__ import annotations
 
 import os
-from pathlib import Path
+from functools import partial
 from types import SimpleNamespace
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,12 @@ KEYFRAME = 8
 """Frames per keyframe, which is the largest number of frames read to show any frame."""
 STILL = 1 / 24
 """Duration of a clip with one frame [s]."""
+CUTOFF = 0.05
+"""Opacity below which a reader may leave out a Gaussian that fades; none does."""
+CODEC, LEVEL = 0, 6
+"""Compression of the records: deflate, at zlib's usual level."""
+Bins = dict[int, NDArray[np.int64]]
+"""Whole numbers [N,C] by the library's number of their attribute."""
 FOREVER = 1e6
 """Temporal standard deviation of a Gaussian that does not fade [s]; it must be finite."""
 
@@ -49,25 +57,29 @@ def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progres
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
     times = clip.times - clip.times[0]
     duration = float(times[-1] + (times[-1] / (len(clip) - 1) if len(clip) > 1 else STILL))
-    rotation = orientation(*Y_UP).T
-    samples = []
-    for index, frame in enumerate(clip.frames()):
-        gaussians = rotate_gaussians(frame.gaussians, rotation)
-        samples.append(_sample(library, gaussians, float(times[index]), duration))
-        progress("export", index, len(clip))
-    options = library.KeyframeDeltaOptions(keyframe_every=KEYFRAME)
-    data = library.write_sequence(samples, duration, kd=options, profile=PROFILE, library="phy124")
-    with replacing(path) as temporary:
-        Path(temporary).write_bytes(data)
-    progress("export", len(clip), len(clip))
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        sequence = _Sequence(library, file, clip, [*times.tolist(), duration])
+        for index, frame in enumerate(clip.frames()):
+            sequence.append(index, _turn(frame.gaussians))
+            progress("export", index + 1, len(clip))
+        sequence.finish()
 
 
 def _library() -> Any:
-    """Import the functions and classes of fourdgs that this module uses."""
+    """Import the modules of fourdgs that this module uses.
+
+    Raises:
+        InputError: If fourdgs is not installed.
+    """
     try:
-        from fourdgs import GaussianSet
-        from fourdgs.keyframe_delta_file import write_sequence
-        from fourdgs.keyframe_delta_writer import KeyframeDeltaOptions, Sample
+        from fourdgs import (
+            keyframe_delta_file,
+            keyframe_delta_writer,
+            opcode,
+            quantization,
+            records,
+            serialization,
+        )
     except ImportError as error:
         limit, remedy = (
             "this needs the package fourdgs, 0.6.",
@@ -75,30 +87,180 @@ def _library() -> Any:
         )
         raise InputError("format", "4dgs", limit, remedy) from error
     return SimpleNamespace(
-        GaussianSet=GaussianSet,
-        Sample=Sample,
-        KeyframeDeltaOptions=KeyframeDeltaOptions,
-        write_sequence=write_sequence,
+        Grids=keyframe_delta_file.Grids,
+        writer=keyframe_delta_writer,
+        op=opcode,
+        quantization=quantization,
+        records=records,
+        coding=serialization,
     )
 
 
-def _sample(library: Any, gaussians: Gaussians, time: float, duration: float) -> Any:
-    """Convert all Gaussians of one frame to the library's sample class."""
-    count = len(gaussians)
+def _turn(gaussians: Gaussians) -> Gaussians:
+    return rotate_gaussians(gaussians, orientation(*Y_UP).T)
 
-    def each(value: float) -> NDArray[np.float32]:
-        return np.full(count, value, np.float32)
 
-    rgba = np.concatenate([gaussians.rgb, gaussians.opacities[:, None]], axis=1)
-    gaussian_set = library.GaussianSet(
-        positions=gaussians.means,
-        scales=gaussians.scales,
-        rotations=np.roll(gaussians.quats, -1, axis=1),
-        colors=rgba.astype(np.float32),
-        motions=np.zeros((count, 3), np.float32),
-        mu_t=each(time),
-        sigma_t=each(FOREVER),
-        win_lo=each(0),
-        win_hi=each(duration),
-    )
-    return library.Sample(t0=time, ids=np.arange(count), gaussians=gaussian_set)
+class _Sequence:
+    """A file of Gaussians that exist in all frames, to which frame after frame is appended."""
+
+    def __init__(self, library: Any, file: IO[bytes], clip: Clip, times: list[float]) -> None:
+        """Write the head of the file.
+
+        Args:
+            library: The modules of fourdgs.
+            file: The file, empty.
+            clip: The clip, whose centres are read to determine their range.
+            times: Start of each frame, and end of the last [s].
+        """
+        self._library, self._file, self._times = library, file, times
+        self._cadence = library.writer.KeyframeDeltaOptions(keyframe_every=KEYFRAME)
+        first = _turn(clip.frame(0).gaussians)
+        self._count = len(first)
+        quantization, median = library.quantization, float(np.median(first.scales))
+        bounds = quantization.Bounds.for_profile(PROFILE, median_scale=median)
+        steps, windows = quantization.Steps.of(bounds), [(0.0, float(np.float32(times[-1])))]
+        ends = np.array([(m.min(axis=0), m.max(axis=0)) for m in clip.means], np.float64)
+        corners = ends.reshape(-1, 3) @ orientation(*Y_UP)
+        box = np.stack([corners.min(axis=0), corners.max(axis=0)])
+        self._grids = library.Grids(steps, bounds, box[0], windows, CUTOFF)
+        box = quantization.dequantize(
+            quantization.quantize(box, steps.pos, box[0]), steps.pos, box[0]
+        )
+        self._box = box.ravel().tolist()
+        self._still = self._quantise_still(first)
+        self._index: list[Any] = []
+        self._write_head()
+
+    def append(self, index: int, gaussians: Gaussians) -> None:
+        """Write a frame: all values, or their changes since the frame before."""
+        bins = self._quantise(gaussians, self._times[index])
+        whole = self._library.writer.is_keyframe(index, self._cadence)
+        self._index.append(self._write_keyframe(bins) if whole else self._write_changes(bins))
+
+    def finish(self) -> None:
+        """Write the index, by which readers seek, and the end of the file."""
+        records, start = self._library.records, self._file.tell()
+        statistics = records.Statistics(
+            gaussian_count=self._count,
+            chunk_count=len(self._index),
+            duration_sec=self._times[-1],
+            aabb=self._box,
+        )
+        summary = b"".join(entry.encode() for entry in [*self._index, statistics])
+        crc = self._library.coding.crc32(summary)
+        footer = records.Footer(summary_start=start, summary_offset_start=0, summary_crc=crc)
+        self._file.write(summary + footer.encode() + self._library.coding.MAGIC)
+
+    def _write_head(self) -> None:
+        records, grids = self._library.records, self._grids
+        header = records.Header(
+            duration_sec=self._times[-1],
+            gaussian_count=self._count,
+            aabb=self._box,
+            profile=PROFILE,
+            library="phy124",
+            temporal_model="keyframe-delta",
+            cutoff=CUTOFF,
+        )
+        steps = {f"step_{name}": step for name, step in vars(grids.steps).items()}
+        quantization = records.Quantization(
+            scheme="uniform-v1",
+            pos_origin=grids.origin.tolist(),
+            bounds=grids.bounds.as_strings(),
+            **steps,
+        )
+        windows = records.WindowTable(windows=grids.windows)
+        head = [header.encode(), quantization.encode(), windows.encode()]
+        self._file.write(b"".join([self._library.coding.MAGIC, *head]))
+
+    def _quantise_still(self, gaussians: Gaussians) -> Bins:
+        """Return the whole numbers of the values that are the same in all frames."""
+        op, steps, quantization = self._library.op, self._grids.steps, self._library.quantization
+        zeros = np.zeros((self._count, 1), np.int64)
+        return {
+            op.A_COLOR: quantization.rct_forward(quantization.quantize(gaussians.rgb, steps.rgb)),
+            op.A_OPACITY: quantization.quantize(gaussians.opacities, steps.alpha)[:, None],
+            op.A_MOTION: np.zeros((self._count, 3), np.int64),
+            op.A_SIGMA_T: zeros + quantization.quantize(np.log(FOREVER), steps.sigma_log),
+            op.A_FLAGS: zeros,
+            op.A_WINDOW_INDEX: zeros,
+        }
+
+    def _quantise(self, gaussians: Gaussians, time: float) -> Bins:
+        """Return the whole numbers of all values of a frame at its time [s]."""
+        op, grids, quantization = self._library.op, self._grids, self._library.quantization
+        quats = np.roll(gaussians.quats, -1, axis=1)
+        largest, rest = quantization.quantize_rotation(quats, grids.steps.rot)
+        scales = np.log(np.maximum(gaussians.scales.astype(np.float64), 1e-30))
+        step = grids.mu_step(self._still[op.A_SIGMA_T][:1, 0], np.zeros(1, bool))
+        return self._still | {
+            op.A_POSITION: quantization.quantize(gaussians.means, grids.steps.pos, grids.origin),
+            op.A_SCALE: quantization.quantize(scales, grids.steps.scale_log),
+            op.A_ROTATION_INDEX: largest.reshape(-1, 1),
+            op.A_ROTATION: rest,
+            op.A_MU_T: np.full((self._count, 1), np.rint(time / step).astype(np.int64)),
+        }
+
+    def _write_keyframe(self, bins: Bins) -> Any:
+        """Write all values of a frame, and return the frame's entry of the index."""
+        encode = partial(self._library.coding.encode_stream, codec=CODEC, level=LEVEL)
+        op, every = self._library.op, np.arange(self._count)
+        streams = [encode(op.A_GAUSSIAN_ID, every.reshape(-1, 1))]
+        for attribute in op.REQUIRED_ATTRIBUTES:
+            values = bins[attribute]
+            streams.append(encode(attribute, values, channels=values.shape[1]))
+        self._last, self._depth, self._key = bins, 0, self._file.tell()
+        body = b"".join(streams)
+        blob = self._library.records.encode_chunk(*self._span(), 0, self._count, body)
+        return self._note(blob, self._count, kind=0)
+
+    def _write_changes(self, bins: Bins) -> Any:
+        """Write the changes since the frame before, and return the frame's entry of the index."""
+        op, writer, records = self._library.op, self._library.writer, self._library.records
+        ids, last = np.arange(self._count), self._last
+        # A Gaussian that does not change keeps the time of its last change.
+        compared = last | {op.A_MU_T: bins[op.A_MU_T]}
+        changed, values, *_ = writer.delta_groups(ids, compared, ids, bins)
+        if len(changed):
+            values[op.A_MU_T] = (bins[op.A_MU_T] - last[op.A_MU_T])[changed]
+        times = last[op.A_MU_T].copy()
+        times[changed] = bins[op.A_MU_T][changed]
+        self._last, self._depth = bins | {op.A_MU_T: times}, self._depth + 1
+        place = {
+            "delta_mode": records.DELTA_MODE_CHAINED,
+            "reference_offset": self._index[-1].chunk_offset,
+            "depth": self._depth,
+        }
+        blob = records.encode_delta_chunk(
+            *self._span(),
+            level=0,
+            keyframe_offset=self._key,
+            updates=writer.encode_delta_streams(changed, values, codec=CODEC, level=LEVEL),
+            births=b"",
+            deaths=b"",
+            counts=(len(changed), 0, 0),
+            **place,
+        )
+        return self._note(blob, len(changed), kind=1, **place)
+
+    def _span(self) -> tuple[float, float]:
+        """Return the start and the end of the frame that is being written [s]."""
+        start, end = self._times[len(self._index) :][:2]
+        return start, end
+
+    def _note(self, blob: bytes, count: int, **place: Any) -> Any:
+        """Write a frame's bytes, and return its entry of the index."""
+        start, end = self._span()
+        entry = self._library.records.ChunkIndexEntry(
+            t0=start,
+            t1=end,
+            chunk_offset=self._file.tell(),
+            chunk_length=len(blob),
+            gaussian_count=count,
+            extended=True,
+            keyframe_offset=self._key,
+            live_count=self._count,
+            **place,
+        )
+        self._file.write(blob)
+        return entry
