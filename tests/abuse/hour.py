@@ -9,7 +9,9 @@ process and no file of anybody is left. It prints how long /health took.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
+import math
 import random
 import sys
 import tempfile
@@ -40,7 +42,8 @@ SETTINGS = {
     "max_visitor_mb": 30,
     "max_total_mb": 300,
     "max_seconds": 120,
-    "grace_minutes": 0.5,
+    "grace_minutes": 0.2,
+    "warm_up": False,
     "max_per_address": 16,
 }
 MEMORY, GROWTH, SHORT = 1500e6, 100e6, 600.0
@@ -210,11 +213,16 @@ ATTACKS: list[Callable[[Attacker], None]] = [
 ]  # fmt: skip
 
 
-def hostile(server: Server, number: int, over: threading.Event, record: Record) -> None:
-    """Attack in one way after the other, with a new cookie each time, until it is over."""
-    choice = random.Random(number)
-    while not over.is_set():
-        attack = choice.choice(ATTACKS)
+def hostile(server: Server, number: int, least: int, over: threading.Event, record: Record) -> None:
+    """Attack in one way after the other, with a new cookie each time, until it is over.
+
+    The first attacks are made in any case, `least` in number; those of all hostile visitors
+    together are all kinds of attacks.
+    """
+    choice, first = random.Random(number), number * least % len(ATTACKS)
+    for tried, attack in enumerate(itertools.cycle(ATTACKS[first:] + ATTACKS[:first])):
+        if over.is_set() and tried >= least:
+            return
         # What is refused, or answered by a lost connection, is as it should be.
         with suppress(OSError, AssertionError, ValueError, LookupError, TypeError, AttributeError):
             attack(Attacker(server, address=f"10.2.0.{number % ADDRESSES}"))
@@ -240,9 +248,10 @@ def attack(server: Server, seconds: float, visitors: int) -> Record:
     """Let half of so many visitors attack for so long, while the others come for a run each."""
     record, over = Record(), threading.Event()
     count, chance = visitors // 2, random.Random(0)
+    least = math.ceil(len(ATTACKS) / count)
     with ThreadPoolExecutor(2 * count + 1) as pool:
         watching = pool.submit(watch, server, over, record)
-        hostiles = [pool.submit(hostile, server, n, over, record) for n in range(count)]
+        hostiles = [pool.submit(hostile, server, n, least, over, record) for n in range(count)]
         starts = [chance.uniform(0, 0.8 * seconds) for _ in range(count)]
         honests = [pool.submit(honest, server, n, at, record) for n, at in enumerate(starts)]
         over.wait(seconds)
@@ -256,6 +265,7 @@ def attack(server: Server, seconds: float, visitors: int) -> Record:
 def check(server: Server, record: Record, seconds: float, visitors: int) -> None:
     """Assert all but times: every honest visitor was served, limits held, nothing is left."""
     assert len(record.tries) == visitors // 2
+    assert set(record.answers) == {attack.__name__ for attack in ATTACKS}
     assert max(record.memory) < MEMORY
     assert max(record.disk) < 1e6 * SETTINGS["max_total_mb"]
     if seconds > SHORT:

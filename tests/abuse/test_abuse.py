@@ -43,6 +43,7 @@ def server(tmp_path_factory):
     with serving(
         tmp_path_factory.mktemp("abuse"),
         files=FILES,
+        warm_up=False,
         gaussians=1000,
         max_upload_mb=2,
         max_file_mb=3,

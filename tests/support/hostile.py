@@ -6,12 +6,14 @@ import random
 import struct
 import zlib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 PHONE = Path(__file__).parent / "pictures" / "phone.heic"
 """The duck, 256 x 320 as stored and turned by its header; written by pillow-heif 1.8."""
 
 
+@cache
 def bomb(side: int) -> bytes:
     """A PNG of one colour: a few kilobytes however large it is."""
     packer = zlib.compressobj(9)
