@@ -143,7 +143,7 @@ def test_too_many_particles_return_the_last_level(quick, monkeypatch):
 
 def test_the_densest_object_is_not_tried_again(quick, monkeypatch):
     monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 13))
-    most = quick.replaced({"accuracy": {"particles_per_axis": 4.0}})
+    most = quick.replaced({"accuracy": {"particles_per_axis": 4.0}, "time.frames": 4})
     assert reach(Goal.error("0.2%"), ball(600), most).about["particles_per_axis"] == 4
 
 
@@ -181,7 +181,7 @@ def test_chosen_grid_has_few_more_cells_than_needed(quick, monkeypatch, goal):
         return choose.Convergence(1.0, tuple(0.1 / cells for cells in sorted(runs.done)))
 
     monkeypatch.setattr(choose, "_estimate", estimate)
-    about = reach(Goal.error(goal), ball(600), quick).about
+    about = reach(Goal.error(goal), ball(300), quick.replaced({"time.frames": 2})).about
     needed = 0.1 / Goal.error(goal).value
     assert about["met"] and needed <= about["cells"] <= 1.5 * needed
 
@@ -191,7 +191,8 @@ def test_levels_are_refined_by_at_most_half(quick, monkeypatch):
     monkeypatch.setattr(
         choose, "_estimate", lambda goal, runs: choose.Convergence(1.0, (0.02,) * len(runs.done))
     )
-    about = reach(Goal.error("1.4%"), ball(600), quick).about
+    scene = quick.replaced({"time.frames": 2})
+    about = reach(Goal.error("1.4%"), ball(300), scene).about
     assert about["levels"] == [6, 8, 12, 16, 24]
     assert about["refined"] and not about["met"] and "even D/24" in about["why_not"]
 

@@ -102,7 +102,7 @@ def test_where_it_cannot_be_told_it_is_not():
 
 def test_a_free_spin_keeps_its_angular_momentum():
     scene = Scene.named("spin").replaced({"time.frames": 3, "view.size": 32})
-    made = Study(ball(300), scene, levels=(8,)).run()
+    made = Study(ball(300), scene, levels=(8,), thorough=False).run()
     row = made.rows[0]
     assert row.angular_momentum_lost < 1e-4
     assert -1e-3 < row.energy_lost < 0.2
@@ -164,7 +164,8 @@ def test_the_error_on_any_grid_follows_from_those_that_were_run():
 
 def test_a_level_that_may_be_torn_is_said():
     soft = {"material.E": 300, "time.frames": 8, "view.size": 32, "binding": "lattice"}
-    report = Study(ball(300), Scene.named("spin").replaced(soft), levels=(8,)).run()
+    scene = Scene.named("spin").replaced(soft)
+    report = Study(ball(300), scene, levels=(8,), thorough=False).run()
     assert report.rows[0].name == "D/8"
     assert re.match(r"D/8: \d+ particles were stretched, up to \d\.\d times", report.skipped[0])
 

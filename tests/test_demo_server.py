@@ -414,7 +414,7 @@ def test_visitors_files_are_not_found_by_name(server, client):
 
 
 def test_visitors_who_leave_in_the_middle_leave_nothing_behind(server):
-    """More of them than may wait close their tab; tests/abuse has fifty who stay to the end."""
+    """More of them than may wait close their tab; tests/abuse has a crowd who stay to the end."""
     with ThreadPoolExecutor(LEAVING) as pool:
         list(pool.map(lambda _: _leave_in_the_middle(server), range(LEAVING)))
     assert server.health()["visitors"] > 0, "they had come"

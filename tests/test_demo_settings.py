@@ -223,8 +223,9 @@ def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians, changes):
     assert count_substeps(scene) == pytest.approx(run.solver.clock.substeps, rel=0.25)
 
 
-def test_the_page_measures_this_machine_before_the_first_visitor(tmp_path):
+def test_the_page_measures_this_machine_before_the_first_visitor(tmp_path, monkeypatch):
     """Every cost but that of nodes, 1 % of a substep, and of the rest is replaced."""
+    monkeypatch.setattr("demo.warm.preset_names", lambda: ["press", "water"])
     studio = Studio(Settings(device="cpu"), Visitors(tmp_path))
     written = vars(studio.forecaster.rates)
     studio.warm_up()

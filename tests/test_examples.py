@@ -16,8 +16,8 @@ FOLDER = ROOT / "docs/examples"
 PROGRAMS = sorted(FOLDER.glob("[0-9]*.py"))
 LONGEST = 40
 """Lines of a program, without empty ones."""
-LONG = ("error", "fit", "sweep")
-"""Programs that take long with smaller settings, too: they make many runs."""
+LONG = ("cost", "error", "fit", "sweep")
+"""Programs that take long with smaller settings, too: many runs, or probes on fine grids."""
 SMALLER = (
     (r'"accuracy": "draft"', '"accuracy": {"cells": 8}, "time.frames": 3, "view.size": 32'),
     (r'"time\.frames": \d+', '"time.frames": 3'),
