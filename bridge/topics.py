@@ -138,7 +138,7 @@ class Controls:
     steps: Callable[[int], Any] | None = None
     """Computes N steps; the iterator that it returns yields once per step."""
     refused: Callable[[str], object] = lambda sentence: None
-    """Receives a sentence about a refusal."""
+    """Receives the message of a refusal."""
     clock: bool = False
     """Whether /clock is published."""
     patient: bool = True

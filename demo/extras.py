@@ -106,7 +106,7 @@ class ExtraInputs:
             InputError: An input does not apply to this kind of object.
         """
         if isinstance(source, Cutout):
-            _refuse(self.reading, "It is for a file of Gaussians.")
+            _refuse(self.reading, "This option is only for a file of Gaussians.")
             return self
         _refuse(self.depth, "A file of Gaussians needs none.")
         _refuse(self.views, "A file of Gaussians has all sides already.")

@@ -274,8 +274,8 @@ def describe_error(promise: Promise, subject: str = "It is off") -> str:
     return f"{subject} by {promise.size('its size')}{until}."
 
 
-_NOT_MEASURED = "How far it is off has not been measured."
-_NOT_KNOWN = "How far it is off is not known."
+_NOT_MEASURED = "Its error has not been measured."
+_NOT_KNOWN = "Its error is not known."
 
 
 def stops_table(stops: list[Stop], chosen: object) -> str:

@@ -98,7 +98,7 @@ class Doorkeeper:
         if not self._has_own_host(headers):
             return PlainTextResponse("This page has another host name (PHY124_HOSTS).", 421)
         if FETCHES.search(scope["path"]):
-            return PlainTextResponse("This page fetches nothing from elsewhere.", 403)
+            return PlainTextResponse("This page downloads nothing from other sites.", 403)
         if CLOSED.match(scope["path"]):
             return PlainTextResponse("There is no such address here.", 404)
         if scope["method"] not in ("GET", "HEAD") and not self._from_own_page(headers):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 NO_FILE = "This is no file. Send the file itself, by handle_file(PATH) in Python."
 BROKEN = "The picture's data: URL is broken. Send the file itself."
-FETCHES_NOTHING = "This page fetches nothing. Send the file itself."
+FETCHES_NOTHING = "This page downloads nothing from an address. Send the file itself."
 
 
 class Sent(ImageData):

@@ -39,7 +39,7 @@ def summarise(report: dict[str, Any], promise: Promise) -> list[dict[str, Any]]:
 def _describe_squeeze(volume: float) -> str:
     """Describe the smallest volume of any part of the material, relative to the volume at rest."""
     if volume > 0.97:
-        return "It was hardly squeezed at all."
+        return "No part of it was noticeably squeezed."
     size = "half its volume" if 0.45 < volume < 0.55 else f"{volume:.0%} of its volume"
     return f"At worst, part of it was squeezed to {size.replace('%', ' %')}."
 

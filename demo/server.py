@@ -268,7 +268,7 @@ def _sweep(studio: Studio) -> None:
         studio.visitors.sweep()
     except OSError:
         # The page continues; the next sweep tries again.
-        LOG.exception("silent visitors could not be removed")
+        LOG.exception("inactive visitors could not be removed")
 
 
 def end_on_signals() -> None:
@@ -295,7 +295,7 @@ def reach_itself(host: str) -> None:
     if problem := _problem():
         for name in [name for name in os.environ if name.lower().endswith("_proxy")]:
             del os.environ[name]
-        LOG.warning("The page goes without the proxies of the environment: %s", problem)
+        LOG.warning("The page ignores the proxies set in the environment: %s", problem)
 
 
 def _problem() -> str:

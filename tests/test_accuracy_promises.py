@@ -57,9 +57,7 @@ def test_nothing_is_promised_to_objects_thinner_than_all():
     assert expect(press, Proportions(0.2, 0.3), known).error == 1.0
     unknown = promise(press, None)
     assert unknown.error is None
-    assert unknown.brief == (
-        "Expected error: not measured for an object whose proportions are not known yet."
-    )
+    assert unknown.brief == ("Expected error: not measured for an object of unknown proportions.")
 
 
 RANGE = {
@@ -204,7 +202,7 @@ def test_longer_scene_is_promised_its_measured_beginning():
     assert brief.seconds is None and "in the first" not in brief.sentence
     assert longer.error == brief.error and longer.seconds == pytest.approx(13 / 24, rel=1e-3)
     assert "of the object's size in the first 0.54 s. Fitted to" in longer.sentence
-    assert "What follows, up to 1.96 s, was not measured." in longer.brief
+    assert "The rest of the clip, up to 1.96 s, was not measured." in longer.brief
     assert longer.missing == "error after 0.54 s not measured" and not brief.missing
     assert longer.off(3.0).endswith("(3 px) in the first 0.54 s")
     assert check_promise(longer, 0.5).endswith("for the first 0.54 s only; measured here: 50 %")

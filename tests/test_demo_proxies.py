@@ -51,7 +51,7 @@ def test_a_proxy_is_not_asked_for_the_page_itself(name, page, monkeypatch):
 def test_a_proxy_that_cannot_be_used_is_left_out(proxy, page, monkeypatch, caplog):
     monkeypatch.setenv("ALL_PROXY", proxy)
     reach_itself("127.0.0.1")
-    assert "The page goes without the proxies of the environment" in caplog.text
+    assert "The page ignores the proxies set in the environment" in caplog.text
     assert httpx.get(page).status_code == 200
 
 

@@ -31,7 +31,7 @@ def _found(*errors: float | None, torn: int = 0, rate: float | None = 1.0) -> Me
         Level(cells=cells, seconds=cells / 10, error=error, torn=cells == torn)
         for cells, error in zip(GRIDS, errors, strict=True)
     )
-    why = "" if any(errors) else "not converging: finer grids do not come closer"
+    why = "" if any(errors) else "no convergence: finer grids are no closer together"
     return Measurement(levels=levels, order=rate, why_not=why, skipped=())
 
 
@@ -165,7 +165,7 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch):
     assert run.wait(300) and run.progress.state == "done", run.progress.message
     shown = run.progress.result
     report = handlers.results.report_of(studio, run)
-    assert report["sentences"][1]["text"] == "How far it is off has not been measured."
+    assert report["sentences"][1]["text"] == "Its error has not been measured."
     assert "not measured for" in report["tables"]
     study = Job("measure", studio.visitors.get("a").new_stop_file())
     studio.visitors.get("a").remember(study)

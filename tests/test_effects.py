@@ -72,7 +72,7 @@ def test_velocities_are_computed_only_for_who_asks():
     scene = Scene.named("push_right").replaced(QUICK)
     bare = Simulation(prepare(ball(300), scene)).run()
     assert bare.velocities is None
-    assert "follow from the positions" in whys(Effects.of(scene))["velocities"]
+    assert "derive them from the positions" in whys(Effects.of(scene))["velocities"]
     asked = scene.replaced({"velocities": True})
     full = Simulation(prepare(ball(300), asked)).run()
     assert "velocities" in Effects.of(asked).ran

@@ -41,7 +41,7 @@ PROBLEMS = {
     "httpx": (httpx.ConnectError("refused"), 1, "httpx failed: ConnectError: refused"),
     "encoding": (UnicodeEncodeError("ascii", "ä", 0, 1, "no"), 1, "a text cannot be read or wr"),
     "a bug": (RuntimeError("two\nlines"), 1, "RuntimeError: two lines"),
-    "exit": (SystemExit(0), 1, "a library ended the program early (exit status 0)"),
+    "exit": (SystemExit(0), 1, "a library aborted the program (exit status 0)"),
 }
 STAGES = {
     "cut out": ("generate", "phy124.pipeline.gaussians.cut_out"),

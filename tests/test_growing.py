@@ -86,7 +86,7 @@ def test_a_file_in_use_or_cut_short_is_refused(tmp_path):
     growing, *_ = grown(tmp_path / "frames")
     place = growing.place()
     if files.LOCKS_AVAILABLE:
-        with pytest.raises(InputError, match="another process is computing this run"):
+        with pytest.raises(InputError, match="another process is still computing this run"):
             Growing.there(tmp_path, place)
     growing.close()
     again = Growing.there(tmp_path, place)

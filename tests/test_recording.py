@@ -119,7 +119,7 @@ def test_frames_in_use_are_neither_swept_nor_taken_over(tmp_path, every_frame):
             (tmp_path / "pause.safetensors").rename(tmp_path / "away")
             recording.sweep(tmp_path)
             (tmp_path / "away").rename(tmp_path / "pause.safetensors")
-            with pytest.raises(InputError, match="another process is computing this run"):
+            with pytest.raises(InputError, match="another process is still computing this run"):
                 pipeline.go_on(tmp_path)
 
     assert pipeline.simulate(ball(300), SCENE, tmp_path, keep=True, each=each).report["complete"]

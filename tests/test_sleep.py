@@ -143,7 +143,7 @@ def test_something_that_moves_anywhere_keeps_it_awake():
     assert still.report()["sleep"] is not None
     left_out = awake.report()["effects"]["left_out"]
     (why,) = (o["why"] for o in left_out if "sleep" in o["effect"])
-    assert why == "the object was never at rest for long enough"
+    assert why == "the object was never at rest long enough"
 
 
 @pytest.mark.parametrize("pause", [1, 2, 4, 8])

@@ -138,7 +138,7 @@ def test_missing_weights_say_where_how_and_what_instead(tmp_path):
         "`relief`",
     ):
         assert part in message
-    with pytest.raises(InputError, match=r"no such weights.*u2net, u2netp, lgm"):
+    with pytest.raises(InputError, match=r"no such set of weights.*u2net, u2netp, lgm"):
         require("nothing")
 
 

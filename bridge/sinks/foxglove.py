@@ -91,7 +91,7 @@ class FoxgloveSink:
             )
         except RuntimeError as error:
             limit = f"The websocket cannot be opened ({error})."
-            remedy = "Another viewer server may be running; choose another port."
+            remedy = "Another program may use this port; choose another one."
             raise InputError("port", self.port, limit, remedy) from error
         self.port = self._server.port
         topics = [*self._encoder.topics]

@@ -75,7 +75,10 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
             left_out.append("the photograph")
         if left_out:
             names = " and ".join(left_out)
-            report["notes"] = [*report.get("notes", []), f"No time was left for {names}."]
+            report["notes"] = [
+                *report.get("notes", []),
+                f"The time limit was reached before these videos were made: {names}.",
+            ]
         pipeline.write_json(folder / "report.json", report)
 
 

@@ -176,7 +176,7 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
     for level in FIRST:
         runs.clip(level)
     if not runs.complete:
-        raise _unreachable(goal, "the motion stops early on a coarse grid")
+        raise _unreachable(goal, "on a coarse grid the simulation stops early")
     if runs.torn:
         raise _unreachable(goal, _why_torn(runs))
     result, obstacle = _estimate(goal, runs), ""

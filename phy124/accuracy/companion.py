@@ -73,7 +73,7 @@ FACTORS = {
     "metal": Factors(0.6, 2.6),
     "foam": Factors(0.6, 0.95),
 }
-"""Factors of the laws that were measured by themselves; those of other laws by kind of motion."""
+"""Factors of the laws that were measured; other laws have the factors of the kind of motion."""
 USUAL_CELLS = 16
 """Cells of the companion for which the factors hold; they are larger on finer and coarser grids."""
 FLOOR = 2e-4
@@ -150,7 +150,7 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
         return OwnError(why_not=f"the clip has fewer than {FEWEST} frames")
     indices = _sample(run.setup)
     if not len(indices):
-        return OwnError(why_not="the solver moves no Gaussians")
+        return OwnError(why_not="no Gaussian of the scene moves")
     scene = coarsen(run.scene)
     if scene.resolution.cells < min_cells(scene):
         return OwnError(why_not="a solid of the scene is too thin for a coarser grid")
@@ -233,7 +233,7 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
         raise Lost(f"the companion on D/{cells} failed: {why}") from error
     expected = expect(run.scene, run.setup.proportions).error
     about, at_most, until = estimate(distances, clip.times, factors_of(scene, cells), expected)
-    why_not = "" if about is not None else "other grids move otherwise from the start"
+    why_not = "" if about is not None else "on other grids the motion differs from the start"
     return OwnError(about, at_most, until, cells, round(cost, 4), why_not)
 
 

@@ -49,11 +49,11 @@ HARDER = {
 }
 """Property -> description of scenes whose value exceeds the measured range."""
 THINNEST = 0.7
-"""Thickness, in cells, below which an object does not become harder to resolve."""
+"""Thickness, in cells, below which the error no longer grows."""
 SOLID = Proportions(thickness=1.0, compliance=0.1)
-"""Proportions of an object that no grid is too coarse for."""
+"""Proportions of an object that every grid resolves."""
 STIFFEST, SOFTEST = 0.02, 100.0
-"""Range of compliances that make a difference."""
+"""Range of compliances that affect the error."""
 
 
 class Expectation(NamedTuple):
@@ -167,7 +167,7 @@ def expect(
     if outside:
         return Expectation(None, f"{such} {outside}")
     if proportions is None:
-        return Expectation(None, "an object whose proportions are not known yet")
+        return Expectation(None, "an object of unknown proportions")
     # A coarser grid is never expected to err less than the finest one that was measured.
     finest = measured["cells"][1]
     grids = [

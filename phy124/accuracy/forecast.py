@@ -48,7 +48,7 @@ ENOUGH, LONGEST = 0.2, 4.0
 BLOCK = bytes(1 << 18)
 """Data whose checksum a spinning thread computes without holding Python's global lock."""
 ALONE = 0.93
-"""Fraction of a core's time above which the core counts as not used by other programs."""
+"""Fraction of a core's time that a thread must get for the core to count as free."""
 SECOND_THREAD = 1.5
 """Factor on the time of a simulation if no free core is available for its second thread."""
 MINIMUM, MAXIMUM = 0.8, 1.5

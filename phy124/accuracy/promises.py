@@ -160,7 +160,7 @@ def promise(
         return Promise(None, why, unmeasured=what, unestimated=unestimated)
     why, seconds = f"Fitted to {expected.objects} measured objects: {expected.such}.", None
     if length(scene) > MARGIN * expected.length:
-        why += f" What follows, up to {duration(scene):.2f} s, was not measured."
+        why += f" The rest of the clip, up to {duration(scene):.2f} s, was not measured."
         seconds = expected.length * unit(scene)
     return Promise(expected.error, why, seconds=seconds, unestimated=unestimated)
 
@@ -195,7 +195,8 @@ def promise_own(entry: Mapping[str, Any]) -> Promise:
     why = f"Estimated from the same motion on D/{entry['cells']}."
     if entry["until"] is not None:
         why += (
-            f" After {entry['until']:.2f} s other grids move otherwise: plausible, not predicted."
+            f" After {entry['until']:.2f} s the motion differs from grid to grid: it is "
+            "plausible, but not a prediction."
         )
     return Promise(entry["at_most"], why, about=entry["about"], seconds=entry["until"])
 

@@ -12,8 +12,7 @@ from phy124.materials.base import Elastic
 from phy124.scene import Scene
 
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "viscosity", "yield_stress"}
-"""Fields of a material that may differ from their defaults; these fields affect the severity,
-`yielding`, `damping` or `poisson`."""
+"""Fields of a material of any value: `severity`, `yielding`, `damping` or `poisson` reads them."""
 MEASURED = {"repose_angle": (30.0, 36.0)}
 """Further fields of a material -> range for which the errors are those of the default."""
 LOOKS = {"tint", "visibility"}

@@ -207,7 +207,9 @@ def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[E
 
 def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
     """Yield the optional quantities that a clip's frames may contain."""
-    yield Effect("velocities", scene.velocities, "not requested; they follow from the positions")
+    yield Effect(
+        "velocities", scene.velocities, "not requested; viewers derive them from the positions"
+    )
     drawn = ", ".join(scene.view.outputs)
     yield Effect(f"outputs {drawn}".strip(), bool(drawn), "not requested: only colours are drawn")
     rotated = sh_degree > 0

@@ -12,8 +12,8 @@ from phy124.errors import Remedy
 from phy124.scene import Scene
 
 DAMPING = 0.04
-"""Damping with which a pressed body does not turn inside out when it is released at once, relative
-to density, speed of sound and size.
+"""Damping, relative to density times speed of sound times size, with which a pressed body that is
+suddenly released does not become inverted.
 """
 SOFTER = 16.0
 """Factor by which E is reduced; the longest stable substep becomes four times as long."""

@@ -65,7 +65,7 @@ class Evaluate:
     def _model(self) -> tuple[similarity.ClipModel | None, str | None]:
         """Return the CLIP model, or None and the reason; a model named by the user must exist."""
         if self.clip_model == "none":
-            return None, "it was left out with --clip-model none."
+            return None, "CLIP-T was switched off by --clip-model none."
         try:
             order = "bgr" if self.bgr else "rgb"
             return similarity.ClipModel(self.clip_model or similarity.MODEL, order=order), None

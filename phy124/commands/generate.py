@@ -125,7 +125,7 @@ class Generate:
         except Exception as error:
             again = f"phy124 render {result.folder / 'clip.safetensors'} --compose {self.image}"
             kept = f"kept in {result.folder}: {', '.join(result.report['files'])}"
-            raise Incomplete(f"{kept}. `{again}` films it in the photograph") from error
+            raise Incomplete(f"{kept}. `{again}` films the object in the photograph") from error
         files = (*result.files, result.folder / path.name)
         names = sorted({*result.report["files"], path.name})
         report = {**result.report, "compose": about, "files": names}

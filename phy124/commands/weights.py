@@ -50,7 +50,10 @@ class Weights:
             return self._list()
         if self.name is None:
             raise InputError(
-                "weights", "fetch", "it needs a name.", f"Choose one of {', '.join(KNOWN)}."
+                "weights",
+                "fetch",
+                "`fetch` needs the name of a set.",
+                f"Choose one of {', '.join(KNOWN)}.",
             )
         with Bars(quiet=True) as bars:  # huggingface_hub draws a bar of its own
             paths = [str(path) for path in fetch(self.name, self.weights, progress=bars)]

@@ -67,7 +67,7 @@ class DepthMap(Section):
             return generator if network is None else partial(generator, depth=network)
         if not usable:
             limit = f"{name} does not use a depth map."
-            raise InputError("depth", self.depth, limit, "Leave it out, or choose relief.")
+            raise InputError("depth", self.depth, limit, "Leave this option out, or choose relief.")
         if self.path is None:
             require(self.depth)
             return partial(generator, depth=DepthNetwork(self.depth))
@@ -147,8 +147,7 @@ class OtherViews(Section):
         default=None,
         ge=0.05,
         le=4.0,
-        description="Depth of the object relative to the depth that relief "
-        "guesses, such as 0.6 for a flat fish.",
+        description="Factor on the depth that relief guesses, such as 0.6 for a flat fish.",
     )
 
     highlights: Literal["keep", "remove"] = Field(
@@ -185,7 +184,7 @@ class OtherViews(Section):
         for field, value in options.items():
             if field not in known:
                 limit = f"{name} does not use it."
-                raise InputError(field, value, limit, "Leave it out, or choose relief.")
+                raise InputError(field, value, limit, "Leave this option out, or choose relief.")
         cuts = {field: cut(field, path).picture for field, path in self.pictures.items()}
         facing = {"facing": self.facing} if self.side else {}
         return partial(generator, **{**options, **cuts, **facing}) if options else generator

@@ -348,7 +348,7 @@ def _apply_mask(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
     """Return the alpha [H,W] of a mask; transparent pixels of the image stay transparent."""
     if method not in ("auto", "mask"):
         limit = "A mask already shows where the object is."
-        raise InputError("foreground", method, limit, "Give one of the two.")
+        raise InputError("foreground", method, limit, "Give either a mask or a point.")
     if mask.size != image.size:
         (width, height), (w, h) = original_size(image), original_size(mask)
         limit = f"It does not have the size of the picture, {width} x {height} pixels."

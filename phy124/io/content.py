@@ -283,7 +283,7 @@ def assign_objects(
     from scipy.spatial import KDTree
 
     objects[lost] = objects[known][KDTree(means[known]).query(means[lost])[1]]
-    return {OBJECT: objects}, [f"{count}; each belongs to the object of its nearest neighbour."]
+    return {OBJECT: objects}, [f"{count}; each is assigned to the object of its nearest neighbour."]
 
 
 FAR = 4

@@ -78,7 +78,7 @@ class Growing:
         self._held = files.lock(path)
         if self._held is None and files.LOCKS_AVAILABLE:
             os.close(self._file)
-            limit = "another process is computing this run."
+            limit = "another process is still computing this run."
             raise InputError(
                 "resume", path.parent, limit, "Wait until that process ends, or stop it."
             )

@@ -170,4 +170,4 @@ def _squared_distances(a: NDArray, b: NDArray) -> NDArray[np.float64]:
 
 
 def _refusal(limit: str, remedy: str) -> InputError:
-    return InputError("clips", "A and B", f"they cannot be compared: {limit}", remedy)
+    return InputError("clips", "A and B", f"the clips cannot be compared: {limit}", remedy)

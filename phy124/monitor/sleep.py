@@ -78,7 +78,7 @@ class Sleep(Observer):
     def effect(cls, subject: Subject) -> Effect:
         """Return the row for sleep."""
         sleeps = subject.scene.time.sleep
-        why = "the object was never at rest for long enough" if sleeps else "time.sleep is off"
+        why = "the object was never at rest long enough" if sleeps else "time.sleep is off"
         return Effect("sleep while all objects rest", sleeps, why)
 
     @classmethod

@@ -245,7 +245,7 @@ class Watchdog(Observer):
         if solver.projects and solver.crowding > CROWDED:
             notes.append(
                 f"The walls left the liquid less room than its volume: its density rose by "
-                f"{solver.crowding:.0%}. Let the walls leave it more room."
+                f"{solver.crowding:.0%}. Move the walls apart, or use less liquid."
             )
         trembles = self.balance.trembles
         if trembles:

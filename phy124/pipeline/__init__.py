@@ -275,7 +275,9 @@ def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) 
         if asked.get(name) != before.get(name):
             both = name in asked and name in before
             what = f"{name} = {before[name]}, not {asked[name]}" if both else f"different {name}"
-            remedy = "Give the options of that run, or leave --resume out to start again."
+            remedy = (
+                "Repeat the options of the interrupted run, or leave --resume out to start again."
+            )
             raise InputError("resume", out, f"the interrupted run has {what}.", remedy)
 
 

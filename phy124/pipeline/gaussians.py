@@ -169,7 +169,9 @@ def make_object(
         for field, value in (("mask", mask), ("pick", pick)):
             if value is not None:
                 limit = f"{name} does not use a picture."
-                raise InputError(field, value, limit, "Leave it out, or choose another generator.")
+                raise InputError(
+                    field, value, limit, "Leave the picture out, or choose another generator."
+                )
     about: dict[str, Any] = {
         "foreground": cutout and cutout.method,
         "cutout": cutout and cutout.data(),

@@ -83,7 +83,7 @@ class Recording:
                 self._write_frames(run)
             except (OSError, InputError) as error:
                 self.failed = True
-                self._complain("frames are kept in memory only", error)
+                self._complain("the frames are only in memory", error)
             except Unlike:
                 self.failed = True
             if not self.failed and self._is_due(run):

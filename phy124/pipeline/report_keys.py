@@ -114,7 +114,7 @@ class OwnError(TypedDict):
     at_most: float | None
     """Bound on this error."""
     until: float | None
-    """Time from which other grids move otherwise [s]; the error holds before it. null: never."""
+    """Time from which the motion depends on the grid [s]; `about` holds before it; null: never."""
     cells: int | None
     """Cells across the object on the coarser grid; null if it was not run."""
     cost: float | None

@@ -328,7 +328,7 @@ def _scene_file(scene: Scene) -> str:
 def _without_films(out: Path, made: Iterable[str], *, resumes: bool) -> Incomplete:
     """Return the exception for a run whose clip is saved, but neither filmed nor exported."""
     names = ", ".join(sorted(made))
-    more = ", or the same command with --resume makes what is missing" if resumes else ""
+    more = ", or the same command with --resume makes the missing files" if resumes else ""
     return Incomplete(f"kept in {out}: {names}. `phy124 render {out / CLIP}` films it{more}")
 
 

@@ -178,7 +178,7 @@ def _check_fractions(path: Path, fractions: NDArray[np.float64]) -> None:
         InputError: If a fraction is outside this range.
     """
     if not ((fractions >= MINIMUM) & (fractions <= 1)).all():
-        remedy = "Divide by the largest value and give that to the material's E."
+        remedy = "Divide the fractions by their largest value, and multiply the material's E by it."
         raise _refusal(path, f"a fraction is outside {MINIMUM:g} to 1.", remedy)
 
 

@@ -136,7 +136,7 @@ def _sentence(kind: Kind, problem: BaseException) -> str:
     if kind is Kind.MACHINE:
         return f"the operating system refused: {said}"
     if isinstance(problem, SystemExit):
-        return f"a library ended the program early (exit status {said or 0})."
+        return f"a library aborted the program (exit status {said or 0})."
     name = _package(problem)
     where = "an error of phy124 itself" if name == OWN else f"{NAMES.get(name, name)} failed"
     return f"{where}: {type(problem).__name__}: {said} ({_place(problem)})."

@@ -38,7 +38,10 @@ def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
         if isinstance(error, FileNotFoundError):
             limit = "there is no such file."
     except RecursionError:
-        limit, remedy = "its lists are nested too deep.", "Leave out what does not belong to it."
+        limit, remedy = (
+            "its lists are nested too deep.",
+            "Leave out whatever is not part of a scene.",
+        )
     except tomllib.TOMLDecodeError as error:
         limit, remedy = f"it is not valid TOML: {error}.", "Correct that line."
     raise InputError(field, path, limit, remedy)
@@ -79,7 +82,7 @@ def check_depth(data: Any, field: str) -> None:
         if not level:
             return
     limit = f"it is nested more than {DEEPEST} levels deep."
-    raise InputError(field, "nested data", limit, "Leave out what does not belong to a scene.")
+    raise InputError(field, "nested data", limit, "Leave out whatever is not part of a scene.")
 
 
 def files_named(section: Any, field: str = "") -> Iterator[tuple[str, Path]]:

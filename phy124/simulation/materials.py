@@ -191,7 +191,9 @@ def with_properties(
     if not used.all():
         name = listed[int(np.argmin(used))]
         limit = f"the law {bases[base[0]].law} has no {name}."
-        raise InputError("properties.file", name, limit, "Use another law, or leave it out.")
+        raise InputError(
+            "properties.file", name, limit, "Use another law, or leave this property out."
+        )
     values = (np.where(has[base, i], columns[name], 0.0) for i, name in enumerate(listed))
     rows = np.column_stack([base, *values])
     kinds, kind = np.unique(rows, axis=0, return_inverse=True)

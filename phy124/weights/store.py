@@ -99,7 +99,10 @@ def list_files(name: str) -> tuple[WeightFile, ...]:
     """
     if name not in KNOWN:
         raise InputError(
-            "weights", name, "there are no such weights.", f"Choose one of {', '.join(KNOWN)}."
+            "weights",
+            name,
+            "there is no such set of weights.",
+            f"Choose one of {', '.join(KNOWN)}.",
         )
     return KNOWN[name]
 

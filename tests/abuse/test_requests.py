@@ -61,7 +61,7 @@ def test_nothing_is_fetched_for_a_panel_that_was_left_as_it_is(attacker):
     url = "https://example.com/a.png"
     shown = {"picture": {"path": url, "url": url, "meta": {"_type": "gradio.FileData"}}}
     answer = attacker.press("picture", "correct", [shown, None], strokes=[])
-    assert "This page fetches nothing" in str(answer["error"])
+    assert "This page downloads nothing" in str(answer["error"])
 
 
 def test_a_proxy_gives_the_page_no_foreign_name(attacker):

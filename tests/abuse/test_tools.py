@@ -90,8 +90,8 @@ def test_client_generates_and_renders_again(server):
 REFUSED: dict[str, tuple[str, dict[str, Any], str]] = {
     "path": ("generate", {**PRESS, "image": "/etc/passwd"}, "server does not have this picture"),
     "up": ("generate", {**PRESS, "image": "../../log.txt"}, "server does not have this picture"),
-    "url": ("generate", {**PRESS, "image": "https://a.example/b.png"}, "fetches nothing"),
-    "file url": ("generate", {**PRESS, "side": "file:///etc/passwd"}, "fetches nothing"),
+    "url": ("generate", {**PRESS, "image": "https://a.example/b.png"}, "downloads nothing"),
+    "file url": ("generate", {**PRESS, "side": "file:///etc/passwd"}, "downloads nothing"),
     "video": ("fit", {"run": "r" * 32, "video": DUCK}, "This is no file."),
     "run": ("evaluate", {"run": "r" * 32}, "There is no run"),
     "traversal": ("render", {"run": "../x"}, "There is no run"),

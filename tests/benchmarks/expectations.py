@@ -324,8 +324,8 @@ def write_page(pairs: list[Pair]) -> None:
             lines += [summary(f"{grids}: {name}", each)] if len(each) > 2 else []
     lines.append(summary("**draft, variants**", [p for p in mpm if p.scene in VARIANTS]))
     lines.append(summary("**lattice**", [pair for pair in pairs if pair.solver == "lattice"]))
-    heads = ["pairs", "pairs (objects)", "held", "held, left out", "told / true", "worst"]
-    heads += ["before: held", "before: told / true", "before: worst", "broken promises foreseen"]
+    heads = ["pairs", "pairs (objects)", "held", "held, left out", "stated / true", "worst"]
+    heads += ["before: held", "before: stated / true", "before: worst", "broken promises foreseen"]
     days, where = {row["date"] for row in known}, {row["machine"] for row in known}
     parted = sum(pair.until is not None for pair in pairs)
     text = (

@@ -122,4 +122,6 @@ def _refuse_double(depth: object | None, thickness: float | None) -> None:
     for field, option in (("depth", depth), ("thickness", thickness)):
         if option is not None:
             value = "map" if field == "depth" else option
-            raise InputError(field, value, limit, "Give one of the two.")
+            raise InputError(
+                field, value, limit, "Give either the picture from the side or --depth-scale."
+            )

@@ -206,13 +206,13 @@ globalThis.Phy124Player = (() => {
       if (play && !this.still && this.length > 0) this.play();
     }
 
-    /** Hatch the time from which other grids move otherwise. */
+    /** Hatch the time from which the motion differs from grid to grid. */
     hatch() {
       const bar = this.find('when'), until = this.pack.until;
       bar.classList.toggle('phy-hatched', until !== undefined);
       if (until === undefined) return;
       bar.style.setProperty('--until', `${100 * (until - this.pack.times[0]) / this.length}%`);
-      bar.title = `After ${until.toFixed(2)} s other grids move otherwise: plausible, not predicted.`;
+      bar.title = `After ${until.toFixed(2)} s the motion differs from grid to grid: it is plausible, but not a prediction.`;
     }
 
     listen() {

@@ -235,13 +235,13 @@ def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind 
     effects = np.linalg.norm(jacobian, axis=0)
     for name, effect in zip(names, effects, strict=True):
         if effect < DEAD * spread:
-            return Blind((name,), "no measurement depends on it.")
+            return Blind((name,), "no measurement depends on this value.")
     _, strengths, directions = np.linalg.svd(jacobian / effects, full_matrices=False)
     if strengths[-1] > ALIKE:
         return None
     weak = directions[-1]
     alike = tuple(name for name, part in zip(names, weak, strict=True) if abs(part) > SHARE)
-    return Blind(alike, "the measurements depend on them in the same way.")
+    return Blind(alike, "the measurements depend on these values in the same way.")
 
 
 def find_undetermined(
@@ -267,5 +267,5 @@ def find_undetermined(
     scale = np.sqrt(np.diag(directions))
     alike = np.abs(directions[worst] / (scale * scale[worst])) > 1 - SHARE
     linked = tuple(name for name, part in zip(names, alike, strict=True) if part)
-    together = "they are only known together: " if len(linked) > 1 else ""
+    together = "only a combination of these values can be determined: " if len(linked) > 1 else ""
     return Blind(linked, f"{together}the interval would be {wide:.1f} times the range.")

@@ -84,7 +84,9 @@ def search(
             import cma
     except ImportError:
         command = install_command("fit")
-        raise InputError("fit", "cma", "this package is missing.", f"Run {command}.") from None
+        raise InputError(
+            "fit", "cma", "the package cma is not installed.", f"Run {command}."
+        ) from None
     count = len(start)
     # CMA-ES needs two coordinates; a second one without effect costs little.
     begin = start if count > 1 else np.append(start, 0.5)

@@ -151,7 +151,7 @@ def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int,
     if known[0] < max(MOVING, KNOWN * known[1]):
         return f"{no}, which is known for only {known[0]} of {known[1]} frames after the first."
     if not levels:
-        return f"{no}: every level is coarser than D/{COARSEST}."
+        return f"{no}, because every level is coarser than D/{COARSEST}."
     good = [row for row in levels if row.error is not None and row.error <= GOOD]
     best = min(good or levels[-1:], key=lambda row: row.seconds)
     advice = (

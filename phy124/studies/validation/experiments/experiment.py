@@ -170,7 +170,11 @@ class Outcome:
         if self.failures:
             return "FAILED"
         inside = f"{self.inside} of {len(self.estimates)} in the band"
-        return inside if self.control_holds else f"{inside}; the CONTROL is in it, too"
+        return (
+            inside
+            if self.control_holds
+            else f"{inside}, but the CONTROL stays in its bands as well"
+        )
 
 
 def estimate(grids: Sequence[int], quantity: Quantity, levels: Values, control: float) -> Estimate:
