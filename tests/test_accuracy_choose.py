@@ -83,7 +83,7 @@ def test_the_promise_of_a_run_with_a_goal_is_its_own(quick, goal):
     assert said.of_scene and said.about == about["fraction"] < said.error
     assert about["fraction"] == pytest.approx(about["error"] / UNIT[about["unit"]](quick))
     assert said.sentence.startswith("This run is off by about ")
-    unknown = about | {"error": None, "fraction": None, "why_not": "not converging"}
+    unknown = about | {"error": None, "fraction": None, "why_not": "no convergence"}
     assert promise(reached.simulation.scene, Proportions(0.5, 0.3), {"goal": unknown}).error is None
 
 

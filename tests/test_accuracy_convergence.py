@@ -66,7 +66,7 @@ def test_errors_hold_until_levels_part():
     parted[3] += 50
     parted[2] -= 50
     found, frames = longest_convergence(H, parted, size=2.0)
-    assert not found.errors and frames == 12 and "not converging" in found.why_not
+    assert not found.errors and frames == 12 and "no convergence" in found.why_not
 
 
 def test_levels_that_do_not_come_closer_have_no_number():

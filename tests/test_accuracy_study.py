@@ -242,7 +242,7 @@ def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
     assert said["draft"] == "this kind of scene has no expected error; measured here: 5.0 %"
     lost = Convergence(None, why_not="no convergence: finer grids are no closer together")
     assert kept_promises(scene, 0.5, (row(16, None, 1),), lost)["draft"].startswith(
-        "cannot be judged: not con"
+        "cannot be judged: no con"
     )
 
 
@@ -253,9 +253,9 @@ def test_the_recommendation_is_the_fastest_that_is_good_enough():
         "Recommended: D/32, with an error of about 3.0 % of the object's size in 3.0 s; "
         "D/48 would take 3.0 times as long, with an error of about 2.0 %."
     )
-    unknown = Convergence(None, why_not="not converging: x")
+    unknown = Convergence(None, why_not="no convergence: x")
     assert "no level reached 4.0 %" in recommend((row(16, 0.2, 1.0),), found, (4, 4))
-    assert "not converging" in recommend(rows, unknown, (4, 4))
+    assert "no convergence" in recommend(rows, unknown, (4, 4))
 
 
 def test_brief_errors_recommend_nothing():
@@ -296,7 +296,7 @@ def test_a_study_without_convergence_still_draws(study, tmp_path):
     bare = replace(study[1], rows=(row(16, None, 1.0),), convergence=lost)
     plots.save_picture(bare, tmp_path / "a.png")
     plots.save_page(bare, tmp_path / "a.html")
-    assert "not converging" in (tmp_path / "a.html").read_text()
+    assert "no convergence" in (tmp_path / "a.html").read_text()
 
 
 def shifted(by: float) -> Clip:

@@ -54,7 +54,7 @@ def test_torn_or_diverging_grids_promise_nothing():
     assert "on D/24 the grid may tear the material" in torn.promise(16).sentence
     assert "may be torn" in torn.table()
     lost = _found(None, None, None, rate=None)
-    assert "none can be promised: not converging" in lost.promise(24).sentence
+    assert "none can be promised: no convergence" in lost.promise(24).sentence
 
 
 def test_a_scene_on_a_coarse_grid_is_measured_there_too():
@@ -136,7 +136,7 @@ def test_study_is_offered_where_nothing_was_measured(visit, handlers, monkeypatc
         return handlers.run.with_stops(studio, "a", cutout, data, None, estimate)
 
     drop = Scene.named("drop")
-    assert "whose proportions are not known yet" in shown(drop.replaced({"time.frames": 14}).data())
+    assert "of unknown proportions" in shown(drop.replaced({"time.frames": 14}).data())
     monkeypatch.setattr(studio, "proportions", lambda *about: Proportions(0.3, 0.3))
     assert "data-measure" not in shown(drop.replaced({"time.frames": 14}).data())
     assert "data-measure" in shown(drop.data())

@@ -279,7 +279,7 @@ def test_command_line_lists_and_fetches(hub, tmp_path, monkeypatch, capsys):
     assert "NOT the published file" in capsys.readouterr().out
     assert main(["weights", "--weights", str(folder)]) == 1
     assert main(["weights", "fetch"]) == 2
-    assert "it needs a name" in capsys.readouterr().err
+    assert "needs the name of a set" in capsys.readouterr().err
 
 
 def test_generating_without_weights_is_one_sentence(tmp_path, capsys):

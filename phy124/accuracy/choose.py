@@ -3,10 +3,10 @@
 A level is a run of the scene on one grid. For a maximum error, levels are run from coarse to fine,
 each with at most 1.5 times the cells of the one before. From three levels on, the order of
 convergence and the error of each level are estimated, and the next level is the coarsest grid that
-is predicted to meet the goal. The search ends when a level meets the goal, so the chosen grid has
-at most 1.5 times the cells that the goal needs by these estimates. If a level tears the material
-(phy124/monitor/tearing.py), that level is repeated with one more particle per cell and axis, and
-all later levels use this number, too.
+is predicted to meet the goal. The search ends when a level meets the goal, so, according to these
+estimates, the chosen grid has at most 1.5 times the cells that the goal needs. If a level tears the
+material (phy124/monitor/tearing.py), that level is repeated with one more particle per cell and
+axis, and all later levels use this number, too.
 
 For a maximum time, the finest grid whose forecast fits is run.
 """
@@ -83,7 +83,7 @@ def reach(
     forecaster: Forecaster | None = None,
     see: Callable[[Simulation], object] = lambda run: None,
 ) -> Reached:
-    """Run a scene on the grid that meets a goal, ignoring the scene's number of cells.
+    """Run a scene on the grid that meets a goal, which replaces the scene's number of cells.
 
     Args:
         goal: A maximum error or a maximum time.
@@ -389,7 +389,7 @@ def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float
 def _choose_next(
     cells: int, forecast: Forecast, left: float, fits: bool, tried: set[int]
 ) -> int | None:
-    """Return the next grid to forecast; None if no other grid is worth a forecast.
+    """Return the next grid to forecast; None if no other grid would be finer or still fit.
 
     The next grid is expected to take about as much time as is left.
     """

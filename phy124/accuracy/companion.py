@@ -4,8 +4,9 @@ The distance between the motions of the run and of its companion is measured on 
 Gaussians. The error of the run is about this distance times a factor, and at most this distance
 times a larger factor. The factors were measured on many objects (docs/lab/own-error.md).
 
-The companion runs after the run, so it changes neither the run nor its result. Whether it runs
-depends only on counts of the run, so that equal runs have equal reports.
+The companion runs after the run, so it changes neither the run nor its result. Whether the
+companion runs depends only on numbers counted in the run, not on measured times, so that equal runs
+have equal reports.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
 
     Args:
         clip: The first clip.
-        reference: The second clip. Both clips are rendered with the camera chosen for it.
+        reference: The second clip. Both clips are rendered with the camera chosen for this clip.
         view: The view settings.
         device: Warp device.
 

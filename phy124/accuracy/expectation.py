@@ -84,14 +84,14 @@ def kind_of(scene: Scene) -> str:
 
 
 def groups(scene: Scene) -> list[str]:
-    """Return the names of the groups of a scene, whose coefficients are added."""
+    """Return the names of a scene's groups; the model adds the groups' coefficients."""
     motion, law = motion_of(scene), law_of(scene)
     names = ["all", motion, law, f"{law} {motion}", *features(scene)]
     return [*names, "several objects"] if scene.objects else names
 
 
 def features(scene: Scene) -> list[str]:
-    """Return the special features of a scene, which must have been measured."""
+    """Return a scene's special features; each must have been measured."""
     forces = [force for force in scene.acting if force.kind not in ("gravity", "acceleration")]
     names = {f"a force of the kind {force.kind}" for force in forces}
     if any(force.region is not None for force in scene.acting):
@@ -197,7 +197,7 @@ def _clamp(values: Mapping[str, float], measured: Mapping[str, Any]) -> dict[str
 
 
 def _describe_beyond(scene: Scene, known: Sequence[str]) -> str:
-    """Describe a feature of the scene that is not among the known ones; empty if there is none."""
+    """Describe a feature of the scene that was not measured; empty if there is none."""
     if scene.stiffness is not None or scene.properties is not None:
         return "materials that vary from point to point"
     accuracy = scene.resolution
@@ -236,6 +236,6 @@ def _describe_outside(
 
 @cache
 def table() -> dict[str, Any]:
-    """Return measured.json: the coefficients, the measured ranges, and what measured them."""
+    """Return measured.json: the coefficients, the measured ranges, and their source."""
     file = resources.files("phy124") / "accuracy" / "measured.json"
     return json.loads(file.read_text("utf-8"))

@@ -88,7 +88,7 @@ class Load:
         return self.simulation if stage == "simulate" else self.thread
 
     def mean(self, other: Load) -> Load:
-        """Return the mean of this load and another, for work between the two measurements."""
+        """Return the mean of two loads, for work between their measurements."""
         thread = (self.thread + other.thread) / 2
         return Load(thread, (self.simulation + other.simulation) / 2)
 

@@ -3,8 +3,8 @@
 The stated error depends on what is known so far; `promise` chooses it. Before a run it is the
 expectation of a model fitted to many objects (phy124/accuracy/expectation.py). After a run it is
 the run's own error (phy124/accuracy/companion.py), or the error that was measured for a goal. If
-none of them is known, the error is "not measured". A study of the scene (`phy124 accuracy`) can
-measure it.
+none of these errors is known, the error is "not measured". A study of the scene (`phy124 accuracy`)
+can measure it.
 
 An error of the scene itself has two values: an estimate ("about") and a bound ("at most"). The
 bound held for 95 % of the objects and scenes with which it was compared. All percentages of an
@@ -94,7 +94,7 @@ class Promise:
 
     @property
     def missing(self) -> str:
-        """The missing measurement in a few words; empty if none is missing."""
+        """Description of the missing measurement in a few words; empty if none is missing."""
         if self.seconds is not None:
             return f"error after {self.seconds:.2f} s not measured"
         return UNMEASURED if self.unmeasured else ""
@@ -221,7 +221,7 @@ def format_apart(first: float, second: float) -> tuple[str, str]:
 
 
 def torn(grids: Sequence[str]) -> str:
-    """Return a message that some grids of a study, named such as D/16, may tear the material."""
+    """Return a message that the material may tear on some grids of a study (D/16, ...)."""
     return f"on {_join_names(grids)} the grid may tear the material"
 
 

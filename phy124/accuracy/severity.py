@@ -27,7 +27,8 @@ def violence(scene: Scene, thickness: float | None = None) -> float:
     """Return the severity of a scene, its energy relative to the stiffness: 2 e / c^2 + s^2.
 
     2 e is twice the energy per mass (see `energy`). c is the speed of waves in a bar of the
-    object's softest material. s is the fraction of its size by which walls and hands deform it.
+    object's softest material. s is the deformation by walls and hands, relative to the object's
+    size.
 
     Args:
         scene: The scene.

@@ -225,9 +225,7 @@ class Boundary(Section):
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return the recorder that settles the nodes of columns, up to two cells outside the
-        bounds.
-        """
+        """Return the recorder of the launch that settles columns up to two cells out of bounds."""
         low, high = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -290,7 +288,7 @@ class Boundary(Section):
 
 
 def _columns(model: Model, grid: Grid) -> list[Any]:
-    """Return a kernel's inputs for contact in columns: layers, and when material has arrived."""
+    """Return a kernel's inputs for contact in columns: layers, and the contact threshold."""
     layers = wp.vec2i(*(grid.layers or (0, int(grid.size[0]))))
     return [layers, lightest(model), contact_mass_fraction(model), seep_distance(model)]
 
@@ -315,8 +313,9 @@ class Movable(Boundary):
 def lightest(model: Model) -> float:
     """Return the mass of a node inside the lightest material [kg]; infinite for a single solid.
 
-    A solid needs no such bound: a cell heavier than at rest is compressed. Particles of a material
-    that yields crowd in places, up to 1.6 times as many in a cell, without being compressed.
+    A solid needs no such bound: a cell heavier than at rest is compressed. In a material that
+    yields, cells may contain up to 1.6 times as many particles as at rest, without being
+    compressed.
     """
     densities = {section.density for section in model.materials}
     return min(densities) * model.dx**3 if yields(model) or len(densities) > 1 else math.inf
@@ -327,10 +326,10 @@ def contact_mass_fraction(model: Model) -> float:
 
     A body touches the wall if its mass there exceeds the threshold.
 
-    The fraction is 0.9 for solids, which then touch the wall 0.07 cells early: a smaller fraction
-    makes solids too stiff at first contact, and a larger one lets columns with few particles sink
-    in. The fraction is 0.8 for materials that yield, because their particles are less regular; they
-    touch the wall 0.15 cells early.
+    The fraction is 0.9 for solids, which then touch the wall 0.07 cells early: with a smaller
+    fraction solids are too stiff at first contact, and with a larger fraction columns with few
+    particles sink into the wall. The fraction is 0.8 for materials that yield, because their
+    particles are less regular; they touch the wall 0.15 cells early.
     """
     return 0.8 if yields(model) else 0.9
 
@@ -338,9 +337,9 @@ def contact_mass_fraction(model: Model) -> float:
 def seep_distance(model: Model) -> float:
     """Return the distance [m] below which nodes respond singly to a wall that does not push.
 
-    Otherwise material that separates into drops and grains seeps through a wall: drops and grains
-    behind the wall move on while the rest moves away. Cohesive material has no such distance,
-    because it would feel the wall before touching it.
+    Material that separates into drops and grains would otherwise seep through a wall: drops and
+    grains behind the wall would move on while the rest moves away. For cohesive material the
+    distance is infinite, because such nodes would stop it before it touches the wall.
     """
     apart = any(section.rounds for section in model.materials)
     return REACH * model.dx if apart else -math.inf

@@ -98,7 +98,7 @@ class Press(Plane):
         return True
 
     def gentler(self) -> dict[str, Any]:
-        """Return twice the time to come down."""
+        """Return the fields for twice the time to come down."""
         return {"down": 2 * self.down}
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
@@ -115,7 +115,7 @@ class Press(Plane):
 class Container(Movable):
     """A box that keeps objects inside: the walls of a tank, of a tray, or of the whole domain.
 
-    Each closed side is one stage. Omit the open sides.
+    Each closed side is one stage. Sides that are omitted are open.
     """
 
     kind: Literal["container"] = "container"
@@ -172,7 +172,7 @@ class Container(Movable):
 
 
 def there_and_back(to: Vector, start: float, go: float, stay: float, back: float) -> Track:
-    """Return a smooth displacement to a point, a rest, and a smooth return.
+    """Return the track of a smooth displacement, a rest, and a smooth return.
 
     Args:
         to: Displacement during the rest [m].

@@ -40,8 +40,9 @@ def check_limits(
         keep: True if all frames stay in memory.
 
     Raises:
-        InputError: The run would exceed its time budget or the free memory. Or an object is so far
-            from the origin that float32 cannot resolve positions within a cell.
+        InputError: The run would exceed its time budget or the free memory. The error is also
+            raised for an object so far from the origin that float32 cannot resolve positions within
+            a cell.
     """
     _check_distance(scene)
     need = estimate(gaussians, particles, scene, device, keep=keep)
@@ -113,7 +114,7 @@ def _check_distance(scene: Scene) -> None:
 def _find_remedies(
     scene: Scene, excess: float, fits: Callable[[Scene], bool]
 ) -> tuple[Remedy, ...]:
-    """Return the proposed remedies that pass `fits`, for a run `excess` times over its budget."""
+    """Return the remedies that pass `fits`, for a run that exceeds its budget `excess` times."""
     fitting = []
     for remedy in _propose_remedies(scene, excess):
         try:

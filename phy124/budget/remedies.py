@@ -66,7 +66,7 @@ def _halve_push(scene: Scene) -> Remedy | None:
 
 
 def _damp(scene: Scene) -> Remedy | None:
-    """Give a body on its lattice the damping with which it comes back from any compression."""
+    """Increase the damping of a body on its lattice, so that it recovers from any compression."""
     material = scene.material
     damping = getattr(material, "damping", None)
     if scene.resolution.solver != "lattice" or damping is None or scene.properties is not None:

@@ -26,7 +26,7 @@ TITLES = {"compile": "compile kernels, once"}
 
 @contextmanager
 def silence() -> Iterator[None]:
-    """Within this context no bars are drawn (`--quiet`)."""
+    """Draw no bars within this context (`--quiet`)."""
     token = _silent.set(True)
     try:
         yield
@@ -39,7 +39,7 @@ class Bars:
     On a terminal it draws a bar; elsewhere, for example in a log, it prints a line at intervals.
     Within the context, Ctrl-C ends the work at the next report of progress, because stopping inside
     a kernel could crash the process. A second Ctrl-C before that report interrupts at once.
-    `keeps` says that the caller saves the results so far, and a message then says so. `left`
+    If `keeps` is true, the caller saves the results so far, and a message says so. `left`
     predicts the time left [s], better than the bar's estimate, which assumes equal steps.
     """
 
@@ -95,7 +95,7 @@ class Bars:
 
     @contextmanager
     def keeping(self) -> Iterator[None]:
-        """Within this context an error or Ctrl-C ends the work without an exception.
+        """End the work at an error or Ctrl-C within this context, without an exception.
         The caller can then save the results so far, and `status` reports the error.
         """
         try:

@@ -72,7 +72,7 @@ class Compare:
 
 
 def _name(path: Path) -> str:
-    """Return a clip's name: its folder's if the file is named clip.*, else the file's."""
+    """Return the name of a clip's folder if the file is named clip.*, else that of the file."""
     return path.resolve().parent.name if path.stem == "clip" else path.stem
 
 

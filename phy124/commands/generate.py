@@ -151,7 +151,7 @@ class Generate:
             )
 
     def _predict(self, scene: Scene) -> int:
-        """Make the Gaussians, then print how long the remaining stages would take."""
+        """Make the Gaussians, then print the predicted time of the remaining stages."""
         with Bars(quiet=self.options.json) as bars:
             context, pictures = self.options.context(bars), [self.image, *self.more]
             options = self._options(bars)
@@ -170,7 +170,7 @@ class Generate:
         )
 
     def _options(self, bars: Bars) -> dict[str, Any]:
-        """Return the options of making Gaussians, with the callbacks that print meanwhile."""
+        """Return the options of making Gaussians, with callbacks that print messages."""
         calls = {"on_cutout": self._look, "on_estimate": self._announce}
         bound = {name: partial(call, bars) for name, call in calls.items()}
         return {**self.making.arguments(), **bound}
@@ -258,7 +258,7 @@ class Simulate:
         return replace(read, gaussians=every.gaussians, scene=every.scene, about=about)
 
     def _predict(self, file: PlyFile, scene: Scene, study: str) -> int:
-        """Read the Gaussians, then print how long the remaining stages would take."""
+        """Read the Gaussians, then print the predicted time of the remaining stages."""
         with Bars(quiet=self.options.json) as bars:
             context = self.options.context(bars)
             with context.watch.stage("read"):

@@ -59,7 +59,7 @@ class PlanOptions:
 
 
 def announce(scene: Scene, goal: Goal | None, *, as_json: bool) -> None:
-    """Print a summary of the scene, and a note on the part that makes it slow.
+    """Print a summary of the scene, and a note on the part that makes the run slow.
 
     Args:
         scene: The scene.

@@ -121,7 +121,7 @@ class Sweep:
 
 
 def parts_of(shard: str) -> tuple[int, int]:
-    """Return number and count of a shard, from a text such as 3/8.
+    """Return the number of a shard and the number of all shards, from a text such as 3/8.
 
     Raises:
         InputError: The text is something else.

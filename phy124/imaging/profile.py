@@ -1,6 +1,6 @@
 """Converts images to sRGB by their ICC colour profiles.
 
-Phones write Display P3, cameras Adobe RGB, and print shops CMYK, or grey with dot gain.
+Phones use Display P3, cameras Adobe RGB, and print shops CMYK or grey with dot gain.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ def refusal(kind: str, path: Path, limit: str, remedy: str = AGAIN) -> InputErro
         kind: Name of the format, such as "SPZ".
         path: The file.
         limit: A clause that says what is wrong; its first letter may be lower-case.
-        remedy: A sentence that says how to mend it.
+        remedy: A sentence that says how to correct it.
     """
     return InputError(f"{kind} file", path, limit[0].upper() + limit[1:], remedy)
 
@@ -261,7 +261,7 @@ def assign_objects(
 ) -> tuple[dict[str, NDArray[np.int32]], list[str]]:
     """Return the object index of each Gaussian, if the file has any, and notes about them.
 
-    A Gaussian without an object joins the object of the nearest Gaussian that has one.
+    A Gaussian without an object is assigned to the object of its nearest neighbour with an object.
 
     Args:
         ids: Object numbers [N] in the file; NaN or negative numbers mean "no object".

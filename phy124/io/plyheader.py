@@ -111,7 +111,7 @@ def read_header(path: Path) -> Header:
 
 
 def refusal(path: Path, limit: str, remedy: str) -> InputError:
-    """Return the error that reports an unusable PLY file; `limit` starts in lower case."""
+    """Return the error for an unusable PLY file; `limit` starts with a lower-case letter."""
     return content.refusal("PLY", path, limit, remedy)
 
 

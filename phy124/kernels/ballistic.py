@@ -1,7 +1,7 @@
 """Moves particles outside the grid, on which only the uniform acceleration acts.
 
 Whether a particle is outside the grid is decided when particles scatter, and holds for the whole
-substep. Such particles are moved out of the gather's window until the gather is over. Otherwise a
+substep. During the gather, such particles are moved out of the gather's window. Otherwise a
 particle that crosses the window's edge during the gather, in either direction, would be moved
 twice.
 """

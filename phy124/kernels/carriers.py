@@ -1,7 +1,7 @@
 """The particles that carry each Gaussian: its nearest neighbours, with smooth weights.
 
-The particles are sorted by cells of a grid. Around a point, a box of cells is searched that grows
-until it certainly contains the nearest particles. Distances are in float64.
+The particles are sorted by cells of a grid. The search examines a box of cells around a point,
+which grows until it certainly contains the nearest particles. Distances are in float64.
 """
 
 import warp as wp

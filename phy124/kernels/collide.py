@@ -8,7 +8,7 @@ phy124/kernels/columns.py. At a flat wall every node is in one column. At a curv
 cross: there the nodes keep their velocities until every column has computed its changes.
 `make_settle` then adds the mean change to each node, so that the result does not depend on the
 order of the nodes. (With the sum instead of the mean, changes would be up to twice too large where
-columns agree, and bodies would be squeezed flat.)
+columns request the same change, and bodies would be squeezed flat.)
 
 `make_collider` applies the usual rule, node by node, for regions that are held only in some
 directions.

@@ -5,8 +5,8 @@ normal, the velocity relative to the wall is made linear in the distance and zer
 first node is the last one that is at least half a cell in front of the wall; the velocities of the
 two nodes behind it are its velocity times the ratios g of their distances. (Quadratic B-splines
 reproduce linear functions, and reach no further behind the wall.) Momentum is projected onto such
-velocities, v_1 = sum(g m v) / sum(g^2 m). This projection never adds energy and pushes on all three
-nodes; without it, a wall is as compliant as a layer of material one cell thick. (Extended
+velocities, v_1 = sum(g m v) / sum(g^2 m). This projection never adds energy, and it acts on all
+three nodes; without it, a wall is as compliant as a layer of material one cell thick. (Extended
 B-splines: Hoellig, Reif, Wipper 2001.) The wall acts once the material has reached it, which is
 determined from the masses of the nodes on its two sides: see `coverage`.
 
@@ -133,8 +133,8 @@ def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: An
     A body that touches the wall covers the B-splines of two nodes in a known ratio; if there is a
     gap, the nearer node has less mass. The ratio does not depend on the body's density or width.
     Irregular particles scatter about this ratio, and the body must not rest on the few fullest
-    columns only, so the fraction `full` of the expected mass is enough. In case something heavier
-    lies on the body, the mass of the farther node is capped at the mass of a full node of the
+    columns only, so the fraction `full` of the expected mass is enough. Since heavier material may
+    lie on the body, the mass of the farther node is capped at the mass of a full node of the
     `lightest` material.
 
     Tips, edges and hairs have less mass on the nearer node although they touch the wall. Their

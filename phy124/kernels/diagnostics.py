@@ -139,7 +139,7 @@ def make_totals(law: Law, real: Any):
 
 @build_once
 def make_energies(law: Law, real: Any):
-    """Kernel: computes kinetic plus elastic energy of each particle [J], to locate a particle."""
+    """Kernel: computes kinetic plus elastic energy of each particle [J], to find the largest."""
     energy, exact = law.energy, wp.types.vector(law.width, wp.float64)
     has_history = law.project is not None
 

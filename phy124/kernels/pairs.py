@@ -81,7 +81,7 @@ def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.
 
 @wp.func
 def trust(yields: Any):
-    """Return how much a body counts in the contact normal: more if the body never moves."""
+    """Return the weight of a body in the contact normal; it is larger if the body never moves."""
     return type(yields)(TRUSTED) - (type(yields)(TRUSTED) - type(yields)(1.0)) * yields
 
 

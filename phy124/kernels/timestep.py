@@ -177,8 +177,8 @@ def violent(dt: wp.float64, s: Progress, bounds: Limits):
 def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
     """Return whether `BLOCK` substeps of length dt [s] surely follow, and then a measurement.
 
-    This is not so if the time is reached, the particles are measured, or control returns to the
-    host between two of them. The lengths of the substeps may differ by rounding.
+    The result is False if, between two of them, the time is reached, the particles are measured, or
+    control returns to the host. The lengths of the substeps may differ by rounding.
     """
     count = int(wp.static(BLOCK))
     all = wp.float64(count)

@@ -60,7 +60,7 @@ def strides(size: wp.vec3i):
 
 @wp.func
 def laden(grid: wp.array(dtype=Any), size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
-    """Return whether this launch may change a node and the node has mass."""
+    """Return whether a node has mass, and this launch may change it."""
     if not holds(size, span, node):
         return False
     q = grid[wp.dot(node, strides(size))]

@@ -130,7 +130,7 @@ class CoupledSolver(Solver):
 
     @property
     def guest(self) -> CoupledSolver:
-        """What acts between the update of the grids and the walls."""
+        """Launch that acts between the update of the grids and the walls."""
         return self
 
     @property
@@ -173,7 +173,7 @@ class CoupledSolver(Solver):
             self.rejection.keep(_Undo(self))
 
     def stages(self) -> list[list[Any]]:
-        """Return the launches by which contact with particles acts on the lattices."""
+        """Return the launches of contact between lattices and particles, for the lattices' side."""
         return [
             [("pairs", material.stage(number)) for material in self.materials]
             for number in range(3)

@@ -1,12 +1,12 @@
-"""A meeting: surface points of two bodies, or of two parts of a body, do not pass each other.
+"""Computes contact between the surface points of two bodies, or of two parts of a body.
 
-Every point is paired with the place opposite to it on the other surface, which starts at the
-nearest surface point there and follows the point along the surface. The weights of the pair are
-those of the point, minus those of the place, so that an impulse along the surface's normal acts on
-both parts on one line, with opposite signs. It is found like the impulses of walls.
+Every point is paired with the opposite position on the other surface, which starts at the nearest
+surface point there and follows the point along the surface. The weights of the pair are those of
+the point minus those of the opposite position, so that an impulse along the surface's normal acts
+on both parts along one line, with opposite signs. Impulses are computed like those of walls.
 
-Pairs are listed again when a part has moved relative to the mean of both. A sample of the surfaces
-shows whether parts are near each other; if not, nothing else is computed.
+Pairs are listed again when a part has moved relative to the mean motion of both. A sample of the
+surfaces shows whether parts are near each other; if not, nothing else is computed.
 """
 
 from __future__ import annotations
@@ -29,11 +29,10 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 MOVED, BETWEEN = 0.6, 0.15
-"""Half of the relative way after which the parts of a body, and two bodies, are compared again
-[cells].
+"""Half of the relative displacement after which two parts or bodies are compared again [cells].
 """
 SLID = 0.4
-"""Way of a point along the surface of the other part after which pairs are listed again [cells]."""
+"""Displacement of a point along the other surface after which pairs are listed again [cells]."""
 FRICTION = 0.5
 """Coefficient of friction of a body with itself, the default of pairs of objects."""
 
@@ -63,8 +62,8 @@ class Meeting:
             model: The constants of the run.
             nodes: Arrays of the nodes.
             tracks: The tracks, which hold the clock.
-            partners: The search for points that may meet.
-            restore: Part of their depth by which points come out of each other in a substep.
+            partners: The search for points that may touch.
+            restore: Fraction of their overlap by which points separate in a substep.
             sample: Indices of the sampled points of the two bodies [K].
             bodies: Indices of the two bodies, equal for a body with itself.
             friction: Coefficient of Coulomb friction.
@@ -175,7 +174,7 @@ class Meeting:
             self._look(x)
 
     def part(self) -> None:
-        """Forget all pairs, because the bodies are far from each other."""
+        """Remove all pairs, because the bodies are far from each other."""
         self._points, self._away = self._points[:0], True
 
     def _look(self, x: NDArray[np.float64]) -> None:

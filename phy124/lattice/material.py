@@ -1,6 +1,6 @@
 """Contact of surface points on lattices with bodies of the material point method.
 
-A body of particles is met on its grid, after the update of a substep and before walls act.
+Contact is computed on the particles' grid, after its update in a substep and before walls act.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ class Material:
             nodes: The nodes of the lattices.
             model: The constants of the bodies on lattices.
             pair: The contact of the two bodies.
-            fill: Filled part of the space at a node of the particles, per mass [1/kg].
+            fill: Fraction of the space that particles fill around a node, per mass at the node
+                [1/kg].
             body: Index of the body among those on lattices.
             moves: Whether the particles may move.
         """
@@ -78,7 +79,7 @@ class Material:
         Args:
             grid: The grid of the particles.
             clock: The clock of the substeps.
-            recovery: Part of their depth by which points come out of the material in a substep.
+            recovery: Fraction of their depth by which points move out of the material in a substep.
         """
         model, nodes, rows = self._model, self._nodes, self._nodes.rows
         on_grid = [grid.lattice, grid.window, grid.nodes]

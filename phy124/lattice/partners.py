@@ -1,4 +1,4 @@
-"""Search for surface points that may meet, and for the place opposite to each of them."""
+"""Search for surface points that may touch, and for the position opposite to each of them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Model
 
 FAR = 3.0
-"""Distance of sampled points within which they may meet [cells]."""
+"""Distance of sampled points within which their surroundings may touch [cells]."""
 REACH, NEAR = 1.4, 1.0
-"""Distances within which points of one body, and of two bodies, may meet [cells]."""
+"""Distances within which points of one body, and of two bodies, may touch [cells]."""
 LEAST = 0.05
-"""Least volume ratio with which ways on the surface are taken back to the body at rest."""
+"""Smallest volume ratio used to map displacements on the surface to the body at rest."""
 BUCKETS = 32
 """Number of buckets along each axis of the grid in which points are searched."""
 
@@ -41,7 +41,7 @@ class Partners:
     def flag(
         self, sample: NDArray[np.int64], x: NDArray[np.float64], *, between: bool
     ) -> NDArray[np.bool_]:
-        """Return near which sampled points parts may meet [K].
+        """Return which sampled points may touch another part [K].
 
         Args:
             sample: Indices of the sampled points [K].
@@ -66,8 +66,8 @@ class Partners:
 
         Returns:
             `a` and `b`, the indices of the points and partners [M]; `normal`, from the partner to
-            the point [M,3]; and `back`, which takes ways on the surface at the partner back to the
-            body at rest [M,3,3].
+            the point [M,3]; and `back`, which maps displacements on the surface at the partner to
+            the body at rest [M,3,3].
         """
         model, arrays, count = self._model, self._arrays, len(points)
         t, reach = types(model.real), NEAR if between else REACH

@@ -104,7 +104,7 @@ def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterato
 
 
 def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
-    """Yield what bodies on lattices and bodies of particles cannot do together."""
+    """Yield the features that scenes with bodies on lattices and bodies of particles lack."""
     limit = "elastic and other objects together cannot have it on lattices."
     for number, force in enumerate(scene.acting):
         if not force.uniform:

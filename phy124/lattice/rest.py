@@ -7,8 +7,8 @@ instead of between knots, some motions of cut cells would have no stiffness.
 
 Every body that does not fill its cells has nodes of almost no mass, which have almost no stiffness
 either. Nodes lighter than `LIGHTEST` are tied: their motion is extrapolated linearly from heavier
-nodes, and their force and mass act on these nodes by the transpose. This conserves momentum and
-angular momentum.
+nodes, and the transpose of this extrapolation distributes their force and mass over these nodes.
+This conserves momentum and angular momentum.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ def _weights(offset: NDArray) -> NDArray[np.float64]:
 def _tie_light(
     index: NDArray[np.int64], mass: NDArray, least: float, corner: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, NDArray[np.float64]]:
-    """Return tied nodes, their ties, and the masses after the tied nodes have given theirs.
+    """Return tied nodes, their ties, and the masses after those of tied nodes are distributed.
 
     Args:
         index: Indices of the nodes [N,3].
@@ -218,9 +218,9 @@ def _tie_light(
 def _share(
     index: NDArray[np.int64], mass: NDArray[np.float64], least: float, giving: float
 ) -> NDArray[np.float64]:
-    """Return masses in which light nodes have at least `least` [kg], if heavy nodes can give it.
+    """Return masses of at least `least` [kg], moved from heavy to light nodes as far as possible.
 
-    The total mass and its centre stay. No node gives more than half of its mass.
+    The total mass and its centre are preserved. No node loses more than half of its mass.
     """
     light, weights = _tie(index, mass, least, giving)
     light, weights = light[mass[light] > 0], weights[mass[light] > 0]
@@ -241,8 +241,8 @@ def _tie(
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix]:
     """Return the nodes lighter than `least` [kg] and the weights from which they are extrapolated.
 
-    The weights reproduce every linear function that the nodes nearby of at least the mass `giving`
-    [kg] determine. A light node without such nodes nearby stays free.
+    The weights reproduce every linear function that is determined by the nearby nodes with a mass
+    of at least `giving` [kg]. A light node that has no such node nearby is not tied.
     """
     count = len(index)
     light, heavy = np.flatnonzero(mass < least), np.flatnonzero(mass >= giving)

@@ -1,6 +1,6 @@
 """Solids: free rigid solids that exchange impulses with the surface points of bodies.
 
-Each solid meets each body. Impulses act on both, so that momentum is exact.
+Contact of each solid with each body is computed. Impulses act on both, so that momentum is exact.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Solids(FreeBodies):
         """Sums of the impulses of each solid on each body, like those of walls [F,bodies,16]."""
         super().__init__(model, solids)
         self.recovery = 0.0
-        """Part of their depth by which points come out of a solid in a substep."""
+        """Fraction of their depth by which points move out of a solid in a substep."""
         self._points = [
             wp.array(surface.nodes, dtype=int, device=model.device),
             model.array(surface.weights, model.real),
@@ -76,7 +76,7 @@ class Solids(FreeBodies):
 
         Args:
             tracks: The tracks, which hold the clock.
-            recovery: Part of their depth by which points come out of a solid in a substep.
+            recovery: Fraction of their depth by which points move out of a solid in a substep.
         """
         self.recovery, forces = recovery, self._forces()
         self._touches = [

@@ -42,15 +42,15 @@ from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_work
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN, WAY = 0.25, 0.25
-"""Largest strain between two measurements of the frequency, and largest way of a point [cells]
-between two measurements of its distance from walls.
+"""Largest strain between two measurements of the frequency, and largest displacement of a point
+[cells] between two measurements of its distance from walls.
 """
 TRAVEL = 3.0
 """How far points may approach walls before all distances are measured again [cells]."""
 VIOLENT = 0.35
 """Product of rate of strain and substep above which limits are measured before every substep."""
 FORGET = 4
-"""Speed at which an earlier frequency is forgotten, relative to the default solver: the fastest
+"""Rate of decay of an earlier frequency, relative to the default solver: the fastest
 vibration of a body is that of a few points which are squeezed for a short time.
 """
 MEASURE, TRIAL = -1, -2
@@ -91,8 +91,7 @@ class LatticeSolver:
             pairs: Pairs of bodies whose contact differs from the default.
             free: Rigid solids that move freely.
             ceiling: Longest substep allowed [s].
-            threads: Number of CPU threads; None: as many as there are free cores and enough points
-                for.
+            threads: Number of CPU threads; None: chosen by the number of free cores and of points.
             vectors: Whether to use the vector units of a CPU where there are kernels for them.
 
         Raises:
@@ -122,7 +121,7 @@ class LatticeSolver:
         # Bodies on their lattices need none of these; observers and reports read them.
         self.repair, self.outliers = Repair(model, self.state), Outliers(model, self.state)
         self._meeting_points: Callable[[], dict[str, Any]] = dict
-        """Returns the pairs of points, which stay when forces and boundaries are replaced."""
+        """Returns the pairs of points, which are kept when forces and boundaries are replaced."""
         self.guests: list[Any] = []
         """Further contact, with launches like those of walls."""
         self.softened = 1.0
@@ -137,8 +136,8 @@ class LatticeSolver:
         measurement.
         """
         self._travel, self._measured = 0.0, 0.0
-        """Bound of the way of a point or wall since points near walls were listed [m]; and the time
-        of the last measurement [s].
+        """Bound of the displacement of a point or wall since points near walls were listed [m]; and
+        the time of the last measurement [s].
         """
         self.bind(forces, boundaries, accumulators, planes)
 

@@ -1,8 +1,8 @@
 """Spectrum: the largest angular frequency of the body, which limits the substep.
 
-At rest, the frequency is found by power iteration. In motion, every few substeps, one more
-iteration starts from the last shape and the current accelerations. The accelerations lead the
-iteration to parts of the body that have just been squeezed, or whose vibration begins to grow.
+At rest, the frequency is found by power iteration. In motion, one more iteration is made every few
+substeps, from the last shape and the current accelerations. The accelerations direct the iteration
+to material that has just been squeezed, or whose vibration begins to grow.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ iterations follow, and grows without viscosity.
 MIXED = 0.1
 """Size of the accelerations with which an iteration starts, relative to the last shape."""
 MISSED = 1.1
-"""Factor on the squared frequency for what the iterations miss."""
+"""Factor on the squared frequency, which the iterations underestimate."""
 
 
 class Spectrum:
@@ -106,8 +106,9 @@ class Spectrum:
     def _iterate(self, share: float, rounds: int, velocities: wp.array | None = None) -> float:
         """Return the square of the largest frequency [1/s^2] after some power iterations.
 
-        The norm weighs the largest motions most, so that it measures the fastest vibration, which
-        moves few nodes, although the shape also has small motions of all nodes.
+        The norm gives the largest motions the largest weight. It therefore measures the fastest
+        vibration, which moves few nodes, although the shape also contains small motions of all
+        nodes.
 
         Args:
             share: Factor of the accelerations that the shape gets.

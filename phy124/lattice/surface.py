@@ -1,11 +1,11 @@
 """Finds a body's surface points, with the nodes and weights by which contact acts on them.
 
-A point takes its weights from a place a quarter of a cell further inside, without the tied nodes,
-and corrected so that they reproduce every linear function at the point itself. The true weights at
-the surface lean on the lightest nodes, which would chatter.
+The weights of a point are those of a position a quarter of a cell further inside, without the tied
+nodes, and corrected so that they reproduce every linear function at the point itself. The true
+weights at the surface depend mostly on the lightest nodes, which would vibrate.
 
 Points are sorted by eight colours: neighbouring points of a colour are about a cell apart. In this
-order a pass of Gauss-Seidel leaves a tenth of the error that it leaves from row to row.
+order, the error after a pass of Gauss-Seidel is a tenth of the error after a pass from row to row.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Surface:
 
     @cached_property
     def flat(self) -> NDArray[np.bool_]:
-        """Whether each point has a normal that fits to those around it: no edge, no tip [S]."""
+        """Whether each point's normal agrees with those around it: no edge, no tip [S]."""
         near = KDTree(self.x).query_pairs(self.dx, output_type="ndarray")
         a, b = np.concatenate([near, near[:, ::-1]]).T
         # The other side of a thin part does not count.

@@ -1,7 +1,8 @@
-"""Records launches in which walls and clamps act on a lattice, and which sum impulse and work.
+"""Records the launches of walls and clamps on a lattice, which also sum impulse and work.
 
-Surface points respond to walls. Nodes inside a clamp take its velocity. The node next to the
-clamp's surface moves against its free neighbour, so that the motion vanishes at the surface.
+Surface points respond to walls. Nodes inside a clamp have the clamp's velocity. The node next to
+the clamp's surface moves in the opposite direction to its free neighbour, so that the interpolated
+motion vanishes at the surface.
 """
 
 from __future__ import annotations
@@ -45,17 +46,17 @@ AHEAD, CLOSE = 2.0, 0.1
 STEP = 0.5
 """Step by which the distance grows within which points are listed [cells]."""
 HELD = 0.5
-"""Distance from a clamp's surface up to which a node moves against its free neighbour, so that the
-motion vanishes there [cells]; nodes farther inside do not move.
+"""Distance from a clamp's surface [cells] up to which a node moves in the opposite direction to its
+free neighbour, so that the motion vanishes at the surface; nodes farther inside do not move.
 """
 INSET = 0.2
 """Depth inside a clamp at which the motion is made to vanish [cells]. A B-spline that vanishes at a
 surface is also flat there, so that a plate held at the surface is too short by about as much.
 """
 RESTORE = {"separate": 0.5, "slip": 0.1, "sticky": 0.1}
-"""Part of their depth by which points come out of a wall in a substep, relative to the square of
-the slowest angular frequency of a body that stands on the wall, pi c / 2 H, in substeps of dx / c.
-Bodies that a wall holds also rock and shear, more slowly.
+"""Fraction of their depth by which points move out of a wall in a substep, relative to the square
+of the slowest angular frequency of a body that stands on the wall, pi c / 2 H, in substeps of dx /
+c. Bodies that a wall holds also rock and shear, more slowly.
 """
 STILL = Track(((0.0, (0.0, 0.0, 0.0)),))
 """The track of a wall that never moves."""
@@ -126,7 +127,7 @@ class Walls:
         self._dx, self._listed = model.dx, 0
         points = _Points.of(surface, lattice, model)
         self.recovery = RESTORE["separate"] * points.slowest
-        """Part of their depth by which points come out of a wall in a substep."""
+        """Fraction of their depth by which points move out of a wall in a substep."""
         self._clamps, self._contacts = [], []
         for number, (holds, part) in enumerate(simple):
             sums = cast("wp.array", self.sums[number])

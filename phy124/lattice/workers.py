@@ -1,8 +1,8 @@
 """Workers: the cells and nodes that each thread processes, and the launches of a substep.
 
 Cells and nodes are sorted by x, so consecutive cells touch consecutive nodes. Each worker adds the
-forces of its cells to memory of its own; each node then sums over the workers in their order, so
-that a run repeats bit for bit with the same number of threads.
+forces of its cells to private memory. The sums of all workers are then added for each node, in the
+order of the workers, so that a run repeats bit for bit with the same number of threads.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Liquids by pressure projection: incompressible flow on a staggered grid, carried by particles.
 
 `LiquidSolver` takes the place of `phy124.mpm.Solver` in scenes whose `accuracy.liquid` is
-"projection". `Walls` are the scene's boundaries as the liquid meets them, `Solids` a free solid in
+"projection". `Walls` are the scene's boundaries as shapes for the liquid, `Solids` a free solid in
 it, `Cells` the window of the grid, `Projection` the conjugate gradients, `Phases` the launches of a
 step, and `WallImpulses` the impulses of walls. docs/design/liquids.md has the method.
 """

@@ -1,6 +1,6 @@
 """Bodies: other materials in a liquid, which another solver moves between two steps of the liquid.
 
-The liquid meets a body as a wall whose shape follows from its particles. Pressures act on the
+For the liquid, a body is a wall whose shape follows from its particles. Pressures act on the
 particles at its surface during the substeps that follow. Momentum is exchanged exactly.
 """
 
@@ -145,8 +145,8 @@ class Bodies:
         Args:
             cells: The cells.
             walls: The walls.
-            ahead: Time for which the bodies move on before [s]. With half a step, the bodies meet
-                the pressure as in a leapfrog scheme; without, a floating body would gain energy.
+            ahead: Time for which the bodies move on before [s]. Half a step gives a leapfrog
+                scheme; without it, a floating body would gain energy.
         """
         self._ahead = ahead
         model, state, real = self._model, self._state, self._model.real
@@ -235,10 +235,10 @@ class Bodies:
     def _other(
         self, index: int, motion: Motion, kick: float, pull: NDArray[np.float64]
     ) -> tuple[NDArray, NDArray]:
-        """Return the impulse of all other causes than the liquid [N s], and its moment.
+        """Return the impulse of all causes other than the liquid [N s], and its moment.
 
-        Forces apart from the weight count as far as they acted in both of the last steps, so an
-        impact does not go on in the next step.
+        Forces other than the weight are included to the extent to which they acted in both of the
+        last two steps, so that an impact is not assumed to continue in the next step.
         """
         weight = np.stack([motion.mass * pull, np.zeros(3)])
         if not self._before or self._kick == 0:
@@ -287,7 +287,7 @@ class Bodies:
         Args:
             cells: The cells.
             tracks: Quantities that change over time.
-            sums: Sums of the walls' impulses, to which those of films are added.
+            sums: Sums of the walls' impulses, to which the impulses of films are added.
             drift: Duration over which the pressure acts on the bodies [s].
         """
         model, real = self._model, self._model.real

@@ -1,8 +1,9 @@
 """The time of a liquid's run, and the length of its steps.
 
-A step is limited by the distance that particles move and by the waves on the surface, whose
-fastest one is twice a cell long. Pressure limits nothing, since it is implicit; nor does viscosity,
-unless the liquid is so viscous that its iterations would take longer than shorter steps.
+A step is limited by the distance that particles move, and by the waves on the surface, of which the
+fastest has a length of two cells. Pressure does not limit a step, since it is implicit. Viscosity
+limits a step only if the liquid is so viscous that its iterations would take longer than shorter
+steps.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ class LiquidClock(Clock):
         return self.last_dt / 2 * float(self.pull @ momentum)
 
     def sweeps(self, kick: float) -> int:
-        """Return how many pairs of Jacobi's steps reduce the error to a thousandth."""
+        """Return the number of pairs of Jacobi's steps that reduce the error to a thousandth."""
         k = 6 * self.viscosity * kick
         if k == 0:  # the first kick of a probe has no duration
             return 1

@@ -71,11 +71,11 @@ class MixedSolver(Solver):
             state: Their initial state.
             forces: Forces, in the order in which they act.
             uniform: The uniform forces among them.
-            boundaries: Boundaries as the bodies meet them.
-            walls: The same boundaries with their names, as the liquid meets them.
+            boundaries: Boundaries for the bodies.
+            walls: The same boundaries, with their names, for the liquid.
             accumulators: Sums that are updated in every substep.
             planes: Flat walls with which free solids collide.
-            threads: Number of CPU threads; None: as many as pay.
+            threads: Number of CPU threads; None: as many as save time.
             options: Further arguments of `Solver`.
 
         Raises:

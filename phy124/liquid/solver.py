@@ -106,7 +106,7 @@ class LiquidSolver:
             free: Rigid solids that move freely; at most one.
             planes: Flat walls with which the free solid collides.
             ceiling: Longest step allowed [s].
-            threads: Number of CPU threads; None: as many as pay.
+            threads: Number of CPU threads; None: as many as save time.
             bodies: Bodies of other materials.
             advance_bodies: Moves the bodies up to a time [s].
 

@@ -75,7 +75,7 @@ def held_rate(
         gaussians: The object.
         scene: The scene; its number of cells is ignored.
         context: Device, threads and progress.
-        rate: Simulated seconds per second; a fifth of the time stays free.
+        rate: Simulated seconds per second; a fifth of the computing time is kept free.
         max_error: Largest error bound, as a fraction of the object's size. The coarsest grid
             that meets it is chosen, even if it is too slow. None: `rate` alone decides.
         shapes: As for `Live`.
@@ -98,7 +98,7 @@ def held_rate(
 
 
 def _on(scene: Scene, cells: int) -> Scene:
-    """Return the scene with this number of cells, with lattice binding."""
+    """Return the scene with this number of cells and with lattice binding."""
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 

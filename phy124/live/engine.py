@@ -1,7 +1,7 @@
 """Run a scene frame by frame while inputs act on it.
 
 If the watchdog rejects a frame, the run notes this, drops the inputs, and continues from the last
-valid frame. If it must go back further and then fails again at the same frame, it ends.
+valid frame. If it had to go back further and then fails again at the same frame, it ends.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class Live:
 
     @property
     def look(self) -> Appearance:
-        """Gaussians of the object at rest, and which of the Gaussians move."""
+        """Gaussians of the object at rest, and a mask of those that move."""
         return self._run.setup.appearance
 
     def frames(self, count: int) -> Iterator[Frame]:
@@ -184,7 +184,7 @@ class Live:
         """Grab the object, and release an earlier grab.
 
         Args:
-            point: Position on or near the moving object [m].
+            point: Position on or near the object as it is now [m].
             object: Name of the object, if there are several; None: the nearest.
             radius: Radius of the held material [m]; the hold weakens towards the rim.
             stiffness: Stiffness of the spring between hand and object [N/m].

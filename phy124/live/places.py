@@ -67,7 +67,7 @@ def find_material(
 
 
 def list_points(run: Simulation) -> dict[str, NDArray[np.float64]]:
-    """Return the positions of each object's particles [P,3], m; rigid objects have their centre."""
+    """Return the positions of each object's particles [P,3], m; for rigid objects, the centre."""
     x, body = _positions(run), _objects(run)
     points = {run.scene.names[number]: x[body == number] for number in np.unique(body)}
     return {name: motion.place[None] for name, motion in _list_rigid(run).items()} | points

@@ -52,7 +52,8 @@ def ssim(a: NDArray, b: NDArray) -> float:
 def motion(video: Video) -> float:
     """Return the mean change of a colour value from frame to frame, in per cent of its range.
 
-    A frozen video has zero motion and a perfect CLIP-T, so CLIP-T means nothing without this value.
+    A frozen video has zero motion and a perfect CLIP-T, so CLIP-T is meaningless without this
+    value.
     """
     video = to_unit(video)
     return 100 * float(np.abs(np.diff(video, axis=0)).mean()) if len(video) > 1 else 0.0

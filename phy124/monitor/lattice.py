@@ -143,7 +143,7 @@ class LatticeWrenches(Wrenches):
         return Wrench(fps * impulse, fps * (moment - np.cross(centre, impulse)))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return nothing: the solver keeps the sums, and a frame starts with the next attempt."""
+        """Return an empty snapshot, as the solver keeps the sums."""
         return {}
 
     def restore(self, snapshot: dict[str, Any]) -> None:

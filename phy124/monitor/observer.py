@@ -2,8 +2,8 @@
 
 `phy124.monitor.OBSERVERS` lists all classes. `observers_of` makes only the observers that a scene
 requires; the others are neither compiled, allocated nor launched. A run compiles, binds, calls,
-pauses, resumes and reports its observers in loops over this list, in its order. Every method has a
-default that does nothing, so a new observer overrides only the methods that it needs.
+pauses, resumes and reports its observers in loops over this list, in the order of the list. Every
+method has a default that does nothing, so a new observer overrides only the methods that it needs.
 """
 
 from __future__ import annotations

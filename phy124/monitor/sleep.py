@@ -3,9 +3,9 @@
 Zero speed at one time is not rest: a thrown body has zero speed at the top of its path. At rest
 means that for Q frames of T seconds no particle moved further than D from its starting point. Under
 a constant acceleration, a particle can then move by at most 7 D m (1 + m) in the next M = m Q
-frames. In the worst case, it first moved by D to one side, turned, and is now moving away at
-distance D on the other side. A vibration in phase with the frames, with the largest speed v, can
-hide a displacement of v T / 2 pi.
+frames. In the worst case, the particle first moved by D to one side, turned, and is now at the
+distance D on the other side, moving away. A vibration in phase with the frames, with the largest
+speed v, can hide a displacement of v T / 2 pi.
 
 The object sleeps if the sum of both displacements is invisible and its speed does not grow. It
 sleeps until a force or a boundary anywhere in the scene changes, or the clip ends. Under gravity it
@@ -191,7 +191,7 @@ class Sleep(Observer):
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:
-        """Return whether material stays in place under a pull; if free, it would move a t^2 / 8."""
+        """Return whether accelerated material stays in place (free, it moves a t^2 / 8)."""
         pull: NDArray[Any] = self._solver.tracks.values.numpy()
         way = float(np.linalg.norm(pull[0, :3])) * (len(self.speeds) / self._fps) ** 2 / 8
         return way == 0 or self.drift <= HELD * way

@@ -51,9 +51,9 @@ class Deformer:
 
     With the binding `particles`, each Gaussian moves with its own particle. With `lattice`, the
     nearest particles of the lattice carry the Gaussian: x_g = sum w_i (x_i + F_i (X_g - X_i)) and
-    F_g = sum w_i F_i, with smooth weights w that sum to 1. This is exact for every affine motion.
-    For fluid and granular materials it is exact only while the arms F_i (X_g - X_i) are at most
-    twice as long as at rest.
+    F_g = sum w_i F_i, with smooth weights w that sum to 1. This is exact for every affine motion;
+    for fluid and granular materials, only while the arms F_i (X_g - X_i) are at most twice as long
+    as at rest.
     """
 
     def __init__(

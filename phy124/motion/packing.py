@@ -156,7 +156,7 @@ class Steps:
         count: int,
         shape: tuple[int, ...],
     ) -> None:
-        """Store the packed bytes and what their values mean."""
+        """Store the packed bytes and the description of their values."""
         self._data, self._step, self._base, self._order = data, step, base, order
         self._ends = np.cumsum([0, *lengths])
         self._count, self._shape, self._chunk = count, shape, (-1, np.zeros(0))
@@ -220,7 +220,7 @@ def _base(name: str, rest: NDArray) -> NDArray[np.float64]:
 
 
 def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
-    """Return the mean volume of each particle's object [P]; the binding needs no other."""
+    """Return the mean volume of each particle's object [P], which suffices for the binding."""
     volume = np.full(len(particles.x), particles.volume.mean() if len(particles.x) else 0.0)
     for body in () if particles.body is None else np.unique(particles.body):
         inside = particles.body == body
@@ -242,7 +242,7 @@ def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int64]
 
 
 def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-    """Pack an array without loss, column by column; a column equal to the one before is empty."""
+    """Pack an array without loss, column by column; a column equal to the previous one is empty."""
     columns = _columns(array)
     last, chunks = None, []
     for index in _column_order(name, len(columns)):
@@ -300,7 +300,7 @@ def _columns(array: NDArray) -> NDArray:
 
 
 def _zigzag(values: NDArray, size: int) -> NDArray:
-    """Return non-negative numbers that are small where whole numbers are close to 0."""
+    """Map whole numbers to non-negative ones that are small if the numbers are close to 0."""
     whole = values.astype(f"<i{size}", copy=False)
     return ((whole << 1) ^ (whole >> (8 * size - 1))).view(f"<u{size}")
 

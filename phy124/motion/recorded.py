@@ -1,6 +1,6 @@
 """Frames of a clip, computed from the motion of the particles that carry its Gaussians.
 
-The shapes of a frame continue those of the frame before (`phy124.motion.deform`). Frames are
+The shapes of a frame depend on those of the previous frame (`phy124.motion.deform`). Frames are
 therefore computed in order, from the first one or from the nearest stored state, so that each has
 the same bits whenever it is read.
 """
@@ -52,7 +52,7 @@ class Rows(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What moves the Gaussians of a clip, for T frames."""
+    """The motion that carries the Gaussians of a clip, for T frames."""
 
     gaussians: Gaussians
     """All N Gaussians at rest."""
@@ -167,7 +167,7 @@ class Recorded:
             return row
 
     def measurements(self, *, every: bool = True) -> list[Any]:
-        """Return what was measured in every frame, or in the first one and those that were read."""
+        """Return the measurements of all computed frames, at least of the first one."""
         for index in range(len(self) if every else 1):
             if index not in self._measured:
                 self.row(index)
@@ -301,7 +301,7 @@ class Computed(NDArrayOperatorsMixin):
         return (self[index] for index in range(len(self)))
 
     def __getitem__(self, key: Any) -> Array:
-        """Return what NumPy's indexing of the whole array returns."""
+        """Index the whole array as NumPy does."""
         rows, rest = (key[0], key[1:]) if isinstance(key, tuple) else (key, ())
         if isinstance(rows, (int, np.integer)):
             index = range(len(self))[rows]

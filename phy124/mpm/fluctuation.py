@@ -1,8 +1,8 @@
 """Fluctuation: the part of the particles' motion that the grid does not represent.
 
-APIC discards the fluctuation and needs none of these launches. The other schemes send (v, C) over
-the grid once or several times before a substep scatters, and restore a part of the difference after
-the substep gathers.
+APIC discards the fluctuation and needs none of these launches. The other schemes transfer (v, C) to
+the grid and back, once or several times, before the scatter of a substep, and restore a part of the
+difference after the gather.
 """
 
 from __future__ import annotations

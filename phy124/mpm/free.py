@@ -270,7 +270,7 @@ class FreeBodies:
         return np.array(rows, float).reshape(len(self.all), self._model.bodies, kernels.GIVEN)
 
     def impulses(self) -> NDArray[np.float64]:
-        """Return the sums of what solids have given to all particles since the start [GIVEN]."""
+        """Return the sums that solids have transferred to all particles since the start [GIVEN]."""
         return self._total().sum(axis=(0, 1))
 
     @property

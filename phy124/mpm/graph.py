@@ -5,7 +5,7 @@ captured as the body of a loop on the device. Its last kernel (phy124/kernels/ti
 the next substep. It ends the loop when the frame's time is reached, when only the host can continue
 (because the window must follow the particles, or because the next substep may have to be rejected,
 see phy124/mpm/rejection.py), and after `MOST` substeps, so that a run can be stopped. A condition
-in a graph takes longer than most kernels; where none of several substeps can be the last, they
+in a graph takes longer than most kernels; if none of the next substeps can be the last one, they
 follow each other without conditions. The same graph also runs on the CPU, where the tests compare
 it with the host's loop bit for bit.
 """
@@ -181,7 +181,7 @@ class Graph:
 
 
 class Mirrored:
-    """An array on the device, and memory of the host from and to which it is copied."""
+    """An array on the device, with memory of the host to and from which it is copied."""
 
     def __init__(self, dtype: Any, count: int, device: str) -> None:
         """Allocate zeros.

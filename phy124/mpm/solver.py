@@ -91,8 +91,8 @@ class Solver:
             free: Rigid solids that move freely.
             planes: Flat walls with which the free solids collide.
             ceiling: Longest substep allowed [s].
-            threads: Number of CPU threads; None: as many as there are free cores and enough
-                particles for.
+            threads: Number of CPU threads; None: chosen by the number of free cores and of
+                particles.
             graph: Whether to run frames as one graph on the device; None: on CUDA, with one body
                 only.
             measure_every: Number of substeps between two measurements of the limits, where safe.

@@ -194,8 +194,8 @@ class Track:
     def changes(self, start: float, end: float) -> bool:
         """Return whether the value may change from `start` to `end` [s].
 
-        A change exactly at `end` is excluded, since it acts only after `end`. A live run that will
-        be pushed at `end` does not know about the push before, and must take the same substeps as a
+        A change exactly at `end` is excluded, since it acts only after `end`. Before `end`, a live
+        run does not know about a push that begins at `end`, and must take the same substeps as a
         run that does.
         """
         begins_or_ends = start <= self.start < end or start <= self.end < end

@@ -301,7 +301,7 @@ def numbers(count: int, model: Model) -> wp.array:
 
 
 def usable_workers(particles: int, device: str, asked: int | None = None) -> int:
-    """Return the requested number of workers, or the number that pays; 1 on a GPU."""
+    """Return the requested number of workers, or the number that saves most time; 1 on a GPU."""
     if device != "cpu":
         return 1
     if asked is not None:

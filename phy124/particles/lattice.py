@@ -4,8 +4,8 @@ The body is divided into cubic cells of side dx, from i dx to (i + 1) dx along e
 has eight points of equal volume at c +- s1 e1 +- s2 e2 +- s3 e3, where c is the centre of the part
 of the body in the cell, and s^2 and e are the eigenvalues and eigenvectors of its second moments
 per volume. The points have the volume, the centre and the second moments of the part. In a full
-cell they are the 2 x 2 x 2 Gauss points. Exact second moments matter: without them, plates thinner
-than a cell are up to 12 % too stiff.
+cell they are the 2 x 2 x 2 Gauss points. Without exact second moments, plates thinner than a cell
+are up to 12 % too stiff.
 """
 
 from __future__ import annotations
@@ -212,8 +212,8 @@ def _find_sheets(
         no_normal: Voxels that must be part of a sheet [V].
 
     Returns:
-        Numbers of the K voxels [K]; normals [K,3], in which the filled parts of the 125 voxels
-        around extend least; and distances of the sheets from the voxels' middles [K].
+        Numbers of the K voxels [K]; normals [K,3], along which the filled parts of the surrounding
+        125 voxels extend least; and distances of the sheets from the voxels' middles [K].
     """
     padded = np.pad(solid.fraction.astype(np.float64), 2)
 

@@ -6,8 +6,8 @@ interior is found in four steps:
 1. Each Gaussian is sampled within one standard deviation, finely enough for the voxels.
 2. The grid is flooded from outside; voxels that the flood does not reach are inside. The flood is
    repeated with the samples dilated by increasing radii r (in voxels), which seals gaps up to 2 r.
-   Larger radii are used only where they enclose a new cavity; other narrow slots stay open. Wide
-   openings are never sealed.
+   Larger radii are used only where they enclose a new cavity; other narrow slots are not closed.
+   Wide openings are never sealed.
 3. If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
    inside if axis-parallel rays from it meet the shell in at least five of the six directions.
 4. A surface voxel counts only with the fraction that is below the local surface. This surface is a
@@ -234,7 +234,7 @@ def _flood_outside(free: Mask) -> Mask:
 
 
 def _find_enclosed(occupied: Mask) -> Mask:
-    """Return the voxels from which at least five of six axis directions meet occupied voxels."""
+    """Return the voxels with occupied voxels in at least five of the six axis directions."""
     hits = np.zeros(occupied.shape, np.uint8)
     for axis in range(3):
         hits += np.logical_or.accumulate(occupied, axis=axis)

@@ -146,7 +146,7 @@ def make_object(
     deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
 
     def cut_view(field: str, path: Path) -> Cutout:
-        """Cut the object out of a further picture; `field` names the option in errors."""
+        """Cut the object out of a further picture; `field` names the picture's option in errors."""
         try:
             with watch.stage("image"):
                 way = method if mask is None else "auto"

@@ -1,4 +1,4 @@
-"""Record a run on disk: each frame as soon as it is computed, and the solver's state at intervals.
+"""Records a run on disk: each frame as soon as it is computed, and the solver's state at intervals.
 
 If the run is ended by anything (kill -9, lack of memory, an error), `resume` can continue from the
 last saved state. Frames are written once, to the file that becomes the clip. The intervals are long
@@ -132,7 +132,7 @@ class Recording:
         self.close()
 
     def close(self) -> None:
-        """Remove the frame file, because its frames are saved elsewhere or useless."""
+        """Remove the frame file, because its frames are saved elsewhere or not needed."""
         if self.frames is not None:
             self.frames.remove()
         self.frames, self.failed = None, True

@@ -1,4 +1,4 @@
-"""The keys of report.json, which every run writes and which its clip contains too.
+"""The keys of report.json, which every run writes and stores in its clip.
 
 A `NotRequired` key exists only if the named option or field of the scene requests it. A user's
 observer may add keys. Keys are stable: the changelog names each key that a release removes.

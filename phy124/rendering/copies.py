@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 class HostCopies:
     """Copies the results of one picture to the host; `wait` returns them.
 
-    On a GPU the host's memory is page-locked, so that `start` returns before the device has even
-    computed the arrays. The memory is reused for the next picture.
+    On a GPU the host's memory is page-locked, so that `start` returns without waiting until the
+    device has computed the arrays. The memory is reused for the next picture.
     """
 
     def __init__(self, device: Any) -> None:

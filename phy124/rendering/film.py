@@ -200,7 +200,7 @@ class Loop:
         return [f"Seamless videos of {self.pictures} pictures: {how}."]
 
     def fade_ends(self, images: Iterator[Picture]) -> Iterator[Picture]:
-        """Yield pictures, of which the last ones fade into the first ones, which are left out."""
+        """Yield pictures, with the last ones faded into the first ones, which are not repeated."""
         first = list(islice(images, self.fading))
         for index, image in enumerate(islice(images, len(self.order) - self.fading)):
             done = index - (len(self.order) - 2 * self.fading)

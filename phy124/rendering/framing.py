@@ -54,7 +54,7 @@ def still_camera(clip: Clip, view: View, side: str) -> Camera:
 
 
 def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
-    """Place cameras as near as possible to show the motion, up to `LARGEST` object sizes of it."""
+    """Place cameras as near as the motion allows, seeing at most `LARGEST` object sizes of it."""
     low, high = _box(clip, view)
     size = float((high - low).max())
     sample, count = Sample.of(clip), len(clip)

@@ -138,7 +138,7 @@ class Liquid:
 
 
 def _measure_spread(field: Field, phi: NDArray) -> NDArray[np.float32]:
-    """Return by how much smoothing lowers phi at the points [N]: 1/2 in jets, 0.7 in sheets."""
+    """Return the factor by which smoothing lowers phi at points [N]: 1/2 in jets, 0.7 in sheets."""
     return field.nearest(field.smooth(phi) / np.maximum(phi, 1e-6))
 
 

@@ -177,8 +177,8 @@ def place_along(
 ) -> tuple[Values, Values]:
     """Place cameras that move in and out smoothly and show the object in every frame.
 
-    The camera positions from which a point is in the picture are a convex set. So the mean of
-    several camera positions that show a frame shows this frame, too.
+    The camera positions from which a point is in the picture form a convex set. If several camera
+    positions show a frame, their mean therefore shows this frame as well.
 
     Args:
         sample: The object in motion.

@@ -1,7 +1,7 @@
 """Write depth, normals, flow, force and other quantities per pixel, as training data.
 
 The renderer blends values instead of colours. A pixel therefore has the mean value of the Gaussians
-it shows, weighted by their contributions,
+that it shows, weighted by their contributions to the pixel,
 
     value = sum_i w_i value_i / sum_i w_i,    w_i = alpha_i prod_{j<i} (1 - alpha_j).
 

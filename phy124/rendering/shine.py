@@ -161,7 +161,7 @@ class Shine:
 
 
 def make_shine(clip: Clip, view: View) -> Shine | None:
-    """Return the gloss of a clip; None if nothing is glossy, or if the view turns gloss off."""
+    """Return the gloss of a clip; None if no material is glossy, or the view turns gloss off."""
     shine = Shine(clip) if view.shine else None
     return shine if shine is not None and shine.any else None
 

@@ -69,7 +69,7 @@ def is_compiled(kernel: Any, device: str = "cpu") -> bool:
 
 @contextmanager
 def looking_up(kernels: Iterable[Any], device: str = "cpu") -> Iterator[None]:
-    """Within this context, a second thread looks up kernels in Warp's cache.
+    """Look up kernels in Warp's cache, in a second thread, within this context.
 
     Warp then knows the hash of their code, so `compile_missing` takes less time after the context.
 

@@ -28,7 +28,7 @@ RELEASES = {12: 525, 13: 580}
 
 
 def pick_device(name: str) -> str:
-    """Return Warp's name of the device; "auto" is CUDA if available.
+    """Return Warp's name of the device; "auto" means CUDA if it is available.
 
     Raises:
         InputError: There is no such device.

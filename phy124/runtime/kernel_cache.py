@@ -144,7 +144,7 @@ def _is_json(text: bytes) -> bool:
 
 @contextmanager
 def _building(folder: Path | None) -> Iterator[None]:
-    """Within this context a module may be compiled; files of a failed compilation are removed."""
+    """Allow a module to be compiled in this context; remove the files of a failed compilation."""
     with _lock(wait=True):
         if folder is not None and not folder.is_dir():
             _refuse_full(folder.parent)

@@ -1,7 +1,7 @@
 """Imports packages without the parts that only their documentation and their tests need.
 
 SciPy formats the docstrings of its functions while it is imported, and its copy of NumPy's names
-imports parts of NumPy that nothing here uses. typeguard, which tyro uses, imports `unittest` for
+imports parts of NumPy that phy124 does not use. typeguard, which tyro uses, imports `unittest` for
 one class, and thereby the event loop and TLS. pydantic describes its schemas by 70 typed
 dictionaries, which only type checkers read. Without them the imports take half of the time.
 """
@@ -62,7 +62,7 @@ def import_lightly(*names: str) -> None:
 
 @contextmanager
 def _stand_ins() -> Iterator[None]:
-    """Within this context, modules that are not imported yet are empty if nothing needs them."""
+    """Replace modules that are not imported yet, and not needed, by empty ones in this context."""
     added: list[tuple[str, ModuleType | None]] = []
     for name, classes in UNUSED.items():
         package, _, last = name.rpartition(".")
@@ -86,7 +86,7 @@ def _stand_ins() -> Iterator[None]:
 
 @contextmanager
 def _plain_docs(names: list[str]) -> Iterator[None]:
-    """Within this context, SciPy leaves docstrings as they are."""
+    """Keep SciPy from formatting docstrings within this context."""
     docs: Any = None
     if any(name.startswith("scipy") for name in names):
         with suppress(ImportError):
@@ -104,7 +104,7 @@ def _plain_docs(names: list[str]) -> Iterator[None]:
 
 @contextmanager
 def _plain_dicts(names: list[str]) -> Iterator[None]:
-    """Within this context, `TYPED_ONLY` is imported without the fields of its dictionaries."""
+    """Import `TYPED_ONLY` without the fields of its dictionaries within this context."""
     if TYPED_ONLY not in names:
         yield
         return

@@ -26,7 +26,7 @@ HEAPS = "MALLOC_ARENA_MAX"
 
 
 def release(array: object) -> None:
-    """Let the system take back the memory of a memory-mapped array that was read.
+    """Return the memory of a memory-mapped array that was read to the system.
 
     Otherwise a long run that reads all its frames from disk seems to need memory for all of them.
     """
@@ -125,7 +125,7 @@ def refuse_narrow() -> None:
 
 
 def _take_buffers() -> None:
-    """Call each copy of OpenBLAS once, so that it allocates its buffers now and not under load."""
+    """Call each copy of OpenBLAS once, so that it allocates its buffers at once, not under load."""
     import numpy as np
     import scipy.linalg
 

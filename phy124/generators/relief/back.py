@@ -81,7 +81,7 @@ def _fold(solid: NDArray[np.bool_]) -> tuple[float, int]:
 
 
 def _about(values: NDArray, axis: int) -> NDArray:
-    """Pad an array [H,W] so that the axis of symmetry becomes its middle."""
+    """Pad an array [H,W] so that the axis of symmetry is in its middle."""
     return np.pad(values, ((0, 0), (max(axis, 0), max(-axis, 0))))
 
 

@@ -1,4 +1,4 @@
-"""Removes highlights from an image, since they would be painted on the object and move with it.
+"""Removes highlights from an image; otherwise they would be painted on the object and move with it.
 
 A highlight adds white light to the colour of the surface. Compared with its surroundings, a
 highlight is a small bright spot with equal amounts of red, green and blue added, unless a channel

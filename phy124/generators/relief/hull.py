@@ -1,4 +1,4 @@
-"""Builds the closed surface that has given silhouettes from the front and from the side.
+"""Builds the closed surface that has two given silhouettes, from the front and from the side.
 
 At each height, the front image determines the width of the cross-section, and the side image its
 depth; the two inflated silhouettes determine its roundness. If both images show two legs, the

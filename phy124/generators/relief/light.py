@@ -3,7 +3,7 @@
 The brightness of a pixel is modelled as albedo * exp(s . n), with the unit normal n of the guessed
 solid and one vector s for the image: a Lambertian surface under distant lights, of first order
 (Ramamoorthi, Hanrahan 2001). Pixels of similar hue share an albedo. A robust linear fit of the
-logarithm gives s. Since n and the albedo may be correlated, s is drawn towards 0 and limited.
+logarithm gives s. Since n and the albedo may be correlated, s is shrunk towards 0 and limited.
 """
 
 from __future__ import annotations

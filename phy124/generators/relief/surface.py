@@ -157,7 +157,7 @@ class Surface(Implicit):
 
     @classmethod
     def seen(cls, w: Field, middle: Field, distance: float) -> Surface:
-        """Return the surface that `View`'s camera sees as w; of a ball it sees less than half.
+        """Return the surface whose image in `View`'s camera is w; less than half a ball is seen.
 
         Let p be a pixel relative to the image centre, d the camera's distance, and
         w = h^2 - |p - c|^2 the image of a ball. Along the view ray, with A = 1 + p^2 / d^2, the

@@ -87,7 +87,7 @@ def _find_alpha(rgb: NDArray[np.uint8], weights: Path) -> NDArray[np.uint8]:
 
 
 def saliency(rgb: NDArray[np.uint8], network: Network) -> NDArray[np.float32]:
-    """Return a map [320,320] of the probability that an image [H,W,3] shows the object there."""
+    """Return the probability [320,320] that the object covers each pixel of an image [H,W,3]."""
     return network(prepare_rembg(rgb))[0, 0]
 
 

@@ -1,17 +1,17 @@
 """Writes a clip as one small file: the first frame as SOG, and the motion of a coarse lattice.
 
 The lattice covers the first frame; a Gaussian moves with the eight nodes around it, whose
-displacements are interpolated trilinearly. The displacements of a frame are those that fit the
-Gaussians' best. Gaussians that would be wrong by more than `TOLERANCE` of the object's size are
-exceptions, which have a shift of their own in each frame. The file states the remaining error of
-each Gaussian. Layout, little endian, with offsets from the start of the file:
+displacements are interpolated trilinearly. The displacements of a frame are fitted to those of the
+Gaussians by least squares. Gaussians whose error would exceed `TOLERANCE` of the object's size are
+exceptions, with a separate shift in each frame. The file states the remaining error of each
+Gaussian. Layout, little endian, with offsets from the start of the file:
 
     bytes          content
     0 to 7         "PHY4D" 0 1 0
     8 to 11        length of the JSON, uint32
     12 on          JSON: count, times [s], origin [3] and spacing of the lattice [m], shape [3],
                    nodes and exceptions (numbers), size [m], error {max, p99} [m] and {shape},
-                   player (what the player needs to know, in the axes of phy124), and sections
+                   player (settings of the player, in the axes of phy124), and sections
                    [offset, length]: still (SOG), indices, frames (one each), errors
     indices        index of each node in the lattice, in C order, then of each exception, uint32;
                    compressed by zlib
@@ -216,12 +216,12 @@ def encode(
 
 
 def measure_size(points: NDArray[np.float64]) -> float:
-    """Return the longest side of the box of points [N,3], m; 1 if they are at one place."""
+    """Return the longest side of the box of points [N,3], m; 1 if all points coincide."""
     return float(np.ptp(points, axis=0).max()) or 1.0
 
 
 def measure(clip: Clip) -> dict[str, Any]:
-    """Return what the player must know of all frames before it has read them.
+    """Return the ranges of all frames that the player needs at its start.
 
     These are the bounding box, the range of the log ratios of scales, clipped to +-`TALLEST`, the
     largest speed, and the ends of the colour ramp for stretch, which are symmetric about 1. Stretch
@@ -293,7 +293,7 @@ def _covariances(clip: Clip, index: int, mask: NDArray[np.bool_], turn: NDArray)
 
 
 def _centres(still: bytes) -> NDArray[np.float64]:
-    """Return the centres that a reader of a SOG file gets [N,3], m."""
+    """Return the centres after quantisation in a SOG file [N,3], m."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "still.sog"
         path.write_bytes(still)
@@ -302,7 +302,7 @@ def _centres(still: bytes) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """The motion of a clip by a lattice, and by shifts of the Gaussians that it moves wrongly."""
+    """The motion of a clip by a lattice, and shifts of the Gaussians with too large an error."""
 
     lattice: Lattice
     exceptions: NDArray[np.int64]

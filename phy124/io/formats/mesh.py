@@ -2,11 +2,11 @@
 
 The surface is where the density of the Gaussians, the sum of opacity * exp(-d^2 / 2) with the
 Mahalanobis distance d, is 1/2. The density is sampled on a grid with `CELLS` cells along the
-longest side; Gaussians thinner than `BLUR` cells are widened to it, because the discs of a surface
-are much thinner than a cell. From the same density on a grid four times as fine, the surface is at
-most one cell away. Cavities that the surface
-encloses are filled. The triangles are those of marching cubes (Lewiner et al. 2003, by
-scikit-image); a vertex has the mean colour of the nearest Gaussians.
+longest side; Gaussians thinner than `BLUR` cells are widened to this thickness, because those of a
+surface are much thinner than a cell. The surface is at most one cell away from the surface of the
+same density on a grid four times as fine. Cavities that the surface encloses are filled. The
+triangles are those of marching cubes (Lewiner et al. 2003, by scikit-image); a vertex has the mean
+colour of the nearest Gaussians.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Writes a clip as one animated GLB: a mesh, and its position in each frame as a morph target.
 
-The mesh is the surface of the first frame, or a mesh that the user gives, such as the file that the
-object was made of, with its texture. Each vertex follows the Gaussians near it: it is moved by the
-rigid motion that fits theirs best (Kabsch 1976). The weights of the morph targets are animated
-linearly from frame to frame, so that at most two targets are active. The axes are those of glTF
-(y up, z to the front, metres). The topology is constant: of objects that tear or flow, write a mesh
-of each frame instead (`phy124/io/formats/mesh.py`).
+The mesh is the surface of the first frame, or a mesh of the user with its texture, such as the file
+from which the object was made. Each vertex follows the Gaussians near it, by the rigid motion that
+best fits the Gaussians' motion (Kabsch 1976). The weights of the morph targets are animated
+linearly from frame to frame, so that at most two targets are active. The axes are those of glTF (y
+up, z to the front, metres). The topology is constant; for objects that tear or flow, a mesh of each
+frame can be written instead (`phy124/io/formats/mesh.py`).
 """
 
 from __future__ import annotations

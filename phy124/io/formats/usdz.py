@@ -78,7 +78,7 @@ def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress =
 
 
 def _bind_colours(stage: Any, mesh: Any) -> None:
-    """Show the colours of the vertices as emitted light, because they contain the picture's."""
+    """Show vertex colours as emitted light, because they contain the picture's shading."""
     Gf, Sdf, UsdShade = (import_module(f"pxr.{name}") for name in ("Gf", "Sdf", "UsdShade"))
 
     material = UsdShade.Material.Define(stage, "/Object/Colours")

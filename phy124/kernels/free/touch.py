@@ -32,7 +32,7 @@ STEEP = wp.constant(1e-4)
 
 @wp.func
 def volume_of_round(d: Any, s: Any, geometry: Any, dx: Any):
-    """Return normal and filled volume fraction around a node, for a round body taken as flat."""
+    """Return normal and filled volume fraction around a node, for a surface taken as flat."""
     return wp.vector(s[0], s[1], s[2], coverage(-s[3] / dx))
 
 

@@ -7,12 +7,12 @@ an order in which consecutive points are about a cell apart (phy124/lattice/surf
 impulse J changes the velocities of a point's nodes by w_i J / m_i, and so its own velocity by
 (sum w_i^2 / m_i) J.
 
-Contact then neither creates nor keeps vibrations. Forwards and back, the pass over all points is a
-symmetric positive operator E on velocities. With C = E^-1 - 1, the remembered impulses are those of
-springs C / dt^2 that are integrated implicitly: (1 + C) v' = v - (K + C) x, which is stable for
-every stiffness K that is stable without walls. A single pass, which is not symmetric, feeds
-vibrations. `restore` is an integral gain, which would feed the body's slowest vibration, of angular
-frequency omega, if it were larger than (omega dt)^2.
+Contact then neither creates nor sustains vibrations. The pass over all points, forwards and back,
+is a symmetric positive operator E on velocities. With C = E^-1 - 1, the impulses of the last
+substep are those of springs C / dt^2 that are integrated implicitly: (1 + C) v' = v - (K + C) x,
+which is stable for every stiffness K that is stable without walls. A single pass, which is not
+symmetric, excites vibrations. `restore` is an integral gain; if it were larger than (omega dt)^2,
+it would excite the body's slowest vibration, whose angular frequency is omega.
 
 The result of Gauss-Seidel depends on the order of points, so each of its kernels is one thread.
 """
@@ -45,7 +45,7 @@ The first `GIVEN` sums are those of phy124/kernels/work.py.
 
 @build_once
 def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
-    """Kernel of one thread: finds points near a wall and applies their previous impulse to them.
+    """Kernel of one thread: finds points near a wall, and applies their last impulses.
 
     `inverse` is zero for nodes that a clamp holds. `force_out` holds the mean force
     on each point in the last substep [N]; it becomes zero where a point has left. `gap_out` is the
@@ -114,8 +114,8 @@ def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
 def make_yields(real: Any, rows: Rows):
     """Kernel over the points near a wall: computes the change of their velocities by 1 N s [1/kg].
 
-    It is zero for points that hang almost only on nodes that a clamp holds, for which `inverse` is
-    zero but `whole` is not: these points would move the other nodes violently.
+    It is zero for points whose nodes are nearly all held by a clamp (`inverse` is zero, but `whole`
+    is not), since impulses on such points would move the other nodes violently.
     """
     t = types(real)
     yielding = rows.yielding
@@ -225,11 +225,12 @@ def make_resist(response: str, moving: bool, real: Any, rows: Rows):
 def make_meet(real: Any, rows: Rows):
     """Kernel of one thread: finds the gaps of pairs of surface points, like `make_touch`.
 
-    A pair is like a point whose weights are those of a point, minus those of the place opposite to
-    it, so that `rest_out` and the nodes give the way between the two. The place follows the point
-    on the surface, so that the impulses have no moment: its weights change by `slopes` times the
-    way in the body at rest, which is `back` times the way along the surface. A place that moves
-    farther than `far` is no longer opposite, and one at a distance of `reach` is not looked at.
+    A pair is treated like a single point. Its weights are those of the point minus those of the
+    opposite position, so that `rest_out` and the nodes give the vector between the two. The
+    opposite position follows the point along the surface, so that the impulses have no moment: its
+    weights change by `slopes` times the displacement in the body at rest, which is `back` times the
+    displacement along the surface. A position that moves farther than `far` is no longer opposite;
+    pairs farther apart than `reach` are ignored.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -338,7 +339,7 @@ def make_account(real: Any, rows: Rows):
 
     The work is the impulse times the mean of the velocities before the kick and after the substep.
     With this mean, the work of all impulses is exactly the change of the kinetic energy. The mean
-    of the velocities before and after the contact would also count work of the stress.
+    of the velocities before and after the contact would also include work of the stress.
     """
     t = types(real)
     moved_by = rows.moved_by

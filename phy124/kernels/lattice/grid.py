@@ -1,9 +1,10 @@
 """Contact of surface points with the material on a grid, by impulses on the nodes of both.
 
-The surface of the material is where it fills half of the space, by the masses of the grid's nodes
-(phy124/lattice/coupled.py). A point meets the mean velocity of these nodes, weighted by their
-masses, and its impulse is shared out among them by the same weights: their velocities change by
-equal fractions w_i / sum w_i m_i of it, so momentum is exact.
+The surface of the material is where it fills half of the space, according to the masses of the
+grid's nodes (phy124/lattice/coupled.py). The velocity of the material at a point is the mean
+velocity of the nodes around it, weighted by their masses. The impulse is distributed over these
+nodes with the same weights: each velocity changes by the fraction w_i / sum w_i m_i of the impulse,
+so momentum is exact.
 """
 
 from typing import Any
@@ -150,7 +151,7 @@ def make_grid_touch(real: Any, rows: Rows):
 
 @wp.func
 def push_back(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: Any, impulse: Any):
-    """Let the nodes around a point take the opposite of an impulse [N s]."""
+    """Apply the opposite of an impulse [N s] to the nodes around a point."""
     half = type(on[0])(0.5)
     first = wp.vec3i(
         int(wp.floor(on[0] - half)), int(wp.floor(on[1] - half)), int(wp.floor(on[2] - half))

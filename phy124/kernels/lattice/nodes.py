@@ -153,7 +153,7 @@ def make_hold(real: Any):
 
 @build_once
 def make_pin(real: Any):
-    """Kernel over pairs of a held and a free node: makes the motion zero where the clamp ends.
+    """Kernel over pairs of a held and a free node: makes the motion zero at the clamp's surface.
 
     The quadratic B-spline of the pair vanishes at the clamp's surface if the held node moves at
     `ratio` times the velocity of the free node relative to the clamp. Momenta are projected on this

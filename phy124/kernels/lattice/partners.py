@@ -1,4 +1,4 @@
-"""Finds surface points that may meet, and the place opposite to each of them."""
+"""Finds surface points that may come into contact, and the opposite position for each of them."""
 
 from typing import Any
 
@@ -34,7 +34,7 @@ def may_meet(
     a: int,
     b: int,
 ):
-    """Return whether two points belong to different bodies, or to parts that may meet."""
+    """Return whether two points may touch: they are on different bodies or separate parts."""
     if between:
         return body[a] != body[b]
     way = (rest[b] - rest[a]) / dx
@@ -47,7 +47,7 @@ def may_meet(
 
 @build_once
 def make_flag(real: Any):
-    """Kernel over sampled points: flags those near which points may meet.
+    """Kernel over sampled points: flags those near which contact is possible.
 
     `x` are the current positions of the samples, `far` the distance from which they are ignored.
     """
@@ -124,10 +124,10 @@ def make_expose(real: Any, rows: Rows):
 
 @build_once
 def make_partner(real: Any):
-    """Kernel over surface points: finds the nearest place on the opposite surface.
+    """Kernel over surface points: finds the nearest position on the opposite surface.
 
     `chosen` lists the points, `x` and `turned` are their current positions and normals. At an edge
-    of the other part, the side around the point determines the direction of the contact.
+    of the other part, the normal of the point's own side determines the direction of the contact.
     """
     t = types(real)
 

@@ -63,13 +63,13 @@ def strike(
 
 @wp.func_native(code("rows", "rows:moved"))
 def moved_rows(values: Vectors, nodes: Nodes, weights: Weights, s: int) -> wp.vec3:
-    """Return the sum like `moved_by`."""
+    """Return the sum as `moved_by` does."""
     ...
 
 
 @wp.func_native(code("rows", "rows:yielding"))
 def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> wp.float32:
-    """Return the sum like `yielding`."""
+    """Return the sum as `yielding` does."""
     ...
 
 
@@ -77,12 +77,12 @@ def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> w
 def strike_rows(
     v: Vectors, inverse: Numbers, nodes: Nodes, weights: Weights, s: int, impulse: wp.vec3
 ):
-    """Apply an impulse like `strike`."""
+    """Apply an impulse as `strike` does."""
     ...
 
 
 class Rows(NamedTuple):
-    """The functions on the nodes of a surface point, for the generic or the vector units."""
+    """The functions on the nodes of a surface point, in plain or vectorised form."""
 
     name: str
     """Prefix in names of modules."""

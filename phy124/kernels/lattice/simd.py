@@ -2,8 +2,8 @@
 
 A thread processes a block of sixteen cells, which `order` [blocks,16] lists: first all full cells,
 then the others. The cells of a block lie far apart, so that no two of them write to the same node
-in a short time. `packed` [blocks,8,4,16] stores the three components of `offset` and the volume of
-each point, each for all sixteen cells of a block in a row.
+at nearly the same time. `packed` [blocks,8,4,16] stores the three components of `offset` and the
+volume of each point, each for all sixteen cells of a block in a row.
 """
 
 import math

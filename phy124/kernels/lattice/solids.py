@@ -1,10 +1,10 @@
 """Contact of surface points with a rigid solid that moves freely, by impulses on both.
 
-The impulses are found like those of walls (phy124/kernels/lattice/contact.py), but the solid yields
-as well: an impulse J at r from its centre changes its velocity by -J / m and its angular velocity
-by -I^-1 (r x J). The numbers of the solid are those of phy124/kernels/free/numbers.py. `trial`
-holds its motion with the impulses that flat walls had in the last substep, so that contact knows
-what the walls will hold.
+The impulses are computed like those of walls (phy124/kernels/lattice/contact.py), but the solid
+moves as well: an impulse J at r from its centre changes its velocity by -J / m and its angular
+velocity by -I^-1 (r x J). The numbers of the solid are those of phy124/kernels/free/numbers.py.
+`trial` holds its motion with the impulses that flat walls had in the last substep, so that the
+contact takes the support by the walls into account.
 """
 
 from typing import Any
@@ -78,7 +78,7 @@ def make_solid_begin(real: Any):
 
 @build_once
 def make_solid_finish(real: Any):
-    """Kernel of one thread: gives a solid the change of motion by the impulses of all points."""
+    """Kernel of one thread: changes the motion of a solid by the impulses of all points."""
 
     @kernel(f"phy124_lattice_solid_finish_{real.__name__}", real, seconds=0.3)
     def solid_finish(moments, trial, body_out):
@@ -99,7 +99,7 @@ def react(
     r: wp.vec3d,
     impulse: wp.vec3d,
 ):
-    """Let a solid take the opposite of an impulse at r from its centre."""
+    """Apply the opposite of an impulse to a solid, at r from its centre."""
     put3(trial, GUESS, at3(trial, GUESS) - impulse / mass)
     put3(trial, GUESS + 3, at3(trial, GUESS + 3) - turning @ wp.cross(r, impulse))
 
@@ -153,11 +153,11 @@ def way_out(p: Any, half: Any, m: Any):
 
 @build_once
 def make_solid_touch(shape: str, real: Any, rows: Rows):
-    """Kernel of one thread: finds points near a solid, and applies their previous impulses.
+    """Kernel of one thread: finds points near a solid, and applies their last impulses.
 
     `gap_out` is the normal and the distance of each listed point, infinite for points out of reach,
-    `place_out` its position. At the edges of a box the `side` of the point decides, its normal
-    where the body is flat: the box's normals turn there, and would stop a box that slides.
+    `place_out` its position. At the edges of a box, the normal is `side`, the point's own normal
+    where the body is flat, since the box's normals turn at its edges and would stop a sliding box.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike

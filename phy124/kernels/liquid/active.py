@@ -1,9 +1,8 @@
 """Lists the active cells: those that particles may reach or change in this step.
 
-Columns of cells along z store how far particles extend. Cells whose B-spline lies inside fixed
-walls are left out. Kernels over cells visit the listed cells
-only, none of which is at the border of the window. All other cells hold no liquid, and their
-velocity is not known.
+Each column of cells along z stores its lowest and highest cell with particles. Cells whose B-spline
+lies inside fixed walls are left out. Kernels over cells visit the listed cells only, none of which
+is at the border of the window. All other cells hold no liquid, and their velocity is not known.
 """
 
 from typing import Any
@@ -27,7 +26,7 @@ NONE = 1 << 30
 
 @build_once
 def make_sweep(real: Any):
-    """Kernel over particles: extends the columns of cells that they are in."""
+    """Kernel over particles: extends the range of cells with particles in each column."""
 
     @kernel(f"phy124_liquid_sweep_{real.__name__}", real, seconds=0.2)
     def sweep(lattice, window, x, lowest_out: Ints, highest_out: Ints):
@@ -45,7 +44,7 @@ def make_sweep(real: Any):
 def make_count_active(real: Any):
     """Kernel over parts of the columns: combines all copies, widens them and counts their cells.
 
-    With `all` 0, cells whose B-spline lies inside walls are not counted.
+    If `all` is 0, cells whose B-spline lies inside walls are not counted.
     """
     t = types(real)
 

@@ -81,12 +81,12 @@ def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size
 
 @build_once
 def make_yield(real: Any):
-    """Kernel over cells: adds the motion and response of the surfaces of bodies to the equation.
+    """Kernel over cells: adds motion and response of the bodies' surfaces to the equation.
 
     `free` is the number of solids before the first body, `scale` is rho dx^3 [kg], and `present`
     has the rigid motions of all solids at the start of the step. `x_guess` holds the last solution.
-    In a step of dt, a surface resists a change of the pressure like its mass plus `stiffness` dt^2
-    [kg].
+    In a step of length dt, a surface responds to a change of the pressure like a mass: its own plus
+    `stiffness` dt^2 [kg].
     """
     t = types(real)
 
@@ -176,7 +176,7 @@ def make_answer(real: Any):
 
 @build_once
 def make_body_change(real: Any):
-    """Kernel over the cells of a region: the change of a body's velocity by the pressure [m/s].
+    """Kernel over a region's cells: computes a body's velocity change by the pressure [m/s].
 
     `pressed` has the impulse on the surface in each cell, which acts on the mass at the surface.
     """
@@ -208,7 +208,7 @@ def make_body_change(real: Any):
 
 @build_once
 def make_contact(real: Any):
-    """Kernel over the cells of a region: the area of a body that lies on walls which never move.
+    """Kernel over a region's cells: computes the area of contact with walls that never move.
 
     `still` has the open shares without bodies. The rows have the signs of `make_jumps`.
     """
@@ -280,11 +280,11 @@ def make_head(real: Any):
 
 @build_once
 def make_film(real: Any):
-    """Kernel over the cells of a region: pressure of a film of liquid between a body and walls.
+    """Kernel over a region's cells: computes the pressure of a film between a body and walls.
 
-    A body that lies on a wall has the hydrostatic pressure of the liquid around it there, too. In a
-    cell of liquid between both, of which no face is more open than the opposite one, it has that of
-    the cell.
+    Where a body lies on a wall, the film is assumed to have the hydrostatic pressure of the
+    surrounding liquid. In a cell of liquid between both, in which opposite faces are equally open,
+    the film has the pressure of the cell.
     """
     t = types(real)
 

@@ -2,8 +2,8 @@
 
 The cells of liquid are listed in the order of memory, and divided into parts of equal length: one
 for each CPU thread, many on a GPU. The modified incomplete Cholesky factor (Bridson 2015, "Fluid
-simulation for computer graphics", ch. 5) ignores links between parts, so that parts need not wait
-for each other. Sums are added part by part, so results depend only on the number of parts.
+simulation for computer graphics", ch. 5) ignores links between parts, so that no part waits for
+another one. Sums are added part by part, so results depend only on the number of parts.
 """
 
 import warp as wp

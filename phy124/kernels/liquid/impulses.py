@@ -31,7 +31,8 @@ def way_to_wall(
     """Return the distance along an axis from a cell's centre to the wall in the cell [m].
 
     The wall lies where the distance, linear between the centre and the face, is zero. At the edge
-    of a solid, that is on the line, of nine across the face, that ends deepest in the solid.
+    of a solid, the distance is taken along the one of nine lines across the face that ends deepest
+    in the solid.
     """
     d = distances[point(cell, 1, 1, 1, size)]
     f = distances[solid_face(cell, axis, jump, size)]
@@ -67,7 +68,7 @@ def take_row(sums: Sums, wall: int):
 def make_wall_impulses(real: Any):
     """Kernel over parts of the listed cells: adds the impulses of pressure to `sums_out`.
 
-    From the wall with number `bodies` on, the opposite is stored in `pressed_out`.
+    For the wall with number `bodies` and all later ones, `pressed_out` stores the opposite.
     """
     t = types(real)
 

@@ -2,9 +2,9 @@
 
 The displacements are the gradient of the solution of a linear system. Its matrix is that of the
 pressure equation, and its right-hand side is the error of the density (Kugelstadt et al. 2019,
-"Implicit density projection for volume conserving liquids"). Below the surface only excess density
-counts. In the first row below the surface, the density is compared with the density below a flat
-surface.
+"Implicit density projection for volume conserving liquids"). Below the surface, only an excess of
+density is corrected. In the first row of cells below the surface, the density is compared with the
+density below a flat surface.
 """
 
 from typing import Any
@@ -34,8 +34,9 @@ def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size
 def make_excess(real: Any):
     """Kernel over cells: computes the part of the density's error that a step removes.
 
-    The density missing inside a wall's cells, which have no unknown, belongs to the cells before
-    them; at an edge or corner between walls, to the cell before all of these walls.
+    Cells inside a wall have no unknown, so the density that is missing in them is added to the
+    cells in front of the wall; at an edge or corner between walls, to the cell in front of all of
+    these walls.
     """
     t = types(real)
 

@@ -3,8 +3,9 @@
 The unknown is q = p dt / (rho dx) [m/s] with a reference density rho, so that the velocity of a
 face changes by the difference of q across it, divided by the face's density relative to rho. Walls
 enter by the open shares of faces (Ng, Min and Gibou 2009); at the surface p is zero where phi
-crosses zero between two cells (ghost fluid: Enright et al. 2003; Gibou 2002). A cell's own
-compressibility, that of water, keeps a closed pocket without a surface from being singular.
+crosses zero between two cells (ghost fluid: Enright et al. 2003; Gibou 2002). Each cell has the
+compressibility of water; without it, the equation of a closed pocket without a surface would be
+singular.
 """
 
 from typing import Any

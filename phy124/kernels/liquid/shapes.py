@@ -1,8 +1,8 @@
 """The shape of a body of particles in a liquid, as a wall.
 
-The distance from a body's surface follows from the share of each cell that the body fills, as that
-from the surface of the liquid does (`surface`). This rounds edges off, so the surface is shifted
-outwards until the volume inside is the body's.
+The distance from a body's surface follows from the share of each cell that the body fills, in the
+same way as the distance from the liquid's surface (`surface`). Since this rounds edges off, the
+surface is shifted outwards until it encloses the body's volume.
 """
 
 from typing import Any
@@ -36,7 +36,7 @@ def spline(s: Any, cell: wp.vec3i, a: int, b: int, c: int):
 def make_body_scatter(real: Any):
     """Kernel: adds momentum, mass and volume of a body's particles to the cells.
 
-    Positions are those that the velocities lead to in the time `ahead` [s].
+    Positions are extrapolated with the velocities by the time `ahead` [s].
     """
     t = types(real)
 
@@ -206,7 +206,7 @@ def make_body_distance(real: Any):
 
 @build_once
 def make_body_openings(real: Any):
-    """Kernel over the cells of a region: multiplies open shares by what a body leaves open.
+    """Kernel over a region's cells: multiplies open shares by the fraction a body leaves open.
 
     The shares are those of the low faces, and of the eighths of the cell.
     """

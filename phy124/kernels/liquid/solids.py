@@ -4,7 +4,7 @@ Let J (V, w) be the flux out of each cell through the surface of a solid with ve
 velocity w. The pressure's impulse on the solid is rho dx^3 J^T q, so the pressure equation becomes
 (A + rho dx^3 J M^-1 J^T) q = b, with the solid's mass and inertia M (Batty, Bertails and Bridson
 2007). The added matrix has rank six for each solid: conjugate gradients sum J^T s and apply the
-mobility rho dx^3 M^-1 in each iteration (`conjugate`). A cell counts for one solid only.
+mobility rho dx^3 M^-1 in each iteration (`conjugate`). A cell is assigned to one solid only.
 
 A cell's pressure acts at its centre. The weight of the liquid between centre and surface is added,
 without which buoyancy would jump when the solid's bottom passes a layer of centres.
@@ -245,7 +245,7 @@ def make_predict(real: Any):
 
 @build_once
 def make_respond(real: Any):
-    """Kernel of one thread: gives the solid the opposite of its impulses on the liquid.
+    """Kernel of one thread: applies to a solid the opposite of its impulses on the liquid.
 
     `total_out` sums the impulses on the liquid, as phy124/kernels/free does.
     """

@@ -105,8 +105,8 @@ def make_slide(real: Any):
 
     `frictions` has a row for each wall: its coefficient, and 1 if it sticks. The impulse of
     friction on the liquid is added to `sums_out`; `weight` is the mass of a full cell [kg] of the
-    relative density 1. With `rubs` 2, sticking follows from viscosity (`viscous`), and acts here
-    only inside walls.
+    relative density 1. If `rubs` is 2, viscosity (`viscous`) makes the liquid stick, and this
+    kernel acts only inside walls.
     """
     t = types(real)
 

@@ -1,8 +1,8 @@
 """Computes how full the cells are, and from this fill the distance to the surface of the liquid.
 
 `depth` inverts the fill of the quadratic B-spline below a flat surface, so a flat surface is exact
-wherever it lies between two layers of cells. Near walls, the fill counts the open part only. The
-thickness of a layer on a wall is the volume in a column of cells.
+at any height between two layers of cells. Near walls, the fill is relative to the open part of the
+spline. The thickness of a layer on a wall is the volume in a column of cells.
 """
 
 from typing import Any
@@ -20,7 +20,7 @@ LONE = wp.constant(0.3)
 
 @wp.func
 def depth(fill: Any):
-    """Return how deep [cells] below a flat surface a quadratic B-spline with this fill is centred.
+    """Return a quadratic B-spline's depth [cells] below a flat surface, from its filled fraction.
 
     The fill at depth T is (T + 3/2)^3 / 6 below -1/2, 1/2 + 3 T / 4 - T^3 / 3 between -1/2 and
     1/2, and 1 - (3/2 - T)^3 / 6 above.
@@ -99,11 +99,11 @@ def level(
     size: wp.vec3i,
     dx: Any,
 ):
-    """Return the fill of a cell, the distance of its centre from the surface, and a 1 if it is wet.
+    """Return the fill of a cell, its centre's distance from the surface, and 1 if it is liquid.
 
-    A layer on a wall is wet even if its surface is below the centre of its cells, and counts as
-    full, unless it is so thin that its particles are drops. The spline of a cell inside a wall has
-    only its rim in the liquid, so its fill counts half.
+    A layer on a wall is liquid even if its surface is below the centre of its cells, and counts as
+    full, unless it is so thin that its particles are drops. The spline of a cell inside a wall
+    reaches the liquid only with its rim, so its fill has half the weight.
 
     Args:
         cells: Sums over the particles, of which `component` is the volume.

@@ -306,8 +306,8 @@ def make_scatter_volume(real: Any, form: str):
 def make_gather(real: Any, form: str):
     """Kernel: gathers velocity and its gradient from the faces, then moves the particles.
 
-    Positions follow the flow of the faces (midpoint rule). A drop that is alone, or outside the
-    window, flies on a parabola. The deformation gradient that the Gaussians follow is updated.
+    Positions follow the flow of the faces (midpoint rule). A single drop, or one outside the
+    window, moves on a parabola. The deformation gradient that the Gaussians follow is updated.
     """
     t = types(real)
     _, _, collect, carry = FORMS[form]

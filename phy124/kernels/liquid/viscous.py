@@ -2,10 +2,10 @@
 
 The velocity u of a face follows from that before, u0: (1 + k sum g) u = u0 + k sum g u', over the
 neighbouring faces, with k = eta dt / (rho dx^2) and g = 1. Between two liquids, eta is the harmonic
-mean of the viscosities at both faces. Across the surface nothing diffuses. A wall to which the
-liquid sticks has its own velocity at its distance d, g = dx / d; one on which it slides stops only
-the component across it. Each component diffuses by itself. This leaves out the coupling of
-components at a surface (Batty and Bridson 2008), so jets do not fold or coil correctly.
+mean of the viscosities at both faces. Across the surface nothing diffuses. A sticky wall at the
+distance d has its own velocity and g = dx / d; a smooth wall stops only the component across it.
+Each component diffuses by itself. This leaves out the coupling of components at a surface (Batty
+and Bridson 2008), so jets do not fold or coil correctly.
 """
 
 from typing import Any

@@ -175,10 +175,10 @@ def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
 
 @build_once
 def make_openings(shape: str, real: Any):
-    """Kernel over cells: multiplies the low faces' open shares by what some walls leave open.
+    """Kernel over cells: multiplies the low faces' open shares by what walls leave open.
 
-    The share before a plane follows from the distances at the face's corners; that before other
-    shapes from 64 points of the face, since distances bend at edges. The product is exact where
+    For a plane, the open share follows from the distances at the face's corners; for other shapes,
+    from 64 points of the face, since distances are not linear at edges. The product is exact where
     walls are perpendicular to each other.
     """
     t = types(real)
@@ -286,7 +286,7 @@ def make_openings(shape: str, real: Any):
 
 @build_once
 def make_eighths(shape: str, real: Any):
-    """Kernel over eighths of cells: multiplies their open fractions by what some walls leave open.
+    """Kernel over eighths of cells: multiplies open fractions by those that walls leave open.
 
     The product is exact where walls are perpendicular to each other. The arguments are the same as
     for the kernel of distances.

@@ -50,7 +50,7 @@ def cover(
 
     Layer k is at height tallest (k / last)^2 above the floor. `origin` is the corner of the map on
     the floor, `slope` the sideways displacement of the light's rays per metre of descent, and
-    `weight` the number of Gaussians that each given Gaussian represents.
+    `weight` the number of Gaussians that each Gaussian represents.
     """
     n = wp.tid()
     mean = means[n]

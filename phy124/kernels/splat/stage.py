@@ -1,4 +1,4 @@
-"""Draws what surrounds the object: backdrop, floor with shadow, and boundaries as glass.
+"""Draws the surroundings of the object: backdrop, floor with shadow, and boundaries as glass.
 
 Backdrop and floor are drawn behind all Gaussians, pixel by pixel, and glass in front of all
 Gaussians is blended over their light. A Gaussian seen through glass that lies among the Gaussians

@@ -149,7 +149,7 @@ def _on_floor(opened: Opened, *, has_up: bool) -> _Read:
 
 
 def find_floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Return a mask of the floaters [N]: Gaussians that are far from others for their size."""
+    """Return a mask of the floaters [N]: Gaussians far from others relative to their size."""
     few = min(NEIGHBOURS, len(gaussians) - 1)
     means = gaussians.means.astype(np.float64)
     near = scipy.spatial.KDTree(means).query(means, few + 1)[0].reshape(len(means), -1)[:, -1]

@@ -61,7 +61,7 @@ def find_floor(points: NDArray, up: Vectors | None = None, *, seed: int = 0) -> 
         seed: Seed of the random samples.
 
     Raises:
-        InputError: No plane contains enough points, or the plane is smaller than what stands on it.
+        InputError: No plane contains enough points, or the plane is smaller than the object on it.
     """
     x = np.asarray(points, np.float64)
     middle = np.median(x, axis=0)

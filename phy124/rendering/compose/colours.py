@@ -107,7 +107,7 @@ def _recolour(gaussians: Gaussians, seen: NDArray[np.bool_], colours: NDArray) -
 def _seen(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph
 ) -> NDArray[np.bool_]:
-    """Return a mask of the Gaussians that the camera sees inside the object [N], by their depth."""
+    """Return a mask of the Gaussians that the camera sees on the object's surface [N]."""
     pixels, depths = camera.project(gaussians.means.astype(float))
     depths = (depths - depths.min()) / max(float(np.ptp(depths)), 1e-9)
     g, grey = gaussians, np.repeat(depths[:, None], 3, axis=1)

@@ -162,7 +162,7 @@ class Caster:
 
     @cached_property
     def _window(self) -> Array:
-        """Window that is 1 inside and falls to 0 at the borders [CELLS,CELLS]."""
+        """Window that is 1 inside the map and falls to 0 at its borders [CELLS,CELLS]."""
         inwards = (np.arange(CELLS) + 0.5) / CELLS
         side = np.clip(np.minimum(inwards, 1 - inwards) / EDGE, 0, 1)
         side = side * side * (3 - 2 * side)

@@ -3,8 +3,8 @@
 An endless C++ loop cannot be interrupted from Python, neither by Ctrl-C nor by a thread. The
 process is started from a file of this package, not by `multiprocessing`. A user's script therefore
 needs no `if __name__ == "__main__"`, and `run` works from any thread and on every platform. The
-process imports only the function's own module. It ends when its time is over, when the wait is
-interrupted or cancelled, and when the waiting process dies.
+process imports only the function's own module. The process ends when its time limit is reached,
+when the wait is interrupted or cancelled, and when the waiting process dies.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ class MultiView:
     @classmethod
     @torch.no_grad()
     def looking_at(cls, image: Tensor, parts: Parts, *, seed: int = 0) -> MultiView:
-        """Create the guidance for an image with the networks of `imagedream.pipeline.Parts`."""
+        """Create the guidance for an image, with the networks of `imagedream.pipeline.Parts`."""
         condition = look(parts, image, torch.Generator().manual_seed(seed))
         return cls(parts.unet, parts.vae, condition)
 

@@ -183,7 +183,7 @@ const span = f => {{
   return [a - m, b + m];
 }};
 if (!shown.length) 
-  add("text", {{x: 400, y: 220, "text-anchor": "middle"}}, "no errors: not converging");
+  add("text", {{x: 400, y: 220, "text-anchor": "middle"}}, "no errors: no convergence");
 else {{
   const [x0, x1] = span(p => p.seconds), [y0, y1] = span(p => p.error);
   const X = s => 70 + 700 * (Math.log10(s) - x0) / (x1 - x0);
