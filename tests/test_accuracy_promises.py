@@ -243,7 +243,7 @@ def test_finished_run_without_its_own_error_says_why():
 
 def test_player_and_report_word_the_parting_alike():
     script = (ROOT / "phy124/io/viewer/player.js").read_text("utf-8")
-    words = "s other grids move otherwise: plausible, not predicted."
+    words = "s the motion differs from grid to grid: it is plausible, but not a prediction."
     assert words in script
     own = {"about": 0.01, "at_most": 0.02, "until": 1.2, "cells": 16}
     assert words in promise_own(own).sentence
