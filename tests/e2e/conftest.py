@@ -15,7 +15,7 @@ CHROMIUM = shutil.which("chromium")
 @pytest.fixture(scope="session")
 def server(tmp_path_factory):
     # Software WebGL draws few Gaussians in good time. All visitors of all tests have one address.
-    settings = {"gaussians": 4000, "max_per_address": 500, "max_visitors": 500, "warm_up": False}
+    settings = {"gaussians": 4000, "max_per_address": 500, "max_visitors": 500}
     with serving(tmp_path_factory.mktemp("web"), **settings) as running:
         yield running
 
