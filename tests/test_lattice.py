@@ -69,6 +69,13 @@ def test_cut_cells_keep_volume_centre_and_moments():
     assert np.allclose(second, np.diag(size**2 / 12), atol=1e-12)
 
 
+def test_grids_of_which_one_is_twice_as_fine_share_their_voxels():
+    rough = Solid(np.zeros(3, int), 0.051, np.linspace(0, 1, 64).reshape(4, 4, 4))
+    assert rough.resample(0.1).voxels is rough.resample(0.05).voxels
+    fresh = Solid(rough.first, rough.voxel, rough.fraction).resample(0.1)
+    assert np.array_equal(fresh.voxels.spread, rough.resample(0.05).voxels.spread)
+
+
 @pytest.mark.parametrize(("thick", "degrees"), [(0.5, 20), (0.5, 45), (1.0, 20), (1.0, 45)])
 def test_turned_plates_keep_their_moments(thick, degrees):
     """Plates of 0.5 and 1 cells on voxels of half a cell, as the pipeline makes them."""

@@ -10,7 +10,6 @@ are up to 12 % too stiff.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -35,18 +34,6 @@ AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 """Steps from a cell to its 26 neighbours."""
 APART = 0.5
 """Distance between neighbouring surface points [cells]."""
-SHEET = 0.25
-"""Length of the gradient of the filled fraction [1/voxel] below which a voxel is part of a sheet,
-which has no single outward normal.
-"""
-SAMPLES = 6
-"""Number of sample points along each axis of a voxel that is filled in part."""
-HALVINGS = 12
-"""Number of halvings by which the surface in a voxel is found."""
-THIN = 1.2
-"""Thickness below which a part is a sheet with two surfaces in a voxel [voxels]."""
-FULL = 0.999
-"""Filled part of a voxel that no sheet has."""
 ALIGNED = 1e-7
 """Difference of second moments [cells^2] below which the points lie along the lattice."""
 CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -125,11 +112,9 @@ def repeat_for_points(values: NDArray | None) -> NDArray | None:
 
 def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the points of all cells [8C,3], m, and their volumes [8C], m^3; x varies slowest."""
-    index, fraction, normal = _find_voxels(solid)
+    index, fraction, _, shift, spread = solid.voxels
     side = solid.voxel
-    shift, spread = _filled_parts(solid, index, fraction, normal)
     middle = (index + solid.first + 0.5 + shift) * side
-    spread *= side**2
     place = np.floor((index + solid.first) * (side / dx) + 1e-9).astype(np.int64)
     place = _merge_slivers(place, fraction * (side / dx) ** 3)
     cells, cell = _cells(place)
@@ -137,7 +122,7 @@ def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], ND
     filled = np.bincount(cell, fraction, count)
     centre = _sums(cell, fraction[:, None] * middle, count) / filled[:, None]
     arm = middle - centre[cell]
-    second = arm[:, :, None] * arm[:, None, :] + spread
+    second = arm[:, :, None] * arm[:, None, :] + spread * side**2
     second = _sums(cell, (fraction[:, None, None] * second).reshape(-1, 9), count)
     second = second.reshape(-1, 3, 3) / filled[:, None, None]
     # Equal moments have no axes of their own: the points then lie along those of the lattice.
@@ -153,99 +138,12 @@ def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], ND
     return x[kept].reshape(-1, 3), np.repeat(volume / PER_CELL, PER_CELL)
 
 
-def _filled_parts(
-    solid: Solid, index: NDArray, fraction: NDArray, normal: NDArray
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the centre of the filled part of each voxel, and its second moments about the centre.
-
-    The filled part lies on one side of a plane, or, in a sheet, between two planes. It is found
-    from `SAMPLES` points per axis; points at its surface count in part.
-
-    Args:
-        solid: The body.
-        index: Indices of the voxels that are not empty [V,3].
-        fraction: Their filled fractions [V].
-        normal: Their outward normals [V,3]; zero in sheets.
-
-    Returns:
-        Offsets from the middles of the voxels [V,3], and second moments [V,3,3], in voxels.
-    """
-    shift = np.zeros((len(index), 3))
-    spread = np.tile(np.eye(3) / 12, (len(index), 1, 1))
-    cut = np.flatnonzero(fraction < 1)
-    across, offset, sheet = normal[cut], np.full(len(cut), -np.inf), np.zeros(len(cut), bool)
-    flat, across[flat], offset[flat] = _find_sheets(
-        solid, index[cut], np.logical_not(across.any(axis=1))
-    )
-    sheet[flat] = True
-    line = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
-    points = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
-    of_sample = np.eye(3) / (12 * SAMPLES**2)
-    for rows in np.array_split(np.arange(len(cut)), max(1, len(cut) // 500)):
-        some, thin = cut[rows], sheet[rows]
-        height = across[rows] @ points.T
-        height[thin] = np.abs(height[thin] - offset[rows][thin, None])
-        width = np.abs(across[rows]).sum(axis=1)[:, None] / SAMPLES
-        low, high = (end(axis=1)[:, None] for end in (height.min, height.max))
-        low, high, share = low - width, high + width, height
-        for _ in range(HALVINGS):
-            level = (low + high) / 2
-            share = np.clip((level - height) / width + 0.5, 0, 1)
-            more = share.mean(axis=1, keepdims=True) < fraction[some, None]
-            low, high = np.where(more, level, low), np.where(more, high, level)
-        share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-9)
-        shift[some] = share @ points
-        second = share @ (points[:, :, None] * points[:, None, :]).reshape(-1, 9)
-        middle = shift[some][:, :, None] * shift[some][:, None, :]
-        spread[some] = second.reshape(-1, 3, 3) - middle + of_sample
-    return shift, spread
-
-
-def _find_sheets(
-    solid: Solid, index: NDArray, no_normal: NDArray
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Find the voxels in thin sheets, and the sheets, in voxels.
-
-    Args:
-        solid: The body.
-        index: Indices of the voxels [V,3].
-        no_normal: Voxels that must be part of a sheet [V].
-
-    Returns:
-        Numbers of the K voxels [K]; normals [K,3], along which the filled parts of the surrounding
-        125 voxels extend least; and distances of the sheets from the voxels' middles [K].
-    """
-    padded = np.pad(solid.fraction.astype(np.float64), 2)
-
-    def around(index: NDArray, reach: int) -> tuple[NDArray, NDArray, NDArray]:
-        """Return steps to all voxels within a reach, their filled parts, and the centres."""
-        line = np.arange(-reach, reach + 1)
-        steps = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
-        near = index[:, None] + 2 + steps
-        weight = padded[tuple(np.moveaxis(near, -1, 0))]
-        total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
-        return steps, weight, weight @ steps / total
-
-    _, weight, centre = around(index, 1)
-    layers = np.where(weight.max(axis=1) < FULL, weight.sum(axis=1) / 9, np.inf)
-    # The thickness is `layers` times the largest component of the normal, at least 1 / sqrt(3).
-    near = np.flatnonzero((layers < math.sqrt(3) * THIN) | no_normal)
-    # Two layers of voxels would not tell a sheet's normal from a direction across its rim.
-    steps, weight, middle = around(index[near], 2)
-    arm = steps - middle[:, None]
-    _, axes = np.linalg.eigh(np.einsum("vn,vna,vnb->vab", weight, arm, arm))
-    normal = axes[:, :, 0]
-    thin = (layers[near] * np.abs(normal).max(axis=1) < THIN) | no_normal[near]
-    near, normal = near[thin], normal[thin]
-    return near, normal, np.einsum("vi,vi->v", centre[near], normal)
-
-
 def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
     """Return points on the surface [S,3], m, and outward normals, as rows of six numbers [S,6].
 
     The normal is zero on sheets, which have no single outward side.
     """
-    index, fraction, normal = _find_voxels(solid)
+    index, fraction, normal, _, _ = solid.voxels
     # Resampling leaves voxels of almost no material around the body, which are not its surface.
     fullest = scipy.ndimage.maximum_filter(solid.fraction, 3, mode="constant")
     filled = solid.fraction >= np.clip(fullest / 2, SMALLEST, TRACE)
@@ -299,23 +197,6 @@ def _subdivide(solid: Solid, dx: float) -> Solid:
     for axis in range(3):
         fraction = np.repeat(fraction, parts, axis=axis)
     return Solid(solid.first * parts, solid.voxel / parts, fraction)
-
-
-def _find_voxels(
-    solid: Solid,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return indices [V,3], fractions [V] and outward normals [V,3] of the voxels not empty."""
-    padded = np.pad(solid.fraction.astype(np.float64), 1)
-    index = np.argwhere(solid.fraction > 0)
-    # Neighbours count by 1 / distance^2; a plane along the lattice has a gradient of length 1.
-    normal = np.zeros((len(index), 3))
-    for step in AROUND:
-        there = padded[tuple((index + 1 + step).T)] / (step @ step)
-        normal -= there[:, None] * step * (3 / 13)
-    length = np.linalg.norm(normal, axis=1)
-    normal[length < SHEET] = 0
-    normal /= np.maximum(length, SHEET)[:, None]
-    return index, padded[tuple((index + 1).T)], normal
 
 
 def _cells(cell: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -23,6 +23,7 @@ their side is the particle spacing multiplied or divided by a whole number. `MAX
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -31,6 +32,7 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.particles.cleaning import VISIBLE
+from phy124.particles.voxels import Voxels, find_voxels
 
 Mask = NDArray[np.bool_]
 
@@ -57,6 +59,16 @@ class Solid:
     fraction: NDArray[np.float32]
     """Fraction of each voxel that is inside the object [X,Y,Z], 0..1."""
 
+    @cached_property
+    def voxels(self) -> Voxels:
+        """The filled parts of its voxels."""
+        return find_voxels(self.fraction)
+
+    @cached_property
+    def _resampled(self) -> dict[float, Solid]:
+        """Side of voxels [m] -> the solid on them, for grids of which one is twice as fine."""
+        return {}
+
     @property
     def volume(self) -> float:
         """Volume of the solid [m^3]."""
@@ -79,9 +91,18 @@ class Solid:
         return ~thick[tuple(np.clip(at, 0, np.array(thick.shape) - 1).T)]
 
     def resample(self, spacing: float) -> Solid:
-        """Resample to voxels of about the same size that are aligned with a particle lattice."""
+        """Resample to voxels of about the same size that are aligned with a particle lattice.
+
+        Several lattices may have the same voxels, which are computed once.
+        """
         ratio = spacing / self.voxel
         step = spacing / round(ratio) if ratio > 1 else spacing * round(1 / ratio)
+        if step not in self._resampled:
+            self._resampled[step] = self._on_voxels(step)
+        return self._resampled[step]
+
+    def _on_voxels(self, step: float) -> Solid:
+        """Return the solid on voxels of another side [m]."""
         fraction, first = self.fraction.astype(np.float64), []
         for axis, start in enumerate((self.first * self.voxel).tolist()):
             old = start + self.voxel * np.arange(fraction.shape[axis] + 1)
