@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.camera import Camera
-from phy124.rendering.render import pinhole
+from phy124.rendering.projection import FILTERS, make_view
 from phy124.rendering.stage.frame import Solid
 from support.arranged import arranged
 
@@ -64,7 +64,7 @@ def test_around_what_is_nowhere_all_solids_are_among_it(broken):
 def test_an_outline_holds_the_solid_and_little_else(rng, solid):
     """Points of the solid's box are inside, on the screen and in space; points far away are not."""
     camera = Camera.orbit(30, 25, 2.0, (64, 48), (0.1, 0.1, 0.1))
-    view, outline = pinhole(camera), arranged([solid], camera, BOX).outlines[0]
+    view, outline = make_view(camera, FILTERS["dilate"]), arranged([solid], camera, BOX).outlines[0]
     sides, planes = (outline[name][: outline["count"]] for name in ("sides", "planes"))
     reach = solid.half + solid.radius
     points = solid.centre + (rng.uniform(-1, 1, (2000, 3)) * reach) @ solid.axes

@@ -8,7 +8,7 @@ import warp as wp
 from phy124.camera import Camera
 from phy124.kernels.splat import glass
 from phy124.kernels.splat.arrange import arrange
-from phy124.rendering.render import pinhole
+from phy124.rendering.projection import FILTERS, make_view
 from phy124.rendering.stage.draw import Uploaded
 from phy124.rendering.stage.frame import Backdrop, Box, Solid, StageFrame
 
@@ -28,7 +28,11 @@ def arranged(solids: list[Solid], camera: Camera, box: Box) -> Arranged:
     given = Uploaded(StageFrame(BLACK, None, tuple(solids)), "cpu")
     kinds = glass.Solid, glass.Outline, int
     made = [wp.zeros(max(len(solids), 3), dtype=kind, device="cpu") for kind in kinds]
-    inputs = [pinhole(camera), *(wp.vec3(*corner) for corner in box), given.solids]
+    inputs = [
+        make_view(camera, FILTERS["dilate"]),
+        *(wp.vec3(*corner) for corner in box),
+        given.solids,
+    ]
     wp.launch(arrange, len(solids), inputs=inputs, outputs=made, device="cpu")
     ordered, outlines, counts = (array.numpy() for array in made)
     return Arranged(ordered[: len(solids)], counts[:3].tolist(), outlines)
