@@ -316,6 +316,24 @@ SCIPY = {f"scipy.{part}" for part in ("fft", "linalg", "ndimage", "sparse", "spa
 LIBRARIES = HEAVY | {"warp", "numpy", "scipy", "cv2", "PIL", "pydantic"}
 
 
+@pytest.mark.parametrize(("argument", "status"), [("--version", 0), ("nonsense", 2)])
+def test_program_ends_after_threads_and_exit_functions(argument, status):
+    program = (
+        "import atexit, sys, threading\n"
+        "from phy124.__main__ import program\n"
+        "atexit.register(lambda: print('exit function', flush=True))\n"
+        "class Freed:\n    def __del__(self): print('freed', flush=True)\n"
+        "sys.freed = Freed()\n"
+        "main = threading.main_thread()\n"
+        "threading.Thread(target=lambda: (main.join(), print('thread', flush=True))).start()\n"
+        "program()\n"
+    )
+    words = [sys.executable, "-c", program, argument]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == status, done.stderr
+    assert done.stdout.splitlines()[-2:] == ["thread", "exit function"]
+
+
 @pytest.mark.parametrize(
     ("code", "absent"),
     [
