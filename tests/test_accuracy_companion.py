@@ -1,10 +1,12 @@
 """A run's own error: from a companion on a coarser grid, if that is cheap; the run is unchanged."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from phy124.accuracy import companion
-from phy124.accuracy.companion import Factors, estimate, forecast, with_own_error
+from phy124.accuracy.companion import Factors, coarsen, estimate, forecast, with_own_error
 from phy124.accuracy.promises import promise
 from phy124.errors import Cancelled
 from phy124.particles.thickness import Proportions
@@ -84,6 +86,15 @@ def test_companion_reuses_the_interior_and_binds_no_frame(run, monkeypatch):
     assert setup.interiors[0][0] is simulation.setup.interiors[0][0]
     indices = companion._sample(simulation.setup)
     assert len(companion._distances(setup, clip, indices)) == SCENE.time.frames
+
+
+def test_companion_uses_only_threads_that_pay(run, monkeypatch):
+    setup = replace(run[0].setup, threads=4)
+    assert companion._prepare(setup, coarsen(SCENE)).threads == 1
+    for particles, threads in ((300, 1), (40, 2), (1, 4)):
+        monkeypatch.setattr(companion, "MIN_PARTICLES", particles)
+        monkeypatch.setattr(companion, "count_particles", lambda setup: 90)
+        assert companion.count_threads(setup) == threads
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from phy124.__main__ import main
 from phy124.accuracy import Forecaster, companion
 from phy124.accuracy import forecast as module
-from phy124.accuracy.forecast import QUIET, Forecast, pixels_per_size
+from phy124.accuracy.forecast import QUIET, Forecast, pixels_per_size, speed_up
 from phy124.accuracy.probe import CELLS, Pilot, SubstepCost, coarsen, run_pilot
 from phy124.accuracy.promises import Promise
 from phy124.rendering.nearest import ROOM
@@ -215,3 +215,7 @@ def test_the_pilot_s_grid_resolves_what_the_scene_s_does(radius, cells):
     for change in changes:
         told = Scene.named("drop").replaced({"accuracy": "standard", "object.size": 1.0, **change})
         assert coarsen(told).resolution.cells == cells
+
+
+def test_speed_up_is_that_of_the_benchmarks():
+    assert speed_up(1) == 1 and speed_up(16) == pytest.approx(11.8, rel=0.01)

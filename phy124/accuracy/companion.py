@@ -25,6 +25,7 @@ from phy124.budget.cost import USUAL, Rates
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
 from phy124.motion.deform import Deformer
+from phy124.mpm.workers import MIN_PARTICLES
 from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure
 from phy124.scene import Scene
@@ -172,7 +173,7 @@ def coarsen(scene: Scene) -> Scene:
 
 
 def forecast(run: Simulation, substeps: int, particles: int | None = None) -> float:
-    """Return the time of the companion as a fraction of the time of a run's dynamics.
+    """Return the CPU time of the companion as a fraction of that of a run's dynamics.
 
     Args:
         run: The run.
@@ -182,10 +183,21 @@ def forecast(run: Simulation, substeps: int, particles: int | None = None) -> fl
     rates, (once, each) = RATES["cpu" if run.device == "cpu" else "cuda"], PREPARING
     substeps = max(substeps, 1)
     if particles is None:
-        particles = round(len(run.setup.particles) * RATIO**3)
+        particles = count_particles(run.setup)
     dynamics = substeps * (rates.substep + rates.particle * len(run.setup.particles))
     companion = RATIO * substeps * (rates.substep + rates.particle * particles)
     return (once + each * len(run.setup.gaussians) + companion) / dynamics
+
+
+def count_threads(setup: Setup) -> int:
+    """Return the number of threads that pay for the companion of a run, from counts of the run."""
+    enough = count_particles(setup) // MIN_PARTICLES
+    return max(1, min(enough, setup.threads))
+
+
+def count_particles(setup: Setup) -> int:
+    """Estimate the number of particles of a run's companion."""
+    return round(len(setup.particles) * RATIO**3)
 
 
 def factors_of(scene: Scene, cells: int) -> Factors:
@@ -241,9 +253,8 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
 def _prepare(setup: Setup, scene: Scene) -> Setup:
     """Return the setup of a companion, which observes nothing and deforms no Gaussians."""
     progress = setup.context.progress
-    context = RunContext(
-        setup.context.device, setup.threads, lambda *_: progress("companion", 0, 1)
-    )
+    threads = count_threads(setup)
+    context = RunContext(setup.context.device, threads, lambda *_: progress("companion", 0, 1))
     options: dict[str, Any] = {"keep": False, "shapes": False, "observers": ()}
     if not scene.objects:
         options["interior"] = setup.interiors[0][0]  # it does not depend on the grid

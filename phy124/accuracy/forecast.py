@@ -170,6 +170,8 @@ def _spin(seconds: float) -> float:
     return max(ran, 1e-3) / passed
 
 
+SPEED_UP = 0.72
+"""Speed-up per additional thread."""
 UNSURE = 0.1
 """Fraction of substeps limited by the particles' motion above which the forecast is a guess."""
 GUESS = 1.14
@@ -395,7 +397,10 @@ class Forecaster:
         cost = companion.forecast(simulation, substeps)
         wanted = error and self.error and scene.time.frames >= companion.FEWEST
         if wanted and cost <= companion.AFFORDABLE:
-            stages["companion"] = cost * stages["simulate"]
+            faster = speed_up(simulation.setup.threads) / speed_up(
+                companion.count_threads(simulation.setup)
+            )
+            stages["companion"] = cost * faster * stages["simulate"]
         return Forecast(
             stages,
             measured=(),
@@ -447,6 +452,11 @@ class Forecaster:
                 self._known.pop(next(iter(self._known)))
             self._known[key] = (make(), keep)
         return self._known[key][0]
+
+
+def speed_up(threads: int) -> float:
+    """Return how many times faster the dynamics are on some threads (docs/lab/benchmarks.md)."""
+    return 1 + SPEED_UP * (threads - 1)
 
 
 def _sample(gaussians: Gaussians) -> tuple[int, bytes]:
