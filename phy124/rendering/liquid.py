@@ -3,8 +3,11 @@
 Each Gaussian stands for a volume. These volumes, smoothed over `BLUR` cells, are the fraction of
 space phi that the liquid fills; its surface is phi = `LEVEL`. Gaussians near the surface move onto
 it and become discs, those deeper inside are not drawn, and those in thin spray become balls.
+Beside flat walls, phi is the fraction of the space before the walls. Gaussians that are closer to a
+wall than to the free surface move onto the wall.
 The opacity of a disc follows from the thickness of the liquid behind it (Beer-Lambert): both faces
-of a layer take half of its optical depth each, divided by the number of discs that overlap.
+of a layer take half of its optical depth each, divided by the number of discs that overlap. A thin
+film on a wall has only one face.
 """
 
 from __future__ import annotations
@@ -17,9 +20,10 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import SH_C0, Gaussians
 
-BLUR = 0.9
-"""Standard deviation of the smoothing, in cells of the simulation's grid."""
-LEVEL = 0.4
+BLUR, WHOLE = 0.85, 0.945
+"""Standard deviation of the smoothing, in cells of the simulation's grid: of the filter, and of the
+filter together with the spread of each point to the eight cells around it."""
+LEVEL = 0.45
 """Fraction of space that the liquid fills at its surface."""
 MOST = 4_000_000
 """Largest number of cells; the cells of a more scattered liquid are larger."""
@@ -34,6 +38,11 @@ MOVES = (-0.35, 0.9)
 OVERLAP, NARROW, WIDEST, FLAT = 0.95, 0.4, 0.7, 0.3
 """Radius of a disc relative to the distance between discs; its bounds, in cells; its thickness
 relative to its radius."""
+TOUCH, FILM = 0.75, 1.5
+"""Largest distance of Gaussians from a wall at which they are drawn on it; thickness of a film on a
+wall, in cells, below which only its free surface is drawn."""
+LITTLE = 0.02
+"""Smallest fraction of space before walls by which means are divided."""
 ALONE, DROP = 0.4, 0.42
 """Drops: largest phi at a drop's centre relative to its volume in cells; standard deviation
 relative to the edge of a cube of its volume."""
@@ -46,6 +55,19 @@ PALE = np.array([0.9, 0.97, 1.0], np.float32)
 """Colour of thin liquid and of spray."""
 THIN, SPRAY = 0.5, 0.6
 """Largest fractions of that colour, in a thin layer and in a drop."""
+
+
+class Planes(NamedTuple):
+    """Flat walls beside a liquid."""
+
+    normals: NDArray
+    """Unit normals out of the walls [W,3]."""
+    offsets: NDArray
+    """Distances of the walls from the origin along their normals [W], m."""
+
+
+NOWHERE = Planes(np.zeros((0, 3)), np.zeros(0))
+"""No walls."""
 
 
 class Surface(NamedTuple):
@@ -68,7 +90,7 @@ class Surface(NamedTuple):
 class Field:
     """Values of points, summed and smoothed on a grid."""
 
-    def __init__(self, x: NDArray, cell: float) -> None:
+    def __init__(self, x: NDArray, cell: float, planes: Planes = NOWHERE) -> None:
         """Place points [N,3] m on a grid of spacing `cell` m, or of a larger one if it is huge."""
         low, high = np.percentile(x[:: 1 + len(x) // SAMPLE], [0.1, 99.9], axis=0)
         spare = 4 * BLUR * cell
@@ -79,25 +101,61 @@ class Field:
         nearest = np.rint(self._at).astype(int)
         inside = np.clip(nearest, 0, np.array(self._size)[:, None] - 1)
         self._flat: Any = np.ravel_multi_index(tuple(inside), self._size)
+        self.gap, self.facing = _touch(x, planes, cell)
+        self.open, self._room = self._before(planes, low - spare)
+
+    def _before(self, planes: Planes, corner: NDArray) -> tuple[NDArray | float, NDArray | float]:
+        """Return the fraction of each cell before all walls, and the same smoothed.
+
+        Args:
+            planes: The walls.
+            corner: Centre of the first cell [3], m.
+        """
+        shares: tuple[Any, Any] = 1.0, 1.0
+        axes = [corner[a] + self.cell * np.arange(self._size[a]) for a in range(3)]
+        for normal, offset in zip(*planes, strict=True):
+            along = np.flatnonzero(normal)
+            terms = np.ix_(*(normal[a] * axes[a] if a in along else np.zeros(1) for a in range(3)))
+            away = ((terms[0] + terms[1] + terms[2] - offset) / self.cell).astype(np.float32)
+            if away.min() < 3 * BLUR:
+                part = np.clip(0.5 + away, 0, 1), scipy.special.ndtr(away / WHOLE)
+                shares = shares[0] * part[0], shares[1] * part[1]
+        return shares[0], np.maximum(shares[1], LITTLE)
 
     def sum(self, values: NDArray | None, chosen: NDArray | slice = slice(None)) -> NDArray:
         """Return the sum of the values of chosen points in each cell, or their number."""
         cells = int(np.prod(self._size))
         return np.bincount(self._flat[chosen], values, minlength=cells).reshape(self._size)
 
-    def smooth(self, values: NDArray) -> NDArray[np.float32]:
+    def blur(self, values: NDArray) -> NDArray[np.float32]:
         """Return the smoothed values of the cells."""
         smooth: Any = scipy.ndimage.gaussian_filter(
             values.astype(np.float32), BLUR, mode="constant", truncate=3
         )
         return smooth
 
+    def smooth(self, values: NDArray) -> NDArray[np.float32]:
+        """Return the smoothed values of the cells, as means over the space before all walls."""
+        return np.asarray(self.blur(values) / self._room, np.float32)
+
     def fill(self, volume: float) -> NDArray[np.float32]:
         """Return the smoothed fraction phi that points of a volume [m^3] fill of each cell.
 
         It is at most 1: at rest, the points on an object's surface lie closer together.
         """
-        return self.smooth(np.minimum(volume / self.cell**3 * self.sum(None), 1))
+        return self.smooth(np.minimum(volume / self.cell**3 * self._spread(), 1))
+
+    def _spread(self) -> NDArray[np.float64]:
+        """Return the number of points of each cell; a point counts in eight cells, linearly."""
+        first = np.clip(np.floor(self._at).astype(int), 0, np.array(self._size)[:, None] - 2)
+        upper = np.clip(self._at - first, 0, 1)
+        flat: Any = np.ravel_multi_index(tuple(first), self._size)
+        total = np.zeros(int(np.prod(self._size)))
+        for corner in np.ndindex(2, 2, 2):
+            share = np.prod([u if c else 1 - u for u, c in zip(upper, corner, strict=True)], axis=0)
+            there = flat + np.ravel_multi_index(corner, self._size)
+            total += np.bincount(there, share, minlength=len(total))
+        return total.reshape(self._size)
 
     def nearest(self, field: NDArray, chosen: NDArray | slice = slice(None)) -> NDArray[np.float32]:
         """Return the values of a field in the cells of chosen points."""
@@ -112,34 +170,47 @@ class Field:
         return np.asarray(values, np.float32)
 
 
+def _touch(x: NDArray, planes: Planes, cell: float) -> tuple[NDArray, NDArray]:
+    """Return the distances of points [N,3] m from the nearest wall, in cells, and its normals."""
+    gap, facing = np.full(len(x), np.inf, np.float32), np.zeros((len(x), 3), np.float32)
+    for normal, offset in zip(*planes, strict=True):
+        away = ((x @ normal - offset) / cell).astype(np.float32)
+        nearer = away < gap
+        gap[nearer], facing[nearer] = away[nearer], normal
+    return gap, facing
+
+
 class Liquid:
     """Shapes the Gaussians of one liquid of a clip."""
 
-    def __init__(self, x: NDArray, cell: float, visibility: float | None) -> None:
+    def __init__(
+        self, x: NDArray, cell: float, visibility: float | None, planes: Planes = NOWHERE
+    ) -> None:
         """Measure the liquid at rest.
 
         Args:
             x: Centres of its Gaussians at rest [N,3], m.
             cell: Cell size of the simulation's grid, m.
             visibility: Distance over which the liquid dims light to 1/e, m; None: it is opaque.
+            planes: Flat walls beside it.
         """
-        self._cell, self._visibility, field = cell, visibility, Field(x, cell)
+        self._cell, self._visibility, field = cell, visibility, Field(x, cell, planes)
         density = np.median(field.sample(field.smooth(field.sum(None))))
         self._volume = field.cell**3 / max(float(density), 2.0)
         self._spread = _measure_spread(field, field.fill(self._volume))
 
-    def shape(self, part: Gaussians) -> Surface:
-        """Return the liquid's Gaussians as they are drawn."""
-        field = Field(part.means.astype(np.float64), self._cell)
+    def shape(self, part: Gaussians, planes: Planes = NOWHERE) -> Surface:
+        """Return the liquid's Gaussians as they are drawn beside flat walls."""
+        field = Field(part.means.astype(np.float64), self._cell, planes)
         phi = field.fill(self._volume)
         spread = _measure_spread(field, phi)
-        torn = (spread < TORN) & (spread < THINNER * self._spread)
+        torn = (spread < TORN) & (spread < THINNER * self._spread) & (field.gap > TOUCH)
         return _shape(part, field, phi, self._volume / field.cell**3, torn, self._visibility)
 
 
 def _measure_spread(field: Field, phi: NDArray) -> NDArray[np.float32]:
     """Return the factor by which smoothing lowers phi at points [N]: 1/2 in jets, 0.7 in sheets."""
-    return field.nearest(field.smooth(phi) / np.maximum(phi, 1e-6))
+    return field.nearest(field.smooth(phi * field.open) / np.maximum(phi, 1e-6))
 
 
 def _shape(
@@ -162,30 +233,37 @@ def _shape(
     """
     x, n, cell = part.means.astype(np.float64), len(part), field.cell
     here = field.sample(phi)
-    near = np.flatnonzero(here < 0.98)
+    beside = field.gap < TOUCH
+    near = np.flatnonzero((here < 0.98) | beside)
+    inside = phi * field.open
     gradient = np.zeros((n, 3), np.float32)
     for axis in range(3):
         gradient[near, axis] = field.sample(np.gradient(phi, axis=axis), near)
     steep = np.linalg.norm(gradient, axis=1)
     normals = -gradient / np.maximum(steep, 1e-9)[:, None]
     ahead = here.copy()
-    ahead[near] = field.sample(phi, near, AHEAD * normals[near].T)
+    ahead[near] = field.sample(inside, near, AHEAD * normals[near].T)
+    depth = AHEAD * (here - LEVEL) / np.maximum(here - ahead, 1e-6)
+    thin = beside & (field.gap + depth < FILM) & (np.sum(normals * field.facing, axis=1) > 0.5)
+    wet = beside & ~thin & (field.gap < depth)
+    normals[wet], steep[wet], ahead[wet] = -field.facing[wet], here[wet], 0
     chance = 0.618034 * np.arange(n) % 1
     alone = (here < ALONE * volume) | (torn & (chance > KEPT))
     fade = np.where(alone | torn, 0, 1 - smoothstep(ahead, *FILLED))
     fade *= smoothstep(steep / np.maximum(here, 1e-6), *STEEP)
-    free = alone | (~torn & (fade < 0.5) & (here < LEVEL))
+    free = alone | (~torn & ~thin & (fade < 0.5) & (here < LEVEL))
     on, loose = np.flatnonzero((fade > 0) & ~free), np.flatnonzero(free)
 
     means, scales, opacities = x.copy(), np.full((n, 3), 0.1 * cell), np.zeros(n)
-    depth = AHEAD * (here[on] - LEVEL) / np.maximum(here[on] - ahead[on], 1e-6)
-    means[on] += normals[on] * (depth.clip(*MOVES) * cell)[:, None]
+    depth = np.where(wet, field.gap, np.maximum(depth.clip(*MOVES), -field.gap))[on]
+    means[on] += normals[on] * (depth * cell)[:, None]
     # Discs per cell of the surface: smoothed, a layer of them is as high as the Gaussian.
-    layer = field.sample(field.smooth(field.sum(fade[on], on)), on) * np.sqrt(2 * np.pi) * BLUR
+    layer = field.sample(field.blur(field.sum(fade[on], on)), on) * np.sqrt(2 * np.pi) * BLUR
     radius = np.clip(OVERLAP / np.sqrt(np.maximum(layer, 1e-6)), NARROW, WIDEST)
     scales[on] = (radius * cell)[:, None] * np.array([1, 1, FLAT])
     per_cell = cell / visibility if visibility else np.inf
-    tau = np.minimum(_thickness(phi, field, on, normals[on]) * per_cell / 2, OPAQUE)
+    faces = np.where(thin[on], 1, 2)
+    tau = np.minimum(_thickness(inside, field, on, normals[on]) * per_cell / faces, OPAQUE)
     overlapping = np.maximum(2 * np.pi * radius**2 * layer, 0.5)
     opacities[on] = fade[on] * -np.expm1(-np.maximum(tau, -np.log1p(-LEAST)) / overlapping)
     # Balls overlap in spray that is not thin enough for drops, and absorb what their volume does.

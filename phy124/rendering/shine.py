@@ -22,7 +22,9 @@ from numpy.typing import NDArray
 from phy124.camera import Camera
 from phy124.gaussians import SH_C0, Frame, Gaussians
 from phy124.io.clip import Clip
-from phy124.rendering.liquid import Liquid, Surface, smoothstep
+from phy124.rendering.liquid import NOWHERE, Liquid, Planes, Surface, smoothstep
+from phy124.rendering.stage.build import boundaries_of
+from phy124.rendering.stage.solids import place_walls
 from phy124.scene import View
 
 KEPT = 256 * 2**20
@@ -68,9 +70,11 @@ class Shine:
         self._parts = {law: _indices(laws[law]) for law in laws if law in GLOSSES and laws[law]}
         self._cell = float(clip.report.get("grid", {}).get("dx", 0.0))
         self._surfaces: dict[int, tuple[Gaussians, dict[str, NDArray]]] = {}
+        self._planes = _planes(clip) if "fluid" in self._parts else []
         whole = {"runs": laws.get("fluid"), "visibility": None}
+        before = self._planes[0] if self._planes else NOWHERE
         self._liquids = [
-            (which, Liquid(_finite(clip.means[0][which]), self._cell, liquid["visibility"]))
+            (which, Liquid(_finite(clip.means[0][which]), self._cell, liquid["visibility"], before))
             for liquid in clip.report.get("liquids") or [whole]
             if "fluid" in self._parts and self._cell > 0 and len(which := _indices(liquid["runs"]))
         ]
@@ -147,7 +151,7 @@ class Shine:
             for which, liquid in self._liquids:
                 part = gaussians.select(which)
                 part = replace(part, means=_finite(part.means))
-                shaped = liquid.shape(part)
+                shaped = liquid.shape(part, self._planes[frame.index])
                 for whole, values in zip(drawn, shaped, strict=True):
                     whole[which] = values
                 sh[which, 1:], sh[which, 0] = 0, (shaped.rgb - 0.5) / SH_C0
@@ -228,6 +232,21 @@ def _dot(a: NDArray, b: NDArray) -> NDArray:
 
 def _length(a: NDArray) -> NDArray:
     return np.sqrt(_dot(a, a))
+
+
+def _planes(clip: Clip) -> list[Planes]:
+    """Return the flat walls of a clip's scene in each frame."""
+    rest = _finite(np.asarray(clip.means[0][clip.object_mask], np.float64))
+    walls = [
+        wall
+        for wall in place_walls(boundaries_of(clip), rest)
+        if wall.outline == "half_space" and not wall.holds
+    ]
+    normals = np.array([wall.shape[1] for wall in walls]).reshape(-1, 3)
+    points = [wall.shape[0] + wall.displacements(clip.times) for wall in walls]
+    offsets = [at @ normal for at, normal in zip(points, normals, strict=True)]
+    rows = np.array(offsets).reshape(-1, len(clip.times)).T
+    return [Planes(normals, row) for row in rows]
 
 
 def _indices(runs: Any) -> NDArray[np.int64]:

@@ -109,7 +109,7 @@ def make_stage(
     rest = np.asfortranarray(rest[_finite(rest)], np.float64)
     if view.stage == "plain" or not len(rest):
         return Stage(background, np.zeros(len(clip)), (), None)
-    walls = place_walls(_boundaries(clip), rest)
+    walls = place_walls(boundaries_of(clip), rest)
     heights = floor_heights(walls, rest, clip.times)
     shown = tuple(
         (wall.solid(), wall.displacements(clip.times), wall.present(clip.times))
@@ -125,7 +125,7 @@ def _finite(points: NDArray) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(np.asfortranarray(points)).all(axis=1))
 
 
-def _boundaries(clip: Clip) -> Sequence[Boundary]:
+def boundaries_of(clip: Clip) -> Sequence[Boundary]:
     """Return the boundaries of a clip's scene, without plug-ins that this program does not know.
 
     Known plug-ins are those that are registered, and those whose class this program defines.
