@@ -3,7 +3,7 @@
 Each Gaussian stands for a volume. These volumes, smoothed over `BLUR` cells, are the fraction of
 space phi that the liquid fills; its surface is phi = `LEVEL`. Gaussians near the surface move onto
 it and become discs, those deeper inside are not drawn, and those in thin spray become balls.
-Beside flat walls, phi is the fraction of the space before the walls. Gaussians that are closer to a
+Near flat walls, phi is the fraction of the space before the walls. Gaussians that are closer to a
 wall than to the free surface move onto the wall.
 The opacity of a disc follows from the thickness of the liquid behind it (Beer-Lambert): both faces
 of a layer take half of its optical depth each, divided by the number of discs that overlap. A thin
@@ -58,7 +58,7 @@ THIN, SPRAY = 0.5, 0.6
 
 
 class Planes(NamedTuple):
-    """Flat walls beside a liquid."""
+    """Flat walls of a liquid."""
 
     normals: NDArray
     """Unit normals out of the walls [W,3]."""
@@ -192,7 +192,7 @@ class Liquid:
             x: Centres of its Gaussians at rest [N,3], m.
             cell: Cell size of the simulation's grid, m.
             visibility: Distance over which the liquid dims light to 1/e, m; None: it is opaque.
-            planes: Flat walls beside it.
+            planes: Its flat walls.
         """
         self._cell, self._visibility, field = cell, visibility, Field(x, cell, planes)
         density = np.median(field.sample(field.smooth(field.sum(None))))
@@ -200,7 +200,7 @@ class Liquid:
         self._spread = _measure_spread(field, field.fill(self._volume))
 
     def shape(self, part: Gaussians, planes: Planes = NOWHERE) -> Surface:
-        """Return the liquid's Gaussians as they are drawn beside flat walls."""
+        """Return the liquid's Gaussians as they are drawn next to flat walls."""
         field = Field(part.means.astype(np.float64), self._cell, planes)
         phi = field.fill(self._volume)
         spread = _measure_spread(field, phi)
@@ -233,8 +233,8 @@ def _shape(
     """
     x, n, cell = part.means.astype(np.float64), len(part), field.cell
     here = field.sample(phi)
-    beside = field.gap < TOUCH
-    near = np.flatnonzero((here < 0.98) | beside)
+    close = field.gap < TOUCH
+    near = np.flatnonzero((here < 0.98) | close)
     inside = phi * field.open
     gradient = np.zeros((n, 3), np.float32)
     for axis in range(3):
@@ -244,8 +244,8 @@ def _shape(
     ahead = here.copy()
     ahead[near] = field.sample(inside, near, AHEAD * normals[near].T)
     depth = AHEAD * (here - LEVEL) / np.maximum(here - ahead, 1e-6)
-    thin = beside & (field.gap + depth < FILM) & (np.sum(normals * field.facing, axis=1) > 0.5)
-    wet = beside & ~thin & (field.gap < depth)
+    thin = close & (field.gap + depth < FILM) & (np.sum(normals * field.facing, axis=1) > 0.5)
+    wet = close & ~thin & (field.gap < depth)
     normals[wet], steep[wet], ahead[wet] = -field.facing[wet], here[wet], 0
     chance = 0.618034 * np.arange(n) % 1
     alone = (here < ALONE * volume) | (torn & (chance > KEPT))
