@@ -9,7 +9,7 @@ import pytest
 from phy124.commands.options import SceneOptions, ViewOptions
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.pipeline.capture import capture
-from phy124.rendering import nearest
+from phy124.rendering import framing, nearest
 from phy124.rendering.framing import cameras, departures, describe_framing
 from phy124.rendering.nearest import CLOSE, DEPTHS, ROOM, Sample
 from phy124.scene import Scene, View
@@ -34,6 +34,15 @@ def test_still_camera_stays_and_follower_keeps_the_centre():
     assert seen(clip, still)[-1][0] > 256
     for chosen, side in [(follow, "front"), (follow, "orbit"), (follow, "azimuth-30")]:
         assert np.allclose(seen(clip, chosen, side), 128, atol=0.1)
+
+
+def test_the_cameras_of_a_side_are_placed_once(monkeypatch):
+    clip, chosen = flight(AWAY), view(fit=True)
+    first = cameras(clip, chosen, "front")
+    monkeypatch.setattr(framing, "place_nearest", None)
+    assert cameras(clip, view(fit=True), "front") is first
+    with pytest.raises(TypeError):
+        cameras(clip, chosen, "left")
 
 
 def test_only_what_moves_is_followed():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,18 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
     whole motion; if the motion would then look too small, the camera follows the object. With
     several objects it moves in and out.
     """
+    known = _placed.setdefault(clip, {})
+    if (view, side) not in known:
+        known[view, side] = _place(clip, view, side)
+    return known[view, side]
+
+
+_placed: WeakKeyDictionary[Clip, dict[tuple[View, str], list[Camera]]] = WeakKeyDictionary()
+"""The cameras of each clip in use: its films and the report of its run need the same ones."""
+
+
+def _place(clip: Clip, view: View, side: str) -> list[Camera]:
+    """Place the camera of each frame."""
     camera, poses = view.camera(side), _poses(clip, view, side)
     if view.fits and not (camera is not None and camera.chosen):
         return _nearest(clip, view, poses)
