@@ -143,6 +143,10 @@ def test_long_clips_keep_few_frames(saved, monkeypatch):
     monkeypatch.setattr(recorded, "NEAR", 2)
     assert len(list(clip.frames())) > 2
     assert list(carried._frames) == [len(clip) - 2, len(clip) - 1]
+    begun = replace(clip.motion, times=clip.times[:3])
+    for frames, kept in ((0, [0, 1, 2]), (len(clip), [1, 2])):
+        growing = recorded.Recorded(begun, frames=frames)
+        assert [len(growing.row(index)) for index in range(3)] and list(growing._frames) == kept
 
 
 def test_rows_of_some_gaussians_are_those_of_frames(saved):

@@ -327,7 +327,7 @@ def test_the_report_says_what_limited_the_substep():
 def test_a_run_that_turns_out_endless_stops_by_itself(monkeypatch):
     s = pushed(**{"time.budget": 1e3})
     monkeypatch.setattr(
-        "phy124.simulation.run.time.thread_time", iter(range(0, 10**9, 500)).__next__
+        "phy124.simulation.spent.time.thread_time", iter(range(0, 10**9, 500)).__next__
     )
     clip = s.run()
     stopped = clip.report["stopped"]

@@ -114,6 +114,7 @@ class Recorded:
         chosen: NDArray | None = None,
         measure: Callable[[dict[str, Array]], Any] | None = None,
         threads: int | None = None,
+        frames: int = 0,
     ) -> None:
         """Prepare to compute frames; nothing is computed before the first frame is read.
 
@@ -122,19 +123,25 @@ class Recorded:
             chosen: Indices of the Gaussians of the frames [M]; None: all.
             measure: Called once with the arrays of each frame that is computed.
             threads: Number of CPU threads; None: one per core.
+            frames: Number of frames that the motion will have, if it is still growing.
         """
         self.motion, self.chosen = motion, chosen
-        self._threads = threads
+        self._threads, self._expected = threads, frames
         self._measure, self._measured = measure, dict[int, Any]()
         self.count = len(motion.gaussians) if chosen is None else len(chosen)
         self._deformer: Deformer | None = None
         self._next = 0
-        frames = OrderedDict[int, dict[str, Array]]()
-        self._frames, self._states = frames, dict[int, dict[str, NDArray]]()
+        self._frames = OrderedDict[int, dict[str, Array]]()
+        self._states = dict[int, dict[str, NDArray]]()
         self._lock = RLock()
 
     def __len__(self) -> int:
         return len(self.motion.times)
+
+    @property
+    def _length(self) -> int:
+        """Number of frames, including those to come."""
+        return max(len(self), self._expected)
 
     @property
     def turns(self) -> bool:
@@ -162,7 +169,7 @@ class Recorded:
             row = self._advance()
             self._frames[index] = row
             # A larger clip is read frame after frame, so its earlier frames would not help.
-            if len(self._frames) > NEAR and BYTES * self.count * len(self) > KEPT:
+            while len(self._frames) > NEAR and BYTES * self.count * self._length > KEPT:
                 self._frames.popitem(last=False)
             return row
 
@@ -195,7 +202,7 @@ class Recorded:
             self._prepare()
         deformer = self._deformer
         assert deformer is not None
-        every = max(16, int(self.count * STATE * len(motion.times) / STATES) + 1)
+        every = max(16, int(self.count * STATE * self._length / STATES) + 1)
         if index and index % every == 0 and index not in self._states:
             self._states[index] = deformer.snapshot()
         for array, rows in ((self._x, motion.x), (self._F, motion.F)):

@@ -321,8 +321,8 @@ class Simulation:
         motion = self._motion(np.array([frame.time for frame in self.frames]))
         if self._moved is None:
             measure = self.setup.appearance.elongation(self.setup.materials)
-            threads = self.setup.context.threads
-            self._moved = Recorded(motion, measure=measure, threads=threads)
+            threads, frames = self.setup.context.threads, self.scene.time.frames
+            self._moved = Recorded(motion, measure=measure, threads=threads, frames=frames)
         self._moved.motion = motion
         return self._moved
 
