@@ -331,7 +331,7 @@ def write_page(pairs: list[Pair]) -> None:
     text = (
         f"Measured on {'; '.join(sorted(where))}; {' to '.join(sorted(days))}. "
         f"{len(known)} rows, {len(pairs)} with an error; "
-        f"in {parted} of them the grids part before the end."
+        f"in {parted} of them the motions diverge before the end."
     )
     page = DOCS / "lab/own-error.md"
     replace_block(page, "zoo", f"{markdown(heads, lines)}\n\n{text}")
