@@ -18,7 +18,7 @@ ALWAYS = ("SIGINT",)
 # Import only light modules above: until `importing` runs, Ctrl-C would show a traceback.
 @contextmanager
 def importing(status: int, text: str = "") -> Iterator[None]:
-    """Within this context, Ctrl-C and SIGTERM end the process at once with a status and a text.
+    """End the process at once at Ctrl-C or SIGTERM within this context, with a status and a text.
 
     A KeyboardInterrupt could get lost, because some libraries catch it during their import.
     """

@@ -1,4 +1,4 @@
-"""Cameras of a clip or a running simulation: what they see in each frame, for `camera_messages`.
+"""Renders the pictures of the cameras of a clip or a running simulation, for `camera_messages`.
 
 The pictures are those of `phy124 render`: same places, size, stage and gloss. In a running
 simulation, whose later frames are unknown, cameras stand at `view.distance` from the object at

@@ -158,7 +158,7 @@ def _peers() -> tuple[str, ...]:
 
 @contextmanager
 def tuned_cyclone() -> Iterator[None]:
-    """Within this context, a domain of Cyclone DDS that rclpy creates has the settings `BUFFERS`.
+    """Let a domain of Cyclone DDS that rclpy creates in this context have the settings `BUFFERS`.
 
     A user's CYCLONEDDS_URI takes precedence. Other middlewares ignore the variable.
     """

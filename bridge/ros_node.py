@@ -21,7 +21,7 @@ from .topics import NAMESPACE, PLAYER
 def ros_node(
     args: list[str] | None = None, name: str = PLAYER, make: Callable[..., Any] | None = None
 ) -> Iterator[Any]:
-    """Within this context the node /phy124/NAME runs, with a clean shutdown; raises InputError.
+    """Run the node /phy124/NAME within this context, with a clean shutdown; raises InputError.
 
     Args:
         args: `--ros-args` and the arguments after it.
@@ -116,7 +116,7 @@ class RosHandler(logging.Handler):
 
 @contextmanager
 def logged_by(node: Any) -> Iterator[None]:
-    """Within this context, all log records go to the node's logger only."""
+    """Send all log records only to the node's logger within this context."""
     root = logging.getLogger()
     before, level = root.handlers[:], root.level
     root.handlers[:] = [RosHandler(node.get_logger())]

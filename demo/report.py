@@ -41,7 +41,7 @@ def _describe_squeeze(volume: float) -> str:
     if volume > 0.97:
         return "No part of it was noticeably squeezed."
     size = "half its volume" if 0.45 < volume < 0.55 else f"{volume:.0%} of its volume"
-    return f"At worst, part of it was squeezed to {size.replace('%', ' %')}."
+    return f"At most, a part of it was compressed to {size.replace('%', ' %')}."
 
 
 def as_html(
@@ -231,7 +231,7 @@ def _table(rows: Sequence[tuple[str, Any]]) -> str:
 
 
 def _plot(x: Sequence[float], y: Sequence[float], label: str) -> str:
-    """Return a small plot labelled with its extremes."""
+    """Return a small plot, labelled with the smallest and the largest value."""
     low, high, span = min(y), max(y), (x[-1] - x[0]) or 1.0
     height = (high - low) or 1.0
     top, bottom = 16, HEIGHT - 14

@@ -147,7 +147,7 @@ def test_small_runs_have_no_companion(run):
 
 def test_no_error_is_reported_as_left_out(tmp_path):
     result = simulate(ball(300), SCENE, tmp_path, error=False, films=False)
-    assert {"effect": "own error", "why": "it is not wanted (--no-error)"} in result.report[
+    assert {"effect": "own error", "why": "--no-error turns the estimate off"} in result.report[
         "effects"
     ]["left_out"]
     assert "companion" not in [stage["name"] for stage in result.report["stages"]]

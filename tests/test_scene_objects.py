@@ -208,7 +208,9 @@ def test_what_stands_beside_is_not_on_it():
 def test_a_small_object_is_noted():
     assert notes(scene(objects=[BOX])) == []
     (note,) = notes(scene(objects=[{**BOX, "size": 0.6}]))
-    assert note.startswith("box is 5 cells long, which is coarse: the grid follows the size of obj")
+    assert note.startswith(
+        "box is 5 cells long, which is coarse: the grid spacing follows from the size of obj"
+    )
 
 
 def test_each_object_is_made_from_its_own_file(tmp_path):

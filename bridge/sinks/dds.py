@@ -51,7 +51,7 @@ class DdsSink:
         network: bool = False,
         controls: Controls | None = None,
     ) -> None:
-        """Prepare the sink; entering it joins the domain.
+        """Prepare the sink; it joins the DDS domain when its context is entered.
 
         Args:
             options: Options that define how frames become messages.

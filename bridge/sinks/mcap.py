@@ -163,7 +163,7 @@ class McapSink:
             raise self._failure() from error
 
     def _put_aside(self) -> None:
-        """Rename the older recording until the new one is complete."""
+        """Rename the older recording, which is kept until the new one is complete."""
         sweep_parts(self.file.parent)
         if self._single:
             return  # the new file has a temporary name until it is complete

@@ -235,7 +235,7 @@ class RclpySink:
 
     @contextmanager
     def _until_shutdown(self) -> Iterator[None]:
-        """Within this context, an error after ROS has shut down becomes a KeyboardInterrupt."""
+        """Turn errors after ROS has shut down into a KeyboardInterrupt within this context."""
         try:
             yield
         finally:

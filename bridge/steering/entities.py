@@ -46,7 +46,7 @@ FIXED = "The objects of a run are fixed; {} of entities is not supported. Start 
 
 
 class Entities:
-    """The services about entities."""
+    """Services that list, describe and move the entities (objects and props)."""
 
     def __init__(self, run: SteeredRun, options: Options) -> None:
         """Store the run, and the options with the name of its coordinate frame."""

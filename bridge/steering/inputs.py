@@ -112,7 +112,7 @@ class Inputs:
         self._let_go = self._let_go or self._grab is None
 
     def _is_fresh(self, topic: str, message: Any) -> bool:
-        """Return whether a message is not too old; its sender has simulated or system time."""
+        """Return whether a message is recent, by simulated or by system time."""
         stamp = message.header.stamp.sec + message.header.stamp.nanosec / cdr.NANO
         simulated, system = self._now(), time.time()
         # Simulated time usually trails the system's time, and no simulated stamp is ahead of it.

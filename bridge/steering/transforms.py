@@ -63,7 +63,7 @@ class Transforms:
             frame, link = self._links[frame]
             pose = link @ pose
         limit = f"it has more than {DEEPEST} parent frames, or is its own parent."
-        raise InputError("frame_id", frame, limit, "Correct the tree of frames.")
+        raise InputError("frame_id", frame, limit, "Correct the tree of coordinate frames (TF).")
 
 
 def _pose(name: str, transform: Any) -> Pose:

@@ -445,7 +445,8 @@ class Forecaster:
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
         """Return the stored value of a key; compute and store the value if it is missing.
 
-        `keep` is an object whose id is part of the key. Storing it keeps its id from being reused.
+        If the key contains the id of an object, `keep` is this object; while it is stored, no other
+        object gets the same id.
         """
         if key not in self._known:
             while len(self._known) >= REMEMBERED:

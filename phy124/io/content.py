@@ -142,7 +142,7 @@ def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
 
 @contextmanager
 def for_run(most: float = math.inf) -> Iterator[None]:
-    """Within this context, files are read for a run that keeps at most `most` Gaussians.
+    """Read files, within this context, for a run that keeps at most `most` Gaussians.
 
     A file from which the run would not fit into the memory is then refused before it is read.
     Inner contexts can only lower the number.

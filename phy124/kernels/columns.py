@@ -130,12 +130,12 @@ def narrow(m: Any, farther: Any, u: Any):
 def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
     """Return whether material has reached a wall; m are the masses of nodes u cells in front.
 
-    A body that touches the wall covers the B-splines of two nodes in a known ratio; if there is a
-    gap, the nearer node has less mass. The ratio does not depend on the body's density or width.
-    Irregular particles scatter about this ratio, and the body must not rest on the few fullest
-    columns only, so the fraction `full` of the expected mass is enough. Since heavier material may
-    lie on the body, the mass of the farther node is capped at the mass of a full node of the
-    `lightest` material.
+    If a body touches the wall, the masses of the two nodes next to the wall have a known ratio,
+    whatever the body's density and width; if there is a gap, the nearer node has less mass. With
+    irregular particles the ratio varies from column to column. The fraction `full` of the expected
+    mass is enough, so that the body does not rest only on the few columns with most mass. Since
+    heavier material may lie on the body, the mass of the farther node is capped at the mass of a
+    full node of the `lightest` material.
 
     Tips, edges and hairs have less mass on the nearer node although they touch the wall. Their
     narrowing is estimated one node farther from the wall: from the first two nodes for the third

@@ -238,7 +238,7 @@ class LatticeSolver:
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take substeps of stable length, and let the points follow.
+        """Take substeps of stable length, then move the points with the nodes.
 
         Args:
             until: The time at which to stop [s].

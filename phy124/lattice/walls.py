@@ -406,7 +406,7 @@ class _Contact:
 
 
 def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which bodies [K] among the indices of bodies [K] a simple wall acts on."""
+    """Return for K indices of bodies whether a simple wall acts on the body [K]."""
     if part.object is None:
         return np.ones(len(body), bool)
     return np.asarray(body == model.names.index(part.object))

@@ -201,7 +201,7 @@ class ExternalWork(Observer):
         return Exchange(total[IMPULSES], work, moved, turned)
 
     def of_walls(self) -> float:
-        """Return the work of the walls so far [J]; for walls at rest it is friction, negative."""
+        """Return the work of the walls so far [J]; walls at rest only dissipate (work < 0)."""
         return float(self._sum(WALL, LIQUID)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:

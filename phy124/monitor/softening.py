@@ -80,7 +80,7 @@ class Softening(Observer):
         self._solver.clock.expire()
 
     def notes(self) -> list[str]:
-        """Return a note if the period of the stiffness is shorter than two frames."""
+        """Return a note if the stiffness varies with a period shorter than two frames."""
         profile, fps = self._scene.stiffness_profile, self._scene.time.fps
         if profile is None or not 0 < profile.period < 2 / fps:
             return []

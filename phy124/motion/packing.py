@@ -70,7 +70,7 @@ def pack(motion: Motion) -> Packed:
             for k, column in enumerate(whole):
                 exact = np.rint((values[..., k] - base[:, k]) / steps[name])
                 if not (np.abs(exact) < 2**30).all():
-                    raise OverflowError(f"{name} is too large for the steps of a clip")
+                    raise OverflowError(f"{name} is too large to be stored in a clip")
                 column[:] = exact[:, order]
             chunks.append(_pack_steps(whole))
             trim()  # the chunks would keep the gaps between them from being used again

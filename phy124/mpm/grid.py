@@ -99,7 +99,7 @@ class Grid:
                 them, or too far away for nodes to be numbered.
         """
         if not np.all(np.abs([lower, upper]) < FARTHEST * self.dx):
-            raise Unstable(f"particles travelled {FARTHEST:.0e} cells far")
+            raise Unstable(f"particles moved {FARTHEST:.0e} cells away")
         low, high = self.reach(lower, upper)
         if not self.stale:
             spare = [*(low - self.low).tolist(), *(self.low + self.size - high).tolist()]

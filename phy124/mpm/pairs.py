@@ -104,7 +104,7 @@ class Pairs:
         return np.array(signs, float) @ self._total()[:, :MOMENT]
 
     def sums_of(self, index: int) -> wp.array:
-        """Return the sums of a pair, to which the first worker adds: impulse and moment."""
+        """Return the first worker's sums of impulse and moment for a pair."""
         return cast("wp.array", self._sums[0, index])
 
     def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:

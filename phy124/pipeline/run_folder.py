@@ -156,7 +156,7 @@ class RunFolder:
         """Return the reason why the run's own error is not estimated; empty: it is."""
         if self.about.get("goal", {"unit": "seconds"})["unit"] != "seconds":
             return "the grids that were run for --max-error measure the error"
-        return why_broken(self.about) if self.error else "it is not wanted (--no-error)"
+        return why_broken(self.about) if self.error else "--no-error turns the estimate off"
 
     def _simulate(
         self, simulate: Callable[[], tuple[Simulation, Clip]]

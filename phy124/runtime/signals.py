@@ -16,7 +16,7 @@ Handler = Callable[[int, FrameType | None], object]
 
 @contextmanager
 def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None]:
-    """Within this context these signals call `handler`; outside the main thread nothing changes.
+    """Let these signals call `handler` within this context; only in the main thread.
 
     Signals that the parent process has set to be ignored (nohup) stay ignored, except those in
     `always`: a shell without job control sets SIGINT to be ignored for background processes.

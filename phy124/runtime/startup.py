@@ -85,7 +85,7 @@ def _usable(folder: Path) -> bool:
 
 @contextmanager
 def _without_line(unwanted: bytes) -> Iterator[None]:
-    """Within this context, drop an unwanted line that native code writes to standard error."""
+    """Drop an unwanted line that native code writes to standard error within this context."""
     try:
         usual = os.dup(2)
     except OSError:  # standard error is closed

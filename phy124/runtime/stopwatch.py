@@ -25,7 +25,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Within this context, time is added to the stage."""
+        """Add the time spent in this context to the stage."""
         before, self._thread.inner = getattr(self._thread, "inner", 0.0), 0.0
         start = time.perf_counter()
         try:

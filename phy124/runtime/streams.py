@@ -24,7 +24,7 @@ SPELLED = {"•": "*", "…": "...", "–": "-", "—": "-", "×": "x", "−": "
 
 @contextmanager
 def steady_streams() -> Iterator[list[OSError]]:
-    """Within this context, writing to standard output or standard error never fails.
+    """Keep writing to standard output and standard error from failing within this context.
 
     Yields a list of errors; an error is added when text for standard output is lost. A reader that
     closes the pipe has read enough: this is not an error.

@@ -57,7 +57,7 @@ def read_cameras(path: str | os.PathLike[str]) -> list[Any]:
     view = data.get("view")
     if set(data) != {"view"} or not isinstance(view, dict) or set(view) != {"cameras"}:
         limit = "it must contain only cameras, each below a line [[view.cameras]]."
-        raise InputError("cameras", path, limit, "Give a whole scene after --scene.")
+        raise InputError("cameras", path, limit, "Use --scene for a file of a whole scene.")
     return view["cameras"]
 
 

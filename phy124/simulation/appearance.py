@@ -183,8 +183,8 @@ def make_appearance(
 def _max_stretch(section: AnyMaterial, scene: Scene) -> float:
     """Return the largest stretch before a material tears.
 
-    Elastic material tears if its particles are too far apart to share nodes. The F of plastic flow
-    has no bound.
+    Elastic material tears if its particles are too far apart to share nodes. The deformation
+    gradient F of material that flows plastically has no bound.
     """
     if section.device_law.project is None:
         return APART * scene.particles_per_axis

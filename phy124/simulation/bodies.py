@@ -152,8 +152,8 @@ def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
 def notes(scene: Scene) -> list[str]:
     """Return a note for each further object that the grid hardly resolves."""
     return [
-        f"{body.name} is {body.size / scene.dx:.0f} cells long, which is coarse: the grid follows "
-        f"the size of {scene.object.name}; a larger accuracy.cells resolves it."
+        f"{body.name} is {body.size / scene.dx:.0f} cells long, which is coarse: the grid spacing "
+        f"follows from the size of {scene.object.name}; a larger accuracy.cells resolves it."
         for body in scene.objects
         if body.size < FEWEST * scene.dx
     ]

@@ -119,7 +119,7 @@ def _divides(solid: NDArray[np.bool_], rows: int) -> bool:
 
 
 def _is_parted(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether some row of the lower end has more than one run."""
+    """Whether a row of the lower end has several separate parts, such as two legs."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     return any(_widest(row) < np.count_nonzero(row) for row in solid[last - rows + 1 : last + 1])
 

@@ -1,8 +1,8 @@
 """Sums over the nodes of a surface point, and impulses on these nodes.
 
 The nodes of a surface point are rows of three nodes that are consecutive in memory
-(phy124/lattice/surface.py). In float32 on a CPU, a row fills one AVX2 register and a ninth number
-(phy124/kernels/native/rows.h).
+(phy124/lattice/surface.py). In float32 on a CPU, the nine numbers of a row are one AVX2 register of
+eight and a single number (phy124/kernels/native/rows.h).
 """
 
 from collections.abc import Callable

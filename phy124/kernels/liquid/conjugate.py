@@ -81,7 +81,7 @@ def list_liquid(part: int, active: Ints, ends: Ints, liquid: Ints, counts: Ints,
 
 @wp.func
 def multiply(n: int, row: int, layer: int, diagonal: Doubles, links: Vectors, x: Doubles):
-    """Return a component of A x; a row and a layer of cells are the strides along y and x."""
+    """Return component n of A x; `row` and `layer` are the strides along y and x."""
     below = links[n - layer][0] * x[n - layer]
     below += links[n - row][1] * x[n - row] + links[n - 1][2] * x[n - 1]
     link = links[n]
@@ -181,7 +181,7 @@ def clear_rigid(sums: Table, solids: int, p: int):
 
 @wp.func
 def add_rigid(sums: Table, solid: int, p: int, force: wp.vec3d, turn: wp.vec3d):
-    """Add to a part's force and moment on a solid."""
+    """Add a force and a moment to the sums that a part of the cells exerts on a solid."""
     row = RIGID + 6 * solid
     for axis in range(3):
         sums[row + axis, p] += force[axis]

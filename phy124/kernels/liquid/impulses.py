@@ -68,7 +68,7 @@ def take_row(sums: Sums, wall: int):
 def make_wall_impulses(real: Any):
     """Kernel over parts of the listed cells: adds the impulses of pressure to `sums_out`.
 
-    For the wall with number `bodies` and all later ones, `pressed_out` stores the opposite.
+    For walls from number `bodies` on, `pressed_out` has the opposite sign.
     """
     t = types(real)
 

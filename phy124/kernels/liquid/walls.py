@@ -1,8 +1,8 @@
 """Computes distances from walls and open shares of faces; moves particles out of walls.
 
-The lattice of distances has points at the corners, edges, faces and centres of cells, so the
-fraction of each face that is open (Ng, Min and Gibou 2009) and the volume of each eighth of a cell
-that is solid follow from it. A new shape needs only its distance function (distance.py).
+Distances are stored at the corners, edges, faces and centres of cells. The open fraction of each
+face (Ng, Min and Gibou 2009) and the solid volume of each eighth of a cell follow from them. A new
+shape needs only its distance function (distance.py).
 """
 
 from typing import Any

@@ -23,7 +23,7 @@ still count as outside.
 
 @wp.func
 def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
-    """Return whether a solid is in front of, among or behind the contents of a box, for an eye.
+    """Return whether a solid, seen from `eye`, is in front of, among or behind a box's contents.
 
     The rank is BEFORE or BEHIND if the plane of one of the solid's faces separates the solid from
     the box. If the eye is on the box's side, no ray to the box meets the solid before the box; else

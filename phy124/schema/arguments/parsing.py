@@ -86,7 +86,7 @@ def asks_for_commands(arguments: Sequence[str]) -> bool:
 
 @contextmanager
 def _translate_errors(arguments: Sequence[str], commands: Commands, program: str) -> Iterator[None]:
-    """Within this context, errors of the parser are raised as InputError."""
+    """Raise errors of the parser as InputError within this context."""
     try:
         from tyro._errors import on_parse_error
     except ImportError:  # another version of tyro: it prints its own message
@@ -111,7 +111,7 @@ def _translate_errors(arguments: Sequence[str], commands: Commands, program: str
 
 @contextmanager
 def _no_help_texts() -> Iterator[None]:
-    """Within this context, the parser reads no help texts from source code, which takes long."""
+    """Keep the parser from reading help texts from source code, which takes long."""
     try:
         from tyro import _docstrings
     except ImportError:  # another version of tyro
@@ -130,7 +130,7 @@ def _no_help_texts() -> Iterator[None]:
 
 @contextmanager
 def _ensure_width() -> Iterator[None]:
-    """Within this context at least `NARROWEST` columns are used; with fewer, --help never ends."""
+    """Use at least `NARROWEST` columns within this context; with fewer, --help never ends."""
     usual = os.environ.get("COLUMNS")
     if shutil.get_terminal_size().columns < NARROWEST:
         os.environ["COLUMNS"] = str(NARROWEST)
@@ -236,7 +236,7 @@ def _explain_choice(event: Any) -> InputError:
 
 def _explain_type(event: Any) -> InputError:
     if event.argument is None:
-        raise LookupError("the parser does not name the argument")
+        raise LookupError("the command-line parser reports no argument for this error")
     metavar = event.argument.lowered.metavar or ""
     kind = next((words for name, words in KINDS.items() if name in metavar), None)
     # The parser's message ends in the values: "... from ['x']" or "...: 'x'".

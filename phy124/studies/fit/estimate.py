@@ -170,5 +170,5 @@ def _failure(problem: Problem) -> InputError:
 
 
 def _rescale(problem: Problem, distance: Distance, fit: Refined) -> Distance:
-    """Return the distance whose scales are the misfits of a fit, with a minimum above zero."""
+    """Return a distance that is scaled by the misfits of a fit, each of at least 1e-12."""
     return Distance(problem, [max(misfit, 1e-12) for misfit in distance.misfits(fit.predicted)])

@@ -72,7 +72,7 @@ class Storage:
 
     @contextmanager
     def filling(self, folder: str) -> Iterator[Filling]:
-        """Provide a local folder, whose files can be moved to a folder of the storage at any time.
+        """Provide a local folder; its files can be moved to the storage at any time.
 
         Args:
             folder: Name of the folder in the storage.

@@ -160,7 +160,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether all runs succeeded, the control left a band, and values outside are explained."""
+        """Whether all runs succeeded, the control run failed, and deviations are explained."""
         explained = not self.missed or bool(self.experiment.reason)
         return not self.failures and self.control_holds and explained
 

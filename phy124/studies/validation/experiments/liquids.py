@@ -203,8 +203,8 @@ SPREADING = Experiment(
     source="Huppert 1982: r = 0.894 (g V³ / 3ν)^(1/8) t^(1/8), which his experiments confirm",
     measured="A heap six times as wide as high spreads on a sticky floor, from the shape of the "
     "similarity solution until four times the time at which this solution has the heap's height. "
-    "Measured are prefactor and exponent of its radius in the second half of this time (on a "
-    "logarithmic scale).",
+    "In the second half of this time (on a logarithmic scale), the prefactor and the exponent of "
+    "the heap's radius are measured.",
     band="prefactor: ±2 %, exponent: ±5 %; inertia and the slope of the surface, which the theory "
     "leaves out, change the rate of spreading by about 3 %",
     published=lambda: (

@@ -117,7 +117,7 @@ def run(cells: int) -> Values:
 
 
 def control(cells: int) -> Values:
-    """Measure with gravity that is 5 % too strong."""
+    """Measure the same with gravity increased by 5 %."""
     return roll(cells, 1.05 * GRAVITY), swing(cells, 1.05 * GRAVITY)
 
 

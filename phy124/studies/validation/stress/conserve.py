@@ -141,7 +141,9 @@ def slow_drift(setting: Setting) -> list[Check]:
     before = host(s.state.x)
     steps(s, count, 1e-5)
     way = (host(s.state.x) - before)[:, 0].mean()
-    return [at_most("relative error of the way", abs(way / (count * 1e-8) - 1), 0.01)]
+    return [
+        at_most("relative error of the distance travelled", abs(way / (count * 1e-8) - 1), 0.01)
+    ]
 
 
 FLAT = (0.01, 0.01, 1e-4)

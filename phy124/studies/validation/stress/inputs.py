@@ -87,7 +87,9 @@ def below_zero(setting: Setting) -> list[Check]:
     usual = run(16)
     limit = 1e-12 if setting.double else 1e-5
     return [
-        at_most(f"moved by {n} cells: difference", relative(run(n), usual), limit)
+        at_most(
+            f"difference to the same object placed {n} cells away", relative(run(n), usual), limit
+        )
         for n in (0, -1, -64)
     ]
 
