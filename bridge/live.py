@@ -229,7 +229,7 @@ def _attempt(action: Callable[[], None]) -> str | None:
 
 
 def number(text: str, values: list[str], known: str = KNOWN) -> float:
-    """Return the number in a command.
+    """Return the number that is the only value of a command.
 
     Args:
         text: The command.

@@ -72,7 +72,9 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
             bag.write_metadata(target, file.name, counts)
     except OSError as error:
         limit = f"The repaired copy cannot be written ({error.strerror}); {source} is untouched."
-        raise InputError("recover", target, limit, "Make room, or give another output.") from error
+        raise InputError(
+            "recover", target, limit, "Free some space, or choose another output."
+        ) from error
     finally:
         temporary.unlink(missing_ok=True)
     if source.suffix == bag.PART and output is None:

@@ -346,7 +346,9 @@ def _evaluate(run: Any) -> dict[str, Any]:
     try:
         return run[0].report
     except OSError:
-        raise refusal("run: It is no longer stored here. Call /generate again.") from None
+        raise refusal(
+            "run: This run is no longer stored on the server. Call /generate again."
+        ) from None
 
 
 def _paths(done: Done) -> list[str]:

@@ -40,7 +40,7 @@ def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
 
 
 def example_run(device: str) -> tuple[dict[str, Any], Scene]:
-    """Return report and scene of a short run, which shows the costs per particle and pixel."""
+    """Make a short run to measure costs per particle and per pixel; return its report and scene."""
     short = {"accuracy": "draft", "time.frames": 5, "view.views": ["front"]}
     scene = Scene.named("press").replaced(short)
     with tempfile.TemporaryDirectory() as folder:

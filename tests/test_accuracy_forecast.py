@@ -142,11 +142,13 @@ def test_compared_counts_only_what_was_predicted():
 def test_gpu_forecast_names_the_stages_of_the_cpu():
     stages = {"generate": 3.0, "simulate": 0.2, "render": 0.1, "encode": 1.7}
     made = Forecast(stages, (), 10, 20, 30, {"elastic": 1.0}, SubstepCost(1.0, 1.0))
-    note = "94% of this time is work of the CPU, most of it generate (3.0 s) and encode (1.7 s)."
+    note = (
+        "94% of this time is spent on the CPU, most of it on generate (3.0 s) and encode (1.7 s)."
+    )
     assert note in replace(made, device="cuda:0").lines()[-1]
-    assert "work of the CPU" not in "".join(made.lines())
+    assert "spent on the CPU" not in "".join(made.lines())
     busy = replace(made, device="cuda:0", stages={**stages, "simulate": 60.0})
-    assert "work of the CPU" not in "".join(busy.lines())
+    assert "spent on the CPU" not in "".join(busy.lines())
 
 
 def test_a_second_look_at_the_stops_runs_nothing(monkeypatch):

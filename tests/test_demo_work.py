@@ -159,7 +159,9 @@ def test_when_the_time_is_up_what_is_finished_is_kept(order, monkeypatch):
     done, _ = _run(views)
     report = json.loads((done.films / "report.json").read_text())
     assert report["frames"] == 1 and not report["complete"]
-    assert "only the frames computed so far were kept. Choose draft accuracy" in report["stopped"]
+    assert (
+        "only the frames computed until then were kept. Choose draft accuracy" in report["stopped"]
+    )
     assert "No time was left for back." in report["notes"]
     assert [path.name for path in done.films.glob("*.mp4")] == ["front.mp4"]
 

@@ -187,7 +187,7 @@ def test_results_go_where_there_is_room(tmp_path, monkeypatch, temporary, done):
 def test_it_is_said_if_nothing_can_be_kept(tmp_path, monkeypatch, temporary):
     with (
         full(monkeypatch, tmp_path),
-        pytest.raises(Incomplete, match="nothing could be kept"),
+        pytest.raises(Incomplete, match="could not be saved"),
     ):
         pipeline.simulate(ball(300), SCENE, tmp_path / "out", keep=True)
     assert list(temporary.iterdir()) == [] and not (tmp_path / "out").exists()

@@ -1,6 +1,6 @@
 """Tickets limit the number of live runs, per visitor and in total; saved sessions are limited, too.
 
-A ticket occupies a place from when a page shows it; unused tickets occupy none.
+A ticket takes a place as soon as a page shows it; a ticket that is never shown takes none.
 """
 
 from __future__ import annotations

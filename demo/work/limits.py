@@ -53,8 +53,8 @@ class Limits:
         self.tell(event)
         if self.spent > SIMULATING:
             raise Stopped(
-                f"the {self.order.seconds:.0f} s of one run were nearly over, so only the frames "
-                f"computed so far were kept. {easier(self.order.scene)}"
+                f"the {self.order.seconds:.0f} s that a run may take were nearly over, so only "
+                f"the frames computed until then were kept. {easier(self.order.scene)}"
             )
 
     @property

@@ -262,7 +262,7 @@ class Forecast:
         names = " and ".join(f"{name} ({others[name]:.1f} s)" for name in longest)
         fraction = sum(others.values()) / self.seconds
         return (
-            f"{fraction:.0%} of this time is work of the CPU, most of it {names}. Starting the "
+            f"{fraction:.0%} of this time is spent on the CPU, most of it on {names}. Starting the "
             "program and importing its packages takes a few seconds more."
         )
 

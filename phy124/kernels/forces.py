@@ -65,10 +65,11 @@ def make_zone(real: Any):
 def make_drag(real: Any):
     """Kernel: v approaches the wind, dv/dt = rate (u - v), exactly, and never overshoots.
 
-    The uniform acceleration a acts after the drag, on the grid, and adds kick a. Both at once would
-    give v + (u + a / rate - v)(1 - exp(-rate kick)), so this kernel adds the change to this
-    velocity minus kick a. If drag and acceleration simply acted one after the other, the terminal
-    velocity of an object falling through a stream would be too high by the fraction rate kick / 2.
+    The uniform acceleration a acts after the drag, on the grid, and adds kick a. If drag and
+    acceleration act together, the velocity becomes v + (u + a / rate - v)(1 - exp(-rate kick));
+    this kernel makes this change without the part kick a. If drag and acceleration simply acted one
+    after the other, the terminal velocity of an object falling through a stream would be too high
+    by the fraction rate kick / 2.
     """
 
     @kernel(f"phy124_drag_{real.__name__}", real)

@@ -183,7 +183,7 @@ class Cells:
 
     @property
     def still(self) -> tuple[wp.array, wp.array]:
-        """Open shares, and owners of distances, of the walls that never move."""
+        """Open fractions of faces, and nearest walls of cells, for walls that never move."""
         return self._kept[3], self._kept[1]
 
     def keep_walls(self) -> None:

@@ -10,9 +10,9 @@ interior is found in four steps:
    Wide openings are never sealed.
 3. If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
    inside if axis-parallel rays from it meet the shell in at least five of the six directions.
-4. A surface voxel counts only with the fraction that is below the local surface. This surface is a
-   plane normal to the outward normal, at the upper limit of the voxel's samples. This makes volumes
-   accurate below the voxel size.
+4. Of a surface voxel, only the fraction below the local surface is part of the solid. This surface
+   is a plane normal to the outward normal, at the upper limit of the voxel's samples. This makes
+   volumes accurate below the voxel size.
 
 The voxels depend on the Gaussians alone; the solid is therefore the same for every simulation grid.
 The result is resampled to voxels that are aligned with the particle lattice (i + 1/2) * spacing:

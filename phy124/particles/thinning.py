@@ -43,8 +43,8 @@ def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians
     """Keep at most `count` Gaussians, enlarged to cover the same area.
 
     The kept Gaussians are evenly spaced along a space-filling curve; large and opaque Gaussians are
-    kept more often. The weight of giants is capped at the area `GIANT`, and their area does not
-    enlarge the other Gaussians. Equal seeds keep the same Gaussians.
+    kept more often. For the weight of a Gaussian, at most the area `GIANT` is used; the area of
+    larger Gaussians is not distributed to others. Equal seeds keep the same Gaussians.
     """
     if count is None or len(gaussians) <= count:
         return gaussians

@@ -275,7 +275,7 @@ class RunFolder:
             return (
                 _after_error(self.out, left)
                 if left
-                else Incomplete("no folder has space for its frames: nothing could be kept")
+                else Incomplete("the frames could not be saved, because no folder has enough space")
             )
         self.recording.drop()
         more = (

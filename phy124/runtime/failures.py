@@ -130,7 +130,7 @@ def _sentence(kind: Kind, problem: BaseException) -> str:
         remedy = "Close other programs, or choose fewer Gaussians or a coarser accuracy."
         return f"there is not enough memory ({said}). {remedy}"
     if kind is Kind.DISK:
-        return f"the disk is full ({said}). Make room, or choose another folder."
+        return f"the disk is full ({said}). Free some space, or choose another folder."
     if isinstance(problem, UnicodeError):
         return f"a text cannot be read or written: {said}. Set PYTHONUTF8=1."
     if kind is Kind.MACHINE:

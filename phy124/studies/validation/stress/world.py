@@ -58,7 +58,7 @@ def permute(setting: Setting) -> list[Check]:
     shuffled = relative(run(x[order], v[order]), usual[order])
     turned = relative(run(x @ turn.T, v @ turn.T) @ turn, usual)
     return [
-        at_most("shuffled: difference / size", shuffled, 1e-4),
+        at_most("order of particles changed: difference / size", shuffled, 1e-4),
         at_most("turned by 90 degrees: difference / size", turned, 1e-4),
     ]
 
