@@ -202,14 +202,6 @@ def test_a_disc_inflates_like_a_ball():
     np.testing.assert_allclose(u[inside], (60.3**2 - radius**2)[inside], atol=0.02 * 60**2)
 
 
-def test_harmonic_continues_linear_colours():
-    mask = np.hypot(X - 96, Y - 96) < 50
-    ramp = np.stack([X / SIZE, Y / SIZE, 0 * X + 0.3], axis=2)
-    filled = Silhouette.of(mask.astype(float)).harmonic(np.where(mask[..., None], 0, ramp))
-    # The rim's colours are those of the pixels around it: half a pixel away at most.
-    np.testing.assert_allclose(filled, ramp, atol=0.55 / SIZE)
-
-
 def test_points_are_spread_evenly():
     """On a shell, also where the surface is steep, spacing hardly varies on the front."""
     silhouette = Silhouette.of(np.clip(80.5 - np.hypot(X - 96, Y - 96), 0, 1))

@@ -33,7 +33,6 @@ from phy124.rendering.shine import drawn_frames, make_shine
 from phy124.scene import View
 
 MERGE = tyro.conf.arg(metavar="N")
-AXIS = tyro.conf.arg(metavar="AXIS")
 TO = "; ".join(f"{name}: {format.title}" for name, format in written_formats().items())
 FRAMES = "frames: a clip with all values of each frame"
 

@@ -42,10 +42,6 @@ class Projection:
         self.counts = wp.zeros(self._parts, dtype=int, device=device)
         """Number of cells of liquid in each part of all cells."""
         self.sums = wp.zeros((ROWS + 6 * solids, self._parts), dtype=wp.float64, device=device)
-        self.iterations = 0
-        """Iterations of all solutions so far."""
-        self.solutions = 0
-        """Number of solutions so far."""
         self.mobility = wp.zeros((solids, 10), dtype=wp.float64, device=device)
         """Mobility of each solid, per impulse of q."""
         shape = (self._parts, 2 * solids)
@@ -141,8 +137,6 @@ class Projection:
                 break
             run(advance + 1)
             taken = k + 1
-        self.iterations += taken
-        self.solutions += 1
         return taken
 
     def _small(self, tolerance: float) -> bool:

@@ -73,15 +73,6 @@ class Silhouette:
         u[self.inside] = self.factors.solve(np.full(int(self.inside.sum()), source))
         return u
 
-    def harmonic(self, values: Field) -> Field:
-        """Interpolate `values` [H,W,C] at the rim harmonically to the pixels inside."""
-        known = np.zeros_like(values)
-        for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True):
-            known += weight[..., None] * np.roll(values, (-dy, -dx), (0, 1))
-        filled = np.array(values)
-        filled[self.inside] = self.factors.solve(np.ascontiguousarray(known[self.inside]))
-        return filled
-
     @cached_property
     def distance(self) -> Field:
         """Distance of each inside pixel to the rim [H,W], pixels; 0 outside."""

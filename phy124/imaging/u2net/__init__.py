@@ -207,14 +207,6 @@ STYLES = {
 }
 
 
-def smooth_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Remove specks from a binary mask (0 or 255), as rembg's `post_process_mask` does."""
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3, 3))
-    opened = cv2.morphologyEx(mask, cv2.MORPH_OPEN, disc)
-    blurred = cv2.GaussianBlur(opened, (7, 7), 2)
-    return np.where(blurred < 128, 0, 255).astype(np.uint8)
-
-
 def multiply_mask(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Multiply all channels of `image [H,W,3 or 4]` by the mask, as rembg does; return [H,W,4].
 
