@@ -27,7 +27,8 @@ QUICK = [
 
 
 def scene(name: str, cells: int = 16, **changes) -> Scene:
-    quick = {"accuracy": {"cells": cells}, "time.frames": 5, "view.size": 64}
+    accuracy = {"cells": cells, "solver": "mpm"}
+    quick = {"accuracy": accuracy, "time.frames": 5, "view.size": 64}
     return Scene.named(name).replaced({**quick, "view.views": ["front"], **changes})
 
 

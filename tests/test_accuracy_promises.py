@@ -50,7 +50,8 @@ def test_finer_grids_are_expected_to_err_less(name):
 
 
 def test_nothing_is_promised_to_objects_thinner_than_all():
-    press = Scene.named("press").replaced({"accuracy": "draft", "material.law": "neo_hookean"})
+    accuracy = {"cells": 16, "solver": "mpm"}
+    press = Scene.named("press").replaced({"accuracy": accuracy, "material.law": "neo_hookean"})
     known = {"coefficients": {}, "features": [], "kinds": {"elastic squeezed": dict(RANGE)}}
     said = expect(press, Proportions(0.1, 0.3), known)
     assert said.error is None and "that is so thin (1.6 cells of this grid)" in said.unmeasured
@@ -75,7 +76,7 @@ RANGE = {
 
 
 def test_predictions_add_the_groups_and_never_extrapolate():
-    press = Scene.named("press").replaced({"accuracy": "standard", "time.frames": 14})
+    press = Scene.named("press").replaced({"accuracy.solver": "mpm", "time.frames": 14})
     coefficients = {
         "all": {"one": -3.0, "cells": -1.0, "coarse": 2.0},
         "squeezed": {"one": 0.5, "thickness": -1.0},
@@ -293,8 +294,9 @@ def test_a_run_that_may_be_torn_or_stopped_keeps_no_promise(tmp_path, monkeypatc
     """However well such scenes did elsewhere."""
     monkeypatch.setattr(Tearing, "likely", property(lambda self: True))
     scene = Scene.named("drop").replaced(
-        {"time.frames": 2, "accuracy": "draft", "view.size": 16, "view.views": ["front"]}
+        {"time.frames": 2, "view.size": 16, "view.views": ["front"]}
     )
+    scene = scene.replaced({"accuracy": {"cells": 16, "solver": "mpm"}})
     assert promise(scene, USUAL).error is not None
     result = simulate(ball(100), scene, tmp_path)
     told = json.loads((tmp_path / "report.json").read_text())["promise"]

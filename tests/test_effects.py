@@ -131,7 +131,7 @@ def test_gravity_of_zero_is_left_out():
 
 
 def test_checks_are_effects_with_a_cost():
-    scene = Scene.named("press").replaced(QUICK)
+    scene = Scene.named("press").replaced({**QUICK, "accuracy.solver": "mpm"})
     effects = Effects.of(scene)
     assert "limits of the substep measured every 16 substeps or sooner" in effects.ran
     assert "balance of momentum and energy" in effects.ran
@@ -154,7 +154,9 @@ def test_effects_name_the_kernels_that_run(gradient):
 
 def test_what_looks_for_tears_and_tries_substeps_is_named():
     search = "search for torn material and separate pieces in each frame"
-    solid, flowing = Effects.of(Scene.named("press")), Effects.of(Scene.named("water"))
+    scenes = [Scene.named(name) for name in ("press", "water")]
+    named = [scene.replaced({"accuracy": {"solver": "mpm"}}) for scene in scenes]
+    solid, flowing = (Effects.of(scene) for scene in named)
     assert search in solid.ran and "flow" in whys(flowing)[search]
     for one in (solid, flowing):
         assert (
@@ -164,7 +166,8 @@ def test_what_looks_for_tears_and_tries_substeps_is_named():
 
 
 def test_less_watching_costs_less_and_moves_the_same():
-    scene = Scene.named("press").replaced({**QUICK, "material.E": 1e7, "checks.measure": 4})
+    changes = {"accuracy.solver": "mpm", "material.E": 1e7, "checks.measure": 4}
+    scene = Scene.named("press").replaced({**QUICK, **changes})
     rarely = scene.replaced({"checks": {"measure": 32, "balance": False}})
     usual, few = Simulation(prepare(ball(100), scene)), Simulation(prepare(ball(100), rarely))
     a, b = usual.run(), few.run()

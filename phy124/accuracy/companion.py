@@ -168,7 +168,7 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
 def coarsen(scene: Scene) -> Scene:
     """Return the scene of the companion, with fewer cells across the object."""
     cells = max(round(RATIO * scene.resolution.cells), COARSEST)
-    accuracy = scene.resolution.model_copy(update={"cells": cells})
+    accuracy = scene.resolution.model_copy(update={"cells": cells, "solver": scene.solver})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 
 

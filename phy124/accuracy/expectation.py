@@ -105,7 +105,7 @@ def features(scene: Scene) -> list[str]:
             names.add("liquids of different densities")
     if scene.binding == "particles":
         names.add("binding = particles")
-    if scene.resolution.on_lattice:
+    if scene.on_lattice:
         names.add("accuracy.solver = lattice")
     return sorted(names)
 

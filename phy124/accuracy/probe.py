@@ -309,7 +309,8 @@ def coarsen(scene: Scene) -> Scene:
     """Return the scene of the pilot run, with a coarse grid and the binding `lattice`."""
     # Solids that the scene's grid resolves must not be too thin for the coarse grid.
     cells = min(max(CELLS, min_cells(scene)), scene.resolution.cells)
-    accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
+    changes = {"cells": cells, "precision": "float32", "solver": scene.solver}
+    accuracy = scene.resolution.model_copy(update=changes)
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 
 

@@ -16,6 +16,7 @@ from phy124.monitor import observers_for
 from phy124.monitor.observer import UNKNOWN, Cost, Effect, Observer, Subject, find
 from phy124.mpm.model import form_of
 from phy124.scene import Scene
+from phy124.scene.lattices import choose_solver, find_elastic, reason_for_mpm
 from phy124.scene.liquids import reason_for_compressible
 
 NODE = 1.8
@@ -65,6 +66,7 @@ class Effects:
             materials: The particles' materials, read from a file; empty: the scene's materials.
             observers: Observers of a finished run; empty before a run.
         """
+        scene = choose_solver(scene, device)
         ran, left_out = [], []
         subject = Subject(scene, materials or scene.materials)
         for effect in _catalogue(subject, sh_degree, device, observers):
@@ -111,6 +113,8 @@ def _catalogue(
     scene = subject.scene
     yield from _of_materials(scene, subject.materials)
     yield from _of_forces(scene)
+    if any(find_elastic(scene)) and not scene.on_lattice:
+        yield Effect("rest lattice", False, reason_for_mpm(scene))
     yield from _of_observers(subject, observers)
     for wall in scene.boundaries:
         yield Effect(f"collider {wall.kind} ({wall.contact})")

@@ -69,7 +69,7 @@ def _damp(scene: Scene) -> Remedy | None:
     """Increase the damping of a body on its lattice, so that it recovers from any compression."""
     material = scene.material
     damping = getattr(material, "damping", None)
-    if scene.resolution.solver != "lattice" or damping is None or scene.properties is not None:
+    if not scene.on_lattice or damping is None or scene.properties is not None:
         return None
     enough = DAMPING * material.density * material.sound_speed() * scene.object.size
     if damping >= 0.9 * enough:

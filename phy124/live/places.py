@@ -154,7 +154,7 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
     elif run.scene.couples:
         limit = "next to objects of particles, lattices cannot be moved at once."
         raise InputError("state.entity", name, limit, 'Use accuracy.solver = "mpm".')
-    elif run.scene.resolution.on_lattice:
+    elif run.scene.on_lattice:
         body = int(np.flatnonzero(np.unique(_objects(run)) == number)[0])
         cast("LatticeSolver", solver).carry_nodes(carry, body)
     else:

@@ -63,4 +63,4 @@ def observers_for(scene: Scene) -> tuple[type[Observer], ...]:
     """Return the observers of a scene's solver."""
     if scene.couples:
         return COUPLED_OBSERVERS
-    return LATTICE_OBSERVERS if scene.resolution.on_lattice else OBSERVERS
+    return LATTICE_OBSERVERS if scene.on_lattice else OBSERVERS

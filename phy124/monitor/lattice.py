@@ -160,9 +160,9 @@ class LatticeMethod(Observer):
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
         """Return the row."""
-        del subject
+        solver = subject.scene.resolution.solver
         return Effect(
-            "rest lattice (accuracy.solver = lattice): no transfers, no tearing, no sorting"
+            f"rest lattice (accuracy.solver = {solver}): no transfers, no tearing, no sorting"
         )
 
 

@@ -53,12 +53,13 @@ class Accuracy(Section):
         "particle (MLS-MPM), with which objects that bend over several cells are too soft. spline: "
         "gradients of the weights, which takes 1.7 to 4 times as long; for transfer = apic only.",
     )
-    solver: Literal["mpm", "lattice"] = Field(
+    solver: Literal["mpm", "lattice", "auto"] = Field(
         default="mpm",
         exclude_if=lambda value: value == "mpm",
-        description="mpm: the material point method, for every material. lattice: the nodes of a "
-        "lattice at rest move with the body, which bends right, cannot tear and loses no energy in "
-        "transfers; for a single elastic object, and transfer = apic only.",
+        description="Solver of elastic objects. mpm: the material point method. lattice: the nodes "
+        "of a lattice at rest move with the object, which bends right, cannot tear and loses no "
+        "energy in transfers; for transfer = apic only. auto: lattice where it is supported and "
+        "measured better; the report's effects say why it is not.",
     )
     rpic_damping: float = Field(
         default=0.0,
@@ -85,11 +86,6 @@ class Accuracy(Section):
     def fraction(self) -> float:
         """Length of a substep as a fraction of the elastic limit, including RPIC damping."""
         return beside_rpic(self.cfl) if self.rpic_damping > 0 else self.cfl
-
-    @property
-    def on_lattice(self) -> bool:
-        """Whether bodies run on their lattice at rest."""
-        return self.solver == "lattice"
 
     @property
     def passes(self) -> int:
@@ -150,7 +146,7 @@ def check_transfer(accuracy: Accuracy) -> None:
             f"accuracy.gradient = {accuracy.gradient} needs transfer = apic, not {transfer}; leave "
             "one of the two out"
         )
-    if accuracy.solver != "mpm" and (
+    if accuracy.solver == "lattice" and (
         transfer != "apic" or accuracy.gradient != "affine" or accuracy.rpic_damping > 0
     ):
         raise ValueError(

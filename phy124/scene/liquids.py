@@ -21,7 +21,7 @@ def reason_for_compressible(scene: Any) -> str:
     accuracy = scene.resolution
     if accuracy.liquid is not None:
         return "" if accuracy.liquid == "projection" else "accuracy.liquid is compressible"
-    if accuracy.solver != "mpm":
+    if accuracy.solver == "lattice":
         return f"accuracy.solver is {accuracy.solver}"
     for name, usual in USUAL.items():
         if getattr(accuracy, name) != usual:

@@ -20,7 +20,6 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from phy124.boundaries import BOUNDARIES, AnyBoundary, Ground
 from phy124.errors import InputError, did_you_mean
 from phy124.forces import FORCES, AnyForce, Gravity
-from phy124.lattice.refusals import is_elastic
 from phy124.materials import LAWS, AnyMaterial, NeoHookean
 from phy124.mpm.tracks import AnyProfile, Track
 from phy124.properties import Properties
@@ -28,6 +27,7 @@ from phy124.properties.stiffness import AnyStiffness, check_profile
 from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName, check_transfer
 from phy124.scene.changes import apply
 from phy124.scene.files import check_depth, read_toml
+from phy124.scene.lattices import find_elastic, reason_for_mpm
 from phy124.scene.liquids import reason_for_compressible
 from phy124.scene.objects import (
     Pair,
@@ -202,18 +202,19 @@ class Scene(Section):
         return self.projects and self.has_solids
 
     @property
+    def on_lattice(self) -> bool:
+        """Whether elastic objects move on their lattices at rest."""
+        return not reason_for_mpm(self)
+
+    @property
+    def solver(self) -> Literal["lattice", "mpm"]:
+        """The solver of elastic objects."""
+        return "lattice" if self.on_lattice else "mpm"
+
+    @property
     def on_lattices(self) -> list[bool]:
         """Whether each object moves on its lattice at rest: it is elastic as a whole."""
-        if not self.resolution.on_lattice:
-            return [False] * len(self.names)
-        return [
-            not (isinstance(item, SceneObject) and item.scenery)
-            and all(
-                is_elastic(section)
-                for section in (item.material, *(p.material for p in item.parts if not p.static))
-            )
-            for item in (self, *self.objects)
-        ]
+        return find_elastic(self) if self.on_lattice else [False] * len(self.names)
 
     @property
     def couples(self) -> bool:
@@ -267,13 +268,17 @@ class Scene(Section):
 
     def alone(self, index: int) -> Scene:
         """Return the scene with a single object, whose size then defines the grid spacing."""
+        accuracy = self.accuracy
+        if self.resolution.solver == "auto":
+            accuracy = self.resolution.model_copy(update={"solver": self.solver})
         if index == 0:
-            return self.model_copy(update={"objects": (), "pairs": ()})
+            return self.model_copy(update={"objects": (), "pairs": (), "accuracy": accuracy})
         other = self.objects[index - 1]
         fields = {name: getattr(other, name) for name in Object.model_fields if name != "on"}
         changes = {
             "object": Object.model_construct(**fields),
             "material": other.material,
+            "accuracy": accuracy,
             "parts": other.parts,
             "stiffness": None,
             "properties": None,

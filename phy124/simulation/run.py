@@ -28,6 +28,7 @@ from phy124.mpm.workers import HOST, REPAIR, run_timed
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.device import one_at_a_time
 from phy124.scene import Scene
+from phy124.scene.lattices import keep_lattice
 from phy124.scene.liquids import keep_solver, refuse_unprojectable
 from phy124.simulation.report import report_clip, report_run
 from phy124.simulation.setup import Setup
@@ -144,10 +145,11 @@ class Simulation:
             InputError: One of them does not fit the object or the grid; nothing has changed.
         """
         rejected = self.solver.rejection.rejected
+        scene = keep_lattice(scene, self.setup.scene)
         solid_scene = keep_solver(scene.with_solids(), self.setup.solid_scene)
         if solid_scene.projects:
             refuse_unprojectable(solid_scene, self.setup.materials)
-        if scene.resolution.on_lattice:
+        if scene.on_lattice:
             refuse_for_lattice(scene, self.setup.materials)
         self.solver.bind(**wrap(solid_scene, self.observers))
         self.solver.rejection.rejected = rejected

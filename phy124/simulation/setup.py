@@ -31,6 +31,7 @@ from phy124.particles.thickness import Proportions, measure_proportions
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
 from phy124.scene import Scene
+from phy124.scene.lattices import choose_solver
 from phy124.scene.liquids import refuse_unprojectable
 from phy124.simulation.appearance import Appearance
 from phy124.simulation.bodies import make_body, make_free, make_scenery
@@ -46,7 +47,7 @@ class Setup:
     crop: Crop
     """Position of the object in the picture on which the masks of parts were painted."""
     scene: Scene
-    """The scene, as given."""
+    """The scene, with the solver of elastic objects on the device."""
     solid_scene: Scene
     """The scene with objects on a path added as walls."""
     cleaned_scene: Scene
@@ -138,17 +139,18 @@ def prepare(
             budget or the free memory.
     """
     context = context or RunContext()
+    scene = choose_solver(scene, context.device)
     if observers is None:
         observers = observers_for(scene)
     refuse_threads(context.threads)
-    if scene.resolution.on_lattice:
+    if scene.on_lattice:
         refuse_for_lattice(scene, scene.materials)
     with context.watch.stage("particles"):
         body = make_body(gaussians, scene, crop, interior)
         look, shown = body.appearance, body.appearance.gaussians
         solid_scene = scene.with_solids()
         threads = usable_workers(len(look.particles), context.device, context.threads)
-        if scene.resolution.on_lattice:
+        if scene.on_lattice:
             along = 0  # Cells stay in the order of the lattice.
         along = slab_axis(look.particles, threads) if along is None else along
         particles, stiffness = sort_for_slabs(

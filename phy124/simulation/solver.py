@@ -33,6 +33,7 @@ from phy124.mpm import (
 from phy124.mpm.model import PRECISIONS, form_of
 from phy124.particles import Particles
 from phy124.scene import Object, Scene
+from phy124.scene.lattices import choose_solver
 from phy124.scene.objects import find_pair
 from phy124.simulation.bodies import planes_for_free
 from phy124.simulation.overlap import refuse_buried
@@ -106,7 +107,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         return LiquidSolver(
             model, state, **acting, free=setup.free, ceiling=ceiling, threads=setup.threads
         )
-    if scene.resolution.on_lattice:
+    if scene.on_lattice:
         from phy124.lattice.solver import LatticeSolver
 
         assert particles.surface is not None
@@ -179,6 +180,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     Kernels of grabs and wrenches on a part of the object are omitted: their modules take 0.3 s
     each.
     """
+    scene = choose_solver(scene, device)
     precision = scene.resolution.precision
     real = PRECISIONS[precision]
     form = form_of(precision, device, scene.resolution.gradient)
@@ -198,7 +200,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
             yield from observer.kernels(subject, real)
     if scene.projects and not scene.mixes:
         return
-    if scene.resolution.on_lattice:
+    if scene.on_lattice:
         from phy124.lattice import material, solids, walls, workers
 
         elastic = [section for section in scene.materials if is_elastic(section)]

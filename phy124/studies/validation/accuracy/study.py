@@ -137,7 +137,7 @@ class Study:
 
     def _plan(self) -> Iterator[tuple[str, Scene]]:
         """Yield the name and scene of each setting: the levels, then variations of one option."""
-        base = self.scene.resolution
+        base = self.scene.resolution.model_copy(update={"solver": self.scene.solver})
         for cells in self.levels:
             yield f"D/{cells}", self._with(base.model_copy(update={"cells": cells}))
         if not self.thorough:
@@ -150,6 +150,9 @@ class Study:
         )
         other = "float64" if middle.precision == "float32" else "float32"
         yield f"{other} {here}", self._with(middle.model_copy(update={"precision": other}))
+        if self.scene.on_lattice:
+            yield f"solver mpm {here}", self._with(middle.model_copy(update={"solver": "mpm"}))
+            return
         binding = "lattice" if self.scene.binding == "particles" else "particles"
         bound = self._with(middle).model_copy(update={"binding": binding})
         yield f"binding {binding} {here}", bound
@@ -297,7 +300,7 @@ class Study:
 
 def _can_split(scene: Scene) -> bool:
     """Return whether the energy loss of a scene can be split by cause."""
-    if scene.projects:
+    if scene.projects or scene.on_lattice:
         return False
     try:
         scene.replaced({"checks.balance": True, "checks.energy": True})

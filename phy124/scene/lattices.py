@@ -1,0 +1,65 @@
+"""Decides which scenes compute their elastic objects on lattices at rest.
+
+An argument `scene` is a `Scene`, whose module imports this one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from phy124.lattice.refusals import is_elastic, reason_for_particles
+
+
+def find_elastic(scene: Any) -> list[bool]:
+    """Return whether each object moves and is elastic as a whole."""
+    return [
+        not getattr(item, "scenery", False)
+        and all(
+            is_elastic(section)
+            for section in (item.material, *(p.material for p in item.parts if not p.static))
+        )
+        for item in (scene, *scene.objects)
+    ]
+
+
+def reason_for_mpm(scene: Any) -> str:
+    """Return why no object of a scene is on a lattice; empty if elastic objects are.
+
+    By `accuracy.solver = "auto"` they are where lattices are supported and were measured better
+    (docs/lab/solvers.md). Among other objects they are not faster, and support less.
+    """
+    accuracy = scene.resolution
+    if accuracy.solver != "auto":
+        return "" if accuracy.solver == "lattice" else f"accuracy.solver is {accuracy.solver}"
+    for item, elastic in zip((scene, *scene.objects), find_elastic(scene), strict=True):
+        if not elastic and not getattr(item, "scenery", False):
+            return "lattices are for elastic materials"
+    if accuracy.precision != "float32":
+        return f"accuracy.precision is {accuracy.precision}, in which lattices are slower"
+    if scene.properties is not None:
+        return "its materials are in a file"
+    return reason_for_particles(scene)
+
+
+def choose_solver(scene: Any, device: str) -> Any:
+    """Return a scene with the solver of its elastic objects on a device.
+
+    By `auto` it is the material point method on a GPU: there a lattice that touches walls takes
+    many times as long (docs/lab/cuda.md).
+    """
+    if device == "cpu" or scene.resolution.solver != "auto":
+        return scene
+    return _with_solver(scene, "mpm")
+
+
+def keep_lattice(scene: Any, before: Any) -> Any:
+    """Return the next scene of a run with the solver of its elastic objects chosen as before."""
+    if scene.solver == before.solver:
+        return scene
+    return _with_solver(scene, before.solver)
+
+
+def _with_solver(scene: Any, solver: str) -> Any:
+    """Return a scene that names its solver."""
+    accuracy = scene.resolution.model_copy(update={"solver": solver})
+    return scene.model_copy(update={"accuracy": accuracy})

@@ -1,0 +1,68 @@
+"""Which scenes compute their elastic objects on lattices (phy124/scene/lattices.py)."""
+
+import numpy as np
+import pytest
+
+from phy124.accuracy import companion, probe
+from phy124.budget.effects import Effects
+from phy124.runtime.context import RunContext
+from phy124.scene import Scene
+from phy124.scene.lattices import choose_solver, keep_lattice, reason_for_mpm
+from phy124.simulation import Simulation, prepare
+from support.shapes import ball
+
+SAND = {"name": "sand", "shape": "box", "sides": [1.0, 1.0, 1.0], "material": {"law": "sand"}}
+AUTO = {"accuracy": {"cells": 6, "solver": "auto"}, "time.frames": 2}
+
+
+def scene(name="drop", **changes):
+    return Scene.named(name).replaced({**AUTO, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"material": {"law": "sand"}}, "elastic materials"),
+        ({"objects": [{**SAND, "place": [3.0, 0.0]}]}, "elastic materials"),
+        ({"accuracy.precision": "float64"}, "accuracy.precision is float64"),
+        ({"accuracy.transfer": "xpic2"}, "accuracy.transfer is xpic2"),
+        ({"accuracy.solver": "mpm"}, "accuracy.solver is mpm"),
+        ({"binding": "particles"}, "binding is particles"),
+        ({"contacts": True}, "contacts is on"),
+        ({"properties.file": "laws.npz"}, "in a file"),
+    ],
+)
+def test_auto_chooses_mpm_for_a_reason(changes, reason):
+    chosen = scene(**changes)
+    assert scene().on_lattice and not chosen.on_lattice
+    assert reason in reason_for_mpm(chosen)
+    assert not chosen.alone(0).on_lattice
+
+
+def test_auto_runs_as_the_solver_that_it_chooses():
+    context = RunContext(threads=1)
+    named = [scene(), scene(**{"accuracy.solver": "lattice"})]
+    clips = [Simulation(prepare(ball(100), each, context)).run() for each in named]
+    assert np.array_equal(clips[0].means, clips[1].means)
+    assert any("rest lattice" in row for row in clips[0].report["effects"]["ran"])
+
+
+def test_effects_tell_why_there_is_no_lattice():
+    omitted = {row.effect: row.why for row in Effects.of(scene(contacts=True)).left_out}
+    assert omitted["rest lattice"].startswith("contacts is on")
+    assert "rest lattice" not in {row.effect for row in Effects.of(scene("sand")).left_out}
+
+
+def test_auto_is_mpm_on_a_gpu():
+    assert choose_solver(scene(), "cuda:0").solver == "mpm"
+    named = scene(**{"accuracy.solver": "lattice"})
+    assert choose_solver(named, "cuda:0") is named and choose_solver(scene(), "cpu").on_lattice
+
+
+def test_changes_coarse_grids_and_studies_keep_the_solver():
+    before, after = scene(), scene(contacts=True)
+    assert keep_lattice(after, before).on_lattice and keep_lattice(before, before) is before
+    assert not keep_lattice(before, after).on_lattice
+    bound = scene(binding="particles")
+    assert not companion.coarsen(bound).on_lattice and companion.coarsen(before).on_lattice
+    assert not probe.coarsen(bound).on_lattice and probe.coarsen(before).on_lattice
