@@ -23,7 +23,8 @@ from phy124.runtime.startup import prepare
 prepare()
 CONTRACT = "-ffp-contract=fast"
 
-Options, Built = ParamSpec("Options"), TypeVar("Built")
+Options = ParamSpec("Options")
+Built = TypeVar("Built")
 
 BUILDING = RLock()
 """Held while a variant is built; a factory may call another one."""
