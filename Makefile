@@ -29,7 +29,7 @@ test:
 
 # Three on two cores: tests of servers wait more than they compute. In order, since a file of one long
 # test must not be the last.
-test-default: .venv/test
+test-default: .venv/bytecode
 	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m "not slow and not browser"
 
 test-page: .venv/test
@@ -97,6 +97,10 @@ clean:
 .venv/test: .venv/python pyproject.toml
 	$(INSTALL) --editable ".[test]"
 	touch $@ .venv/base .venv/demo .venv/bridge
+
+# Imports everything once: otherwise each of the test processes, which start together, would compile it.
+.venv/bytecode: .venv/test
+	$(BIN)/pytest --collect-only --quiet --quiet > $@ || { cat $@; rm $@; exit 1; }
 
 .venv/docs: .venv/python pyproject.toml
 	$(INSTALL) --editable ".[docs]"
