@@ -128,6 +128,12 @@ def test_presets_are_promised_what_was_measured(name):
     assert errors == sorted(errors, reverse=True)
 
 
+@pytest.mark.parametrize("name", ["snow", "stack", "bury", "land_on_cushion"])
+def test_presets_of_several_objects_and_of_snow_are_measured(name):
+    scene = Scene.named(name).replaced({"accuracy": {"cells": 16, "solver": "mpm"}})
+    assert 0.01 < expect(scene, USUAL).error < 0.2
+
+
 @pytest.mark.parametrize(
     ("changes", "why"),
     [

@@ -62,8 +62,9 @@ def test_forecast_omits_the_own_error_like_the_run(file, capsys, monkeypatch):
 
 def test_missing_error_names_the_study_of_this_scene(file, capsys):
     arguments = ["simulate", str(file), *SMALL, "--accuracy", "draft", "--dry-run"]
-    assert main([*arguments, "--scene", "snow"]) == 0
-    study = f"`phy124 accuracy snow --image {file} --frames 2` measures it."
+    change = ["--set", "material.extension=0.3"]
+    assert main([*arguments, "--scene", "snow", *change]) == 0
+    study = f"`phy124 accuracy snow --image {file} --frames 2 {' '.join(change)}` measures it."
     assert study in capsys.readouterr().out
 
 

@@ -13,7 +13,7 @@ from phy124.scene import Scene
 
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "viscosity", "yield_stress"}
 """Fields of a material of any value: `severity`, `yielding`, `damping` or `poisson` reads them."""
-MEASURED = {"repose_angle": (30.0, 36.0)}
+MEASURED = {"repose_angle": (30.0, 36.0), "extension": (0.003, 0.0075)}
 """Further fields of a material -> range for which the errors are those of the default."""
 LOOKS = {"tint", "visibility"}
 """Fields of a material that do not affect the motion."""
