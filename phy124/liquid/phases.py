@@ -339,7 +339,7 @@ class Phases:
     def _divergence(self, worker: int) -> Recorded:
         cells, walls = self._cells, self._walls
         inputs = [int(walls.move), cells.lattice, cells.window, walls.motions, cells.open]
-        inputs += [cells.owners, cells.liquid, self.carry, cells.velocity]
+        inputs += [cells.distances, cells.owners, cells.liquid, self.carry, cells.velocity]
         kernel = pressure.make_divergence(self._model.real)
         outputs = [cells.right, cells.pressure]
         return self._over_cells(worker, "levels", kernel, inputs, outputs)

@@ -105,7 +105,7 @@ class Solids:
         model, count = self._model, -(-cells.count // workers)
         inputs = [worker, cells.active, cells.ends, self.first(walls)]
         inputs += [cells.lattice, cells.window, cells.open]
-        inputs += [cells.owners, cells.liquid, self.centres]
+        inputs += [cells.distances, cells.owners, cells.liquid, self.centres]
         outputs = [cells.which, cells.jumps, cells.turns]
         return STAGE, model.launch(kernels.make_jumps(model.real), count, inputs, outputs)
 

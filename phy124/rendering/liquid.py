@@ -38,9 +38,14 @@ MOVES = (-0.35, 0.9)
 OVERLAP, NARROW, WIDEST, FLAT = 0.95, 0.4, 0.7, 0.3
 """Radius of a disc relative to the distance between discs; its bounds, in cells; its thickness
 relative to its radius."""
-TOUCH, FILM = 0.75, 1.5
+TOUCH, FILM, EDGE = 0.75, 1.5, 0.5
 """Largest distance of Gaussians from a wall at which they are drawn on it; thickness of a film on a
-wall, in cells, below which only its free surface is drawn."""
+wall below which only its free surface is drawn; smallest depth below the free surface of Gaussians
+that are drawn on a wall, in cells."""
+WETTED = 0.6
+"""Smallest phi at a wall that a liquid touches."""
+LONG = 3.0
+"""Largest length through which one sees a liquid, relative to its smallest thickness there."""
 LITTLE = 0.02
 """Smallest fraction of space before walls by which means are divided."""
 ALONE, DROP = 0.4, 0.42
@@ -245,7 +250,7 @@ def _shape(
     ahead[near] = field.sample(inside, near, AHEAD * normals[near].T)
     depth = AHEAD * (here - LEVEL) / np.maximum(here - ahead, 1e-6)
     thin = close & (field.gap + depth < FILM) & (np.sum(normals * field.facing, axis=1) > 0.5)
-    wet = close & ~thin & (field.gap < depth)
+    wet = _touches(field, phi, close) & ~thin & (depth > np.maximum(field.gap, EDGE))
     normals[wet], steep[wet], ahead[wet] = -field.facing[wet], here[wet], 0
     chance = 0.618034 * np.arange(n) % 1
     alone = (here < ALONE * volume) | (torn & (chance > KEPT))
@@ -286,12 +291,21 @@ def _shape(
     return Surface(*(array.astype(np.float32) for array in arrays))
 
 
+def _touches(field: Field, phi: NDArray, close: NDArray) -> NDArray[np.bool_]:
+    """Return the mask of points that are `close` to a wall and in liquid that touches it."""
+    mask, which = close.copy(), np.flatnonzero(close)
+    onto = -field.gap[which] * field.facing[which].T
+    mask[which] = field.sample(phi, which, onto) > WETTED
+    return mask
+
+
 def _thickness(phi: NDArray, field: Field, on: NDArray, normals: NDArray) -> NDArray:
     """Return the thickness of the liquid along the normals [n,3] of points `on`, in cells.
 
-    It is interpolated between the lengths of the liquid along the three axes.
+    It is interpolated between the lengths of the liquid along the three axes, and limited, so that
+    the edge of a film is as pale as the film.
     """
-    sums = np.zeros(len(on))
+    sums, least = np.zeros(len(on)), np.full(len(on), np.inf)
     for axis in range(3):
         layers = np.moveaxis(np.minimum(phi, 1), axis, 0)
         forth, back, wet = np.zeros_like(layers), np.zeros_like(layers), layers > 0.03
@@ -299,8 +313,10 @@ def _thickness(phi: NDArray, field: Field, on: NDArray, normals: NDArray) -> NDA
             forth[k] = (forth[k - 1] + layers[k]) * wet[k]
             back[-1 - k] = (back[-k] + layers[-1 - k]) * wet[-1 - k]
         length = field.nearest(np.moveaxis(forth + back - layers, 0, axis), on)
-        sums += normals[:, axis] ** 2 / np.maximum(length, 0.1)
-    return 1 / np.maximum(sums, 1e-6)
+        length = np.maximum(length, 0.1)
+        sums += normals[:, axis] ** 2 / length
+        least = np.minimum(least, length)
+    return np.minimum(1 / np.maximum(sums, 1e-6), LONG * least)
 
 
 def _rotations(normals: NDArray) -> NDArray:

@@ -15,7 +15,7 @@ from phy124.kernels.liquid.conjugate import count_of, share
 from phy124.kernels.liquid.faces import cell_of, stride
 from phy124.kernels.liquid.mixture import CENTRE
 from phy124.kernels.liquid.pressure import NEAREST
-from phy124.kernels.liquid.walls import centre_of, halves, point, solid_face, speed_of
+from phy124.kernels.liquid.walls import centre_of, halves, point, solid_face, speed_of, wall_across
 from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
 
 Sums = wp.array3d(dtype=wp.float64)
@@ -107,7 +107,7 @@ def make_wall_impulses(real: Any):
             for axis in range(3):
                 jump = open[n + stride(axis, size)][axis] - open[n][axis]
                 if jump != real(0.0):
-                    owner = owners[solid_face(cell, axis, jump, size)]
+                    owner = wall_across(cell, axis, jump, size, distances, owners, dx)
                     if owner >= 0:
                         way = way_to_wall(cell, axis, jump, size, distances, dx)
                         # p dt / (density dx) at the wall.

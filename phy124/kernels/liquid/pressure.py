@@ -15,7 +15,7 @@ import warp as wp
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
-from phy124.kernels.liquid.walls import centre_of, solid_face, speed_of
+from phy124.kernels.liquid.walls import centre_of, speed_of, wall_across
 
 NEAREST = wp.constant(0.02)
 """Smallest distance of the surface from a cell's centre [cells]; closer, a pressure would be
@@ -108,6 +108,7 @@ def make_divergence(real: Any):
         window,
         motions: wp.array2d(dtype=t.vec3),
         open: t.vec4s,
+        distances: t.reals,
         owners: Ints,
         liquid: Ints,
         carry: Doubles,
@@ -129,7 +130,7 @@ def make_divergence(real: Any):
                 flux += high * velocity[m][axis] - low * velocity[n][axis]
                 jump = high - low
                 if moving > 0 and jump != real(0.0):
-                    owner = owners[solid_face(cell, axis, jump, size)]
+                    owner = wall_across(cell, axis, jump, size, distances, owners, lattice[3])
                     if owner >= 0:
                         x = centre_of(cell, lattice, window[0])
                         flux -= jump * speed_of(motions, owner, x)[axis]

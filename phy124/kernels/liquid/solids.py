@@ -45,7 +45,7 @@ from phy124.kernels.liquid.conjugate import (
 from phy124.kernels.liquid.faces import cell_of, entry, stride
 from phy124.kernels.liquid.impulses import Sums, take_row, way_to_wall
 from phy124.kernels.liquid.mixture import CENTRE
-from phy124.kernels.liquid.walls import centre_of, solid_face
+from phy124.kernels.liquid.walls import centre_of, wall_across
 
 
 @build_once
@@ -95,6 +95,7 @@ def make_jumps(real: Any):
         lattice,
         window,
         open: t.vec4s,
+        distances: t.reals,
         owners: Ints,
         liquid: Ints,
         centres: Vectors,
@@ -115,7 +116,8 @@ def make_jumps(real: Any):
             for axis in range(3):
                 jump = open[n + stride(axis, size)][axis] - open[n][axis]
                 if jump != real(0.0):
-                    owner = owners[solid_face(cell, axis, jump, size)] - wall
+                    owner = wall_across(cell, axis, jump, size, distances, owners, lattice[3])
+                    owner -= wall
                     if owner >= 0:
                         row[axis] = -wp.float64(jump)
                         solids[axis] = owner

@@ -15,7 +15,7 @@ from phy124.kernels.collide import FLAT
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.free.numbers import PLACE, at3, axes
-from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number
+from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number, stride
 
 SHUT = wp.constant(1.0e-3)
 """Open share below which a face is closed."""
@@ -171,6 +171,39 @@ def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
     if jump < type(jump)(0.0):
         at[axis] = 2
     return point(cell, at[0], at[1], at[2], size)
+
+
+@wp.func
+def wall_across(
+    cell: wp.vec3i,
+    axis: int,
+    jump: Any,
+    size: wp.vec3i,
+    distances: wp.array(dtype=Any),
+    owners: wp.array(dtype=int),
+    dx: Any,
+):
+    """Return the number of the wall that closes a cell's face; -1 without a wall.
+
+    It is the nearest wall of the face's middle. Where walls meet, it is that of the point, of nine
+    on the face, at which the distance changes most along the axis: a floor, not a tank's side.
+    """
+    points = halves(size)
+    middle = solid_face(cell, axis, jump, size)
+    along = stride(axis, points)
+    owner = owners[middle]
+    most = wp.abs(distances[middle + along] - distances[middle - along])
+    if most < type(dx)(0.9) * dx:
+        a = stride((axis + 1) % 3, points)
+        b = stride((axis + 2) % 3, points)
+        for u in range(-1, 2):
+            for v in range(-1, 2):
+                at = middle + u * a + v * b
+                change = wp.abs(distances[at + along] - distances[at - along])
+                if change > most + type(dx)(0.01) * dx:
+                    most = change
+                    owner = owners[at]
+    return owner
 
 
 @build_once
