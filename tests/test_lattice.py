@@ -15,8 +15,9 @@ from phy124.kernels.lattice.stress import GRADIENT, SPEED
 from phy124.kernels.work import IMPULSE, WORK
 from phy124.lattice import material, solids, workers
 from phy124.lattice import walls as lattice_walls
+from phy124.lattice.phases import MEASURE, TRIAL
 from phy124.lattice.rest import RestLattice
-from phy124.lattice.solver import MEASURE, TRIAL, LatticeSolver
+from phy124.lattice.solver import LatticeSolver
 from phy124.materials import Hencky, NeoHookean
 from phy124.monitor.lattice import LatticeTotals
 from phy124.mpm import Model, State
@@ -417,10 +418,10 @@ def test_simd_and_plain_stress_agree(damping):
         solver.nodes_state.u.assign(0.02 * rng.normal(size=(solver.nodes, 3)))
         solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
         solver._crew.trial_u.assign(solver.nodes_state.u)
-        solver._each_worker(TRIAL)
+        solver.phases.run_task(TRIAL)
         solver._crew.accelerate(trial=True)
         forces.append(solver._crew.trial_a.numpy().copy())
-        solver._each_worker(MEASURE)
+        solver.phases.run_task(MEASURE)
         limits.append(solver._crew.take_maxima())
     assert np.abs(forces[0] - forces[1]).max() < 2e-6 * np.abs(forces[1]).max()
     assert limits[0][GRADIENT] == pytest.approx(limits[1][GRADIENT], rel=1e-3)

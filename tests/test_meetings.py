@@ -21,17 +21,33 @@ from test_lattice import DX, block, lattice_scene
 DAMPED = NeoHookean(E=1e5, nu=0.3, density=1000, damping=300.0)
 
 
-def make(solids, material=DAMPED, *, v=None, held=(), precision="float64", **options):
-    """Return a solver of several solids on their lattices."""
-    points = [lattice_of(solid, density=material.density, dx=DX) for solid in solids]
+def make(solids, *materials, v=None, held=(), precision="float64", **options):
+    """Return a solver of several solids on their lattices, of one material or of one each."""
+    materials = materials or (DAMPED,)
+    points = [lattice_of(solid, density=DAMPED.density, dx=DX) for solid in solids]
     surfaces = [each.surface + [0, 0, 0, 0, 0, 0, i] for i, each in enumerate(points)]
     body = np.repeat(np.arange(len(points)), [len(each) for each in points])
     x = np.concatenate([each.x for each in points]).astype(float)
     volume = np.concatenate([each.volume for each in points])
-    model = Model.of(x, volume, [material], dx=DX, body=body, held=held, precision=precision)
+    chosen = {"material": body, "body": body, "held": held, "precision": precision}
+    if len(materials) == 1:
+        del chosen["material"]
+    model = Model.of(x, volume, materials, dx=DX, **chosen)
     motion = None if v is None else np.asarray(v, float)[body]
     state = State.of(model, motion)
     return LatticeSolver(model, np.concatenate(surfaces), state, threads=1, **options)
+
+
+def test_the_most_viscous_body_limits_substeps():
+    solids = [block((0.3, 0.3, 0.3)), block((0.3, 0.3, 0.3), low=(1, 0, 0))]
+    soft, stiff = (
+        DAMPED.model_copy(update={"E": E, "damping": d}) for E, d in ((1e4, 5e3), (4e4, 1))
+    )
+    solvers = [make(solids[:1], soft), make(solids, soft, stiff), make(solids, stiff, soft)]
+    for solver in solvers:
+        solver.measure_if_due()
+    alone, *both = (solver.clock.stable().dt for solver in solvers)
+    assert both == pytest.approx([alone, alone], rel=0.1)
 
 
 def momentum_of(solver, body):

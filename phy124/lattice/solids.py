@@ -55,7 +55,7 @@ class Solids(FreeBodies):
         """Sums of the impulses of each solid on each body, like those of walls [F,bodies,16]."""
         super().__init__(model, solids)
         self.recovery = 0.0
-        """Fraction of their depth by which points move out of a solid in a substep."""
+        """Gain by which points come out of a solid [1/s^2]."""
         self._points = [
             wp.array(surface.nodes, dtype=int, device=model.device),
             model.array(surface.weights, model.real),
@@ -76,7 +76,7 @@ class Solids(FreeBodies):
 
         Args:
             tracks: The tracks, which hold the clock.
-            recovery: Fraction of their depth by which points move out of a solid in a substep.
+            recovery: Gain by which points come out of a solid [1/s^2].
         """
         self.recovery, forces = recovery, self._forces()
         self._touches = [

@@ -16,16 +16,16 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.arguments import types
-from phy124.kernels.lattice.rows import rows_for
 from phy124.lattice.meetings import Meetings
+from phy124.lattice.motion import make_nodes
+from phy124.lattice.phases import MEASURE, TRIAL, Phases
 from phy124.lattice.rest import RestLattice
+from phy124.lattice.shock import COLLAPSED, LatticeClock, in_shock_only
 from phy124.lattice.solids import Solids
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
-from phy124.lattice.walls import Boundary, Nodes, Walls
-from phy124.lattice.workers import Crew, Worker
-from phy124.mpm.clock import Clock
+from phy124.lattice.walls import Boundary, Walls
+from phy124.lattice.workers import Crew
 from phy124.mpm.free import FreeBody
 from phy124.mpm.grid import Grid, Unstable
 from phy124.mpm.model import Model, State
@@ -35,7 +35,7 @@ from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
 from phy124.mpm.stage import Accumulator, Attachable, Named, Stage, launches
 from phy124.mpm.threads import Team
-from phy124.mpm.timestep import MEASURE_EVERY
+from phy124.mpm.timestep import MEASURE_EVERY, STRAIN_PER_STEP
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_workers
 
@@ -53,8 +53,6 @@ FORGET = 4
 """Rate of decay of an earlier frequency, relative to the default solver: the fastest
 vibration of a body is that of a few points which are squeezed for a short time.
 """
-MEASURE, TRIAL = -1, -2
-"""Tasks of workers in addition to phases: measure the motion, compute forces of a trial."""
 
 
 class LatticeSolver:
@@ -100,7 +98,8 @@ class LatticeSolver:
         """
         self.model = model
         self.state = State.of(model) if state is None else state
-        self.clock = Clock(model, ceiling=ceiling)
+        self.clock = LatticeClock(model, ceiling=ceiling)
+        self.clock.sound = max(section.wave_speed() for section in model.materials)
         # Viscosity is part of the measured stiffness.
         self.clock.viscous = math.inf
         # Since the frequency is measured, `accuracy.cfl` is the fraction of its limiting square.
@@ -109,11 +108,11 @@ class LatticeSolver:
         spans = [model.particles(body) for body in range(model.bodies)]
         self.lattice = RestLattice.of(model.rest, mass, volume, model.dx, spans)
         self.surface = make_surface(surface, self.lattice)
-        self.nodes_state = _nodes(model, self.lattice, self.state, vectors=vectors)
+        self.nodes_state = make_nodes(model, self.lattice, self.state, vectors=vectors)
         count = usable_workers(len(model), model.device, threads)
         self._crew = Crew(model, self.state, self.lattice, self.nodes_state, count, vectors=vectors)
         self.workers = self._crew.workers
-        self.team = Team[int](count, self._run_member)
+        self.phases = Phases(self.workers)
         self.grid = Grid(model.origin, model.dx, real=model.real, device=model.device)
         self.grid.size = np.ptp(self.lattice.index, axis=0) + 1
         self.pairs = Pairs(model, pairs, 1)
@@ -127,8 +126,9 @@ class LatticeSolver:
         self.softened = 1.0
         """Factor by which all stiffnesses are currently scaled."""
         self._spectrum = Spectrum(
-            model, self._crew, self.nodes_state, self.lattice, lambda: self._each_worker(TRIAL)
+            model, self._crew, self.nodes_state, self.lattice, lambda: self.phases.run_task(TRIAL)
         )
+        self._substep_at_rest = self.clock.cfl * self._spectrum.substep_at_rest
         self._probing = False
         """Whether the next substep measures the largest frequency."""
         self._strain, self._probed = math.inf, 0
@@ -164,7 +164,9 @@ class LatticeSolver:
         tracks = Tracks(real=model.real, device=model.device)
         acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
         surface, nodes = self.surface, self.nodes_state
-        walls = Walls(boundaries, model, self.lattice, surface, nodes, tracks)
+        walls = Walls(
+            boundaries, model, self.lattice, surface, nodes, tracks, self._substep_at_rest
+        )
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
@@ -190,6 +192,7 @@ class LatticeSolver:
             worker.phases = [
                 *before,
                 crew.force(worker, self.tracks if pushed else None),
+                in_shock_only(self.clock, crew.shock(worker)),
                 crew.kick(worker, self.tracks),
                 self._contact() if index == 0 else [],
                 crew.drift(worker, self.tracks),
@@ -229,6 +232,11 @@ class LatticeSolver:
     def boundaries(self) -> Sequence[Stage]:
         """Stages of boundaries on a grid: none, since walls act on surface points."""
         return ()
+
+    @property
+    def team(self) -> Team[int]:
+        """The threads of the workers."""
+        return self.phases.team
 
     @property
     def timings(self) -> Timings:
@@ -292,60 +300,58 @@ class LatticeSolver:
         limit = run_timed(self.timings, SCHEDULE, clock.stable)
         rest = until - clock.time
         dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
-        self.step((clock.last_dt + dt) / 2, dt)
-        if dt == rest:
+        taken = self.step((clock.last_dt + dt) / 2, dt)
+        if taken == rest:
             clock.time = until
-        clock.last_dt = dt
+        clock.last_dt = taken
         clock.count(limit.limiter, needed=dt / limit.dt)
 
-    def step(self, kick: float, drift: float) -> None:
-        """Take one substep: velocities change over `kick` [s], displacements over `drift` [s]."""
+    def step(self, kick: float, drift: float) -> float:
+        """Take one substep: velocities change over `kick` [s], displacements over `drift` [s].
+
+        Returns:
+            The time over which displacements changed [s], which is shorter than `drift` if a point
+            would be squeezed too much.
+        """
         self.start_step(kick, drift)
+        if self.clock.may_crush(self._fastest(), drift):
+            drift = self._shorten(drift)
+            self.clock.begin(kick, drift)
         self.end_step(drift)
+        return drift
+
+    def _shorten(self, drift: float) -> float:
+        """Return a time over which no point is squeezed too much, at most `drift` [s]."""
+        self.phases.join()
+        self.phases.run_task(MEASURE)
+        speed, gradient = self._crew.take_maxima()
+        self.clock.extremes = self.clock.extremes._replace(speed=speed, gradient=gradient)
+        self.clock.expire()
+        return min(drift, STRAIN_PER_STEP / max(gradient, 1e-30))
+
+    def _fastest(self) -> float:
+        """Return the largest speed of a point, a wall or a free solid [m/s]."""
+        return max(self.clock.extremes.speed, self.rejection.wall, self.free.fastest())
 
     def start_step(self, kick: float, drift: float) -> None:
         """Kick the nodes, and let contact act: all of a substep but the drift."""
         self.measure_if_due()
         self.clock.begin(kick, drift)
+        self.clock.shocked += self.clock.in_shock
         if self.tracks.vary:
             run_timed(self.timings, "tracks", self._sample.launch)
         for phase in range(len(self.workers[0].phases) - 1):
-            self._run(phase)
+            self.phases.run(phase)
             if self._probing and phase == self._summed:
                 self._measure_frequency()
 
     def end_step(self, drift: float) -> None:
         """Move the nodes over `drift` [s]."""
-        self._run(len(self.workers[0].phases) - 1)
-        if self.team.alive:
-            run_timed(self.timings, "wait", self.team.join)
+        self.phases.run(len(self.workers[0].phases) - 1)
+        self.phases.join()
         self.clock.finish(drift)
         if self._crew.measuring:
             self._read(drift)
-
-    def _run(self, phase: int) -> None:
-        """Run a phase; threads wait for each other before the phase."""
-        if self.team.alive:
-            run_timed(self.timings, "wait", lambda: self.team.put(phase))
-            self.workers[0].run(self.workers[0].phases[phase])
-        else:
-            for worker in self.workers:
-                worker.run(worker.phases[phase])
-
-    def _run_member(self, member: int, phase: int) -> None:
-        """Run a phase in one of the other threads."""
-        worker = self.workers[member]
-        worker.run(_tasks(worker, phase))
-
-    def _each_worker(self, task: int) -> None:
-        """Let all workers measure, or compute the forces of a trial."""
-        if self.team.alive:
-            self.team.put(task)
-            self.workers[0].run(_tasks(self.workers[0], task))
-            self.team.join()
-        else:
-            for worker in self.workers:
-                worker.run(_tasks(worker, task))
 
     @contextmanager
     def _threads(self) -> Iterator[None]:
@@ -355,7 +361,7 @@ class LatticeSolver:
             return
         # Loading kernels is not thread-safe: this loads those of the measurement.
         self.measure_if_due()
-        with self.team.running():
+        with self.phases.team.running():
             yield
 
     def measure_if_due(self) -> bool:
@@ -368,7 +374,7 @@ class LatticeSolver:
     def _measure(self) -> None:
         """Measure the limits of the substep; raises Unstable."""
         if not self._crew.measuring or not self.clock.substeps:
-            self._each_worker(MEASURE)
+            self.phases.run_task(MEASURE)
             self._read(self.clock.time - self._measured)
             self._measured = self.clock.time
         clock = self.clock
@@ -392,11 +398,8 @@ class LatticeSolver:
         Args:
             elapsed: Time since the last measurement [s].
         """
-        if lost := int(self._crew.stray.numpy()[0]):
-            raise Unstable(
-                f"the body was squeezed so fast that it turned inside out ({lost} points)"
-            )
         speed, gradient = self._crew.take_maxima()
+        self._refuse_collapse()
         extremes, pull = self.clock.extremes, self.rejection.acceleration
         fastest = max(speed, extremes.speed) + self.rejection.wall
         self._travel += elapsed * (fastest + elapsed * pull)
@@ -407,11 +410,21 @@ class LatticeSolver:
         if gradient * elapsed > VIOLENT:
             self.clock.expire()
 
+    def _refuse_collapse(self) -> None:
+        """Raise Unstable if a number is not finite, or the substep is no longer sound.
+
+        The next attempt takes substeps of half the last length: a collapsed one would never end.
+        """
+        lost, usual = int(self._crew.stray.numpy()[0]), self._substep_at_rest
+        if lost or self.clock.stable().dt < COLLAPSED * min(usual, self.clock.ceiling):
+            self.clock.last_dt = usual
+            points = f" ({lost} points)" if lost else ""
+            raise Unstable(f"the body was squeezed so fast that it turned inside out{points}")
+
     def _measure_frequency(self) -> None:
         """Measure the largest frequency, after forces are summed and before they act."""
         self._probing, self._strain, self._probed = False, 0.0, self.clock.substeps
-        if self.team.alive:
-            self.team.join()
+        self.phases.join()
         run_timed(self.timings, "frequency", self._spectrum.follow)
         extremes = self.clock.extremes
         stiffness = max(self._spectrum.stiffness, extremes.stiffness)
@@ -439,12 +452,12 @@ class LatticeSolver:
         dt = clock.stable().dt
         if not math.isfinite(dt):
             return 1
-        speed = max(clock.extremes.speed, self.rejection.wall, self.free.fastest())
+        speed = self._fastest()
         steps = [float(SLOWEST)]
         steps.append(STRAIN / max(clock.extremes.gradient * dt, 1e-9))
         steps.append(WAY * dx / max(speed * dt, 1e-30))
         steps.append(math.sqrt(2 * WAY * dx / max(self.rejection.acceleration, 1e-30)) / dt)
-        violent = clock.extremes.gradient * dt > VIOLENT
+        violent = clock.in_shock or clock.extremes.gradient * dt > VIOLENT
         return 1 if violent else max(MEASURE_EVERY, int(min(steps)))
 
     def snapshot(self) -> dict[str, Any]:
@@ -483,43 +496,3 @@ class LatticeSolver:
         self._sample.launch()
         self._look()
         self._measured, self._probing = snapshot["measured"], snapshot["probing"]
-
-
-def _tasks(worker: Worker, phase: int) -> list[Named]:
-    """Return a worker's launches of a phase or task."""
-    other = {MEASURE: worker.measures, TRIAL: worker.trials}
-    return other[phase] if phase in other else worker.phases[phase]
-
-
-def _nodes(model: Model, lattice: RestLattice, state: State, *, vectors: bool) -> Nodes:
-    """Return the nodes at rest with the motion of the points, which is exact if it is affine."""
-    t, count = types(model.real), len(lattice)
-    free = (lattice.mass > 0) & ~np.isin(lattice.body, list(model.held))
-    inverse = np.divide(1, lattice.mass, out=np.zeros(count), where=free)
-    zeros = [model.array(np.zeros((count, 3)), t.vec3) for _ in range(3)]
-    return Nodes(
-        rest=model.array(lattice.x, t.vec3),
-        u=zeros[0],
-        residue=zeros[1],
-        before=zeros[2],
-        v=model.array(_motion(model, lattice, state), t.vec3),
-        inverse=model.array(inverse, model.real),
-        movable=model.array(inverse, model.real),
-        rows=rows_for(model.real, model.device, vectors=vectors),
-    )
-
-
-def _motion(model: Model, lattice: RestLattice, state: State) -> NDArray[np.float64]:
-    """Return velocities of the nodes [N,3]: means over the cells around, extrapolated by C."""
-    v, C = (np.asarray(a.numpy(), np.float64) for a in (state.v, state.C))
-    if not v.any() and not C.any():
-        return np.zeros((len(lattice), 3))
-    points = (lattice.rows[:, :, None] + np.arange(3)).reshape(len(lattice.rows), 27)
-    nodes = np.repeat(points, 8, axis=0)
-    total, number = np.zeros((len(lattice), 3)), np.zeros(len(lattice))
-    for k in range(27):
-        n = nodes[:, k]
-        there = v + np.einsum("pij,pj->pi", C, lattice.x[n] - model.rest)
-        np.add.at(total, n, there)
-        np.add.at(number, n, 1)
-    return total / number[:, None]

@@ -23,7 +23,8 @@ from phy124.mpm.model import Model
 
 ROUNDS, DAMPED, TRIAL = 60, 8, 1e-3
 """Power iterations for the largest frequency at rest, and from its shape for the largest rate of
-damping; size of trial displacements [cells].
+damping; size of trial displacements [cells]. The parts of the fastest vibration and of the largest
+damping may be of different materials: then the latter is also found from any shape.
 """
 FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
 """Iterations of a measurement if the squared frequency exceeds its value at rest by the second
@@ -76,6 +77,11 @@ class Spectrum:
         if any(math.isfinite(section.viscous_limit(model.dx)) for section in model.materials):
             self._size *= math.sqrt(self._least)
             rate = self._iterate(0.0, DAMPED, velocities=nodes.v)
+            if len(model.materials) > 1:
+                shape = self._shape.numpy().copy()
+                self._shape.assign(start)
+                rate = max(rate, self._iterate(0.0, ROUNDS, velocities=nodes.v))
+                self._shape.assign(shape)
             self._size = TRIAL * model.dx
             self._delay = MISSED * rate / (2 * self._least)
         nodes.v.assign(v)
@@ -93,6 +99,12 @@ class Spectrum:
         z = self._damping_ratio
         longer = math.sqrt(1 + z * z) + z
         return self.square * (self._model.dx / 2 * longer) ** 2
+
+    @property
+    def substep_at_rest(self) -> float:
+        """Longest stable substep at rest [s]."""
+        z = math.sqrt(self._least) * self._delay
+        return 2 / math.sqrt(self._least) / (math.sqrt(1 + z * z) + z)
 
     def follow(self) -> None:
         """Measure the current state, in which the forces of all points have been summed."""

@@ -53,10 +53,10 @@ INSET = 0.2
 """Depth inside a clamp at which the motion is made to vanish [cells]. A B-spline that vanishes at a
 surface is also flat there, so that a plate held at the surface is too short by about as much.
 """
-RESTORE = {"separate": 0.5, "slip": 0.1, "sticky": 0.1}
-"""Fraction of their depth by which points move out of a wall in a substep, relative to the square
-of the slowest angular frequency of a body that stands on the wall, pi c / 2 H, in substeps of dx /
-c. Bodies that a wall holds also rock and shear, more slowly.
+RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
+"""Part of their depth by which points come out of a wall in a substep as long as at rest, compared
+with the square of the slowest angular frequency of a body that stands on the wall, pi c / 2 H.
+Bodies that a wall holds also rock and shear, more slowly.
 """
 STILL = Track(((0.0, (0.0, 0.0, 0.0)),))
 """The track of a wall that never moves."""
@@ -106,6 +106,7 @@ class Walls:
         surface: Surface,
         nodes: Nodes,
         tracks: Tracks,
+        substep: float,
     ) -> None:
         """Prepare the walls of a run.
 
@@ -116,6 +117,7 @@ class Walls:
             surface: Points that touch walls.
             nodes: Arrays of the nodes.
             tracks: The tracks to which displacements of walls are added.
+            substep: Length of a substep at rest [s].
 
         Raises:
             InputError: A clamp holds only some directions, which the lattice cannot do.
@@ -125,9 +127,9 @@ class Walls:
         """Impulse, work and moment of each simple wall [W,16] (phy124/kernels/lattice/contact.py).
         """
         self._dx, self._listed = model.dx, 0
-        points = _Points.of(surface, lattice, model)
+        points = _Points.of(surface, lattice, model, substep)
         self.recovery = RESTORE["separate"] * points.slowest
-        """Fraction of their depth by which points move out of a wall in a substep."""
+        """Gain by which points come out of a wall [1/s^2]."""
         self._clamps, self._contacts = [], []
         for number, (holds, part) in enumerate(simple):
             sums = cast("wp.array", self.sums[number])
@@ -205,15 +207,15 @@ class _Points:
     rest: wp.array
     body: NDArray[np.int64]
     slowest: float
-    """(pi / 2 H)^2 for bodies with a total extent of H cells."""
+    """(pi / 2 H dt)^2 for bodies with a total extent of H cells and substeps dt at rest [1/s^2]."""
 
     @classmethod
-    def of(cls, surface: Surface, lattice: RestLattice, model: Model) -> _Points:
+    def of(cls, surface: Surface, lattice: RestLattice, model: Model, substep: float) -> _Points:
         """Copy the points to the device."""
         nodes = wp.array(surface.nodes, dtype=int, device=model.device)
         weights = model.array(surface.weights, model.real)
         rest = model.array(surface.x, types(model.real).vec3)
-        slowest = (math.pi / 2 / lattice.across) ** 2
+        slowest = (math.pi / 2 / lattice.across / substep) ** 2
         return cls(surface.count, nodes, weights, rest, surface.body, slowest)
 
 

@@ -20,7 +20,7 @@ from phy124.kernels.arguments import types
 from phy124.kernels.lattice import nodes as node_kernels
 from phy124.kernels.lattice import points as point_kernels
 from phy124.kernels.lattice import simd
-from phy124.kernels.lattice.stress import MAXIMA, make_lattice_measure, make_stress
+from phy124.kernels.lattice.stress import MAXIMA, make_lattice_measure, make_shock, make_stress
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Group, Model, State
@@ -182,6 +182,15 @@ class Crew:
         records += [self._stress(worker, group, trial=trial) for group in self._model.groups]
         return [("clear", out.zero_), *launches(records)]
 
+    def shock(self, worker: Worker) -> list[Named]:
+        """Return the launch that adds the force of the artificial viscosity to the nodes."""
+        nodes, span, model = self._nodes, worker.points, self._model
+        inputs = [span.start, worker.touched.start, model.mass, model.dx, self._rows]
+        inputs += [self._offset, nodes.u, nodes.v]
+        kernel = make_shock(model.real)
+        launch = model.launch(kernel, span.stop - span.start, inputs, [worker.forces])
+        return launches([("shock", launch)])
+
     def _push(self, worker: Worker, tracks: Tracks) -> Recorded:
         span, state = worker.points, self._state
         inputs = [span.start, worker.touched.start, self._model.mass, tracks.clock, self._rows]
@@ -341,6 +350,7 @@ def kernels(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -> I
         yield from (node_kernels.make_kick(real), node_kernels.make_drift(real))
         yield point_kernels.make_follow(real)
     yield node_kernels.make_node_totals(real)
+    yield make_shock(real)
     yield from (node_kernels.make_try(real), node_kernels.make_compare(real))
     for law, viscous in model_laws:
         if vectors and simd.has_stress(law):

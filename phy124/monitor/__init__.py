@@ -9,6 +9,7 @@ from phy124.monitor.lattice import (
     LatticeMethod,
     LatticePairs,
     LatticeSelfContact,
+    LatticeShock,
     LatticeWatchdog,
     LatticeWork,
     LatticeWrenches,
@@ -42,6 +43,7 @@ LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeMethod,
     LatticePairs,
     LatticeSelfContact,
+    LatticeShock,
     Softening,
     LatticeWrenches,
     LatticeWork,
@@ -52,6 +54,7 @@ LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
 COUPLED_OBSERVERS: tuple[type[Observer], ...] = (
     CoupledPairs,
     LatticeSelfContact,
+    LatticeShock,
     CoupledWrenches,
     CoupledWork,
     CoupledWatchdog,

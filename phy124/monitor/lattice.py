@@ -166,6 +166,28 @@ class LatticeMethod(Observer):
         )
 
 
+class LatticeShock(Observer):
+    """The row of the effects report for the viscosity that resists fast compression."""
+
+    NAME = "artificial viscosity in fast compression"
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row before a run."""
+        del subject
+        return Effect(f"{cls.NAME}, if material is compressed nearly as fast as sound")
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the clock of the lattices, which counts the substeps."""
+        self._clock = getattr(solver.lattice, "clock", solver.clock)
+
+    def finished_effect(self, subject: Subject) -> Effect:
+        """Return the row after a run."""
+        count = self._clock.shocked
+        why = "nothing was compressed nearly as fast as sound"
+        return Effect(f"{self.NAME}, in {count:,} substeps" if count else self.NAME, count > 0, why)
+
+
 class LatticePairs(Observer):
     """The row of the effects report for contact between bodies."""
 

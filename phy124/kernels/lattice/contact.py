@@ -1,7 +1,7 @@
 """Contact of surface points with a wall, by impulses on the nodes.
 
 A point at signed distance g from the wall must not approach it faster than g / dt. While a wall
-presses a point, the point moves away at -restore g / dt. Impulses of the last substep are applied
+presses a point, the point moves away at -restore g dt. Impulses of the last substep are applied
 first; then projected Gauss-Seidel corrects them (friction in Coulomb's cone), forwards and back, in
 an order in which consecutive points are about a cell apart (phy124/lattice/surface.py). An
 impulse J changes the velocities of a point's nodes by w_i J / m_i, and so its own velocity by
@@ -11,8 +11,10 @@ Contact then neither creates nor sustains vibrations. The pass over all points, 
 is a symmetric positive operator E on velocities. With C = E^-1 - 1, the impulses of the last
 substep are those of springs C / dt^2 that are integrated implicitly: (1 + C) v' = v - (K + C) x,
 which is stable for every stiffness K that is stable without walls. A single pass, which is not
-symmetric, excites vibrations. `restore` is an integral gain; if it were larger than (omega dt)^2,
-it would excite the body's slowest vibration, whose angular frequency is omega.
+symmetric, excites vibrations. `restore` [1/s^2] is an integral gain; if it were larger than
+omega^2, it would excite the body's slowest vibration, whose angular frequency is omega. Points come
+out of walls more slowly in shorter substeps: otherwise a body that is squeezed hard would be thrown
+out.
 
 The result of Gauss-Seidel depends on the order of points, so each of its kernels is one thread.
 """
@@ -40,6 +42,60 @@ NODES = 27
 MOMENT, SUMS = GIVEN, 16
 """Index of the moment of all impulses about the origin [N m s], and numbers reserved for each wall.
 The first `GIVEN` sums are those of phy124/kernels/work.py.
+"""
+
+
+@wp.func
+def largest_approach(gap: Any, pressed: Any, restore: Any, clock: wp.array(dtype=Any)):
+    """Return the largest speed at which a point may approach a surface [m/s].
+
+    Args:
+        gap: Distance of the point [m], negative inside.
+        pressed: Normal part of its last impulse [N s].
+        restore: Gain by which points come out [1/s^2].
+        clock: Kick and drift [s]; a very short drift must not make a point leave fast.
+    """
+    longest = wp.max(clock[0], clock[1])
+    speed = gap / longest
+    if gap < type(gap)(0.0) or pressed != type(gap)(0.0):
+        speed = restore * gap * longest
+    return speed
+
+
+@wp.func
+def press_and_rub(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
+    """Return the impulse of a surface that only presses, with friction in Coulomb's cone [N s]."""
+    press = wp.max(press, type(gap)(0.0))
+    most = friction * press
+    size = wp.length(drag)
+    if size > most:
+        drag = drag * (most / size)
+    return press * n + drag
+
+
+@wp.func
+def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
+    """Return the impulse of a surface that holds what has touched it, but lets it slide [N s]."""
+    if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
+        press = wp.max(press, type(gap)(0.0))
+    return press * n
+
+
+@wp.func
+def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
+    """Return the impulse of a surface that holds what has touched it [N s]."""
+    if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
+        press = wp.max(press, type(gap)(0.0))
+    if press == type(gap)(0.0):
+        drag = drag - drag
+    return press * n + drag
+
+
+LIMITS = {"separate": press_and_rub, "slip": hold_across, "sticky": hold}
+"""Response of a surface -> the impulse that it allows, from a corrected impulse.
+
+The arguments are its normal part and that of the last impulse, its part along the surface, the
+normal, the distance of the point and the friction coefficient.
 """
 
 
@@ -150,7 +206,7 @@ def make_resist(response: str, moving: bool, real: Any, rows: Rows):
         rows: Functions on the nodes of a point.
     """
     t = types(real)
-    moved_by, strike = rows.moved_by, rows.strike
+    moved_by, strike, limit = rows.moved_by, rows.strike, LIMITS[response]
 
     kind = f"{response}_{'moving' if moving else 'still'}"
 
@@ -189,30 +245,13 @@ def make_resist(response: str, moving: bool, real: Any, rows: Rows):
                 n = wp.vector(g[0], g[1], g[2])
                 relative = moved_by(v_out, nodes, weights, s) - wall
                 last = clock[0] * force_out[s]
-                # A very short drift must not make a point leave the wall fast.
-                bias = g[3] / wp.max(clock[0], clock[1])
                 speed = wp.dot(relative, n)
                 along = relative - speed * n
                 pressed = wp.dot(last, n)
-                if bias < zero or pressed != zero:
-                    bias = restore * bias
-                dragged = last - pressed * n
                 part = real(RELAXED) / yields[s]
-                press = pressed - part * (speed + bias)
-                drag = dragged - part * along
-                if wp.static(response == "separate"):
-                    press = wp.max(press, zero)
-                    most = friction * press
-                    size = wp.length(drag)
-                    if size > most:
-                        drag = drag * (most / size)
-                else:
-                    # These walls hold what has touched them.
-                    if g[3] > zero and pressed == zero:
-                        press = wp.max(press, zero)
-                    if wp.static(response == "slip") or press == zero:
-                        drag = t.vec3()
-                impulse = press * n + drag
+                press = pressed - part * (speed + largest_approach(g[3], pressed, restore, clock))
+                drag = last - pressed * n - part * along
+                impulse = limit(press, pressed, drag, n, g[3], friction)
                 change = impulse - last
                 force_out[s] = impulse / clock[0]
                 if wp.dot(change, change) > zero:

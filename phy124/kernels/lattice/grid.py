@@ -17,7 +17,7 @@ from phy124.kernels.columns import xyz
 from phy124.kernels.contacts import MOMENT as PAIR_MOMENT
 from phy124.kernels.contacts import SUMS as PAIR_SUMS
 from phy124.kernels.diagnostics import add3, wide
-from phy124.kernels.lattice.contact import RELAXED
+from phy124.kernels.lattice.contact import LIMITS, RELAXED, largest_approach
 from phy124.kernels.lattice.rows import Rows
 from phy124.kernels.pairs import mass_at
 from phy124.kernels.transfer import slope, spline
@@ -201,6 +201,7 @@ def make_grid_resist(sticky: bool, real: Any, rows: Rows):
     t = types(real)
     moved_by, strike = rows.moved_by, rows.strike
     kind = "sticky" if sticky else "separate"
+    limit = LIMITS[kind]
 
     @kernel(f"phy124_lattice_grid_resist_{kind}_{rows.name}{real.__name__}", real, seconds=0.8)
     def grid_resist(
@@ -234,27 +235,13 @@ def make_grid_resist(sticky: bool, real: Any, rows: Rows):
                 if moves == 1:
                     relative -= mean_velocity(grid, window, on[s])
                 last = clock[0] * force_out[s]
-                bias = g[3] / wp.max(clock[0], clock[1])
                 speed = wp.dot(relative, n)
                 along = relative - speed * n
                 pressed = wp.dot(last, n)
-                if bias < zero or pressed != zero:
-                    bias = restore * bias
                 part = real(RELAXED) / yields[s]
-                press = pressed - part * (speed + bias)
+                press = pressed - part * (speed + largest_approach(g[3], pressed, restore, clock))
                 drag = last - pressed * n - part * along
-                if wp.static(sticky):
-                    if g[3] > zero and pressed == zero:
-                        press = wp.max(press, zero)
-                    if press == zero:
-                        drag = t.vec3()
-                else:
-                    press = wp.max(press, zero)
-                    most = friction * press
-                    size = wp.length(drag)
-                    if size > most:
-                        drag = drag * (most / size)
-                impulse = press * n + drag
+                impulse = limit(press, pressed, drag, n, g[3], friction)
                 change = impulse - last
                 force_out[s] = impulse / clock[0]
                 if wp.dot(change, change) > zero:

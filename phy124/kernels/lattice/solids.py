@@ -31,7 +31,7 @@ from phy124.kernels.free.numbers import (
     spin_of,
 )
 from phy124.kernels.free.walls import arm_to
-from phy124.kernels.lattice.contact import RELAXED
+from phy124.kernels.lattice.contact import LIMITS, RELAXED, largest_approach
 from phy124.kernels.lattice.rows import Rows
 
 ALIGNED = wp.constant(0.9)
@@ -229,6 +229,7 @@ def make_solid_resist(sticky: bool, real: Any, rows: Rows):
     t = types(real)
     moved_by, strike = rows.moved_by, rows.strike
     kind = "sticky" if sticky else "separate"
+    limit = LIMITS[kind]
 
     @kernel(
         f"phy124_lattice_solid_resist_{kind}_{rows.name}{real.__name__}",
@@ -268,12 +269,10 @@ def make_solid_resist(sticky: bool, real: Any, rows: Rows):
                 surface = t.vec3(moving(trial_out, GUESS, r))
                 relative = moved_by(v_out, nodes, weights, s) - surface
                 last = clock[0] * force_out[s]
-                bias = g[3] / wp.max(clock[0], clock[1])
                 speed = wp.dot(relative, n)
                 along = relative - speed * n
                 pressed = wp.dot(last, n)
-                if bias < zero or pressed != zero:
-                    bias = restore * bias
+                bias = largest_approach(g[3], pressed, restore, clock)
                 whole = yields[s] + real(solid_yields(mass, turning, r, wide(n)))
                 press = pressed - real(RELAXED) / whole * (speed + bias)
                 drag = last - pressed * n
@@ -282,18 +281,7 @@ def make_solid_resist(sticky: bool, real: Any, rows: Rows):
                     way = along / slip
                     whole = yields[s] + real(solid_yields(mass, turning, r, wide(way)))
                     drag -= real(RELAXED) / whole * along
-                if wp.static(sticky):
-                    if g[3] > zero and pressed == zero:
-                        press = wp.max(press, zero)
-                    if press == zero:
-                        drag = t.vec3()
-                else:
-                    press = wp.max(press, zero)
-                    most = friction * press
-                    size = wp.length(drag)
-                    if size > most:
-                        drag = drag * (most / size)
-                impulse = press * n + drag
+                impulse = limit(press, pressed, drag, n, g[3], friction)
                 change = impulse - last
                 force_out[s] = impulse / clock[0]
                 if wp.dot(change, change) > zero:

@@ -25,6 +25,9 @@ FLAT = wp.constant(0.05)
 inverted, would otherwise stop the run.
 """
 
+QUADRATIC = wp.constant(2.0)
+"""Factor of the artificial viscosity."""
+
 
 @build_once
 def make_stress(law: Law, real: Any, viscous: bool):
@@ -71,6 +74,43 @@ def make_stress(law: Law, real: Any, viscous: bool):
         spread_slopes(force_out, low, rows, cell, f, P)
 
     return lattice_stress
+
+
+@build_once
+def make_shock(real: Any):
+    """Kernel over points: adds the force of an artificial viscosity that resists fast compression.
+
+    The pressure is `QUADRATIC` rho0 (l d)^2 for a volume that shrinks at the rate d: the viscosity
+    of von Neumann and Richtmyer (1950), which spreads a shock over a few cells. The length l is a
+    cell, made shorter like the shortest side of the squeezed material, so that the longest stable
+    substep depends only on d.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_shock_{real.__name__}", real, seconds=0.4)
+    def lattice_shock(
+        start: int,
+        low: int,
+        mass,
+        dx,
+        rows: Ints,
+        offset: t.vec3s,
+        u: t.vec3s,
+        v: t.vec3s,
+        force_out: t.vec3s,
+    ):
+        p = start + wp.tid()
+        cell = p / wp.static(PER_CELL)
+        f = offset[p]
+        F = wp.identity(3, dtype=real) + slopes_at(u, rows, cell, f) / dx
+        back = inverse_rows(F) / safe_volume(wp.determinant(F))
+        rate = wp.ddot(slopes_at(v, rows, cell, f), back)
+        if rate < real(0.0):
+            shorter = wp.max(wp.ddot(back, back) - real(2.0), real(1.0))
+            energy = real(QUADRATIC) * mass[p] * rate * rate / shorter
+            spread_slopes(force_out, low, rows, cell, f, (energy / dx) * back)
+
+    return lattice_shock
 
 
 @wp.func

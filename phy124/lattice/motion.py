@@ -1,0 +1,53 @@
+"""The nodes of a lattice at the start of a run: at rest, with the motion of the points."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.kernels.arguments import types
+from phy124.kernels.lattice.rows import rows_for
+from phy124.lattice.rest import RestLattice
+from phy124.lattice.walls import Nodes
+from phy124.mpm.model import Model, State
+
+
+def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: bool) -> Nodes:
+    """Return the nodes at rest with the motion of the points, which is exact if it is affine.
+
+    Args:
+        model: The constants of the run; nodes of its held bodies do not move.
+        lattice: The lattice at rest.
+        state: The motion of the points.
+        vectors: Whether rows of nodes are read by the vector units of a CPU.
+    """
+    t, count = types(model.real), len(lattice)
+    free = (lattice.mass > 0) & ~np.isin(lattice.body, list(model.held))
+    inverse = np.divide(1, lattice.mass, out=np.zeros(count), where=free)
+    zeros = [model.array(np.zeros((count, 3)), t.vec3) for _ in range(3)]
+    return Nodes(
+        rest=model.array(lattice.x, t.vec3),
+        u=zeros[0],
+        residue=zeros[1],
+        before=zeros[2],
+        v=model.array(_motion(model, lattice, state), t.vec3),
+        inverse=model.array(inverse, model.real),
+        movable=model.array(inverse, model.real),
+        rows=rows_for(model.real, model.device, vectors=vectors),
+    )
+
+
+def _motion(model: Model, lattice: RestLattice, state: State) -> NDArray[np.float64]:
+    """Return velocities of the nodes [N,3]: means over the cells around, extrapolated by C."""
+    v, C = (np.asarray(a.numpy(), np.float64) for a in (state.v, state.C))
+    if not v.any() and not C.any():
+        return np.zeros((len(lattice), 3))
+    points = (lattice.rows[:, :, None] + np.arange(3)).reshape(len(lattice.rows), 27)
+    nodes = np.repeat(points, 8, axis=0)
+    total, number = np.zeros((len(lattice), 3)), np.zeros(len(lattice))
+    for k in range(27):
+        n = nodes[:, k]
+        there = v + np.einsum("pij,pj->pi", C, lattice.x[n] - model.rest)
+        np.add.at(total, n, there)
+        np.add.at(number, n, 1)
+    return total / number[:, None]

@@ -1,0 +1,58 @@
+"""Runs the phases of a substep, and other tasks, on all workers; threads wait for each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from phy124.lattice.workers import Worker
+from phy124.mpm.stage import Named
+from phy124.mpm.threads import Team
+from phy124.mpm.workers import run_timed
+
+MEASURE, TRIAL = -1, -2
+"""Tasks in addition to phases: measure the motion, compute forces of a trial."""
+
+
+class Phases:
+    """All workers, and the threads on which they run."""
+
+    def __init__(self, workers: Sequence[Worker]) -> None:
+        self._workers = workers
+        self.team = Team[int](len(workers), self._run_member)
+
+    def run(self, phase: int) -> None:
+        """Run a phase; threads wait for each other before the phase."""
+        first = self._workers[0]
+        if self.team.alive:
+            run_timed(first.timings, "wait", lambda: self.team.put(phase))
+            first.run(first.phases[phase])
+        else:
+            for worker in self._workers:
+                worker.run(worker.phases[phase])
+
+    def run_task(self, task: int) -> None:
+        """Let all workers measure, or compute the forces of a trial, and wait for them."""
+        first = self._workers[0]
+        if self.team.alive:
+            self.team.put(task)
+            first.run(_tasks(first, task))
+            self.team.join()
+        else:
+            for worker in self._workers:
+                worker.run(_tasks(worker, task))
+
+    def join(self) -> None:
+        """Wait for the other threads."""
+        if self.team.alive:
+            run_timed(self._workers[0].timings, "wait", self.team.join)
+
+    def _run_member(self, member: int, phase: int) -> None:
+        """Run a phase or task in one of the other threads."""
+        worker = self._workers[member]
+        worker.run(_tasks(worker, phase))
+
+
+def _tasks(worker: Worker, phase: int) -> Sequence[Named]:
+    """Return a worker's launches of a phase or task."""
+    other = {MEASURE: worker.measures, TRIAL: worker.trials}
+    return other[phase] if phase in other else worker.phases[phase]
