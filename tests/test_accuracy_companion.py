@@ -74,13 +74,13 @@ def test_companion_follows_the_same_gaussians(run):
     assert companion._distances(again, clip, indices).max() < 1e-5
 
 
-def test_companion_reuses_the_interior_and_binds_no_frame(run, monkeypatch):
+def test_companion_reuses_the_placed_object_and_binds_no_frame(run, monkeypatch):
     simulation, clip = run
 
     def refuse(*_, **__):
         raise AssertionError
 
-    for name in ("bodies.find_interior", "run.Deformer"):
+    for name in ("bodies.clean", "bodies.find_interior", "run.Deformer"):
         monkeypatch.setattr(f"phy124.simulation.{name}", refuse)
     setup = companion._prepare(simulation.setup, SCENE)
     assert setup.interiors[0][0] is simulation.setup.interiors[0][0]
@@ -138,6 +138,13 @@ def test_coarse_positions_have_no_own_error(tmp_path):
     result = simulate(ball(300), SCENE, tmp_path, about={"capture": {"coarse": True}}, films=False)
     assert "too little precision" in result.report["error"]["why_not"]
     assert promise(SCENE, None, result.report).error is None
+
+
+def test_forecast_of_the_companion_depends_on_the_solver(run):
+    scene = SCENE.replaced({"accuracy": {"cells": 8, "solver": "lattice"}})
+    lattice, (mpm, _) = Simulation(prepare(ball(100), scene)), run
+    longer = [forecast(each, 1, 10**4) / forecast(each, 1, 0) for each in (lattice, mpm)]
+    assert longer[0] > 3 > longer[1], "each point of a lattice takes time to prepare"
 
 
 def test_small_runs_have_no_companion(run):

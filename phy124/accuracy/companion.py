@@ -36,10 +36,17 @@ AFFORDABLE = 0.2
 """Largest forecast of the companion's time, as a fraction of the time of the run's dynamics."""
 SAMPLE = 2000
 """Number of Gaussians whose motion is compared."""
-RATES = {"cpu": Rates(particle=7e-8), "cuda": USUAL["cuda"]}
-"""Rates of a simulation on each kind of device."""
-PREPARING = (0.045, 3e-7)
-"""Time to make a companion's particles [s]: in total, and per Gaussian."""
+MPM, LATTICE = Rates(particle=7e-8), Rates(substep=1.5e-4, particle=5.5e-8)
+RATES = {
+    "mpm": (MPM, MPM),
+    "lattice": (Rates(substep=4e-4, particle=4e-8), LATTICE),
+    "cuda": (USUAL["cuda"], USUAL["cuda"]),
+}
+"""Rates of a run and of its companion with each solver of elastic objects on a CPU, and on a GPU.
+On a lattice, the checks and shapes of a run's frames are a large part of the time of its substeps.
+"""
+PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.04, 0.0, 1.1e-5), "cuda": (0.045, 3e-7, 0.0)}
+"""Time to prepare a companion [s]: in total, per Gaussian and per particle of the companion."""
 COARSEST = 6
 """Minimum number of cells across the object on the companion's grid."""
 FEWEST = 3
@@ -180,13 +187,15 @@ def forecast(run: Simulation, substeps: int, particles: int | None = None) -> fl
         substeps: Number of substeps of the run.
         particles: Number of particles of the companion; None: estimated.
     """
-    rates, (once, each) = RATES["cpu" if run.device == "cpu" else "cuda"], PREPARING
+    kind = run.scene.solver if run.device == "cpu" else "cuda"
+    (rates, bare), (once, each, point) = RATES[kind], PREPARING[kind]
     substeps = max(substeps, 1)
     if particles is None:
         particles = count_particles(run.setup)
     dynamics = substeps * (rates.substep + rates.particle * len(run.setup.particles))
-    companion = RATIO * substeps * (rates.substep + rates.particle * particles)
-    return (once + each * len(run.setup.gaussians) + companion) / dynamics
+    companion = RATIO * substeps * (bare.substep + bare.particle * particles)
+    preparing = once + each * len(run.setup.gaussians) + point * particles
+    return (preparing + companion) / dynamics
 
 
 def count_threads(setup: Setup) -> int:
@@ -256,9 +265,7 @@ def _prepare(setup: Setup, scene: Scene) -> Setup:
     threads = count_threads(setup)
     context = RunContext(setup.context.device, threads, lambda *_: progress("companion", 0, 1))
     options: dict[str, Any] = {"keep": False, "shapes": False, "observers": ()}
-    if not scene.objects:
-        options["interior"] = setup.interiors[0][0]  # it does not depend on the grid
-    return prepare(setup.source, scene, context, crop=setup.crop, **options)
+    return prepare(setup.source, scene, context, crop=setup.crop, placed=setup.placed, **options)
 
 
 def _sample(setup: Setup) -> NDArray[np.int64]:

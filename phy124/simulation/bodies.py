@@ -44,6 +44,24 @@ PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
 """Fields of an appearance with an entry for each moving Gaussian."""
 
 
+class Placed(NamedTuple):
+    """One object in its position in the scene."""
+
+    scene: Scene
+    """The scene with only this object."""
+    cleaned: Cleaning
+    belonging: NDArray[np.bool_]
+    """Mask of the Gaussians of the object, without its surroundings [N]."""
+    gaussians: Gaussians
+    crop: Crop
+    interior: Solid | None = None
+    """Interior of the object; None: not known yet."""
+
+    def within(self, scene: Scene) -> Placed:
+        """Return the object in another scene, with its parts, for another grid."""
+        return self._replace(scene=scene.model_copy(update={"parts": self.scene.parts}))
+
+
 class Body(NamedTuple):
     """One object, or all objects of a scene joined, ready for the solver."""
 
@@ -60,23 +78,11 @@ class Body(NamedTuple):
     """Factor on E of each particle, relative to its material [P]; None if all are 1."""
     interiors: Sequence[tuple[Solid, float]] = ()
     """Interior, without surroundings, and longest side [m] of each object that moves."""
+    placed: Placed | None = None
+    """The object in its position; None for several objects."""
 
 
-class _Placed(NamedTuple):
-    """One object in its position in the scene."""
-
-    scene: Scene
-    """The scene with only this object."""
-    cleaned: Cleaning
-    belonging: NDArray[np.bool_]
-    """Mask of the Gaussians of the object, without its surroundings [N]."""
-    gaussians: Gaussians
-    crop: Crop
-
-
-def make_body(
-    gaussians: Gaussians, scene: Scene, crop: Crop, interior: Solid | None = None
-) -> Body:
+def make_body(gaussians: Gaussians, scene: Scene, crop: Crop, placed: Placed | None = None) -> Body:
     """Make all objects of a scene.
 
     Args:
@@ -85,24 +91,25 @@ def make_body(
         scene: The scene.
         crop: Position of the first object in the picture on which the masks of its parts were
             painted.
-        interior: Interior of a single object, if it is known.
+        placed: A single object in its position, if it is known.
 
     Raises:
         InputError: The Gaussians cannot be used for this scene.
     """
     if not scene.objects:
-        alone = _clean_and_place(replace(gaussians, object_id=None), scene, crop)
-        return _with_particles(alone, scene.spacing, interior)
+        alone = placed and placed.within(scene)
+        alone = alone or _clean_and_place(replace(gaussians, object_id=None), scene, crop)
+        return _with_particles(alone, scene.spacing)
     refuse_ids(gaussians, scene)
-    placed = []
+    every = []
     for index, body in enumerate(scene.every_object):
         object_crop = body.crop if isinstance(body, SceneObject) else crop
         with errors_prefixed_with(scene, index):
             source = _source(gaussians, scene, index)
-            placed.append(_clean_and_place(source, scene.alone(index), object_crop))
-    standing = stack([item.gaussians for item in placed], scene)
+            every.append(_clean_and_place(source, scene.alone(index), object_crop))
+    standing = stack([item.gaussians for item in every], scene)
     bodies = []
-    for index, (item, there) in enumerate(zip(placed, standing, strict=True)):
+    for index, (item, there) in enumerate(zip(every, standing, strict=True)):
         item = item._replace(gaussians=there)
         with errors_prefixed_with(scene, index):
             still = getattr(scene.every_object[index], "scenery", False)
@@ -238,20 +245,20 @@ def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
     return gaussians.of_object(0)
 
 
-def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> _Placed:
+def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> Placed:
     """Clean and place the Gaussians of one object, without regard to other objects."""
     gaussians, cleaned = clean(gaussians)
     renumbered = renumber_parts(scene, cleaned.survivors)
     belonging = belongs(renumbered, len(gaussians))
     placed = place(gaussians, renumbered, belonging)
-    return _Placed(renumbered, cleaned, belonging, placed, crop)
+    return Placed(renumbered, cleaned, belonging, placed, crop)
 
 
-def _with_particles(placed: _Placed, spacing: float, interior: Solid | None = None) -> Body:
+def _with_particles(placed: Placed, spacing: float) -> Body:
     """Make the particles of one object, and its appearance."""
     scene, gaussians, belonging = placed.scene, placed.gaussians, placed.belonging
     alone, points = gaussians.select(belonging), None
-    interior = interior or find_interior(alone)
+    interior = placed.interior or find_interior(alone)
     if all(scene.on_lattices):
         density = scene.material.density
         points = lattice_of(interior.resample(spacing), density=density, dx=2 * spacing)
@@ -280,10 +287,11 @@ def _with_particles(placed: _Placed, spacing: float, interior: Solid | None = No
     appearance = make_appearance(gaussians, particles, moves, materials, scene, spacing)
     sentences = placed.cleaned.sentences
     interiors = [(interior, scene.object.size)]
-    return Body(scene, sentences, gaussians, appearance, materials, stiffness, interiors)
+    placed = placed._replace(interior=interior)
+    return Body(scene, sentences, gaussians, appearance, materials, stiffness, interiors, placed)
 
 
-def _without_particles(placed: _Placed) -> Body:
+def _without_particles(placed: Placed) -> Body:
     """Return an object without particles, which is only displayed."""
     empty = np.zeros(0, np.int32)
     particles = Particles(np.zeros((0, 3), np.float32), np.zeros(0), np.zeros(0), empty, empty)

@@ -34,7 +34,7 @@ from phy124.scene import Scene
 from phy124.scene.lattices import choose_solver
 from phy124.scene.liquids import refuse_unprojectable
 from phy124.simulation.appearance import Appearance
-from phy124.simulation.bodies import make_body, make_free, make_scenery
+from phy124.simulation.bodies import Placed, make_body, make_free, make_scenery
 from phy124.simulation.overlap import refuse_solids
 
 
@@ -58,6 +58,8 @@ class Setup:
     """The cleaned Gaussians at rest, in their position in the scene [m]."""
     interiors: Sequence[tuple[Solid, float]]
     """Interior, without surroundings, and longest side [m] of each object that moves."""
+    placed: Placed | None
+    """The object in its position, for further setups of it; None for several objects."""
     appearance: Appearance
     """Appearance of the Gaussians, including grains."""
     particles: Particles
@@ -117,7 +119,7 @@ def prepare(
     shapes: bool = True,
     changes: bool = False,
     observers: Sequence[type[Observer]] | None = None,
-    interior: Solid | None = None,
+    placed: Placed | None = None,
 ) -> Setup:
     """Place the objects of a scene, make their particles and estimate the cost.
 
@@ -132,7 +134,7 @@ def prepare(
         shapes: Whether to deform the Gaussians of each frame.
         changes: Whether to allow `Simulation.change`.
         observers: Classes of observers to choose from; None: those of the scene's solver.
-        interior: Interior of a single object, from an earlier setup of the same Gaussians.
+        placed: A single object in its position, from an earlier setup of the same Gaussians.
 
     Raises:
         InputError: The Gaussians or the scene cannot be used, or the run would exceed its time
@@ -146,7 +148,7 @@ def prepare(
     if scene.on_lattice:
         refuse_for_lattice(scene, scene.materials)
     with context.watch.stage("particles"):
-        body = make_body(gaussians, scene, crop, interior)
+        body = make_body(gaussians, scene, crop, placed)
         look, shown = body.appearance, body.appearance.gaussians
         solid_scene = scene.with_solids()
         threads = usable_workers(len(look.particles), context.device, context.threads)
@@ -171,6 +173,7 @@ def prepare(
             cleaning=body.cleaning,
             gaussians=body.gaussians,
             interiors=body.interiors,
+            placed=body.placed,
             appearance=look,
             particles=particles,
             materials=body.materials,
