@@ -35,7 +35,7 @@ at a plane along the voxels has the length 1.
 class Voxels(NamedTuple):
     """The filled parts of the V voxels that are not empty; lengths are in voxels."""
 
-    index: NDArray[np.int64]
+    indices: NDArray[np.int64]
     """Indices [V,3]."""
     fraction: NDArray[np.float64]
     """Filled fractions [V]."""
