@@ -10,7 +10,7 @@ from PIL import Image
 from phy124.__main__ import main
 from phy124.accuracy.convergence import Convergence
 from phy124.accuracy.difference import difference
-from phy124.accuracy.promises import Promise
+from phy124.accuracy.promises import Promise, format_percent
 from phy124.commands.accuracy import KEPT, ShowAccuracy
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
@@ -188,6 +188,9 @@ def test_a_torn_level_promises_nothing(monkeypatch, tmp_path):
     plots.save_page(report, tmp_path / "a.html")
     points = json.loads(re.search(r"const points = (.*);", (tmp_path / "a.html").read_text())[1])
     assert all(point["error"] is None for point in points if "16" in point["name"])
+    assert {point["off"] for point in points if "16" in point["name"]} == {"may be torn"}
+    first = points[0]
+    assert first["off"] == f"off by about {format_percent(first['error'] / 100)}"
 
 
 def test_too_few_whole_levels_have_no_order(monkeypatch):

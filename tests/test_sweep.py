@@ -286,6 +286,9 @@ def test_the_report_has_a_picture_of_each_clip(made):
     storage = Storage(str(made))
     told = "\n".join(format_lines(storage))
     assert told.startswith("6 clips: 6 done") and "by material.E:" in told
+    expected = [row["expected_error"] for row in read_manifest(storage)]
+    assert ("expected error, without" in told) == any(value is not None for value in expected)
+    assert "own error, at most" not in told  # these clips are too short for one
     page = Path(write_page(storage)).read_text()
     assert page.count("<img") == 6 and "largest force on a wall" in page
 

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from phy124.accuracy.promises import off
 from phy124.errors import InputError
 from phy124.io.files import replacing
 from phy124.runtime.installation import install_command
@@ -120,6 +121,7 @@ def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time
             "name": _label(row),
             "seconds": row.seconds,
             "error": _error(row),
+            "off": off(row.error, torn=bool(row.torn)),
             "pixels": row.pixels,
             "psnr": row.from_finest.psnr if row.from_finest else None,
             "particles": row.particles,
@@ -210,7 +212,7 @@ else {{
   for (const p of shown) {{
     const colour = p.dominated ? "#9aa3ad" : p.level ? "#2563a8" : "#c2571a";
     const c = add("circle", {{cx: X(p.seconds), cy: Y(p.error), r: 7, fill: colour, tabindex: 0}});
-    const text = p.name + ": " + p.error.toFixed(2) + " % of the size"
+    const text = p.name + ": " + p.off + " of the size"
       + (p.pixels ? ", " + p.pixels.toFixed(1) + " pixels" : "")
       + (p.psnr ? ", " + p.psnr.toFixed(1) + " dB against the finest" : "")
       + " in " + p.seconds.toFixed(1) + " s; " + p.particles + " particles, "
