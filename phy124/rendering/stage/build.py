@@ -230,9 +230,13 @@ def pack_stage(
             replace(frame, gaussians=replace(frame.gaussians, opacities=hue[:, 3] / 255))
             for frame, hue in zip(frames, hues, strict=True)
         )
-    floors = [stage.at(frame).floor for frame in frames]
-    shades = [floor.shade for floor in floors if floor is not None]
-    back, first = stage.backdrop, floors[0]
+    first, shades = None, []
+    for frame in frames:
+        floor = stage.at(frame).floor
+        if floor is not None:
+            first = first or floor
+            shades.append(np.rint(floor.shade * 255).astype(np.uint8))
+    back = stage.backdrop
     data: dict[str, Any] = {"top": list(back.top), "bottom": list(back.bottom)}
     data["picture"] = None if back.picture is None else _data_url(back.picture)
     data["floor"] = first and {
@@ -251,8 +255,7 @@ def pack_stage(
         }
         for solid, displacement, present in stage.walls
     ]
-    maps = np.stack(shades) if shades else np.zeros((len(clip), 0, 0))
-    return data, np.rint(maps * 255).astype(np.uint8)
+    return data, np.stack(shades) if shades else np.zeros((len(clip), 0, 0), np.uint8)
 
 
 def _data_url(picture: NDArray[np.uint8]) -> str:
