@@ -320,7 +320,7 @@ def fields(name: str) -> tuple[Field, ...]:
 def definition(name: str) -> str:
     """Return the `ros2msg` text of a message and all its inner messages, as in MCAP schemas."""
     blocks = [DEFINITIONS[name]]
-    blocks += [f"MSG: {_short(inner)}\n{DEFINITIONS[inner]}" for inner in _inner(name)]
+    blocks += [f"MSG: {i.replace('/msg/', '/')}\n{DEFINITIONS[i]}" for i in _inner(name)]
     return f"\n{SEPARATOR}\n".join(blocks) + "\n"
 
 
@@ -332,10 +332,6 @@ def _field(line: str) -> Field:
     length = int(match["count"] or 0) if match["array"] else None
     bound = int(match["bound"]) if match["bound"] else None
     return Field(match["name"], base, length, bound)
-
-
-def _short(name: str) -> str:
-    return name.replace("/msg/", "/")
 
 
 def _inner(name: str) -> list[str]:

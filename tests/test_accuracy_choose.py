@@ -8,7 +8,7 @@ import pytest
 
 from phy124.__main__ import main
 from phy124.accuracy import choose
-from phy124.accuracy.choose import Goal, reach
+from phy124.accuracy.choose import Goal, run_for_goal
 from phy124.accuracy.convergence import distances
 from phy124.accuracy.goal import UNIT
 from phy124.accuracy.promises import promise
@@ -62,7 +62,7 @@ def quick(monkeypatch) -> Scene:
 
 def test_an_error_goal_is_met_against_a_finer_run(quick):
     """The setting chosen is the cheapest that should do, and it does."""
-    reached = reach(Goal.error("1%"), ball(600), quick)
+    reached = run_for_goal(Goal.error("1%"), ball(600), quick)
     about = reached.about
     assert about["met"] is True
     assert about["error"] <= 0.01
@@ -75,7 +75,7 @@ def test_an_error_goal_is_met_against_a_finer_run(quick):
 @pytest.mark.parametrize("goal", ["2%", "3px", "2cm"])
 def test_the_promise_of_a_run_with_a_goal_is_its_own(quick, goal):
     """One error, however it is asked for: not that of other objects."""
-    reached = reach(Goal.error(goal), ball(600), quick)
+    reached = run_for_goal(Goal.error(goal), ball(600), quick)
     about = reached.about
     said = promise(
         reached.simulation.scene, Proportions(0.5, 0.3), {"goal": about, "complete": True}
@@ -98,12 +98,12 @@ def test_a_guessed_order_takes_a_small_step(quick, monkeypatch):
         return replace(found, note="errors are rough", errors=(0.4, 0.3, 0.018), order=0.5)
 
     monkeypatch.setattr(choose, "richardson", rough)
-    about = reach(Goal.error("1%"), ball(600), quick).about
+    about = run_for_goal(Goal.error("1%"), ball(600), quick).about
     assert about["levels"][:4] == [6, 8, 12, 16] and about["met"]
 
 
 def test_lax_goal_takes_a_cheap_level(quick):
-    about = reach(Goal.error("50%"), ball(600), quick).about
+    about = run_for_goal(Goal.error("50%"), ball(600), quick).about
     assert about["cells"] == 6
     assert about["levels"] == [6, 8, 12]
     assert 0 < about["error"] < 0.5
@@ -118,7 +118,7 @@ def soft(E: float) -> Scene:
 
 
 def test_an_object_that_tears_is_given_more_particles(quick):
-    about = reach(Goal.error("50%"), ball(600), soft(1000)).about
+    about = run_for_goal(Goal.error("50%"), ball(600), soft(1000)).about
     assert about["particles_per_axis"] == 3
     assert about["met"] is True
     assert not about["torn"]
@@ -135,7 +135,7 @@ def test_too_many_particles_return_the_last_level(quick, monkeypatch):
         return plain(setup)
 
     monkeypatch.setattr(choose, "Simulation", refusing)
-    reached = reach(Goal.error("0.2%"), ball(600), quick)
+    reached = run_for_goal(Goal.error("0.2%"), ball(600), quick)
     assert reached.about["cells"] == 12
     assert reached.about["particles_per_axis"] == 2
     assert reached.about["met"] is False
@@ -144,20 +144,20 @@ def test_too_many_particles_return_the_last_level(quick, monkeypatch):
 def test_the_densest_object_is_not_tried_again(quick, monkeypatch):
     monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 13))
     most = quick.replaced({"accuracy": {"particles_per_axis": 4.0}, "time.frames": 4})
-    assert reach(Goal.error("0.2%"), ball(600), most).about["particles_per_axis"] == 4
+    assert run_for_goal(Goal.error("0.2%"), ball(600), most).about["particles_per_axis"] == 4
 
 
 def test_an_object_that_tears_all_the_same_meets_no_goal(quick):
     """However close two grids are: what both tear is not what the material does."""
     with pytest.raises(InputError, match=r"on D/\d+ the material is stretched \d.* may tear it"):
-        reach(Goal.error("0.2%"), ball(600), soft(50))
+        run_for_goal(Goal.error("0.2%"), ball(600), soft(50))
 
 
 def test_a_grid_that_tears_the_object_is_not_taken(quick, monkeypatch):
     """What was whole is returned, and why nothing finer was."""
     likely = property(lambda self: self._model.dx < 1 / 13)
     monkeypatch.setattr(Tearing, "likely", likely)
-    about = reach(Goal.error("0.2%"), ball(600), quick).about
+    about = run_for_goal(Goal.error("0.2%"), ball(600), quick).about
     assert about["cells"] == 12
     assert about["levels"] == [6, 8, 12]
     assert about["torn"]
@@ -170,7 +170,7 @@ def test_a_goal_out_of_reach_is_refused_with_what_is_in_reach(quick):
         InputError,
         match=r"no grid meets this target: even D/24, in about .*, would have an error of about",
     ):
-        reach(Goal.error("0.0001px"), ball(600), quick)
+        run_for_goal(Goal.error("0.0001px"), ball(600), quick)
 
 
 @pytest.mark.parametrize("goal", ["1.5%", "0.8%", "0.55%", "0.42%"])
@@ -181,7 +181,7 @@ def test_chosen_grid_has_few_more_cells_than_needed(quick, monkeypatch, goal):
         return choose.Convergence(1.0, tuple(0.1 / cells for cells in sorted(runs.done)))
 
     monkeypatch.setattr(choose, "_estimate", estimate)
-    about = reach(Goal.error(goal), ball(300), quick.replaced({"time.frames": 2})).about
+    about = run_for_goal(Goal.error(goal), ball(300), quick.replaced({"time.frames": 2})).about
     needed = 0.1 / Goal.error(goal).value
     assert about["met"] and needed <= about["cells"] <= 1.5 * needed
 
@@ -192,7 +192,7 @@ def test_levels_are_refined_by_at_most_half(quick, monkeypatch):
         choose, "_estimate", lambda goal, runs: choose.Convergence(1.0, (0.02,) * len(runs.done))
     )
     scene = quick.replaced({"time.frames": 2})
-    about = reach(Goal.error("1.4%"), ball(300), scene).about
+    about = run_for_goal(Goal.error("1.4%"), ball(300), scene).about
     assert about["levels"] == [6, 8, 12, 16, 24]
     assert about["refined"] and not about["met"] and "even D/24" in about["why_not"]
 
@@ -220,7 +220,7 @@ def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells
 
     monkeypatch.setattr(choose, "prepare", lambda _, scene, *a, **k: SimpleNamespace(scene=scene))
     monkeypatch.setattr(choose, "Simulation", Run)
-    reached = reach(Goal.time(seconds), ball(10), Scene(), forecaster=Oracle())
+    reached = run_for_goal(Goal.time(seconds), ball(10), Scene(), forecaster=Oracle())
     assert reached.about["cells"] == cells
     assert reached.about["predicted"] <= seconds
     assert len(built) <= 6
@@ -230,7 +230,7 @@ def test_a_time_too_short_is_refused(monkeypatch):
     monkeypatch.setattr(choose, "prepare", lambda _, scene, *a, **k: SimpleNamespace(scene=scene))
     monkeypatch.setattr(choose, "Simulation", lambda setup: SimpleNamespace(scene=setup.scene))
     with pytest.raises(InputError) as refusal:
-        reach(Goal.time(0.5), ball(10), Scene(), forecaster=Oracle())
+        run_for_goal(Goal.time(0.5), ball(10), Scene(), forecaster=Oracle())
     # 10 s times 2^-2.5, 1 s that does not depend on the grid, and what is left free.
     assert str(refusal.value) == (
         "max_seconds = 0.5 s: the coarsest grid, D/8, takes about 3 s, most of it (2 s) for the "

@@ -216,7 +216,7 @@ def test_too_little_room_is_said_before_work(tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)._replace(free=307_000)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     with (
-        pytest.warns(UserWarning, match=r"the results need about .*, and .* has room for 307.0 kB"),
+        pytest.warns(UserWarning, match=r"the results need about .*, but .* has only 307.0 kB"),
         pytest.raises(Cancelled),
     ):
         pipeline.simulate(ball(900), SCENE, tmp_path / "out", progress=stop)

@@ -72,7 +72,7 @@ class Reached:
     """The goal, the choice and the result, for the report."""
 
 
-def reach(
+def run_for_goal(
     goal: Goal,
     gaussians: Gaussians,
     scene: Scene,

@@ -83,7 +83,7 @@ class Generate:
             if not needs_image(making.generator):
                 file = PlyFile(making.generator, making.reading)
                 scene = adapt_scene(file, scene, count=making.gaussians)
-            return go_on(out, self.options, scene, self._study(), self.plan)
+            return continue_run(out, self.options, scene, self._study(), self.plan)
         announce(scene, goal, as_json=self.options.json)
         if self.plan.dry_run:
             with search_first(self.making.cutting.weights):
@@ -213,7 +213,7 @@ class Simulate:
         file, study = PlyFile(str(self.file), self.reading), self._study()
         if self.plan.resume:
             adapted = adapt_scene(file, scene, count=self.gaussians)
-            return go_on(out, self.options, adapted, study, self.plan)
+            return continue_run(out, self.options, adapted, study, self.plan)
         check_count(self.gaussians)
         announce(scene, goal, as_json=self.options.json)
         if self.plan.dry_run:
@@ -281,7 +281,9 @@ def get_ready() -> None:
         import_lightly(*SCIPY)
 
 
-def go_on(out: Path, options: SceneOptions, scene: Scene, study: str, plan: PlanOptions) -> int:
+def continue_run(
+    out: Path, options: SceneOptions, scene: Scene, study: str, plan: PlanOptions
+) -> int:
     """Continue the interrupted run in a folder, and print its results.
 
     Args:

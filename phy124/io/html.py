@@ -91,7 +91,7 @@ def pack(
         if stage is not None:
             file.write(_differences(stage[1]).tobytes())
         if shine and "hues" in shine:
-            file.write(_differences(_planar(shine["hues"])).tobytes())
+            file.write(_differences(shine["hues"].transpose(0, 2, 1)).tobytes())
         return _compress(file)
 
 
@@ -283,11 +283,6 @@ def _centres(means: NDArray, low: NDArray, high: NDArray) -> NDArray[np.uint16]:
 def _split(values: NDArray[np.uint16]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Split 16-bit integers into their low bytes and high bytes."""
     return (values & 255).astype(np.uint8), (values >> 8).astype(np.uint8)
-
-
-def _planar(values: NDArray) -> NDArray:
-    """Reorder [T,N,C] to [T,C,N]."""
-    return np.ascontiguousarray(values.transpose(0, 2, 1))
 
 
 def _differences(values: NDArray) -> NDArray:

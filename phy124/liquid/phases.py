@@ -154,7 +154,7 @@ class Phases:
         for records in self._follow(worker):
             yield "gather", launches(records)
         if solids:
-            yield "drift", launches(self._drift(worker))
+            yield "drift", launches(self._solids.bodies.drift() if worker == 0 else [])
             yield "fill", launches(self._push_out(worker, stops=False))
         yield "fill", self._fill(worker, self._model.volume)
         for records in self._density_equation(worker):
@@ -374,9 +374,6 @@ class Phases:
             step = self._impulses_of_walls.step
             records.append((BODIES, self._bodies.answer(self._walls, step, self._model)))
         return records
-
-    def _drift(self, worker: int) -> list[Recorded]:
-        return self._solids.bodies.drift() if worker == 0 else []
 
     def _gradient(self, solution: wp.array, worker: int, *, shifts: float = 0.0) -> Recorded:
         cells = self._cells

@@ -1,5 +1,10 @@
 """The whole chain: picture -> foreground -> Gaussians -> moving Gaussians -> files.
 
+`generate` makes Gaussians from a picture (`make_gaussians` in phy124/pipeline/gaussians.py) and
+calls `simulate`. `simulate` prepares the scene (`phy124.simulation.prepare`) and runs it, and
+`RunFolder.fill` (phy124/pipeline/run_folder.py) saves each frame, then writes clip, films
+(`phy124.rendering.film`) and report. `go_on` continues an interrupted run with the same steps.
+
 Every function here reports its progress and the durations of its stages. A run that is refused or
 cancelled leaves no files. A run that stops early keeps its finished frames, as does a cancelled run
 if `keep` is set. If anything else ends a run (an error, lack of disk space or memory, a kill), the
@@ -15,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from phy124.accuracy.choose import Goal, reach
+from phy124.accuracy.choose import Goal, run_for_goal
 from phy124.accuracy.forecast import Forecaster
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians
@@ -24,12 +29,12 @@ from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
 from phy124.io.files import staging as staging
 from phy124.pipeline import resume
+from phy124.pipeline.disk_space import warn_of_disk_space
 from phy124.pipeline.gaussians import StaticObject as StaticObject
 from phy124.pipeline.gaussians import check_sources as check_sources
 from phy124.pipeline.gaussians import make_gaussians as make_gaussians
 from phy124.pipeline.gaussians import split
 from phy124.pipeline.gaussians import with_others as with_others
-from phy124.pipeline.room import warn_of_room
 from phy124.pipeline.run_folder import CUTOUT, PAUSE, RunFolder
 from phy124.pipeline.run_folder import Result as Result
 from phy124.pipeline.run_folder import playback as playback
@@ -176,7 +181,7 @@ def simulate(
 
     def run_scene() -> tuple[Simulation, Clip]:
         if goal is not None:
-            reached = reach(
+            reached = run_for_goal(
                 goal,
                 gaussians,
                 scene,
@@ -192,7 +197,7 @@ def simulate(
         with ThreadPoolExecutor(1, "proportions") as pool:
             pool.submit(lambda: setup.proportions)  # the report needs them
             run = Simulation(setup)
-        warn_of_room(run, folder.out, films=films)
+        warn_of_disk_space(run, folder.out, films=films)
         if forecaster is not None:
             with context.watch.stage("forecast"):
                 folder.predicted = forecaster.of(run, error=folder.error)
@@ -262,7 +267,7 @@ def go_on(
 
     def run_scene() -> tuple[Simulation, Clip]:
         run = resume.load(path, context, frames=frames)
-        warn_of_room(run, folder.out, films=True)
+        warn_of_disk_space(run, folder.out, films=True)
         return run, run.run(record=folder.recording.see, shapes=False)
 
     return folder.fill(run_scene)

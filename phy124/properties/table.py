@@ -65,7 +65,7 @@ def read_table(path: Path) -> Table:
     Raises:
         InputError: If the file cannot be read, has no property, or a value is not finite.
     """
-    raw = _rename(_columns_of(path))
+    raw = {NAMES.get(name, name): value for name, value in _columns_of(path).items()}
     points, whole = _places(path, raw), False
     if points is None and any(np.ndim(value) == 3 for value in raw.values()):
         whole = not {"lower", "upper"} <= raw.keys()
@@ -105,10 +105,6 @@ def _columns_of(path: Path) -> dict[str, NDArray[Any]]:
             del values[name]
             values |= {column: rows[column] for column in rows.dtype.names}
     return values
-
-
-def _rename(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    return {NAMES.get(name, name): value for name, value in columns.items()}
 
 
 def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:

@@ -17,7 +17,7 @@ import warp as wp
 
 from phy124 import pipeline
 from phy124.accuracy import choose
-from phy124.accuracy.choose import CELLS, Goal, reach
+from phy124.accuracy.choose import CELLS, Goal, run_for_goal
 from phy124.accuracy.convergence import distances
 from phy124.accuracy.difference import pixel_distance, video
 from phy124.errors import InputError
@@ -134,7 +134,7 @@ def goal_rows(gaussians: Gaussians, wish: str) -> list[list[str]]:
         scene, start = beginning(name), time.perf_counter()
         goal = Goal.error(wish)
         try:
-            reached = reach(goal, gaussians, scene)
+            reached = run_for_goal(goal, gaussians, scene)
         except InputError as refusal:
             rows.append([name, wish, "refused", "", "", "", refusal.limit])
             print(json.dumps(rows[-1]), flush=True)

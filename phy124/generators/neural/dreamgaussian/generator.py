@@ -34,7 +34,7 @@ from phy124.generators.neural.dreamgaussian.splats import (
     reset_opacity,
 )
 from phy124.generators.neural.precision import torch_device
-from phy124.generators.neural.splatting import View, orbit_view
+from phy124.generators.neural.splatting import orbit_view
 from phy124.generators.ply_file import normalise_size
 from phy124.imaging.u2net import multiply_mask
 from phy124.progress import Progress, silent
@@ -219,15 +219,12 @@ def _guided_loss(
     poses, renderings = [], []
     for i in range(guidance.views):
         pose = Pose(elevation, azimuth + i * 360 / guidance.views, 0.0)
-        view = _view(pose, settings, settings.guided_size(ratio))
+        size = settings.guided_size(ratio)
+        view = orbit_view(pose.elevation, pose.azimuth, settings.radius + pose.radius, size)
         poses.append(pose)
         renderings.append(splats.render(view, background))
     images = torch.stack([r.rgb.permute(2, 0, 1) for r in renderings])
     return guidance(images, poses, ratio, draw).to(like), renderings
-
-
-def _view(pose: Pose, settings: Settings, size: int) -> View:
-    return orbit_view(pose.elevation, pose.azimuth, settings.radius + pose.radius, size)
 
 
 def frame_cutout(image_rgba: NDArray[np.uint8], size: int = 256) -> NDArray[np.uint8]:

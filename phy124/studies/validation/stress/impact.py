@@ -128,17 +128,12 @@ def push_hard(setting: Setting) -> list[Check]:
     # Velocities are half a substep behind positions, so they lack the last half substep's impulse.
     impulse = 1e6 * weight * (s.clock.time - s.clock.last_dt / 2)
     momentum = diagnose(s).momentum
+    limited = sum(s.clock.limiters.get(name, 0) for name in ("speed", "gradient", "force"))
     return [
         equal("finite", finite(s)),
         at_most("momentum / impulse - 1", abs(momentum[0] / impulse - 1), 1e-5),
-        at_least(
-            "substeps limited by speed, force or gradient", _count_limited(s.clock.limiters), 1
-        ),
+        at_least("substeps limited by speed, force or gradient", limited, 1),
     ]
-
-
-def _count_limited(limiters: dict[str, int]) -> int:
-    return sum(limiters.get(name, 0) for name in ("speed", "gradient", "force"))
 
 
 LOST = {"float32": 1e-5, "float64": 1e-11}

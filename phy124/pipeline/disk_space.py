@@ -1,4 +1,4 @@
-"""Forecast the disk space that a run's results need, and compare it with the free space."""
+"""Estimates the disk space that a run's results need, and warns if the disk has less."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ OUTPUT = 6
 """Approximate size of a pixel of an output such as depth [bytes]."""
 
 
-def warn_of_room(run: Simulation, out: Path, *, films: bool) -> None:
-    """Warn if the disk has less free space than the results are forecast to need."""
-    needed = forecast(run, films=films)
+def warn_of_disk_space(run: Simulation, out: Path, *, films: bool) -> None:
+    """Warn if the disk has less free space than the results are estimated to need."""
+    needed = estimate_size(run, films=films)
     try:
         free = shutil.disk_usage(out).free
     except OSError:
         return
     if needed > free:
         warnings.warn(
-            f"the results need about {size(needed)}, and {out} has room for "
-            f"{size(free)}; what does not fit is kept elsewhere if there is room",
+            f"the results need about {size(needed)}, but the disk of {out} has only {size(free)} "
+            "of free space; files that do not fit are written to another folder if possible",
             stacklevel=2,
         )
 
 
-def forecast(run: Simulation, *, films: bool) -> float:
-    """Forecast the size of a run's files [bytes]; for films this is a rough estimate.
+def estimate_size(run: Simulation, *, films: bool) -> float:
+    """Estimate the size of a run's files [bytes]; for films the estimate is rough.
 
     Until a run ends, a file holds its frames: the Gaussians, or only the particles in a light run.
     """
