@@ -61,7 +61,9 @@ async def _keep(studio: Studio, request: Request, part: UploadFile) -> str:
         raise InputError("image", "large", limits.file_too_large, SMALLER)
     suffix = Path(part.filename or "").suffix.lower()
     if suffix in NOT_READ:
-        raise InputError("file", suffix, f"A {suffix} file is not read here.", NOT_READ[suffix])
+        raise InputError(
+            "file", suffix, f"A {suffix} file cannot be read on this page.", NOT_READ[suffix]
+        )
     ending = suffix if suffix in SUFFIXES else ""
     visitor, address = cookie_of(request), address_of(request)
     store = studio.visitors.store

@@ -82,7 +82,7 @@ class Rates:
         }
 
     def minimum(self, other: Rates) -> Rates:
-        """Return the smaller value of each rate."""
+        """Return, rate by rate, the smaller of both values."""
         return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
 
 

@@ -40,7 +40,7 @@ def slip(v: Any, wall: Any, n: Any, friction: Any):
 
 @wp.func
 def separate(v: Any, wall: Any, n: Any, friction: Any):
-    """Let the node leave the wall; else Coulomb friction (Stomakhin et al. 2013, sec. 8)."""
+    """Let a node leave the wall freely, else apply friction (Stomakhin et al. 2013, sec. 8)."""
     relative = v - wall
     speed = wp.dot(relative, n)
     if speed >= type(speed)(0.0):

@@ -94,7 +94,7 @@ def load(grid: wp.array(dtype=wp.vec4d), node: int) -> wp.vec4d:  # noqa: F811
 
 @wp.func_native(code("reduction:sum", "reduction:warp", "reduction:add_to"))
 def add_to(sums: wp.array(dtype=wp.float64), index: int, value: wp.float64):
-    """Add to a sum over all threads."""
+    """Add a thread's value to a sum over all threads."""
     ...
 
 

@@ -207,7 +207,7 @@ class LatticePairs(Observer):
         self._solver = solver
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row after a run."""
+        """Return the row of the effects report after a run."""
         most = sum(meeting.most for meeting in self._solver.meetings.of_pairs)
         name = f"contact between objects at {most} surface points at most"
         return Effect(name, most > 0, "no objects came near each other")
@@ -230,7 +230,7 @@ class LatticeSelfContact(Observer):
         self._solver = solver
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row after a run."""
+        """Return the row of the effects report after a run."""
         most = max((m.most for m in self._solver.meetings.of_bodies), default=0)
         name = f"self-contact of at most {most} pairs of points" if most else "self-contact"
         return Effect(name, most > 0, "no parts came near each other", self.LOOKING)

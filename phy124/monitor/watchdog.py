@@ -97,7 +97,7 @@ class Balance:
 
 
 def energy_supplied(start: float, work: float, walls: float) -> float:
-    """Return the energy that an object had at the start or received; it may lose all of it [J].
+    """Return the energy that an object had at the start or received [J], its largest possible loss.
 
     Args:
         start: Kinetic and elastic energy at the start [J].

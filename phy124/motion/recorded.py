@@ -181,7 +181,7 @@ class Recorded:
         return [self._measured[index] for index in sorted(self._measured)]
 
     def rows_of(self, chosen: NDArray) -> Iterator[dict[str, Array]]:
-        """Yield the arrays of some Gaussians in each frame, which are not kept."""
+        """Yield the arrays of chosen Gaussians, frame by frame, without keeping them."""
         part = Recorded(self.motion, chosen)
         return (part._advance() for _ in range(len(self)))
 
@@ -277,7 +277,7 @@ class Torn:
         return self._last[1]
 
     def rows_of(self, chosen: NDArray) -> Iterator[dict[str, Array]]:
-        """Yield the arrays of some Gaussians in each frame, which are not kept."""
+        """Yield the arrays of chosen Gaussians, frame by frame, without keeping them."""
         carried, grains = self._split(chosen)
         for index, row in enumerate(self._recorded.rows_of(carried)):
             yield self._exposed.show(row, index, grains)

@@ -121,7 +121,7 @@ def _length(clip: Clip) -> float:
 
 @dataclass(frozen=True)
 class Departure:
-    """A side from which the object leaves the picture."""
+    """A view in which the object leaves the picture, and the frames in which it does."""
 
     view: str
     frame: int

@@ -98,7 +98,9 @@ def assign_materials(
     kept = np.flatnonzero(~static[part])
     if not moves.any() or not len(kept):
         limit = "every Gaussian is static, so nothing moves."
-        raise InputError("parts", "static = true", limit, "Leave a part of the object out.")
+        raise InputError(
+            "parts", "static = true", limit, "Set static = false for at least one part."
+        )
     laws = [section.device_law.name for section in scene.materials]
     # Index of each part's material among the materials of moving parts.
     material = (np.cumsum(~static) - 1)[part[kept]]

@@ -192,7 +192,7 @@ def prepare(
 
 
 def slab_axis(particles: Particles, threads: int) -> int:
-    """Return the axis along which to order particles: x, or the longest for several threads."""
+    """Return the axis along which particles are sorted: x, or the longest for several threads."""
     return int(np.argmax(np.ptp(particles.x, axis=0))) if threads > 1 else 0
 
 

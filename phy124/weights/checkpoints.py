@@ -105,7 +105,7 @@ def fill(module: nn.Module, tensors: StateDict, name: str) -> None:
         raise InputError(
             "weights",
             f"{len(shapes_in_file)} tensors",
-            f"they are not those of {name}, which has {len(wanted)}: "
+            f"they differ from the {len(wanted)} tensors of {name}: "
             + "; ".join(_differences(missing, extra, shapes))
             + ".",
             "Choose the file that belongs to this network (`phy124 doctor` lists them).",

@@ -237,7 +237,7 @@ def spread(
 
 
 def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.bool_]:
-    """Whether points are at most `by` pixels beyond the ends."""
+    """Whether points are between the ends of the object, or at most `by` pixels beyond."""
     kept = np.ones(len(points), bool)
     for end in ends:
         kept &= ~end.beyond(points[:, 1], by)

@@ -89,7 +89,7 @@ def draw_setting(
 ):
     """Draw the surroundings, one thread per pixel; GPU and readable form of `blend_staged_simd`.
 
-    The first `before` solids are in front of all Gaussians.
+    The solids are sorted by depth; the first `before` of them are in front of all Gaussians.
     """
     pixel = wp.tid()
     open = 1.0 - coverage[pixel]

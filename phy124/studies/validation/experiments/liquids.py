@@ -182,8 +182,9 @@ CHANNEL = Experiment(
     name="channel",
     title="Viscous liquid that falls between two plates",
     source="Started flow between plates (Batchelor 1967, § 4.3): g y (H - y) / (2 ν) less a series",
-    measured="A slab of 0.1 m²/s falls between sticky plates that are 0.5 m apart with 2 m/s². "
-    "Measured are its speed after 0.5 s in the middle fifth of the gap and across the gap [m/s].",
+    measured="A slab with a viscosity of 0.1 m²/s falls with 2 m/s² between sticky plates that are "
+    "0.5 m apart. "
+    "Its speed after 0.5 s is measured in the middle fifth of the gap and across the gap [m/s].",
     band="±5 %: the slab ends, so the flow is not quite that of an endless one",
     published=lambda: tuple(
         Quantity.within(name, speed, 0.05)

@@ -43,7 +43,7 @@ def broken_numbers(setting: Setting) -> list[Check]:
     clip = Simulation(prepare(gaussians, quick(setting), RunContext(device=setting.device))).run()
     return [
         at_most("files with one bad number that are read as invalid Gaussians", unsound, 0),
-        equal("every row with NaN dropped and counted", dropped == len(names)),
+        equal("all rows with NaN were dropped and counted", dropped == len(names)),
         equal("complete clip from a file with many bad numbers", clip.report["complete"]),
         equal("its numbers finite", bool(np.isfinite(clip.means).all())),
     ]

@@ -55,8 +55,12 @@ def _around_the_limit(name: str, x: Array, nu: float, setting: Setting) -> list[
     _, growth = disturb(x, nu, 0.95, setting, count)
     lasted, _ = disturb(x, nu, 1.10, setting, count)
     return [
-        at_most(f"{name}: growth in {count} substeps at 0.95 of the limit", growth, 1.05),
-        at_most(f"{name}: substeps until instability at 1.10 of the limit", lasted, 100),
+        at_most(
+            f"{name}: growth of the motion in {count} substeps of 0.95 times the limit",
+            growth,
+            1.05,
+        ),
+        at_most(f"{name}: substeps of 1.10 times the limit until instability", lasted, 100),
     ]
 
 
