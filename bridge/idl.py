@@ -76,7 +76,7 @@ def _struct(
 def encoded_type(name: str) -> type[IdlStruct]:
     """Return the type for writers whose samples are already CDR payloads; see `sample`.
 
-    The type of a response also has the header.
+    For the response of a service, the type begins with the header of the request.
     """
     kind = (service_type if name.endswith("_Response") else idl_type).__wrapped__(name)
     # DataWriter.write calls serialize(); this skips the field-by-field encoder, which is slow.

@@ -65,7 +65,7 @@ class CoupledWork(ExternalWork):
     """External impulse and work on lattices and particles."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Read the sums of the lattices' walls, too."""
+        """Bind to the solver, to read also the sums of the walls of lattices."""
         self._solver = solver
         super().bind(solver, observers)
 

@@ -41,7 +41,7 @@ def _hardware_threads() -> int:
 
 
 def _within_quota(threads: int) -> int:
-    """Cap threads at the quota's whole CPUs: threads wait for each other, a fraction is useless."""
+    """Limit threads to the quota's whole CPUs; a fraction of one would delay the others."""
     return max(1, int(min(threads, cpu_quota())))
 
 

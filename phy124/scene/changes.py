@@ -132,5 +132,7 @@ def _item(section: Any, key: str, path: str, value: Any) -> Any:
         section.append({})
     if not 0 <= number < len(section):
         limit = f"there is no item {key!r}; the list has {len(section)} items."
-        raise InputError(path, value, limit, f"Count from 0; {len(section)} adds an item.")
+        raise InputError(
+            path, value, limit, f"Items are counted from 0; use {len(section)} to add one."
+        )
     return section[number]
