@@ -162,7 +162,8 @@ def test_when_the_time_is_up_what_is_finished_is_kept(order, monkeypatch):
     assert (
         "only the frames computed until then were kept. Choose draft accuracy" in report["stopped"]
     )
-    assert "No time was left for back." in report["notes"]
+    limit = "The time limit was reached before these videos were made"
+    assert f"{limit}: back." in report["notes"]
     assert [path.name for path in done.films.glob("*.mp4")] == ["front.mp4"]
 
 
@@ -240,4 +241,5 @@ def test_composed_film_is_made_once_and_nothing_else(order, monkeypatch):
     monkeypatch.setattr(Limits, "spent", property(lambda limits: 0.9))
     again, _ = _run(replace(shown, scene=order.scene.replaced({"view.elevation": 40.0})))
     report = json.loads((again.films / "report.json").read_text("utf-8"))
-    assert "No time was left for the photograph." in report["notes"]
+    limit = "The time limit was reached before these videos were made"
+    assert f"{limit}: the photograph." in report["notes"]
