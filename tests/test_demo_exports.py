@@ -25,7 +25,7 @@ from demo.report import as_html
 from demo.server import shared_route
 from demo.visitors import Room, Visitors
 from demo.work import Done
-from phy124.accuracy.promises import promise
+from phy124.accuracy.promises import format_percent, promise
 from phy124.errors import InputError
 from phy124.gaussians import Frame
 from phy124.imaging.grabcut import apply_marks
@@ -307,7 +307,7 @@ def _report() -> dict:
 def test_report_shows_promise_time_effects_and_stability():
     text = as_html(_report(), Scene.named("press").data(), predicted=4.0)
     error = promise(Scene.named("press"), Proportions(0.5, 0.3)).error
-    promised = f"at most {error:.1%} of the object&#x27;s size"
+    promised = f"at most {format_percent(error)} of the object&#x27;s size"
     for said in (promised, "4.0 s", "3.0 s", "0.700", "2.00 m/s", "colliders", "p2g"):
         assert said in text, said
 
@@ -325,10 +325,10 @@ def test_the_report_shows_the_point_reached_among_the_stops():
     stops = Estimator().stops(scene, proportions=Proportions(0.5, 0.3))
     text = as_html(_report(), scene.data(), 4.0, stops)
     error = promise(scene, Proportions(0.5, 0.3)).error
-    assert f"this run: 3.0 s, error at most about {error:.1%} of the size" in text
+    assert f"this run: 3.0 s, error at most {format_percent(error)} of the size" in text
     assert text.count('class="stop"') == 3 and text.count('class="reached"') == 1
     for stop in stops:
-        assert f"{stop.name}, {stop.error:.1%}" in text
+        assert f"{stop.name}, {format_percent(stop.error)}" in text
     assert "Accuracy over time" not in as_html(_report(), scene.data(), 4.0)
 
 
