@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from phy124.boundaries import Ground, HalfSpace
+from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.forces import Gravity
+from phy124.kernels.work import IMPULSE
 from phy124.lattice.solver import LatticeSolver
 from phy124.materials import NeoHookean
 from phy124.monitor.lattice import LatticeTotals
@@ -186,3 +187,23 @@ def test_block_stands_on_a_solid_box_on_the_ground():
     assert np.allclose(solver.free.poses()[0, :3], box.place, atol=1e-6)
     assert solver.free.wrenches(0.5)[0].force[2] == pytest.approx(-128.0, rel=5e-3)
     assert extent_of(solver, 0, 0) == pytest.approx(solver.model.rest[:, 2].min(), abs=0.05 * DX)
+
+
+def test_self_contact_next_to_a_clamp_keeps_its_momentum():
+    """Two prongs of a fork, whose root a clamp holds, are slammed together."""
+    fork = fill_solid(fork_at, (-0.1, -0.1, -0.1), (0.5, 0.3, 0.9), DX / 2)
+    clamp = Held(lower=(-1, -1, -1), upper=(1, 1, 0.28))
+    solver = make([fork], boundaries=[clamp])
+    solver.carry_nodes(lambda x, v: (x, v - 6 * np.sign(x - [0.2, 0, 0]) * [1, 0, 0]))
+    before = momentum_of(solver, 0)
+    solver.advance(0.1)
+    counted = solver.walls.sums.numpy()[0][IMPULSE : IMPULSE + 3]
+    assert momentum_of(solver, 0) - before == pytest.approx(counted, abs=1e-8)
+    assert solver.meetings.of_bodies[0].most > 0
+
+
+def fork_at(x):
+    """Return the distance from two prongs, 0.1 m thick and 0.2 m apart, on a root [m]."""
+    root = np.abs(x - [0.2, 0.1, 0.05]) - [0.2, 0.1, 0.05]
+    prongs = np.abs(np.abs(x - [0.2, 0.1, 0.4]) - [0.15, 0, 0]) - [0.05, 0.1, 0.4]
+    return np.minimum(root.max(axis=-1), prongs.max(axis=-1))

@@ -269,7 +269,8 @@ def make_meet(real: Any, rows: Rows):
     opposite position follows the point along the surface, so that the impulses have no moment: its
     weights change by `slopes` times the displacement in the body at rest, which is `back` times the
     displacement along the surface. A position that moves farther than `far` is no longer opposite;
-    pairs farther apart than `reach` are ignored.
+    pairs farther apart than `reach` are ignored. So are pairs with a node for which `inverse` is
+    zero but `whole` is not: a clamp that holds a node does not count its impulses.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -284,6 +285,7 @@ def make_meet(real: Any, rows: Rows):
         slopes: wp.array2d(dtype=t.vec3),
         back: wp.array(dtype=t.mat33),
         inverse: t.reals,
+        whole: t.reals,
         u: t.vec3s,
         clock,
         weights_out: wp.array2d(dtype=real),
@@ -308,6 +310,9 @@ def make_meet(real: Any, rows: Rows):
                     weights_out[s, place] = weights_out[s, place] - wp.dot(slopes[s, k], step)
                 gap_out[s] = wp.vector(n[0], n[1], n[2], gap)
                 yields_out[s] = yielding(inverse, nodes, weights_out, s)
+                if yields_out[s] < yielding(whole, nodes, weights_out, s):
+                    yields_out[s] = real(0.0)
+                    force_out[s] = t.vec3()
                 impulse = clock[0] * force_out[s]
                 if wp.dot(impulse, impulse) > real(0.0):
                     strike(v_out, inverse, nodes, weights_out, s, impulse)
