@@ -30,9 +30,9 @@ def test_setup_is_frozen_and_runs_many_times():
 
 
 def test_setup_orders_particles_for_its_threads():
-    bar = ball(400)
+    bar, particles = ball(400), scene(**{"accuracy.solver": "mpm"})
     long = Gaussians(bar.means * (1, 1, 4), bar.quats, bar.scales, bar.opacities, bar.sh)
-    single, double = (prepare(long, scene(), RunContext(threads=n)) for n in (1, 2))
+    single, double = (prepare(long, particles, RunContext(threads=n)) for n in (1, 2))
     assert (single.along, double.along, double.threads) == (0, 2, 2)
     cells = layers(double.particles.x, 2, double.scene.dx)
     assert (np.diff(cells) >= 0).all() and len(np.unique(cells)) > 4

@@ -118,7 +118,7 @@ def test_sway_holds_the_foot_and_moves_the_top():
 def test_gaussians_may_be_bound_to_the_field():
     """The binding changes who carries the physics, not the physics."""
     # Those on the surface meet the floor a tenth of a cell before a lattice does.
-    finer = {"time.frames": 14, "accuracy": {"cells": 16}}
+    finer = {"time.frames": 14, "accuracy": {"cells": 16, "solver": "mpm"}}
     own = run("drop", **finer, binding="particles")
     field = run("drop", **finer)
     assert field.report["particles"] < own.report["particles"]
@@ -141,7 +141,8 @@ def test_progress_may_cancel_between_substeps():
 
 
 def test_an_unstable_frame_is_tried_again_then_given_up(monkeypatch):
-    s = Simulation(prepare(ball(), Scene.named("push_right").replaced(QUICK)))
+    scene = Scene.named("push_right").replaced({**QUICK, "accuracy.solver": "mpm"})
+    s = Simulation(prepare(ball(), scene))
     tried = []
 
     def fail(until, **_):
@@ -224,7 +225,8 @@ SHORT = {"accuracy": {"cells": 8}, "time.frames": 5}
 
 
 def pushed(**changes) -> Simulation:
-    return Simulation(prepare(ball(300), Scene.named("push_right").replaced({**SHORT, **changes})))
+    changes = {**SHORT, "accuracy.solver": "mpm", **changes}
+    return Simulation(prepare(ball(300), Scene.named("push_right").replaced(changes)))
 
 
 def test_a_frame_that_fails_once_is_retried_from_its_start(monkeypatch):
