@@ -304,7 +304,7 @@ def test_authors_checkpoint_and_unknown_fields(unet):
     assert again.out[2].weight.equal(unet.out[2].weight)
     with pytest.raises(InputError, match="unknown field"):
         load_unet(prefixed, chanels=3)
-    with pytest.raises(InputError, match=r"not those of ImageDream's U-Net, which has 773"):
+    with pytest.raises(InputError, match=r"differ from the 773 tensors of ImageDream's U-Net"):
         load_unet(unet.state_dict())
 
 

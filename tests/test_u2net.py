@@ -196,7 +196,7 @@ def test_missing_corrupt_and_foreign_files_are_refused_in_words(no_weights, tmp_
     with pytest.raises(InputError, match="not a readable ONNX network"):
         u2net.load(tmp_path / "bad.onnx")
     save_file(ConvBnRelu(3, 4).state_dict(), tmp_path / "foreign.safetensors")
-    with pytest.raises(InputError, match="not those of U2-Net, which has 798"):
+    with pytest.raises(InputError, match="differ from the 798 tensors of U2-Net"):
         u2net.load(tmp_path / "foreign.safetensors")
 
 
