@@ -120,7 +120,7 @@ def test_a_running_simulation_has_no_controls():
 
 
 def test_taken_port():
-    sentence = r"cannot be opened.*choose another port"
+    sentence = r"cannot be opened.*choose another one"
     with FoxgloveSink(port=0) as first, pytest.raises(InputError, match=sentence):
         FoxgloveSink(port=first.port).__enter__()
 
