@@ -84,8 +84,8 @@ def test_what_takes_long_is_told_before_and_in_the_report(picture):
 class Foreseen:
     """A forecaster that forecasts one second of simulation."""
 
-    def __init__(self, context):
-        self.context = context
+    def __init__(self, context, error=True):
+        self.context, self.error = context, error
 
     def forecast(self, gaussians, scene, *, crop):
         return Forecast({"simulate": 1.0}, (), 1, 1, 1, {}, SubstepCost(1e-9, 1e-9))
