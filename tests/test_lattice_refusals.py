@@ -65,6 +65,14 @@ def test_a_projected_liquid_leaves_objects_to_particles():
     assert reason_for_particles(scene(WATER, accuracy={"liquid": "compressible"})) == ""
 
 
+def test_a_law_that_may_collapse_needs_damping_on_a_lattice():
+    for damping in (0.0, 10.0):
+        reason = reason_for_particles(
+            scene(material={"law": "fixed_corotated", "damping": damping})
+        )
+        assert ("squeezed flat" in reason) == (damping == 0)
+
+
 def test_every_preset_is_supported_or_has_a_reason():
     lacking = {name: reason_for_particles(Scene.named(name)) for name in (*ELASTIC, *OTHERS)}
     assert not any(lacking[name] for name in ELASTIC)

@@ -46,6 +46,9 @@ def reason_for_particles(scene: Any) -> str:
     scene = scene.model_copy(update={"accuracy": accuracy})
     if not any(scene.on_lattices):
         return "no object is elastic as a whole"
+    for section in scene.materials:
+        if is_elastic(section) and section.may_collapse and not getattr(section, "damping", 0):
+            return f"{section.law} without damping does not resist being squeezed flat"
     refusal = next(_refusals(scene, scene.materials), None)
     return f"{refusal.field} is {refusal.value}: {refusal.limit}" if refusal else ""
 
