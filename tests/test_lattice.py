@@ -20,7 +20,7 @@ from phy124.lattice.rest import RestLattice
 from phy124.lattice.solver import LatticeSolver
 from phy124.materials import Hencky, NeoHookean
 from phy124.monitor.lattice import LatticeTotals
-from phy124.mpm import Model, State
+from phy124.mpm import FreeBody, Model, State
 from phy124.mpm.tracks import Keyframes
 from phy124.particles.lattice import integration_points, lattice_of, surface_points
 from phy124.particles.solid import Solid
@@ -405,6 +405,25 @@ def test_lattice_resumes_bit_for_bit(threads):
     second.restore(saved)
     again = [second.step().gaussians.means for _ in range(3)]
     assert all(np.array_equal(a, b) for a, b in zip(ahead, again, strict=True))
+
+
+def test_bind_in_mid_run_changes_no_bit():
+    """A live run, whose forces are replaced by the same ones, equals a run that is left alone."""
+    walls, forces = [Ground()], [Gravity()]
+    place = {"place": (0.62, 0.1, 0.2), "velocity": (-0.5, 0, -1.5)}
+    motions = []
+    for live in (False, True):
+        ball = FreeBody("ball", "sphere", (0.15,) * 3, **place)
+        acting = {"forces": forces, "boundaries": walls, "planes": walls}
+        solid = block((0.4, 0.3, 0.3), low=(0, 0, 0.05))
+        solver = make(solid, v=(0.3, 0, -1), free=[ball], **acting)
+        for frame in range(1, 11):
+            solver.advance(0.02 * frame)
+            if live:
+                solver.bind(**acting)
+        motions.append([solver.nodes_state.u.numpy(), *solver.free.poses()])
+    for alone, bound in zip(*motions, strict=True):
+        assert np.array_equal(alone, bound)
 
 
 @pytest.mark.parametrize("damping", [0.0, 100.0])

@@ -295,7 +295,8 @@ def test_usd_names_the_object_of_each_gaussian(run, tmp_path):
 
 
 def test_live_grab_and_its_session_take_the_same_object():
-    live = Live(ball(300), scene(**ON_BOX), RunContext(threads=1))
+    particles = {"accuracy": {"cells": 8, "solver": "mpm"}}
+    live = Live(ball(300), scene(**ON_BOX, **particles), RunContext(threads=1))
     (frame,) = live.frames(1)
     assert list(frame.wrenches or {}) == list(live.contacts()) == ["ground", "ball_on_box"]
     assert live.pairs == {"ball_on_box": "box"} and set(live.centres) == {"ball", "box"}

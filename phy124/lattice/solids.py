@@ -21,7 +21,7 @@ from phy124.kernels.lattice.rows import rows_for
 from phy124.kernels.work import GIVEN, IMPULSE
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
-from phy124.mpm.free import POINTS, STAGE, FreeBodies, FreeBody
+from phy124.mpm.free import POINTS, STAGE, FreeBodies, FreeBody, Plane
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
@@ -53,6 +53,7 @@ class Solids(FreeBodies):
         shape = len(solids), model.bodies, SUMS
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         """Sums of the impulses of each solid on each body, like those of walls [F,bodies,16]."""
+        self._impulses: list[wp.array] = []
         super().__init__(model, solids)
         self.recovery = 0.0
         """Gain by which points come out of a solid [1/s^2]."""
@@ -71,6 +72,19 @@ class Solids(FreeBodies):
         moment, rest = sums[..., MOMENT : MOMENT + 3], sums[..., IMPULSE + 3 : GIVEN]
         return np.concatenate([sums[..., :3], moment, rest], axis=-1)
 
+    def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
+        """Let the solids collide with other flat walls, and keep the impulses of the last substep.
+
+        Args:
+            planes: The walls.
+            tracks: The tracks to which the walls' displacements are added.
+        """
+        earlier = self._impulses
+        super().bind(planes, tracks)
+        for impulses, kept in zip(self._impulses, earlier, strict=False):
+            if len(impulses) == len(kept):
+                impulses.assign(kept)
+
     def prepare(self, tracks: Tracks, recovery: float) -> None:
         """Prepare the contact with bodies, after `bind` and the upload of the tracks.
 
@@ -78,12 +92,14 @@ class Solids(FreeBodies):
             tracks: The tracks, which hold the clock.
             recovery: Gain by which points come out of a solid [1/s^2].
         """
-        self.recovery, forces = recovery, self._forces()
+        self.recovery, forces, sides = recovery, self._forces(), self._sides()
         self._touches = [
             _Touch(self, index, body, tracks)
             for index, body in itertools.product(range(len(self.all)), self._met)
         ]
         self._put_forces(forces)
+        self._list()
+        self._put_sides(sides)
 
     def stages(self) -> list[list[Named]]:
         """Return the launches of a substep: apply impulses, correct them, and sum them."""
@@ -129,6 +145,7 @@ class Solids(FreeBodies):
             "begun": self._begun.copy(),
             "walls": {str(i): each.numpy().copy() for i, each in enumerate(self._impulses)},
             "forces": self._forces(),
+            "sides": self._sides(),
             "reach": self._reach_points,
         }
 
@@ -145,6 +162,7 @@ class Solids(FreeBodies):
         self._put_forces(snapshot["forces"])
         self._reach_points = float(snapshot["reach"])
         self._list()
+        self._put_sides(snapshot.get("sides", {}))
 
     def _forces(self) -> dict[str, NDArray]:
         return {str(i): touch.force.numpy().copy() for i, touch in enumerate(self._touches)}
@@ -153,6 +171,15 @@ class Solids(FreeBodies):
         for number, touch in enumerate(self._touches):
             if str(number) in forces:
                 touch.force.assign(forces[str(number)])
+
+    def _sides(self) -> dict[str, NDArray]:
+        return {str(i): touch.side.numpy().copy() for i, touch in enumerate(self._touches)}
+
+    def _put_sides(self, sides: dict[str, NDArray]) -> None:
+        """Set the normals of flat points, which are updated only when limits are measured."""
+        for number, touch in enumerate(self._touches):
+            if str(number) in sides:
+                touch.side.assign(sides[str(number)])
 
 
 class _Touch:
@@ -180,9 +207,10 @@ class _Touch:
             inputs,
             [self._gaps],
         )
-        self._side = wp.zeros_like(self.force)
+        self.side = wp.zeros_like(self.force)
+        """Normals of flat points that are near a box [S,3]."""
         deepest = DEEPEST * model.dx
-        inputs = [self._list, 0, 0.0, deepest, shape, solid.mass, moments, *points, self._side]
+        inputs = [self._list, 0, 0.0, deepest, shape, solid.mass, moments, *points, self.side]
         inputs += [nodes.movable, nodes.u, tracks.clock, state]
         outputs = [trial, nodes.v, gap, place, yields, self.force]
         kernel = kernels.make_solid_touch(solid.shape, model.real, nodes.rows)
@@ -235,7 +263,7 @@ class _Touch:
         points = points[surface.flat[points]]
         side = np.zeros((surface.count, 3))
         side[points] = surface.deform(points, self._solids._nodes.u.numpy())[2]
-        self._side.assign(side)
+        self.side.assign(side)
 
 
 def kernels_of(shapes: Iterable[str], real: Any, device: str) -> Iterator[Any]:

@@ -119,8 +119,10 @@ class LatticeSolver:
         self.free = Solids(model, free, self.surface, self.nodes_state)
         # Bodies on their lattices need none of these; observers and reports read them.
         self.repair, self.outliers = Repair(model, self.state), Outliers(model, self.state)
-        self._meeting_points: Callable[[], dict[str, Any]] = dict
-        """Returns the pairs of points, which are kept when forces and boundaries are replaced."""
+        self._contact_state: Callable[[], dict[str, Any]] = dict
+        """Returns contact forces and pairs of points, which are kept when forces and boundaries are
+        replaced.
+        """
         self.guests: list[Any] = []
         """Further contact, with launches like those of walls."""
         self.softened = 1.0
@@ -150,6 +152,9 @@ class LatticeSolver:
     ) -> None:
         """Replace forces, boundaries and sums, from the next substep on.
 
+        All else continues as if they had been there from the start: contact forces, and when the
+        limits of the substep are measured. A live run therefore repeats bit for bit.
+
         Args:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
@@ -171,18 +176,22 @@ class LatticeSolver:
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
         self.free.prepare(tracks, walls.recovery)
-        kept = self._meeting_points()
+        kept, measured = self._contact_state(), self._measured
         self.meetings = Meetings(surface, model, nodes, tracks, self.pairs, walls.recovery)
-        self._meeting_points = self.meetings.snapshot
         if kept:
-            self.meetings.restore(kept)
+            self.meetings.restore(kept["meetings"])
+            walls.put_forces(kept["forces"])
+        self._contact_state = lambda: {
+            "meetings": self.meetings.snapshot(),
+            "forces": self.walls.forces(),
+        }
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self._sample = tracks.record()
         self._sample.launch()
         self.rejection = StepRejection(model, state, tracks, acting, accumulators)
         self.record()
         self._look()
-        self.clock.expire()
+        self._measured = measured
 
     def record(self) -> None:
         """Record the launches of one substep."""

@@ -185,16 +185,24 @@ class Walls:
         for contact in self._contacts:
             contact.force.zero_()
 
+    def forces(self) -> dict[str, wp.array]:
+        """Return the contact forces of the last substep, by the number of the wall."""
+        return {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}
+
+    def put_forces(self, forces: dict[str, wp.array]) -> None:
+        """Set the contact forces of the last substep, unless they are of another set of walls."""
+        if len(forces) == len(self._contacts):
+            for i, contact in enumerate(self._contacts):
+                contact.force.assign(forces[str(i)])
+
     def snapshot(self) -> dict[str, Any]:
         """Return sums and contact forces."""
-        forces = {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}
-        return {"sums": wp.clone(self.sums), "forces": forces}
+        return {"sums": wp.clone(self.sums), "forces": self.forces()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot."""
         self.sums.assign(snapshot["sums"])
-        for i, contact in enumerate(self._contacts):
-            contact.force.assign(snapshot["forces"][str(i)])
+        self.put_forces(snapshot["forces"])
 
 
 @dataclass(frozen=True, eq=False)
