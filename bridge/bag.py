@@ -87,7 +87,7 @@ def recorded_files(path: Path) -> list[Path]:
         part = path if path.suffix == PART else path.with_name(path.name + PART)
         listed = [file for file in (part, path) if file.is_file()][:1]
     if not listed:
-        limit = f"{path} is not a recording: it contains no {SUFFIX} file."
+        limit = f"There is no recording: the path has no {SUFFIX} file."
         raise InputError("recording", path, limit, "Give a bag folder or an .mcap file.")
     return listed
 

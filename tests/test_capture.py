@@ -290,7 +290,7 @@ def test_a_capture_at_an_accuracy_that_is_looked_for(tmp_path, capsys):
     options = [word for word in OPTIONS if "accuracy" not in word]
     wish = ["--max-error", "20%", "--gaussians", "2000", "--out", str(tmp_path / "out")]
     assert main(["simulate", path, *options, *wish]) == 0
-    assert "asked for at most 20%" in capsys.readouterr().out
+    assert "asked for an error of at most 20%" in capsys.readouterr().out
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["goal"]["met"] and 1800 < report["gaussians"] <= 2000
     assert 0.5 < report["static"] / report["gaussians"] < 0.8

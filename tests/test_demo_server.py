@@ -146,7 +146,7 @@ def test_api_takes_gaussians_with_an_up_axis(client, tmp_path):
     assert report["file"] == {"up": "y", "front": None, "program": None}
     assert (report["gaussians"], report["generator"]) == (300, "3DGS PLY")
     for picture, told, message in (
-        (DUCK, {"up": "y"}, "up: It is for a file of Gaussians"),
+        (DUCK, {"up": "y"}, "up: This option is only for a file of Gaussians"),
         (file, {"front": "w"}, "front: It is not an axis"),
     ):
         with pytest.raises(Exception, match=message):

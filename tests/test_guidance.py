@@ -104,7 +104,7 @@ def test_zero123_networks_load_from_files(small_zero123, tmp_path, monkeypatch):
     save_file(small_zero123["projection"].state_dict(), path)
     assert weights.is_complete("zero123", tmp_path)
     # Full-size networks refuse the small files by name.
-    with pytest.raises(InputError, match="not those of Zero123's U-Net, which has 686"):
+    with pytest.raises(InputError, match="differ from the 686 tensors of Zero123's U-Net"):
         zero123.load_trained(tmp_path, "cpu", torch.float32)
 
 

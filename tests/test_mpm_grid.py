@@ -31,7 +31,7 @@ def test_particles_that_crossed_too_many_cells_are_an_error(grid):
 
 def test_nodes_that_have_no_number_are_an_error(grid):
     grid.stale = True
-    with pytest.raises(Unstable, match="cells far"):
+    with pytest.raises(Unstable, match="cells away"):
         grid.fit(np.full(3, -1e9), np.full(3, 1e9))
 
 
