@@ -34,12 +34,17 @@ def declare_late() -> None:
 
 def _declare_late() -> None:
     """Replace the function by which Warp declares functions; unknown versions are not changed."""
+    from phy124.runtime.late_parsing import KNOWN
+
     try:
+        from warp import config
         from warp._src import context, types
 
         declare, resolve = context.add_builtin, context.Function._resolve_builtin_call
         declared, is_generic = context.builtin_functions, types.type_is_generic
     except (ImportError, AttributeError):
+        return
+    if not config.version.startswith(KNOWN):
         return
     waiting: defaultdict[str, list[Callable[[], None]]] = defaultdict(list)
 

@@ -57,9 +57,9 @@ class Accuracy(Section):
         default="mpm",
         exclude_if=lambda value: value == "mpm",
         description="Solver of elastic objects. mpm: the material point method. lattice: the nodes "
-        "of a lattice at rest move with the object, which bends right and cannot tear; for transfer "
-        "= apic only. auto: lattice where it is supported and measured better; otherwise the report "
-        "says why not.",
+        "of a lattice at rest move with the object, which bends right and cannot tear; for "
+        "transfer = apic only. auto: lattice where it is supported and measured better; otherwise "
+        "the report says why not.",
     )
     rpic_damping: float = Field(
         default=0.0,
