@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.boundaries.motion import Path
-from phy124.forces import Gravity, TotalForce, Wind
+from phy124.forces import Acceleration, Gravity, TotalForce, Wind
 from phy124.kernels.lattice.stress import GRADIENT, SPEED
 from phy124.kernels.work import IMPULSE, WORK
 from phy124.lattice import material, solids, workers
@@ -357,6 +357,19 @@ def test_forces_on_particles_give_their_momentum():
     mass, late = 16.0, solver.clock.last_dt / 2
     assert momentum[2] == pytest.approx(mass * (1 - math.exp(-0.5 * (0.5 - late))), rel=1e-5)
     assert momentum[1] == pytest.approx(2.0 / 0.5 * (1 - math.exp(-0.5 * (0.5 - late))), rel=1e-2)
+
+
+def test_a_uniform_push_deforms_nothing():
+    """Light nodes have more mass than their points, and move like all others."""
+    radius = np.linalg.norm(np.indices((10, 10, 10)) - 4.5, axis=0)
+    solid = block((0.5, 0.5, 0.5))
+    solid.fraction[radius > 4.7] = 0
+    push = Acceleration(a=(4.0, 0, 0), region=Region(lower=(-9, -9, -9), upper=(9, 9, 9)))
+    solver = make(solid, forces=[push])
+    assert len(solver.lattice.tied)
+    solver.advance(0.1)
+    moved = solver.state.x.numpy() - solver.model.rest
+    assert np.allclose(moved, [0.02, 0, 0], atol=1e-8)
 
 
 def test_hencky_runs_on_its_lattice():

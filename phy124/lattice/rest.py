@@ -64,6 +64,11 @@ class RestLattice:
     """Indices of the tied nodes [T]."""
     ties: scipy.sparse.csr_matrix
     """Weights of the other nodes in the motion of each tied node [T,N]."""
+    pushes: scipy.sparse.csr_matrix
+    """Weights of the pushes on all nodes that are added to the push on each node [N,N]: those of
+    tied nodes, and those of mass that another node gets. A uniform push then accelerates all nodes
+    equally.
+    """
     body: NDArray[np.int64]
     """Index of the body of each node [N]."""
 
@@ -102,7 +107,10 @@ class RestLattice:
                 ]
             )
 
-        ties = scipy.sparse.block_diag([body.ties for body in bodies], format="csr")
+        ties, pushes = (
+            scipy.sparse.csr_matrix(scipy.sparse.block_diag(parts, format="csr"))
+            for parts in ([body.ties for body in bodies], [body.pushes for body in bodies])
+        )
         return cls(
             float(dx),
             join("index"),
@@ -110,7 +118,8 @@ class RestLattice:
             join("offset"),
             join("mass"),
             join("tied", True),
-            scipy.sparse.csr_matrix(ties),
+            ties,
+            pushes,
             np.repeat(np.arange(len(bodies)), counts),
         )
 
@@ -140,10 +149,12 @@ class RestLattice:
         whole = density * dx**3
         corner = (np.bincount(number.ravel()) == 1) & (of_nodes < CORNER * whole)
         tied, ties, of_nodes = _tie_light(index, of_nodes, LIGHTEST * whole, corner)
-        of_nodes = _share(index, of_nodes, LIGHT * whole, GIVING * whole)
+        of_nodes, shares = _share(index, of_nodes, LIGHT * whole, GIVING * whole)
+        carried = ties.T @ _rows(tied, len(index))
+        pushes = scipy.sparse.csr_matrix(carried + shares + shares @ carried)
         rows = number[:, ::3].astype(np.int32)
         body = np.zeros(len(index), np.int64)
-        return cls(float(dx), index, rows, offset, of_nodes, tied, ties, body)
+        return cls(float(dx), index, rows, offset, of_nodes, tied, ties, pushes, body)
 
     def __len__(self) -> int:
         """Return the number of nodes."""
@@ -217,10 +228,11 @@ def _tie_light(
 
 def _share(
     index: NDArray[np.int64], mass: NDArray[np.float64], least: float, giving: float
-) -> NDArray[np.float64]:
+) -> tuple[NDArray[np.float64], scipy.sparse.csr_matrix]:
     """Return masses of at least `least` [kg], moved from heavy to light nodes as far as possible.
 
-    The total mass and its centre are preserved. No node loses more than half of its mass.
+    The total mass and its centre are preserved. No node loses more than half of its mass. The
+    matrix [N,N] moves forces with the mass: the moved mass has the light node's acceleration.
     """
     light, weights = _tie(index, mass, least, giving)
     light, weights = light[mass[light] > 0], weights[mass[light] > 0]
@@ -233,7 +245,14 @@ def _share(
     gained = np.zeros(len(mass))
     gained[light] = worst * wanted
     result: NDArray[np.float64] = mass + gained - weights.T @ gained[light]
-    return result
+    gains = _rows(light, len(mass))
+    shares = (gains - weights).T @ gains.multiply((gained[light] / mass[light])[:, None])
+    return result, scipy.sparse.csr_matrix(shares)
+
+
+def _rows(chosen: NDArray[np.int64], count: int) -> scipy.sparse.csr_matrix:
+    """Return the chosen rows of the identity matrix of a size."""
+    return scipy.sparse.csr_matrix(scipy.sparse.eye_array(count, format="csr")[chosen])
 
 
 def _tie(

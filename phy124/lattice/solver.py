@@ -119,10 +119,6 @@ class LatticeSolver:
         self.free = Solids(model, free, self.surface, self.nodes_state)
         # Bodies on their lattices need none of these; observers and reports read them.
         self.repair, self.outliers = Repair(model, self.state), Outliers(model, self.state)
-        self._contact_state: Callable[[], dict[str, Any]] = dict
-        """Returns contact forces and pairs of points, which are kept when forces and boundaries are
-        replaced.
-        """
         self.guests: list[Any] = []
         """Further contact, with launches like those of walls."""
         self.softened = 1.0
@@ -152,8 +148,8 @@ class LatticeSolver:
     ) -> None:
         """Replace forces, boundaries and sums, from the next substep on.
 
-        All else continues as if they had been there from the start: contact forces, and when the
-        limits of the substep are measured. A live run therefore repeats bit for bit.
+        Contact forces and the times of measurements do not change, so that live runs repeat bit for
+        bit.
 
         Args:
             forces: Forces, in the order in which they act.
@@ -176,20 +172,17 @@ class LatticeSolver:
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
         self.free.prepare(tracks, walls.recovery)
-        kept, measured = self._contact_state(), self._measured
+        kept = (self.meetings.snapshot(), self.walls.forces()) if self.clock.substeps else None
         self.meetings = Meetings(surface, model, nodes, tracks, self.pairs, walls.recovery)
-        if kept:
-            self.meetings.restore(kept["meetings"])
-            walls.put_forces(kept["forces"])
-        self._contact_state = lambda: {
-            "meetings": self.meetings.snapshot(),
-            "forces": self.walls.forces(),
-        }
+        if kept is not None:
+            self.meetings.restore(kept[0])
+            walls.put_forces(kept[1])
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self._sample = tracks.record()
         self._sample.launch()
         self.rejection = StepRejection(model, state, tracks, acting, accumulators)
         self.record()
+        measured = self._measured
         self._look()
         self._measured = measured
 
@@ -202,7 +195,7 @@ class LatticeSolver:
                 *before,
                 crew.force(worker, self.tracks if pushed else None),
                 in_shock_only(self.clock, crew.shock(worker)),
-                crew.kick(worker, self.tracks),
+                crew.kick(worker, self.tracks, pushed=pushed),
                 self._contact() if index == 0 else [],
                 crew.drift(worker, self.tracks),
             ]

@@ -44,7 +44,9 @@ class Worker:
     touched: slice
     """Span of the nodes that its cells touch."""
     forces: wp.array
-    """Forces of its cells on the touched nodes, N."""
+    """Forces of the stress of its cells on the touched nodes, N."""
+    pushes: wp.array
+    """Forces of pushes of its points on the touched nodes, N."""
     maxima: wp.array
     """Largest speed and rate of strain of its points."""
     trial: wp.array
@@ -110,8 +112,8 @@ class Crew:
         spans = [_span_of_cells(lattice, int(a), int(b)) for a, b in itertools.pairwise(cells)]
         room = [-(-(span.stop - span.start) // LINE) * LINE for span in spans]
         begin = np.cumsum([0, *room])
-        self._pool, self._trial_pool = (
-            wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(2)
+        self._pool, self._pushes, self._trial_pool = (
+            wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(3)
         )
         low, high = ([getattr(span, end) for span in spans] for end in ("start", "stop"))
         self._spans = [
@@ -123,6 +125,7 @@ class Crew:
                 slice(int(edges[w]), int(edges[w + 1])),
                 spans[w],
                 cast("wp.array", self._pool[int(begin[w]) : int(begin[w]) + room[w]]),
+                cast("wp.array", self._pushes[int(begin[w]) : int(begin[w]) + room[w]]),
                 wp.zeros(MAXIMA, dtype=model.real, device=device),
                 cast("wp.array", self._trial_pool[int(begin[w]) : int(begin[w]) + room[w]]),
             )
@@ -130,11 +133,16 @@ class Crew:
         ]
         self._tied = self._sparse(lattice, lattice.ties.tocsr())
         self._donors = self._sparse(lattice, lattice.ties.T.tocsr())
+        self._push_donors = self._sparse(lattice, lattice.pushes)
         self.stray = wp.zeros(1, dtype=int, device=device)
         self.a, self.trial_a, self.trial_u = (
             wp.zeros(len(lattice), dtype=t.vec3, device=device) for _ in range(3)
         )
         """Accelerations, those of trial displacements, and the latter [N,3]."""
+        self._still = wp.zeros(1, dtype=t.vec4, device=device)
+        """A uniform acceleration of zero."""
+        self._middle = wp.zeros_like(self.a)
+        """Velocities after pushes and before all other forces, which nothing reads [N,3]."""
         self._unread = wp.zeros(MAXIMA, dtype=model.real, device=device)
         self.measuring = all(self.vectors(g) and is_viscous(g, model) for g in model.groups)
         """Whether the stress measures the largest speed and rate of strain in every substep."""
@@ -178,9 +186,11 @@ class Crew:
             trial: Whether the forces are those of trial displacements.
         """
         out = worker.trial if trial else worker.forces
-        records = [] if pushes is None else [self._push(worker, pushes)]
-        records += [self._stress(worker, group, trial=trial) for group in self._model.groups]
-        return [("clear", out.zero_), *launches(records)]
+        records = [self._stress(worker, group, trial=trial) for group in self._model.groups]
+        stress = [("clear", out.zero_), *launches(records)]
+        if pushes is None:
+            return stress
+        return [("clear", worker.pushes.zero_), *launches([self._push(worker, pushes)]), *stress]
 
     def shock(self, worker: Worker) -> list[Named]:
         """Return the launch that adds the force of the artificial viscosity to the nodes."""
@@ -196,7 +206,7 @@ class Crew:
         inputs = [span.start, worker.touched.start, self._model.mass, tracks.clock, self._rows]
         inputs += [self._offset, state.v, self._kept]
         kernel = point_kernels.make_push(self._model.real)
-        launch = self._model.launch(kernel, span.stop - span.start, inputs, [worker.forces])
+        launch = self._model.launch(kernel, span.stop - span.start, inputs, [worker.pushes])
         return "push", launch
 
     def _block(self, span: slice) -> tuple[int, list[wp.array]]:
@@ -232,13 +242,26 @@ class Crew:
         """Return whether a group's stress runs on the vector units of a CPU."""
         return self._vectors and simd.has_stress(group.law)
 
-    def kick(self, worker: Worker, tracks: Tracks) -> list[Named]:
-        """Return the launch that changes the velocities of a worker's nodes by the forces."""
-        nodes = self._nodes
-        inputs = [nodes.inverse, self._pool, *self._spans, *self._donors]
-        inputs += [tracks.clock, tracks.values, nodes.v, nodes.before]
+    def kick(self, worker: Worker, tracks: Tracks, *, pushed: bool) -> list[Named]:
+        """Return the launches that change the velocities of a worker's nodes by the forces.
+
+        Args:
+            worker: The worker.
+            tracks: The tracks, which hold the clock and the uniform acceleration.
+            pushed: Whether forces act on points.
+        """
+        span, v, before, clock = worker.nodes, self._nodes.v, self._nodes.before, tracks.clock
+        stress = [span, self._pool, self._donors, clock, tracks.values, v]
+        if not pushed:
+            return self._kick(*stress, before)
+        push = [span, self._pushes, self._push_donors, clock, self._still, v]
+        return self._kick(*push, before) + self._kick(*stress, self._middle)
+
+    def _kick(self, span: slice, pool: wp.array, donors: list[wp.array], *rest: Any) -> list[Named]:
+        """Return the launch of `make_kick` on a span of nodes."""
+        inputs = [self._nodes.inverse, pool, *self._spans, *donors, *rest]
         plain = node_kernels.make_kick(self._model.real)
-        return self._over_nodes(worker.nodes, plain, simd.make_kick_simd, inputs)
+        return self._over_nodes(span, plain, simd.make_kick_simd, inputs)
 
     def drift(self, worker: Worker, tracks: Tracks) -> list[Named]:
         """Return the launch that moves a worker's nodes."""
@@ -293,12 +316,8 @@ class Crew:
         """Return launches that kick resting nodes for one second, without uniform acceleration."""
         model, pool = self._model, self._trial_pool if trial else self._pool
         clock, out = model.array([1.0, 1.0, 0.0], model.real), self.trial_a if trial else self.a
-        still = wp.zeros(1, dtype=types(model.real).vec4, device=model.device)
-        inputs = [self._nodes.inverse, pool, *self._spans, *self._donors, clock, still, out]
-        inputs += [wp.zeros_like(out)]
-        plain = node_kernels.make_kick(model.real)
         every = slice(0, len(out))
-        return self._over_nodes(every, plain, simd.make_kick_simd, inputs)
+        return self._kick(every, pool, self._donors, clock, self._still, out, self._middle)
 
     def compare(self, shape: wp.array, mixed: wp.array) -> tuple[wp.Launch, wp.Launch]:
         """Record the launches that displace the nodes by a shape, and that find the next shape."""
