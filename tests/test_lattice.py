@@ -359,6 +359,18 @@ def test_forces_on_particles_give_their_momentum():
     assert momentum[1] == pytest.approx(2.0 / 0.5 * (1 - math.exp(-0.5 * (0.5 - late))), rel=1e-2)
 
 
+def test_a_stiffer_body_takes_shorter_substeps_at_once():
+    solver = make(block((0.3, 0.2, 0.2)))
+    limits = []
+    for factor in (1.0, 25.0, 0.1):
+        solver.softened = factor
+        solver.clock.expire()
+        solver.measure_if_due()
+        limits.append(solver._spectrum.substep_at_rest)
+        assert solver.clock.stable().dt <= solver.clock.cfl * limits[-1] * (1 + 1e-9)
+    assert limits == pytest.approx([limits[0], limits[0] / 5, limits[0]])
+
+
 def test_a_uniform_push_deforms_nothing():
     """Light nodes have more mass than their points, and move like all others."""
     radius = np.linalg.norm(np.indices((10, 10, 10)) - 4.5, axis=0)

@@ -380,7 +380,7 @@ class LatticeSolver:
             self._read(self.clock.time - self._measured)
             self._measured = self.clock.time
         clock = self.clock
-        measured = clock.extremes._replace(stiffness=self._spectrum.stiffness)
+        measured = clock.extremes._replace(stiffness=self._spectrum.stiffen(self.softened))
         passed = FORGET * clock.since_complete
         clock.limit_by(measured.after(clock.extremes, substeps=passed), complete=True)
         clock.interval = self._interval()

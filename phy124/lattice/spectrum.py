@@ -87,6 +87,21 @@ class Spectrum:
         nodes.v.assign(v)
         self.square = self._least
         """Square of the largest angular frequency, as last measured [1/s^2]."""
+        self._stiffened = 1.0
+        """Factor, at least 1, by which all stiffnesses exceed those at the start."""
+
+    def stiffen(self, factor: float) -> float:
+        """Follow a factor on the stiffnesses at the start; return `stiffness`.
+
+        A larger factor acts at once, since the frequency is measured only after a substep. A factor
+        below 1 is not followed: substeps at rest are then shorter than necessary.
+        """
+        stiffened = max(1.0, factor)
+        ratio, self._stiffened = stiffened / self._stiffened, stiffened
+        self._least *= ratio
+        self._delay /= ratio
+        self.square = max(self._least, self.square * max(1.0, ratio))
+        return self.stiffness
 
     @property
     def _damping_ratio(self) -> float:
@@ -154,11 +169,13 @@ class Spectrum:
 
     def snapshot(self) -> dict[str, Any]:
         """Return the last shape and frequency."""
-        return {"shape": self._shape.numpy().copy(), "square": self.square}
+        shape, factor = self._shape.numpy().copy(), self._stiffened
+        return {"shape": shape, "square": self.square, "stiffened": factor}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Return to a snapshot."""
         self._shape.assign(np.array(snapshot["shape"]))
+        self.stiffen(snapshot.get("stiffened", 1.0))
         self.square = snapshot["square"]
 
 
