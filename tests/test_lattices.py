@@ -53,8 +53,19 @@ def test_effects_tell_why_there_is_no_lattice():
     assert "rest lattice" not in {row.effect for row in Effects.of(scene("sand")).left_out}
 
 
+def left_out_on_gpu(scene, **known):
+    """Return the rows of the report on lattices that are left out on a GPU."""
+    rows = Effects.of(scene, device="cuda:0", **known).left_out
+    return [row for row in rows if row.effect == "rest lattice"]
+
+
 def test_auto_is_mpm_on_a_gpu():
     assert choose_solver(scene(), "cuda:0").solver == "mpm"
+    for changes, why in (({}, "slower on a GPU"), ({"contacts": True}, "contacts is on")):
+        (row,) = left_out_on_gpu(scene(**changes))
+        assert why in row.why and "accuracy.solver" not in row.why
+        chosen = choose_solver(scene(**changes), "cuda:0")
+        assert left_out_on_gpu(chosen, no_lattice=row.why) == [row]
     named = scene(**{"accuracy.solver": "lattice"})
     assert choose_solver(named, "cuda:0") is named and choose_solver(scene(), "cpu").on_lattice
 

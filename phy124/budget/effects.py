@@ -55,6 +55,7 @@ class Effects:
         static: int | None = None,
         materials: Sequence[AnyMaterial] = (),
         observers: Sequence[Observer] = (),
+        no_lattice: str | None = None,
     ) -> Effects:
         """Return the effects that a scene requires, and those that its run leaves out.
 
@@ -65,11 +66,13 @@ class Effects:
             static: Number of static Gaussians in a finished run; None before a run.
             materials: The particles' materials, read from a file; empty: the scene's materials.
             observers: Observers of a finished run; empty before a run.
+            no_lattice: Why no object of a finished run is on a lattice; None before a run.
         """
+        why = reason_for_mpm(scene, device) if no_lattice is None else no_lattice
         scene = choose_solver(scene, device)
         ran, left_out = [], []
         subject = Subject(scene, materials or scene.materials)
-        for effect in _catalogue(subject, sh_degree, device, observers):
+        for effect in _catalogue(subject, sh_degree, device, observers, why):
             if effect.called_for:
                 counted = static if effect.name == STATIC else None
                 ran.append(effect.name + (f": {counted} never enter the solver" if counted else ""))
@@ -107,14 +110,14 @@ class Effects:
 
 
 def _catalogue(
-    subject: Subject, sh_degree: int, device: str, observers: Sequence[Observer]
+    subject: Subject, sh_degree: int, device: str, observers: Sequence[Observer], no_lattice: str
 ) -> Iterator[Effect]:
     """Yield every effect, in the order of the report."""
     scene = subject.scene
     yield from _of_materials(scene, subject.materials)
     yield from _of_forces(scene)
     if any(find_elastic(scene)) and not scene.on_lattice:
-        yield Effect("rest lattice", False, reason_for_mpm(scene))
+        yield Effect("rest lattice", False, no_lattice)
     yield from _of_observers(subject, observers)
     for wall in scene.boundaries:
         yield Effect(f"collider {wall.kind} ({wall.contact})")

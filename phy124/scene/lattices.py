@@ -22,11 +22,12 @@ def find_elastic(scene: Any) -> list[bool]:
     ]
 
 
-def reason_for_mpm(scene: Any) -> str:
-    """Return why no object of a scene is on a lattice; empty if elastic objects are.
+def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
+    """Return why no object of a scene is on a lattice on a device; empty if elastic objects are.
 
     By `accuracy.solver = "auto"` they are where lattices are supported and were measured better
-    (docs/lab/solvers.md). Among other objects they are not faster, and support less.
+    (docs/lab/solvers.md). Among other objects they are not faster, and support less. On a GPU a
+    lattice that touches walls takes many times as long (docs/lab/cuda.md).
     """
     accuracy = scene.resolution
     if accuracy.solver != "auto":
@@ -38,15 +39,12 @@ def reason_for_mpm(scene: Any) -> str:
         return f"accuracy.precision is {accuracy.precision}, in which lattices are slower"
     if scene.properties is not None:
         return "its materials are in a file"
-    return reason_for_particles(scene)
+    slow = "" if device == "cpu" else "lattices are slower on a GPU"
+    return reason_for_particles(scene) or slow
 
 
 def choose_solver(scene: Any, device: str) -> Any:
-    """Return a scene with the solver of its elastic objects on a device.
-
-    By `auto` it is the material point method on a GPU: there a lattice that touches walls takes
-    many times as long (docs/lab/cuda.md).
-    """
+    """Return a scene that names its solver if `auto` chooses another one on a device."""
     if device == "cpu" or scene.resolution.solver != "auto":
         return scene
     return _with_solver(scene, "mpm")

@@ -29,6 +29,7 @@ def report_run(run: Run) -> dict[str, Any]:
         static=setup.scenery.count,
         materials=setup.materials,
         observers=run.observers,
+        no_lattice=setup.no_lattice,
     )
     work = {"particles": len(particles), "substeps": clock.substeps, "nodes": solver.nodes}
     report = {

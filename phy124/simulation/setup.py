@@ -31,7 +31,7 @@ from phy124.particles.thickness import Proportions, measure_proportions
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import refuse_threads
 from phy124.scene import Scene
-from phy124.scene.lattices import choose_solver
+from phy124.scene.lattices import choose_solver, reason_for_mpm
 from phy124.scene.liquids import refuse_unprojectable
 from phy124.simulation.appearance import Appearance
 from phy124.simulation.bodies import Placed, make_body, make_free, make_scenery
@@ -48,6 +48,8 @@ class Setup:
     """Position of the object in the picture on which the masks of parts were painted."""
     scene: Scene
     """The scene, with the solver of elastic objects on the device."""
+    no_lattice: str
+    """Why no object is on a lattice; empty if elastic objects are."""
     solid_scene: Scene
     """The scene with objects on a path added as walls."""
     cleaned_scene: Scene
@@ -141,6 +143,7 @@ def prepare(
             budget or the free memory.
     """
     context = context or RunContext()
+    no_lattice = reason_for_mpm(scene, context.device)
     scene = choose_solver(scene, context.device)
     if observers is None:
         observers = observers_for(scene)
@@ -168,6 +171,7 @@ def prepare(
             source=gaussians,
             crop=crop,
             scene=scene,
+            no_lattice=no_lattice,
             solid_scene=solid_scene,
             cleaned_scene=body.scene,
             cleaning=body.cleaning,
