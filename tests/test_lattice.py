@@ -10,7 +10,8 @@ from scipy.spatial import KDTree
 
 from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.boundaries.motion import Path
-from phy124.forces import Acceleration, Gravity, TotalForce, Wind
+from phy124.forces import Acceleration, Grab, Gravity, TotalForce, Wind
+from phy124.forces.held import Part
 from phy124.kernels.lattice.stress import GRADIENT, SPEED
 from phy124.kernels.work import IMPULSE, WORK
 from phy124.lattice import material, solids, workers
@@ -357,6 +358,21 @@ def test_forces_on_particles_give_their_momentum():
     mass, late = 16.0, solver.clock.last_dt / 2
     assert momentum[2] == pytest.approx(mass * (1 - math.exp(-0.5 * (0.5 - late))), rel=1e-5)
     assert momentum[1] == pytest.approx(2.0 / 0.5 * (1 - math.exp(-0.5 * (0.5 - late))), rel=1e-2)
+
+
+def test_a_hand_pulls_the_mass_of_the_nodes_that_follow_it():
+    """A stiff damper gives the velocity of the hand to the part that it holds in one substep."""
+    speed, options = (0.1, 0, 0), {"point": (0.4, 0.2, 0.2), "radius": 0.1}
+    hand = Grab(times=(0, 1), targets=((0.4, 0.2, 0.2), (0.5, 0.2, 0.2)), **options)
+    hand = hand.model_copy(update={"stiffness": 0.0, "damping": 1e8, "strength": 1e9})
+    solver = make(block((0.4, 0.4, 0.4)), forces=[hand])
+    mass = solver.model.mass.numpy()
+    assert np.allclose(solver.lattice.respond(mass), 1)
+    solver.step(1e-3, 0.0)
+    solver.follow()
+    part = Part.of(solver.model, options["point"], options["radius"], "point")
+    chosen, share = part.chosen.numpy(), part.share.numpy()
+    assert np.allclose(share @ solver.state.v.numpy()[chosen], speed, rtol=1e-3, atol=1e-6)
 
 
 def test_a_stiffer_body_takes_shorter_substeps_at_once():

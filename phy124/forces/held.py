@@ -91,6 +91,11 @@ class Part(NamedTuple):
         total = float(mass.sum())
         share = mass / total
         r = model.rest[index] - share @ model.rest[index]
+        drawn = total / float(share @ weight)
+        if model.respond is not None:
+            force = np.zeros(len(model))
+            force[index] = share
+            drawn = 1 / float(share @ model.respond(force)[index])
         second = np.einsum("p,pi,pj->ij", share, r, r)
         moments = np.trace(second) - np.linalg.eigvalsh(second)
         return cls(
@@ -100,7 +105,7 @@ class Part(NamedTuple):
             wp.zeros(2, dtype=wp.vec3d, device=device),
             wp.zeros(1, dtype=wp.mat33d, device=device),
             total,
-            total / float(share @ weight),
+            drawn,
             float(np.linalg.norm(r, axis=1).max()),
             total * float(max(moments.min(), 1e-6 * np.trace(second))),
         )

@@ -171,6 +171,25 @@ class RestLattice:
         bodies = [self.index[self.body == body] for body in np.unique(self.body)]
         return sum(int(np.ptp(index, axis=0).max()) - 1 for index in bodies)
 
+    def respond(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return accelerations [P], m/s^2, by forces on points in one direction [P], N.
+
+        They are computed in the cells on which forces act, and 0 elsewhere.
+        """
+        chosen = np.repeat(force.reshape(-1, PER_CELL).any(axis=1), PER_CELL)
+        rows = np.repeat(self.rows, PER_CELL, axis=0)[chosen]
+        nodes = (rows[:, :, None] + np.arange(3)).reshape(-1, 27)
+        weights = _weights(self.offset[chosen])
+        push = np.bincount(
+            nodes.ravel(), (weights * force[chosen, None]).ravel(), minlength=len(self)
+        )
+        push += self.pushes @ push
+        a = np.divide(push, self.mass, out=np.zeros(len(self)), where=self.mass > 0)
+        a[self.tied] = self.ties @ a
+        result = np.zeros(len(force))
+        result[chosen] = (weights * a[nodes]).sum(axis=1)
+        return result
+
     def find(self, index: NDArray, body: NDArray | int = 0) -> NDArray[np.int64]:
         """Return the numbers of nodes, -1 where there is no node.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -96,7 +97,6 @@ class LatticeSolver:
             InputError: The region of a force holds no particle, or a clamp holds only some
                 directions.
         """
-        self.model = model
         self.state = State.of(model) if state is None else state
         self.clock = LatticeClock(model, ceiling=ceiling)
         self.clock.sound = max(section.wave_speed() for section in model.materials)
@@ -107,6 +107,7 @@ class LatticeSolver:
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         spans = [model.particles(body) for body in range(model.bodies)]
         self.lattice = RestLattice.of(model.rest, mass, volume, model.dx, spans)
+        self.model = model = replace(model, respond=self.lattice.respond)
         self.surface = make_surface(surface, self.lattice)
         self.nodes_state = make_nodes(model, self.lattice, self.state, vectors=vectors)
         count = usable_workers(len(model), model.device, threads)
@@ -148,8 +149,7 @@ class LatticeSolver:
     ) -> None:
         """Replace forces, boundaries and sums, from the next substep on.
 
-        Contact forces and the times of measurements do not change, so that live runs repeat bit for
-        bit.
+        Contact forces and the times of measurements do not change: live runs repeat bit for bit.
 
         Args:
             forces: Forces, in the order in which they act.

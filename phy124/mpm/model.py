@@ -6,7 +6,7 @@ The model holds the particles at rest, their materials and the grid's spacing.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, cast
@@ -86,6 +86,10 @@ class Model:
     """Names of the bodies; empty if they have none."""
     least_stiffness: float = 1.0
     """Smallest factor on Young's modulus E of any particle."""
+    respond: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
+    """Returns the accelerations of particles that forces on them cause [P]; None: each moves by
+    itself.
+    """
 
     @classmethod
     def of(
