@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from asyncio import TimerHandle
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
+from uvicorn.protocols.http import auto
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 try:
@@ -29,6 +33,24 @@ def allow_connections() -> int:
     if now < minimum:
         resource.setrlimit(resource.RLIMIT_NOFILE, (minimum, most))
     return max(now, minimum) // 2
+
+
+@contextmanager
+def limited(most: int) -> Iterator[None]:
+    """Limit the connections of servers that start in the block, from the first connection on.
+
+    Gradio starts uvicorn without options. If the protocol were replaced after the start,
+    connections made before would have neither a deadline nor a limit.
+
+    Args:
+        most: Largest number of connections.
+    """
+    usual = auto.AutoHTTPProtocol
+    auto.AutoHTTPProtocol = partial(Patient, most=most)  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        yield
+    finally:
+        auto.AutoHTTPProtocol = usual
 
 
 class Patient(H11Protocol):

@@ -11,7 +11,6 @@ import socket
 import threading
 import warnings
 from collections.abc import Awaitable, Callable
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +25,7 @@ from phy124.errors import InputError
 from phy124.io.html import VIEWER
 
 from .bodies import BodyLimit
-from .connections import Patient, allow_connections
+from .connections import allow_connections, limited
 from .guard import Doorkeeper, Headed, cookie_of, own_names, split_names
 from .settings import SLACK
 from .source import SMALLER
@@ -200,33 +199,33 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
     settings = studio.settings
     page.queue(max_size=settings.max_queue, default_concurrency_limit=1, api_open=False)
     connections = allow_connections()
-    page.launch(
-        server_name=settings.host,
-        server_port=settings.port,
-        share=False,
-        quiet=True,  # otherwise Gradio advises to share the page publicly
-        _frontend=False,  # otherwise Gradio gives up if its own page takes 3 s on a busy machine
-        show_error=False,
-        max_file_size=settings.max_file_bytes,
-        allowed_paths=[],
-        run_history=False,
-        ssr_mode=False,
-        footer_links=["api"],
-        enable_monitoring=False,
-        mcp_server=False,  # demo/tools.py is used instead
-        pwa=False,
-        prevent_thread_lock=True,
-        app_kwargs={
-            "middleware": doors(studio, connections),
-            "routes": [*routes(studio), *tool_routes(page, studio)],
-        },
-        **options,
-    )
+    with limited(connections):
+        page.launch(
+            server_name=settings.host,
+            server_port=settings.port,
+            share=False,
+            quiet=True,  # otherwise Gradio advises to share the page publicly
+            _frontend=False,  # otherwise Gradio gives up if its page takes 3 s on a busy machine
+            show_error=False,
+            max_file_size=settings.max_file_bytes,
+            allowed_paths=[],
+            run_history=False,
+            ssr_mode=False,
+            footer_links=["api"],
+            enable_monitoring=False,
+            mcp_server=False,  # demo/tools.py is used instead
+            pwa=False,
+            prevent_thread_lock=True,
+            app_kwargs={
+                "middleware": doors(studio, connections),
+                "routes": [*routes(studio), *tool_routes(page, studio)],
+            },
+            **options,
+        )
     print(f"The page is at {page.local_url}", flush=True)  # at once, even into a file
     _remove_cors(page.app)
     sessions = page.app.state_holder = page.state_holder = Sessions(page, studio.visitors)
-    # uvicorn reads this attribute for each new connection.
-    page.server.config.http_protocol_class = partial(Patient, most=connections)
+    # uvicorn reads these attributes for each new connection.
     page.server.config.ws_max_size = LARGEST_MESSAGE
     # The data sent is already compressed or dense.
     page.server.config.ws_per_message_deflate = False

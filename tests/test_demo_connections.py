@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from demo.connections import STALLED, Patient
+import uvicorn
+
+from demo.connections import STALLED, Patient, limited
 
 
 class Clock:
@@ -83,3 +85,18 @@ def test_websocket_is_not_closed_for_a_missing_body():
     state = SimpleNamespace(their_state="SEND_BODY")
     waiting = SimpleNamespace(conn=state, transport=became, _stop=lambda: "stopped")
     assert Patient._watch(waiting) == "stopped"
+
+
+def test_servers_are_limited_from_their_first_connection():
+    protocols = []
+    with limited(7):
+        protocols.append(_protocol())
+    protocols.append(_protocol())
+    assert protocols[0].func is Patient and protocols[0].keywords == {"most": 7}
+    assert protocols[1] is not Patient and not hasattr(protocols[1], "keywords")
+
+
+def _protocol():
+    config = uvicorn.Config(lambda: None)
+    config.load()
+    return config.http_protocol_class
