@@ -36,7 +36,7 @@ def allow_connections() -> int:
 
 
 @contextmanager
-def limited(most: int) -> Iterator[None]:
+def limit_connections(most: int) -> Iterator[None]:
     """Limit the connections of servers that start in the block, from the first connection on.
 
     Gradio starts uvicorn without options. If the protocol were replaced after the start,

@@ -25,7 +25,7 @@ from phy124.errors import InputError
 from phy124.io.html import VIEWER
 
 from .bodies import BodyLimit
-from .connections import allow_connections, limited
+from .connections import allow_connections, limit_connections
 from .guard import Doorkeeper, Headed, cookie_of, own_names, split_names
 from .settings import SLACK
 from .source import SMALLER
@@ -199,7 +199,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
     settings = studio.settings
     page.queue(max_size=settings.max_queue, default_concurrency_limit=1, api_open=False)
     connections = allow_connections()
-    with limited(connections):
+    with limit_connections(connections):
         page.launch(
             server_name=settings.host,
             server_port=settings.port,

@@ -152,9 +152,9 @@ def test_a_viewer_in_another_process_steers_a_run():
     assert said["pause"] == said["step"] == said["reset"] == said["quit"] == ok
     assert "must be a uint64" in said["wrong"] and said["cdr"] == "Unsupported encoding"
     assert 31 in said["features"]["features"]["features"] and said["contact"] > 60
-    # Two topics, four messages that are none, a wrench that is no number, and the flood
-    # as often as the backlog is full, which it is not on an idle machine.
-    assert run.remarks.count >= 7
+    # Two topics, four messages that are none, a wrench that is no number, and perhaps the flood:
+    # too fast for the sink's thread, for the run, or for both.
+    assert run.remarks.count in (7, 8, 9)
 
 
 def test_ten_thousand_messages_are_skipped_with_one_line():

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import uvicorn
 
-from demo.connections import STALLED, Patient, limited
+from demo.connections import STALLED, Patient, limit_connections
 
 
 class Clock:
@@ -89,7 +89,7 @@ def test_websocket_is_not_closed_for_a_missing_body():
 
 def test_servers_are_limited_from_their_first_connection():
     protocols = []
-    with limited(7):
+    with limit_connections(7):
         protocols.append(_protocol())
     protocols.append(_protocol())
     assert protocols[0].func is Patient and protocols[0].keywords == {"most": 7}
