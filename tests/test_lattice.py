@@ -284,7 +284,8 @@ def test_block_comes_back_from_a_fifth_of_its_height(damping, strain):
     walls = [plate, HalfSpace(friction=0.3)]
     solver = make(block((1, 1, 1)), rubber, boundaries=walls, precision="float32")
     solver.advance(0.6)
-    assert np.ptp(solver.state.x.numpy()[:, 2]) < 0.25
+    heights = solver.state.x.numpy()[:, 2]  # the plates are 0.2 m apart, and a cell is 0.1 m
+    assert heights.min() > -0.04 and heights.max() < 0.24
     solver.advance(2.1)
     stretch = np.linalg.svd(solver.state.F.numpy(), compute_uv=False)
     assert np.abs(stretch - 1).max() < strain

@@ -63,7 +63,7 @@ class Meeting:
             nodes: Arrays of the nodes.
             tracks: The tracks, which hold the clock.
             partners: The search for points that may touch.
-            restore: Gain by which points come out of each other [1/s^2].
+            restore: Gain by which points come out of each other [1/s].
             sample: Indices of the sampled points of the two bodies [K].
             bodies: Indices of the two bodies, equal for a body with itself.
             friction: Coefficient of Coulomb friction.

@@ -79,7 +79,7 @@ class Material:
         Args:
             grid: The grid of the particles.
             clock: The clock of the substeps.
-            recovery: Gain by which points come out of the material [1/s^2].
+            recovery: Gain by which points come out of the material [1/s].
         """
         model, nodes, rows = self._model, self._nodes, self._nodes.rows
         on_grid = [grid.lattice, grid.window, grid.nodes]

@@ -47,7 +47,7 @@ class Meetings:
             nodes: Arrays of the nodes.
             tracks: The tracks, which hold the clock.
             pairs: Friction of pairs of bodies, and the sums of their impulses.
-            restore: Gain by which points come out of each other [1/s^2].
+            restore: Gain by which points come out of each other [1/s].
         """
         self._dx = model.dx
         cube = np.floor(surface.x / (SAMPLED * model.dx)).astype(np.int64)

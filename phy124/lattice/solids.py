@@ -56,7 +56,7 @@ class Solids(FreeBodies):
         self._impulses: list[wp.array] = []
         super().__init__(model, solids)
         self.recovery = 0.0
-        """Gain by which points come out of a solid [1/s^2]."""
+        """Gain by which points come out of a solid [1/s]."""
         self._points = [
             wp.array(surface.nodes, dtype=int, device=model.device),
             model.array(surface.weights, model.real),
@@ -90,7 +90,7 @@ class Solids(FreeBodies):
 
         Args:
             tracks: The tracks, which hold the clock.
-            recovery: Gain by which points come out of a solid [1/s^2].
+            recovery: Gain by which points come out of a solid [1/s].
         """
         self.recovery, forces, sides = recovery, self._forces(), self._sides()
         self._touches = [

@@ -129,7 +129,7 @@ class Walls:
         self._dx, self._listed = model.dx, 0
         points = _Points.of(surface, lattice, model, substep)
         self.recovery = RESTORE["separate"] * points.slowest
-        """Gain by which points come out of a wall [1/s^2]."""
+        """Gain by which points come out of a wall [1/s]."""
         self._clamps, self._contacts = [], []
         for number, (holds, part) in enumerate(simple):
             sums = cast("wp.array", self.sums[number])
@@ -215,7 +215,7 @@ class _Points:
     rest: wp.array
     body: NDArray[np.int64]
     slowest: float
-    """(pi / 2 H dt)^2 for bodies with a total extent of H cells and substeps dt at rest [1/s^2]."""
+    """(pi / 2 H)^2 / dt for bodies with a total extent of H cells and substeps dt at rest [1/s]."""
 
     @classmethod
     def of(cls, surface: Surface, lattice: RestLattice, model: Model, substep: float) -> _Points:
@@ -223,7 +223,7 @@ class _Points:
         nodes = wp.array(surface.nodes, dtype=int, device=model.device)
         weights = model.array(surface.weights, model.real)
         rest = model.array(surface.x, types(model.real).vec3)
-        slowest = (math.pi / 2 / lattice.across / substep) ** 2
+        slowest = (math.pi / 2 / lattice.across) ** 2 / substep
         return cls(surface.count, nodes, weights, rest, surface.body, slowest)
 
 

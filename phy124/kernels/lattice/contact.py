@@ -1,7 +1,7 @@
 """Contact of surface points with a wall, by impulses on the nodes.
 
 A point at signed distance g from the wall must not approach it faster than g / dt. While a wall
-presses a point, the point moves away at -restore g dt. Impulses of the last substep are applied
+presses a point, the point moves away at -restore g. Impulses of the last substep are applied
 first; then projected Gauss-Seidel corrects them (friction in Coulomb's cone), forwards and back, in
 an order in which consecutive points are about a cell apart (phy124/lattice/surface.py). An
 impulse J changes the velocities of a point's nodes by w_i J / m_i, and so its own velocity by
@@ -11,10 +11,9 @@ Contact then neither creates nor sustains vibrations. The pass over all points, 
 is a symmetric positive operator E on velocities. With C = E^-1 - 1, the impulses of the last
 substep are those of springs C / dt^2 that are integrated implicitly: (1 + C) v' = v - (K + C) x,
 which is stable for every stiffness K that is stable without walls. A single pass, which is not
-symmetric, excites vibrations. `restore` [1/s^2] is an integral gain; if it were larger than
-omega^2, it would excite the body's slowest vibration, whose angular frequency is omega. Points come
-out of walls more slowly in shorter substeps: otherwise a body that is squeezed hard would be thrown
-out.
+symmetric, excites vibrations. `restore` [1/s] is an integral gain; if it were larger than
+omega^2 dt, it would excite the body's slowest vibration, whose angular frequency is omega. It does
+not grow as substeps shrink: otherwise a body that is squeezed hard would be thrown out.
 
 The result of Gauss-Seidel depends on the order of points, so each of its kernels is one thread.
 """
@@ -52,13 +51,13 @@ def largest_approach(gap: Any, pressed: Any, restore: Any, clock: wp.array(dtype
     Args:
         gap: Distance of the point [m], negative inside.
         pressed: Normal part of its last impulse [N s].
-        restore: Gain by which points come out [1/s^2].
+        restore: Gain by which points come out [1/s].
         clock: Kick and drift [s]; a very short drift must not make a point leave fast.
     """
     longest = wp.max(clock[0], clock[1])
     speed = gap / longest
     if gap < type(gap)(0.0) or pressed != type(gap)(0.0):
-        speed = restore * gap * longest
+        speed = restore * gap
     return speed
 
 
