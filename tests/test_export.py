@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from phy124.__main__ import main
 from phy124.errors import Cancelled, InputError
 from phy124.gaussians import Frame
 from phy124.io.clip import Clip
@@ -189,3 +190,12 @@ def test_without_usd_core_it_says_what_to_install(tmp_path, clip, monkeypatch):
     monkeypatch.setattr(builtins, "__import__", absent)
     with pytest.raises(InputError, match=r"pip install .*\[usd\]"):
         write_usd(tmp_path / "a.usdc", clip)
+
+
+@pytest.mark.parametrize("name", ["report.json", "scene.toml", "front.mp4"])
+def test_no_export_replaces_the_files_of_a_run(tmp_path, capsys, name):
+    (tmp_path / name).write_text("kept")
+    clip, out = str(tmp_path / "clip.safetensors"), str(tmp_path / name)
+    assert main(["export", clip, "--to", "ply", "--out", out]) == 2
+    assert "end in .ply. Rename it." in capsys.readouterr().err
+    assert (tmp_path / name).read_text() == "kept"

@@ -37,6 +37,10 @@ TO = "; ".join(f"{name}: {format.title}" for name, format in written_formats().i
 FRAMES = "frames: a clip with all values of each frame"
 
 
+OF_RUNS = (".json", ".toml", ".safetensors", ".png", ".mp4")
+"""Endings of a run's report, scene, clip and pictures, which no export may replace."""
+
+
 @dataclass(frozen=True)
 class Convert:
     """Write a file of Gaussians in another format, rotated to that format's up axis."""
@@ -179,13 +183,14 @@ class Export:
 
 
 def _refuse_other_ending(path: Path, chosen: Format) -> None:
-    """Refuse a file name with the ending of another format, which programs would misread."""
+    """Refuse a file name with the ending of another format or of a run's other files."""
     ending, known = path.suffix.lower(), written_formats().values()
     endings = {each.name: (each.suffix, *each.other_suffixes) for each in known}
     others = [name for name, each in endings.items() if ending in each]
-    if others and chosen.name not in others:
+    if ending in OF_RUNS or (others and chosen.name not in others):
         limit = f"files of the format {chosen.title} end in {chosen.suffix}."
-        raise InputError("out", path, limit, f"Rename it, or choose --to {' or '.join(others)}.")
+        remedy = f"Rename it, or choose --to {' or '.join(others)}." if others else "Rename it."
+        raise InputError("out", path, limit, remedy)
 
 
 def note_lost(gaussians: Gaussians, chosen: Format) -> list[str]:

@@ -24,6 +24,8 @@ READING = 250
 """Memory of a Gaussian of degree 0 while a binary file is read [bytes]."""
 RUNNING = 600
 """Memory of a Gaussian in a run, from reading to films [bytes]; docs/results/scale.md has it."""
+MOST_KEPT = 5_000_000
+"""Largest value of --gaussians."""
 DENSEST = 100
 """Largest ratio of unpacked to compressed bytes: files of real objects reach 10, zip bombs 1000."""
 SMALL = 1 << 22
@@ -179,7 +181,7 @@ def check_size(kind: str, path: Path, count: int, *, more: float = 0.0) -> None:
     if needed > free:
         limit = f"a run of {kept:,} Gaussians needs about {needed / 1e9:.1f} GB of memory, and "
         limit += f"{free / 1e9:.1f} GB may be used ({MEMORY_FRACTION:.0%} of the free memory)."
-        fewer = max(int(free / RUNNING), 1)
+        fewer = min(max(int(free / RUNNING), 1), MOST_KEPT)
         fewer -= fewer % 10 ** max(len(str(fewer)) - 2, 0)  # two significant digits
         raise refusal(
             kind,

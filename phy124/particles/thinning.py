@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.io.content import MOST_KEPT
 
-FEWEST, MOST = 100, 5_000_000
+FEWEST, MOST = 100, MOST_KEPT
 GIANT = 1e4
 """Largest area, in median areas, of a Gaussian that is neither a background nor an error."""
 BITS = 16
