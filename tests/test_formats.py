@@ -239,7 +239,7 @@ def test_too_many_for_a_run_are_refused_by_the_header(tmp_path, name, monkeypatc
     (tmp_path / name).write_bytes(head_of(name, 20_000_000))
     monkeypatch.setattr(content, "free_memory", lambda: 8.4e9)
     file = PlyFile(str(tmp_path / name))
-    with pytest.raises(InputError, match=r"20,000,000 Gaussians needs about 12.0 GB .* 6.7 GB") as e:
+    with pytest.raises(InputError, match=r"20,000,000 Gaussians needs .* 6.7 GB may") as e:
         capture(file, Scene())
     assert "--gaussians to 5000000 or fewer" in str(e.value)  # the largest that is accepted
     for read in (partial(capture, file, Scene(), count=10_000_000), partial(read_as_is, file.path)):
