@@ -35,8 +35,6 @@ from phy124.scene import View
 MERGE = tyro.conf.arg(metavar="N")
 TO = "; ".join(f"{name}: {format.title}" for name, format in written_formats().items())
 FRAMES = "frames: a clip with all values of each frame"
-
-
 OF_RUNS = (".json", ".toml", ".safetensors", ".png", ".mp4")
 """Endings of a run's report, scene, clip and pictures, which no export may replace."""
 
@@ -115,9 +113,9 @@ class Export:
         if self.to == "frames":
             return self._write_values()
         chosen = find_written_format(Path(), self.to)
+        self._refuse_replacing(self.out or self.clip.with_suffix(chosen.suffix))
         if self.out is not None and not self.all:
             _refuse_other_ending(self.out, chosen)
-        self._refuse_replacing(self.out or self.clip.with_suffix(chosen.suffix))
         clip = Clip.load(self.clip)
         if self.frame is not None and self.all:
             limit = "--frame selects one frame, but --all selects every frame."
