@@ -346,14 +346,14 @@ def read_rows(path: Path) -> NDArray[Any]:
 
 
 def _rows(path: Path, header: Header) -> NDArray[Any]:
-    columns = len(header.row.names or ())
-    more = TEXT * columns if header.ascii else WIDER * max(header.row.itemsize - PLAIN, 0)
-    check_size("PLY", path, header.count, more=more)
     if header.ascii:
+        check_size("PLY", path, header.count, more=TEXT * len(header.row.names or ()))
         return _read_ascii(path, header)
     available = max(path.stat().st_size - header.start, 0) // header.row.itemsize
-    count = min(available, header.count)  # no memory is allocated for missing rows
-    rows = np.fromfile(path, header.row, count, offset=header.start)
+    if available < header.count:  # before its size, which is not that of the whole file
+        raise _cut_short(path, available, header.count)
+    check_size("PLY", path, header.count, more=WIDER * max(header.row.itemsize - PLAIN, 0))
+    rows = np.fromfile(path, header.row, header.count, offset=header.start)
     if len(rows) < header.count:
         raise _cut_short(path, len(rows), header.count)
     return rows
