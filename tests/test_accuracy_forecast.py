@@ -56,6 +56,16 @@ def test_substeps_are_predicted(name):
     assert predicted.caveat is None
 
 
+@pytest.mark.parametrize("name", ["press", "sway"])
+def test_substeps_on_a_lattice_follow_from_its_own_rest(name):
+    chosen = scene(name, 20, **{"accuracy.solver": "lattice"})
+    simulation = Simulation(prepare(OBJECT, chosen))
+    made = Forecaster().of(simulation, filming=False)
+    assert simulation.solver.clock.substeps == 0 and not simulation.solver.timings
+    simulation.run()
+    assert made.substeps == pytest.approx(simulation.solver.clock.substeps, rel=0.08)
+
+
 def test_forecast_has_the_companion_of_runs_that_afford_it(monkeypatch):
     simulation, forecaster = Simulation(prepare(OBJECT, scene("press"))), Forecaster()
     options = {"filming": False, "load": QUIET}

@@ -28,6 +28,7 @@ from phy124.accuracy.probe import (
     coarsen,
     probe,
     run_pilot,
+    substeps_at_rest,
     time_film,
     time_shapes,
 )
@@ -384,8 +385,9 @@ class Forecaster:
         """
         scene = simulation.scene
         pilot = self._pilot(simulation)
-        rates, nodes, each_frame = probe(simulation)
-        substeps, limiters = pilot.substeps(scene.resolution.cells)
+        rates, nodes, each_frame = probe(simulation, pilot)
+        rest = substeps_at_rest(simulation.solver) / scene.time.fps if pilot.stages else None
+        substeps, limiters = pilot.substeps(scene.resolution.cells, rest)
         mean_nodes = nodes * pilot.growth
         particles = len(simulation.setup.particles)
         per_substep = rates.particle * particles + rates.node * mean_nodes

@@ -6,7 +6,7 @@ import math
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.accuracy.stages import Stages, average_stages, predict_substep
 from phy124.boundaries.base import THINNEST
 from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
@@ -33,6 +34,9 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.solver import kernels
 
 if TYPE_CHECKING:
+    from typing_extensions import TypeGuard
+
+    from phy124.lattice.solver import LatticeSolver
     from phy124.liquid import AnySolver
 
 PROBE, MIN_PROBE = 20, 6
@@ -69,11 +73,16 @@ class SubstepCost:
     """Time per grid node and substep [s]."""
 
 
-def probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
+def probe(simulation: Simulation, pilot: Pilot | None = None) -> tuple[SubstepCost, int, float]:
     """Measure the cost of a substep, the number of nodes, and the time per frame for checks [s].
 
     The simulation runs up to 20 substeps several times, with all checks of a frame, and is then
     reset to its initial state.
+
+    Args:
+        simulation: The simulation.
+        pilot: A pilot run, whose stages correct the cost of substeps on lattices; None: the cost is
+            that at rest.
     """
     solver, watchdog = simulation.solver, simulation.find(Watchdog)
     after = None if watchdog is None else watchdog.after_substep
@@ -84,7 +93,7 @@ def probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
     spent = 0.0
     try:
         while len(rounds) < ROUNDS and spent < LONGEST_PROBE:
-            spent += measure_time(lambda: rounds.append(_seconds_per_substep(solver, after)))
+            spent += measure_time(lambda: rounds.append(_seconds_per_substep(solver, after, pilot)))
             simulation.roll_back(start)
         checks = min(measure_time(lambda: _run_empty_frame(simulation)) for _ in range(TRIES))
     finally:
@@ -96,9 +105,14 @@ def probe(simulation: Simulation) -> tuple[SubstepCost, int, float]:
 
 
 def _seconds_per_substep(
-    solver: AnySolver, after: Callable[[], None] | None
+    solver: AnySolver, after: Callable[[], None] | None, pilot: Pilot | None
 ) -> tuple[float, float, int]:
     """Measure the time of a substep.
+
+    Args:
+        solver: The solver.
+        after: Called after each substep.
+        pilot: A pilot run; None: the time is that at rest.
 
     Returns:
         The time of a substep [s], the fraction of it that is proportional to the number of nodes,
@@ -110,7 +124,12 @@ def _seconds_per_substep(
     _clear_timings(solver)
     before, count = solver.clock.substeps, int(np.clip(LONGEST_PROBE / each, MIN_PROBE, PROBE))
     seconds = measure_time(lambda: _advance(solver, count, after))
-    return seconds / (solver.clock.substeps - before), _node_fraction(solver), solver.grid.count
+    taken = solver.clock.substeps - before
+    each = seconds / taken
+    if pilot is not None and pilot.stages:
+        stages, finer = average_stages(solver.timings, taken), pilot.finer(solver.model.dx)
+        each = predict_substep(pilot.stages, stages, finer, each)
+    return each, _node_fraction(solver), solver.grid.count
 
 
 def _seconds_in_graph(solver: AnySolver, after: Callable[[], None] | None) -> float:
@@ -258,8 +277,10 @@ def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
 
 CELLS = 16
 """Cells across the object in the pilot run."""
-EXCESS = 0.8
-"""Exponent: substeps in excess of those at rest are assumed to grow as cells^(1 + EXCESS)."""
+EXCESS, ON_LATTICE = 0.8, 1.2
+"""Exponents: substeps in excess of those at rest are assumed to grow as cells^(1 + EXCESS), and on
+lattices as cells^(1 + ON_LATTICE).
+"""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user", "wave")
 
 
@@ -280,18 +301,34 @@ class Pilot:
     """Minimum number of substeps per frame, due to viscosity."""
     factors: NDArray[np.float64] | float = 1.0
     """Factor on Young's modulus in each frame [T]."""
+    excess: float = EXCESS
+    """Exponent with which the ratio of the other substeps to those at rest grows."""
+    dx: float = 1.0
+    """Side of a cell [m]."""
+    stages: Stages = field(default_factory=dict)
+    """The stages of the substeps on lattices; empty for other solvers."""
 
-    def substeps(self, cells: int) -> tuple[int, dict[str, float]]:
+    def finer(self, dx: float) -> float:
+        """Return how many times more cells a grid has along the object, for its cells' side [m]."""
+        return self.dx / dx
+
+    def substeps(self, cells: int, rest: float | None = None) -> tuple[int, dict[str, float]]:
         """Predict the number of substeps on another grid, and the fraction that each limit causes.
 
         The number of substeps in a frame is rounded up.
+
+        Args:
+            cells: Cells across the object.
+            rest: Substeps per frame that the initial state needs on that grid; None: their number
+                is proportional to the cells.
         """
         scale = cells / self.cells
+        more = scale if rest is None else rest / self.rest
         at_rest = np.minimum(self.counts["elastic"], self.rest * np.sqrt(self.factors))
         excess = self.counts["elastic"] - at_rest
         counts = {
             **self.counts,
-            "elastic": at_rest * scale + excess * scale ** (1 + EXCESS),
+            "elastic": more * (at_rest + excess * scale**self.excess),
             "speed": self.counts["speed"] * scale,
             "wave": self.counts.get("wave", np.zeros_like(at_rest)) * np.sqrt(scale),
         }
@@ -345,8 +382,8 @@ def run_pilot(
     stopped = False
     try:
         solver.step(0.0, 0.0)
-        stiffness = solver.clock.extremes.stiffness
-        rest = math.sqrt(stiffness) / (solver.clock.cfl * solver.model.dx) / timing.fps
+        rest = substeps_at_rest(solver) / timing.fps
+        _clear_timings(solver)  # Of the first substep, which takes no time.
         for frame in range(timing.frames - 1):
             before = dict(solver.clock.needed)
             if softening is not None:
@@ -358,5 +395,26 @@ def run_pilot(
     except Unstable:
         stopped = True
     growth = float(np.mean(nodes) / nodes[0]) if nodes else 1.0
-    viscous = 1 / (solver.clock.viscous * timing.fps)
-    return Pilot(cells, counts, rest, growth, stopped, viscous, factors)
+    made = Pilot(cells, counts, rest, growth, stopped, factors=factors, dx=solver.model.dx)
+    if _on_lattice(solver):
+        stages = average_stages(solver.timings, solver.clock.substeps - 1)
+        return replace(made, excess=ON_LATTICE, stages=stages)
+    return replace(made, viscous=1 / (solver.clock.viscous * timing.fps))
+
+
+def substeps_at_rest(solver: AnySolver) -> float:
+    """Return the number of substeps per second that the initial state needs [1/s].
+
+    Args:
+        solver: The solver, before its first substep; one of particles has measured its limits.
+    """
+    if _on_lattice(solver):
+        return 1 / solver.substep_at_rest
+    return math.sqrt(solver.clock.extremes.stiffness) / (solver.clock.cfl * solver.model.dx)
+
+
+def _on_lattice(solver: AnySolver) -> TypeGuard[LatticeSolver]:
+    """Return whether all bodies are on lattices."""
+    from phy124.lattice.solver import LatticeSolver
+
+    return isinstance(solver, LatticeSolver)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from phy124.lattice.workers import Worker
-from phy124.mpm.stage import Named
 from phy124.mpm.threads import Team
 from phy124.mpm.workers import run_timed
 
@@ -35,11 +34,11 @@ class Phases:
         first = self._workers[0]
         if self.team.alive:
             self.team.put(task)
-            first.run(_tasks(first, task))
+            _run(first, task)
             self.team.join()
         else:
             for worker in self._workers:
-                worker.run(_tasks(worker, task))
+                _run(worker, task)
 
     def join(self) -> None:
         """Wait for the other threads."""
@@ -48,11 +47,13 @@ class Phases:
 
     def _run_member(self, member: int, phase: int) -> None:
         """Run a phase or task in one of the other threads."""
-        worker = self._workers[member]
-        worker.run(_tasks(worker, phase))
+        _run(self._workers[member], phase)
 
 
-def _tasks(worker: Worker, phase: int) -> Sequence[Named]:
-    """Return a worker's launches of a phase or task."""
-    other = {MEASURE: worker.measures, TRIAL: worker.trials}
-    return other[phase] if phase in other else worker.phases[phase]
+def _run(worker: Worker, phase: int) -> None:
+    """Run a worker's launches of a phase or task."""
+    if phase == TRIAL:  # The stage `frequency` includes the time of trials.
+        for _, launch in worker.trials:
+            launch()
+    else:
+        worker.run(worker.measures if phase == MEASURE else worker.phases[phase])

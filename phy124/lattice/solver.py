@@ -127,7 +127,8 @@ class LatticeSolver:
         self._spectrum = Spectrum(
             model, self._crew, self.nodes_state, self.lattice, lambda: self.phases.run_task(TRIAL)
         )
-        self._substep_at_rest = self.clock.cfl * self._spectrum.substep_at_rest
+        self.substep_at_rest = self.clock.cfl * self._spectrum.substep_at_rest
+        """Length of a substep at rest [s]."""
         self._probing = False
         """Whether the next substep measures the largest frequency."""
         self._strain, self._probed = math.inf, 0
@@ -165,9 +166,7 @@ class LatticeSolver:
         tracks = Tracks(real=model.real, device=model.device)
         acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
         surface, nodes = self.surface, self.nodes_state
-        walls = Walls(
-            boundaries, model, self.lattice, surface, nodes, tracks, self._substep_at_rest
-        )
+        walls = Walls(boundaries, model, self.lattice, surface, nodes, tracks, self.substep_at_rest)
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
@@ -417,7 +416,7 @@ class LatticeSolver:
 
         The next attempt takes substeps of half the last length: a collapsed one would never end.
         """
-        lost, usual = int(self._crew.stray.numpy()[0]), self._substep_at_rest
+        lost, usual = int(self._crew.stray.numpy()[0]), self.substep_at_rest
         if lost or self.clock.stable().dt < COLLAPSED * min(usual, self.clock.ceiling):
             self.clock.last_dt = usual
             points = f" ({lost} points)" if lost else ""

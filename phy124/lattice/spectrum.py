@@ -35,7 +35,7 @@ iterations follow, and grows without viscosity.
 MIXED = 0.1
 """Size of the accelerations with which an iteration starts, relative to the last shape."""
 MISSED = 1.1
-"""Factor on the squared frequency, which the iterations underestimate."""
+"""Factor on the rise of the squared frequency since rest, which the iterations underestimate."""
 
 
 class Spectrum:
@@ -127,8 +127,8 @@ class Spectrum:
         largest = float(np.abs(self._crew.a.numpy()).max())
         share = MIXED / largest if largest > 0 else 0.0
         hard = self.square > SQUEEZED * self._least and self._damping_ratio < UNDAMPED
-        rounds = FOLLOWED if hard else 1
-        self.square = max(self._least, MISSED * self._iterate(share, rounds))
+        rise = self._iterate(share, FOLLOWED if hard else 1) - self._least
+        self.square = self._least + max(0.0, MISSED * rise)
 
     def _iterate(self, share: float, rounds: int, velocities: wp.array | None = None) -> float:
         """Return the square of the largest frequency [1/s^2] after some power iterations.

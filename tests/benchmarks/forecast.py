@@ -5,6 +5,9 @@ forecast cannot know what others will do. About four minutes; names of scenes do
 
 With `--zoo FOLDER` objects of the zoo (zoo.py) run at `standard` instead of the duck, which takes
 about five minutes. This also measures the cost of the own error, relative to the dynamics.
+
+With `--solver` elastic objects run with another solver than the default one. With `--cpu` all times
+are CPU times of a single thread, which are right on a busy machine, too.
 """
 
 import argparse
@@ -12,12 +15,14 @@ import json
 import statistics
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import warp as wp
 
 from phy124 import pipeline
 from phy124.accuracy import Forecaster
+from phy124.runtime.context import RunContext
 from phy124.scene import PRESETS, preset_names
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -32,11 +37,17 @@ ZOO = ("bob", "cat", "koala", "teapot", "duck", "pear", "torus", "table")
 MOTIONS = ("press", "drop", "sway", "spin")
 
 
-def measure(gaussians, name: str, accuracy: str) -> dict:
+def measure(
+    gaussians, name: str, accuracy: str, solver: str | None = None, threads: int | None = None
+) -> dict:
     """One whole run with its forecast."""
     scene = beginning(name).replaced({"accuracy": accuracy})
+    if solver is not None:
+        scene = scene.replaced({"accuracy.solver": solver})
+    context = RunContext(threads=threads)
     with tempfile.TemporaryDirectory() as folder:
-        result = pipeline.simulate(gaussians, scene, folder, forecaster=Forecaster())
+        forecaster = Forecaster(context)
+        result = pipeline.simulate(gaussians, scene, folder, context, forecaster=forecaster)
     told, report = result.report["forecast"], result.report
     simulate = told["stages"]["simulate"]
     seconds = {stage["name"]: stage["seconds"] for stage in report["stages"]}
@@ -64,13 +75,14 @@ def count_within(rows: list[dict], part: float) -> str:
     return f"{within} of {len(ratios)} ratios of spent to predicted are {ends}."
 
 
-def measure_zoo(folder: Path) -> None:
+def measure_zoo(folder: Path, names: list[str], solver: str | None, threads: int | None) -> None:
     """Print a line per object and scene, and conclusions about forecasts and the own error."""
     known, rows = objects(folder), []
-    for name in ZOO:
+    for name in names:
         gaussians = gaussians_of(name, known[name])
         for scene in MOTIONS:
-            rows.append({"object": name, **measure(gaussians, scene, "standard")})
+            row = measure(gaussians, scene, "standard", solver, threads)
+            rows.append({"object": name, **row})
             print(json.dumps(rows[-1]), flush=True)
     costs = sorted(row["own error / simulation"] for row in rows)
     ran = [cost for cost in costs if cost > 0]
@@ -85,19 +97,25 @@ def main() -> None:
     how.add_argument("scenes", nargs="*", help="names of presets; default all")
     how.add_argument("--docs", action="store_true", help="renew the table of the page")
     how.add_argument("--zoo", type=Path, metavar="FOLDER", help="folder of the zoo's objects")
+    how.add_argument("--objects", nargs="+", default=list(ZOO), help="names of the zoo's objects")
+    how.add_argument("--solver", choices=("mpm", "lattice"), help="solver of elastic objects")
+    how.add_argument("--cpu", action="store_true", help="measure CPU time of one thread")
     args = how.parse_args()
+    if args.cpu:  # All clocks of forecasts and runs are this one.
+        time.perf_counter = time.process_time
+    kind = args.solver, 1 if args.cpu else None
     wp.config.log_level = wp.LOG_ERROR
     gaussians = pipeline.make_gaussians(DUCK).gaussians
     # The first run of a process compiles and loads kernels.
     for accuracy in ("draft", "fine"):
-        measure(gaussians, "push_right", accuracy)
+        measure(gaussians, "push_right", accuracy, *kind)
     if args.zoo:
-        measure_zoo(args.zoo)
+        measure_zoo(args.zoo, args.objects, *kind)
         return
     rows = []
     for name in args.scenes or [n for n in preset_names() if n not in ALIKE]:
         for accuracy in PRESETS:
-            rows.append(measure(gaussians, name, accuracy))
+            rows.append(measure(gaussians, name, accuracy, *kind))
             print(json.dumps(rows[-1]), flush=True)
     print(count_within(rows, 0.1))
     if args.docs:

@@ -1,0 +1,57 @@
+"""Predicts the time of a substep on lattices, stage by stage.
+
+Probes at rest do not show the cost of a motion: contact, the search for parts that touch, and
+measurements of the frequency depend on it. A pilot run of the whole motion counts the calls of each
+stage; a probe on the run's own grid measures the duration of a call.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from phy124.mpm.workers import Timings
+
+WAIT = "wait"
+"""Name of the stage in which a thread waits for the others."""
+
+
+class Stage(NamedTuple):
+    """The calls of a stage in some substeps."""
+
+    calls: float
+    """Number of calls per substep."""
+    seconds: float
+    """Duration of a call [s]."""
+
+
+Stages = Mapping[str, Stage]
+"""Name of a stage -> its calls."""
+
+
+def average_stages(timings: Timings, substeps: int) -> dict[str, Stage]:
+    """Return the calls of each stage, from their durations in some substeps."""
+    taken = max(substeps, 1)
+    return {name: Stage(n / taken, seconds / n) for name, (seconds, n) in timings.items() if n}
+
+
+def predict_substep(pilot: Stages, probe: Stages, finer: float, total: float) -> float:
+    """Return the mean time of a substep in a run [s].
+
+    A stage whose calls take longer in motion than at rest, such as contact, has the time of the
+    pilot's calls, which grows as the number of surface points along a line.
+
+    Args:
+        pilot: The stages of the whole motion on a coarse grid.
+        probe: The stages of a few substeps at rest on the run's grid.
+        finer: Cells of the run's grid, divided by those of the pilot's.
+        total: Time of a substep of the probe, including the time between stages [s].
+    """
+    seconds = total - sum(calls * each for calls, each in probe.values())
+    for name, (calls, each) in pilot.items():
+        at_rest = probe.get(name)
+        if name == WAIT:
+            seconds += 0.0 if at_rest is None else calls * at_rest.seconds
+        else:
+            seconds += calls * max(finer * each, 0.0 if at_rest is None else at_rest.seconds)
+    return seconds
