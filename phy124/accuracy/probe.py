@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 import warp as wp
@@ -34,8 +34,6 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.solver import kernels
 
 if TYPE_CHECKING:
-    from typing_extensions import TypeGuard
-
     from phy124.lattice.solver import LatticeSolver
     from phy124.liquid import AnySolver
 
