@@ -206,6 +206,20 @@ class Oracle:
         return SimpleNamespace(seconds=seconds + 1, stages={"simulate": seconds}, caveat=None)
 
 
+def set_up(gaussians, scene, context, **options) -> SimpleNamespace:
+    return SimpleNamespace(scene=scene, placed=None)
+
+
+@pytest.mark.parametrize(
+    ("preparing", "kept", "chosen"), [(0.0, 0.0, 64), (1.0, 3.0, 40), (8.0, 3.0, 0)]
+)
+def test_trial_of_a_finer_grid_leaves_time_for_the_best_one(preparing, kept, chosen):
+    """Grids take long to prepare on lattices, where a simulation at 16 cells takes no time."""
+    forecast = SimpleNamespace(seconds=1.1, stages={"simulate": 0.1})
+    finer = [n for n in choose.CELLS if 16 < n <= 64]
+    assert choose._choose_next(16, finer, preparing, forecast, 14.0, kept) == chosen
+
+
 @pytest.mark.parametrize(("seconds", "cells"), [(8.0, 12), (13.0, 16), (36.0, 24), (80.0, 32)])
 def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells):
     built = []
@@ -218,7 +232,7 @@ def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells
         def run(self, record):
             return None
 
-    monkeypatch.setattr(choose, "prepare", lambda _, scene, *a, **k: SimpleNamespace(scene=scene))
+    monkeypatch.setattr(choose, "prepare", set_up)
     monkeypatch.setattr(choose, "Simulation", Run)
     reached = run_for_goal(Goal.time(seconds), ball(10), Scene(), forecaster=Oracle())
     assert reached.about["cells"] == cells
@@ -227,7 +241,7 @@ def test_a_time_goal_takes_the_finest_grid_that_fits(monkeypatch, seconds, cells
 
 
 def test_a_time_too_short_is_refused(monkeypatch):
-    monkeypatch.setattr(choose, "prepare", lambda _, scene, *a, **k: SimpleNamespace(scene=scene))
+    monkeypatch.setattr(choose, "prepare", set_up)
     monkeypatch.setattr(choose, "Simulation", lambda setup: SimpleNamespace(scene=setup.scene))
     with pytest.raises(InputError) as refusal:
         run_for_goal(Goal.time(0.5), ball(10), Scene(), forecaster=Oracle())

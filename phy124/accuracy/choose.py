@@ -42,6 +42,7 @@ from phy124.monitor.tearing import Tearing
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
+from phy124.simulation.bodies import Placed
 
 FIRST = (12, 16, 24)
 """Cells across the object on the first levels; an order is observed on three levels."""
@@ -119,6 +120,8 @@ class _Runs:
     done: dict[int, tuple[Simulation, Clip]] = field(default_factory=dict)
     spent: dict[int, float] = field(default_factory=dict)
     """Cells across the object -> duration of the run on this grid [s]."""
+    placed: Placed | None = None
+    """The object in its position, from the first simulation; None if it is not known yet."""
     denser: bool = False
     """Whether runs use one more particle per cell and axis, because a level tore the material."""
 
@@ -128,7 +131,10 @@ class _Runs:
         per_axis = self.scene.particles_per_axis + self.denser
         accuracy = base.model_copy(update={"cells": cells, "particles_per_axis": per_axis})
         changed = self.scene.model_copy(update={"accuracy": accuracy})
-        return Simulation(prepare(self.gaussians, changed, self.context, crop=self.crop))
+        options: dict[str, Any] = {"crop": self.crop, "placed": self.placed}
+        setup = prepare(self.gaussians, changed, self.context, **options)
+        self.placed = setup.placed
+        return Simulation(setup)
 
     def clip(self, cells: int) -> Clip:
         """Return the clip on this grid; run the simulation if the clip does not exist yet."""
@@ -371,14 +377,21 @@ def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float
     available, start = MARGIN * goal.value - elapsed, runs.context.watch.total
     tried: dict[int, tuple[Simulation, Forecast]] = {}
     best, cells = 0, START
-    while cells and cells not in tried:
+    while cells:
+        prepared = _sum_preparation(runs)
         simulation = runs.simulation(cells)
+        preparing = _sum_preparation(runs) - prepared
         forecast = forecaster.of(simulation)
         tried[cells] = simulation, forecast
         left = available - (runs.context.watch.total - start)
-        fits = forecast.seconds <= left
-        best = max(best, cells) if fits else best
-        cells = _choose_next(cells, forecast, left, fits, set(tried)) or 0
+        if forecast.seconds <= left:
+            best = max(best, cells)
+        kept = tried[best][1].seconds if best else 0.0
+        finer = [n for n in CELLS if n > best and n not in tried]
+        wanted = (
+            [n for n in finer if n > cells] if cells == best else [n for n in finer if n < cells]
+        )
+        cells = _choose_next(cells, wanted, preparing, forecast, left, kept)
     if not best:
         coarsest = min(tried)
         ready = elapsed + runs.context.watch.total - start
@@ -386,26 +399,45 @@ def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float
     return _Fit(best, *tried[best], sorted(tried))
 
 
-def _choose_next(
-    cells: int, forecast: Forecast, left: float, fits: bool, tried: set[int]
-) -> int | None:
-    """Return the next grid to forecast; None if no other grid would be finer or still fit.
+def _sum_preparation(runs: _Runs) -> float:
+    """Return the time that the particles and solvers of all levels have taken [s]."""
+    seconds = runs.context.watch.seconds
+    return sum(seconds.get(stage, 0.0) for stage in ("particles", "compile"))
 
-    The next grid is expected to take about as much time as is left.
+
+def _choose_next(
+    cells: int,
+    wanted: list[int],
+    preparing: float,
+    forecast: Forecast,
+    left: float,
+    kept: float,
+) -> int:
+    """Return the next grid to forecast; 0 if there is none.
+
+    It is the finest one that is expected to fit, including its preparation, after which a grid that
+    already fits must still fit. If none is expected to fit, and none does, it is the coarsest one.
+
+    Args:
+        cells: Cells across the object of the last grid.
+        wanted: Cells of the grids that may be chosen, increasing.
+        preparing: Time to prepare the last grid [s].
+        forecast: Forecast of the last grid.
+        left: Remaining part of the maximum time [s].
+        kept: Predicted time of the best grid that fits [s]; 0 if none does.
     """
     simulation = forecast.stages["simulate"]
-    available = max(left - (forecast.seconds - simulation), 0.05 * simulation)
-    target = cells * (available / simulation) ** (1 / GROWTH)
-    if fits:
-        finer = [n for n in CELLS if cells < n <= max(target, cells)]
-        return next((n for n in reversed(finer) if n not in tried), None)
-    coarser = [n for n in CELLS if n < cells and n not in tried]
-    near = [n for n in coarser if n <= target]
-    return (near or coarser[:1] or [None])[-1]
+    others = forecast.seconds - simulation
+    fitting = []
+    for n in wanted:
+        ready, run = (seconds * (n / cells) ** GROWTH for seconds in (preparing, simulation))
+        if ready + max(run + others, kept) <= left:
+            fitting.append(n)
+    return fitting[-1] if fitting else 0 if kept else next(iter(wanted), 0)
 
 
 GROWTH = 2.5
-"""Exponent of the time: a simulation's time is assumed to grow as cells^GROWTH.
+"""Exponent of the time: preparation and simulation are assumed to take time as cells^GROWTH.
 
 The exponent lies between those of a thin surface (2) and of a solid (3).
 """

@@ -434,9 +434,10 @@ class Forecaster:
         return self._remember(key, lambda: simulation.setup.proportions)
 
     def _pilot(self, simulation: Simulation) -> Pilot:
-        gaussians, scene, crop = simulation.setup.gaussians, simulation.scene, simulation.setup.crop
-        key = ("pilot", *_sample(gaussians), _physics(coarsen(scene)), crop)
-        return self._remember(key, lambda: run_pilot(gaussians, scene, self.context, crop=crop))
+        setup, scene = simulation.setup, simulation.scene
+        gaussians, options = setup.source, {"crop": setup.crop, "placed": setup.placed}
+        key = ("pilot", *_sample(setup.gaussians), _physics(coarsen(scene)), setup.crop)
+        return self._remember(key, lambda: run_pilot(gaussians, scene, self.context, **options))
 
     def _filming(self, gaussians: Gaussians, scene: Scene) -> dict[str, float]:
         """Return the times of rendering, encoding and saving [s]."""

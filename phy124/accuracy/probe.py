@@ -36,6 +36,7 @@ from phy124.simulation.solver import kernels
 if TYPE_CHECKING:
     from phy124.lattice.solver import LatticeSolver
     from phy124.liquid import AnySolver
+    from phy124.simulation.bodies import Placed
 
 PROBE, MIN_PROBE = 20, 6
 """Maximum and minimum number of substeps in a probe."""
@@ -358,7 +359,12 @@ def min_cells(scene: Scene) -> int:
 
 
 def run_pilot(
-    gaussians: Gaussians, scene: Scene, context: RunContext | None = None, *, crop: Crop = WHOLE
+    gaussians: Gaussians,
+    scene: Scene,
+    context: RunContext | None = None,
+    *,
+    crop: Crop = WHOLE,
+    placed: Placed | None = None,
 ) -> Pilot:
     """Simulate a scene on a coarse grid, and count the substeps.
 
@@ -367,11 +373,12 @@ def run_pilot(
         scene: The scene.
         context: Only its device is used.
         crop: Rectangle of the object in the picture on which the masks of parts were painted.
+        placed: The object in its position, from a setup of the same Gaussians.
     """
     context = RunContext(device=(context or RunContext()).device)
     coarse = coarsen(scene)
     cells = coarse.resolution.cells
-    simulation = Simulation(prepare(gaussians, coarse, context, crop=crop))
+    simulation = Simulation(prepare(gaussians, coarse, context, crop=crop, placed=placed))
     solver, timing = simulation.solver, scene.time
     softening = simulation.find(Softening)
     counts = {name: np.zeros(timing.frames - 1) for name in LIMITERS}
