@@ -102,5 +102,5 @@ def test_a_scene_asks_for_it_and_pays_in_the_forecast():
 
 
 def test_a_blend_that_nothing_reads_is_refused():
-    with pytest.raises(InputError, match="blend needs transfer"):
+    with pytest.raises(InputError, match=r"blend = 0.5: it needs transfer"):
         Scene.from_data({"accuracy": {"transfer": "xpic2", "blend": 0.5}})

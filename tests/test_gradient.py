@@ -52,7 +52,7 @@ def test_a_scene_asks_for_it_with_apic_alone():
     spline = Scene().replaced({"accuracy.gradient": "spline"})
     assert any(kernel.module.name.endswith("_spline") for kernel in kernels(spline))
     assert "spline" in spline.to_toml() and "gradient" not in Scene().to_toml()
-    with pytest.raises(InputError, match=r"accuracy.gradient = spline needs transfer = apic"):
+    with pytest.raises(InputError, match=r"accuracy.gradient = spline: it needs transfer = apic"):
         Scene().replaced({"accuracy": {"gradient": "spline", "transfer": "xpic2"}})
     with pytest.raises(InputError, match=r"accuracy.gradient = spline"):
         spline.replaced({"checks.energy": True})

@@ -174,7 +174,7 @@ def test_the_number_of_physgaussian_is_a_rate(golden):
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        ({"transfer": "xpic2", "rpic_damping": 1}, "rpic_damping needs transfer = apic"),
+        ({"transfer": "xpic2", "rpic_damping": 1}, "rpic_damping = 1.0: it needs transfer = apic"),
         ({"rpic_damping": -1}, "rpic_damping = -1: it must be a number from 0 to 1e6"),
         ({"rpic_damping": 1e7}, "rpic_damping = 10000000.0: it must be"),
     ],

@@ -255,11 +255,28 @@ def test_a_scene_is_said_in_one_line():
     sand = summarise(Scene().replaced({"material.law": "sand"}))
     assert "repose" not in sand
     assert said.endswith(
-        "1 m over 32 cells, 1.5 particles per cell and axis, float32, "
+        "1 m over 32 cells, 1.5 particles per cell and axis, float32, solver mpm, "
         "Gaussians on a lattice of particles; 22 frames at 24/s"
     )
     assert "each Gaussian a particle;" in summarise(scene.replaced({"binding": "particles"}))
     assert "\n" not in said
+
+
+@pytest.mark.parametrize(
+    ("name", "chosen", "solvers"),
+    [
+        ("press", "lattice", "lattice"),
+        ("press", "auto", "lattice"),
+        ("snow", "auto", "mpm"),
+        ("water", "auto", "projection"),
+        ("land_on_cushion", "lattice", "lattice and mpm"),
+    ],
+)
+def test_the_line_names_the_solvers(name, chosen, solvers):
+    scene = Scene.named(name).replaced({"accuracy.cells": 32, "accuracy.solver": chosen})
+    if " and " in solvers:
+        scene = scene.replaced({"material": {"law": "sand"}})
+    assert f", solver {solvers}, " in summarise(scene)
 
 
 def test_particles_per_axis_follow_from_the_materials():

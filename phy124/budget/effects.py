@@ -16,7 +16,7 @@ from phy124.monitor import observers_for
 from phy124.monitor.observer import UNKNOWN, Cost, Effect, Observer, Subject, find
 from phy124.mpm.model import form_of
 from phy124.scene import Scene
-from phy124.scene.lattices import choose_solver, find_elastic, reason_for_mpm
+from phy124.scene.lattices import choose_solver, reason_for_mpm
 from phy124.scene.liquids import reason_for_compressible
 
 NODE = 1.8
@@ -116,7 +116,7 @@ def _catalogue(
     scene = subject.scene
     yield from _of_materials(scene, subject.materials)
     yield from _of_forces(scene)
-    if any(find_elastic(scene)) and not scene.on_lattice:
+    if not scene.on_lattice:
         yield Effect("rest lattice", False, no_lattice)
     yield from _of_observers(subject, observers)
     for wall in scene.boundaries:

@@ -84,7 +84,7 @@ class Generate:
                 file = PlyFile(making.generator, making.reading)
                 scene = adapt_scene(file, scene, count=making.gaussians)
             return continue_run(out, self.options, scene, self._study(), self.plan)
-        announce(scene, goal, as_json=self.options.json)
+        announce(scene, goal, self.options.device, as_json=self.options.json)
         if self.plan.dry_run:
             with search_first(self.making.cutting.weights):
                 return self._predict(scene)
@@ -215,7 +215,7 @@ class Simulate:
             adapted = adapt_scene(file, scene, count=self.gaussians)
             return continue_run(out, self.options, adapted, study, self.plan)
         check_count(self.gaussians)
-        announce(scene, goal, as_json=self.options.json)
+        announce(scene, goal, self.options.device, as_json=self.options.json)
         if self.plan.dry_run:
             return self._predict(file, scene, study)
         bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staging(out)

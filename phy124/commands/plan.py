@@ -14,7 +14,9 @@ from phy124.gaussians import Gaussians
 from phy124.generators.options import Effort
 from phy124.imaging.painted import Crop
 from phy124.runtime.context import RunContext
+from phy124.runtime.device import pick_device
 from phy124.scene import Scene, summarise
+from phy124.scene.lattices import choose_solver
 
 STOOD_IN = "The times after the generator are for a stand-in object made by relief."
 
@@ -58,17 +60,19 @@ class PlanOptions:
         return Forecaster(context, self.error) if self.forecast else None
 
 
-def announce(scene: Scene, goal: Goal | None, *, as_json: bool) -> None:
+def announce(scene: Scene, goal: Goal | None, device: str, *, as_json: bool) -> None:
     """Print a summary of the scene, and a note on the part that makes the run slow.
 
     Args:
         scene: The scene.
         goal: The goal that determines the grid; None: the scene's own grid is used.
+        device: Name of the device, as `pick_device` takes it.
         as_json: Whether only JSON is printed, so nothing here.
     """
     if as_json:
         return
     cells = "" if goal is None else f"as many cells as {goal.text} needs"
+    scene = choose_solver(scene, pick_device(device))
     print(f"scene: {summarise(scene, cells)}", flush=True)
     stiff = note_stiffest_part(scene)
     if stiff:

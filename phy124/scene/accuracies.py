@@ -6,11 +6,12 @@ from typing import Literal
 
 from pydantic import Field
 
+from phy124.errors import InputError
 from phy124.mpm.timestep import beside_rpic
 from phy124.schema.section import Section
 
 USUAL = {"transfer": "apic", "gradient": "affine", "rpic_damping": 0.0}
-"""Settings of the transfers that have no effect on a liquid by projection, and their defaults."""
+"""Settings of the transfers and their defaults; liquids by projection and lattices have none."""
 
 
 class Accuracy(Section):
@@ -125,36 +126,25 @@ def check_transfer(accuracy: Accuracy) -> None:
     """Refuse settings that the chosen transfer does not support.
 
     Raises:
-        ValueError: `blend` is set without aflip, or `rpic_damping` or `gradient` without apic; or
+        InputError: `blend` is set without aflip, or `rpic_damping` or `gradient` without apic; or
             one of them is set for a liquid by projection or for the lattice solver.
     """
     transfer = accuracy.transfer
-    if accuracy.liquid == "projection":
-        for name, usual in USUAL.items():
-            value = getattr(accuracy, name)
-            if value != usual:
-                raise ValueError(
-                    f"accuracy.{name} = {value} has no effect with accuracy.liquid = projection; "
-                    "leave it out or set accuracy.liquid = compressible"
-                )
-    if accuracy.rpic_damping > 0 and transfer != "apic":
-        raise ValueError(
-            f"accuracy.rpic_damping needs transfer = apic, not {transfer}; leave one of the two out"
-        )
-    if accuracy.gradient != "affine" and transfer != "apic":
-        raise ValueError(
-            f"accuracy.gradient = {accuracy.gradient} needs transfer = apic, not {transfer}; leave "
-            "one of the two out"
-        )
-    if accuracy.solver == "lattice" and (
-        transfer != "apic" or accuracy.gradient != "affine" or accuracy.rpic_damping > 0
-    ):
-        raise ValueError(
-            f"accuracy.solver = {accuracy.solver} has no transfers; leave transfer, gradient and "
-            "rpic_damping out"
-        )
+    changed = [name for name, usual in USUAL.items() if getattr(accuracy, name) != usual]
+    for name in changed:
+        field, value = f"accuracy.{name}", getattr(accuracy, name)
+        if accuracy.liquid == "projection":
+            limit = "it has no effect with accuracy.liquid = projection."
+            remedy = "Leave it out or set accuracy.liquid = compressible."
+            raise InputError(field, value, limit, remedy)
+        if accuracy.solver == "lattice":
+            limit = "accuracy.solver = lattice has no transfers."
+            remedy = "Leave it out or set accuracy.solver = mpm."
+            raise InputError(field, value, limit, remedy)
+        if name != "transfer" and transfer != "apic":
+            limit = f"it needs transfer = apic, not {transfer}."
+            raise InputError(field, value, limit, "Leave one of the two out.")
     if accuracy.blend != Accuracy.model_fields["blend"].default and transfer != "aflip":
-        raise ValueError(
-            f"accuracy.blend needs transfer = aflip, not {transfer}; leave blend out or set the "
-            "transfer"
-        )
+        limit = f"it needs transfer = aflip, not {transfer}."
+        remedy = "Leave blend out or set the transfer."
+        raise InputError("accuracy.blend", accuracy.blend, limit, remedy)

@@ -40,7 +40,8 @@ def summarise(scene: Scene, cells: str = "") -> str:
     items.append(
         f"{format_number(scene.object.size)} m over {cells or f'{accuracy.cells} cells'}, "
         f"{format_number(scene.particles_per_axis)} "
-        f"particles per cell and axis, {accuracy.precision}, {BINDINGS[scene.binding]}"
+        f"particles per cell and axis, {accuracy.precision}, solver {_list_solvers(scene)}, "
+        f"{BINDINGS[scene.binding]}"
     )
     return "; ".join([*items, f"{time.frames} frames at {format_number(time.fps)}/s"])
 
@@ -55,6 +56,17 @@ def _describe_material(material: AnyMaterial) -> str:
             value = format_number(number)
             values.append(f"{name} {value} {unit[1]}" if unit else f"{name} {value}")
     return f"{material.law} ({', '.join(values)})"
+
+
+def _list_solvers(scene: Scene) -> str:
+    """Return the names of the solvers that move the objects, as `Accuracy` calls them."""
+    by_mpm = scene.has_solids or not scene.projects
+    used = {
+        "lattice": scene.on_lattice,
+        "mpm": scene.couples if scene.on_lattice else by_mpm,
+        "projection": scene.projects,
+    }
+    return " and ".join(name for name, uses in used.items() if uses)
 
 
 def _list_kinds(sections: Iterable) -> str:

@@ -18,12 +18,17 @@ LONGEST = 60
 def explain(error: ValidationError, source: str, root: type[BaseModel]) -> InputError:
     """Return the most deeply nested validation error as a sentence with a remedy.
 
+    An `InputError` of a validator, which names its field, is returned unchanged.
+
     Args:
         error: The error that pydantic raised.
         source: Name of the data, used if the error is not about a single field.
         root: The class of the section that was validated.
     """
     details: dict[str, Any] = {**max(error.errors(), key=lambda detail: len(detail["loc"]))}
+    cause = details.get("ctx", {}).get("error")
+    if isinstance(cause, InputError):
+        return cause
     if details["type"] == "missing" and isinstance(details["loc"][-1], int):
         # A list is too short: name the list, not its missing item.
         details |= {"type": "too_short", "loc": details["loc"][:-1]}
