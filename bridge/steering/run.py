@@ -120,7 +120,7 @@ class SteeredRun:
         return self.state is State.QUITTING or self.stopped is not None
 
     def stamp_at(self, now: float) -> float:
-        """Return the time of the newest frame [s], because later times are not computed yet."""
+        """Return the time of the newest frame [s], the latest that has been computed."""
         del now
         return self.position
 

@@ -182,7 +182,7 @@ def ending(distances: Any, across: Any):
 
 @wp.func
 def tie(v: Any, m: Any, g: Any):
-    """Return the change of velocities [node, axis] of masses m that makes them follow ratios g."""
+    """Return velocity changes [node, axis] that bring nodes of masses m into the ratios g."""
     weight = wp.cw_mul(g, m)
     return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
 

@@ -381,7 +381,7 @@ def kernels(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -> I
 
 
 def _span_of_cells(lattice: RestLattice, first: int, last: int) -> slice:
-    """Return the span of the nodes that cells first <= c < last touch."""
+    """Return the range of nodes touched by the cells c with first <= c < last."""
     rows = lattice.rows[first:last]
     return slice(int(rows.min()), int(rows.max()) + 3) if len(rows) else slice(0, 0)
 

@@ -41,7 +41,7 @@ class Proportions(NamedTuple):
 
 
 def measure_proportions(*objects: tuple[Solid, float]) -> Proportions:
-    """Return the proportions of an object, or the hardest ones of several objects.
+    """Return the proportions of an object; of several, those of the hardest to simulate.
 
     Args:
         objects: Interior (`find_interior`) and longest side [m] of each upright object. Thickness

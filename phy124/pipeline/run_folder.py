@@ -155,7 +155,7 @@ class RunFolder:
     def _omit_error(self) -> str:
         """Return the reason why the run's own error is not estimated; empty: it is."""
         if self.about.get("goal", {"unit": "seconds"})["unit"] != "seconds":
-            return "the grids that were run for --max-error measure the error"
+            return "the error is measured by the grids that --max-error has run"
         return why_broken(self.about) if self.error else "--no-error turns the estimate off"
 
     def _simulate(

@@ -390,8 +390,8 @@ class Scene(Section):
     def replaced(self, changes: dict[str, Any]) -> Scene:
         """Return a copy with other values at dotted paths, such as `{"material.E": 2e4}`.
 
-        A material of another law, or a force or boundary of another kind, starts from its
-        defaults.
+        If a material's law, or the kind of a force or boundary, changes, its other values are the
+        defaults of the new law or kind.
 
         Raises:
             InputError: A path does not exist or a value is out of bounds.

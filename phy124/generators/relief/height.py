@@ -40,7 +40,7 @@ class Factors:
 
 
 def _free(pool: ThreadPoolExecutor, made: list[Any]) -> None:
-    """Free factors in their thread, and end the thread."""
+    """Release the factors in the thread that made them, then end that thread."""
     pool.submit(made.clear)
     pool.shutdown(wait=False)
 

@@ -103,7 +103,7 @@ def inverse_rows(F: Any):
 
 @wp.func
 def safe_volume(J: Any):
-    """Return J, but at least the volume ratio at which laws continue log J by its tangent."""
+    """Return J, or the ratio below which laws replace log J by its tangent, if that is larger."""
     return wp.max(J, type(J)(1.0e-4))
 
 

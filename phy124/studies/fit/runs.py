@@ -147,7 +147,7 @@ class Runs:
 
     @contextmanager
     def workers(self, count: int) -> Iterator[None]:
-        """Make runs in `count` worker processes inside this context; 0 or 1: in this process."""
+        """Simulate in `count` worker processes within this context; for 0 or 1, in this process."""
         if count < 2:
             yield
             return

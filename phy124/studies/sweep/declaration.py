@@ -31,7 +31,7 @@ class Counted(Section, ABC):
         """Return the value with an index, from 0."""
 
     def draw(self, u: float) -> Any:
-        """Return the value for a number u in 0..1; for a uniform u, all are equally likely."""
+        """Return the value for a number u in 0..1; uniform u make all values equally likely."""
         return self.value(min(int(u * self.count), self.count - 1))
 
 

@@ -28,7 +28,7 @@ PASSAGE = (1.5, 3.5)
 Unlike positions at given times, this speed does not depend on a delay of the start.
 """
 PERIOD = (1.2, 3.0)
-"""Times t sqrt(2 g / a) between which the front's mean speed is measured as well."""
+"""Two dimensionless times t sqrt(2 g / a); the front's mean speed between them is measured."""
 FRONT_2_25 = (
     (0.832, 1.217),
     (1.219, 1.474),
