@@ -263,7 +263,7 @@ REFUSED = {
     "ragged": (header(encoding="ascii") + b"1 " * 29, "it.ply", "one value per property"),
     "cut header": (header()[:-20], "it.ply", "cut short within its header"),
     "huge header": (b"ply\n" + b"comment x\n" * MAX_BYTES, "it.ply", "header is longer than"),
-    "huge count": (header(count=10**9), "it.ply", "0 of 1,000,000,000 Gaussians"),
+    "huge count": (header(count=10**9), "it.ply", "states 1,000,000,000"),
     "negative": (header(count=-1), "it.ply", "malformed .element vertex counts -1 rows"),
     "fraction": (header(count="2.0"), "it.ply", "element vertex counts 2.0 rows"),
     "digits": (header(count="9" * 5000), "it.ply", "element vertex counts 9{40} rows"),

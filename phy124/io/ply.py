@@ -36,6 +36,7 @@ from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.content import (
     DEGREE_4,
     LARGEST_SH,
+    MAX_GAUSSIANS,
     OBJECT,
     Y_DOWN,
     Content,
@@ -350,7 +351,7 @@ def _rows(path: Path, header: Header) -> NDArray[Any]:
         check_size("PLY", path, header.count, more=TEXT * len(header.row.names or ()))
         return _read_ascii(path, header)
     available = max(path.stat().st_size - header.start, 0) // header.row.itemsize
-    if available < header.count:  # before its size, which is not that of the whole file
+    if available < header.count <= MAX_GAUSSIANS:  # before the memory for missing rows
         raise _cut_short(path, available, header.count)
     check_size("PLY", path, header.count, more=WIDER * max(header.row.itemsize - PLAIN, 0))
     rows = np.fromfile(path, header.row, header.count, offset=header.start)
