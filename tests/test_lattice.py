@@ -12,6 +12,7 @@ from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.boundaries.motion import Path
 from phy124.forces import Acceleration, Grab, Gravity, TotalForce, Wind
 from phy124.forces.held import Part
+from phy124.kernels.lattice import points
 from phy124.kernels.lattice.stress import GRADIENT, SPEED
 from phy124.kernels.work import IMPULSE, WORK
 from phy124.lattice import material, solids, workers
@@ -58,6 +59,14 @@ def test_full_cells_have_gauss_points():
     offset = np.abs(x[:8] - 0.05)
     assert np.allclose(offset, DX / (2 * math.sqrt(3)))
     assert np.allclose(volume, DX**3 / 8)
+
+
+def test_points_of_full_cells_have_one_order():
+    solid = block((0.7, 0.5, 0.3), low=(0.025, 0.05, 0.025), per=4)
+    x, volume = integration_points(solid, DX)
+    full = np.isclose(volume.reshape(-1, 8).sum(axis=1), DX**3)
+    cells = x.reshape(-1, 8, 3)[full]
+    assert np.allclose(cells - cells[:, :1], (cells - cells[:, :1])[0])
 
 
 def test_cut_cells_keep_volume_centre_and_moments():
@@ -489,6 +498,27 @@ def test_simd_and_plain_stress_agree(damping):
     assert limits[0][SPEED] >= limits[1][SPEED]
 
 
+def test_simd_and_plain_points_agree():
+    solid = block((0.7, 0.5, 0.3), low=(0.025, 0.05, 0.025), per=4)
+    region = Region(lower=(-1, -1, 0.2), upper=(2, 2, 2))
+    states = []
+    for vectors in (True, False):
+        push = Acceleration(a=(1, 0, 0), region=region)
+        solver = make(solid, forces=[push], precision="float32", vectors=vectors)
+        rng = np.random.default_rng(1)
+        solver.nodes_state.u.assign(0.02 * rng.normal(size=(solver.nodes, 3)))
+        solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
+        for worker in solver.workers:
+            worker.run(solver._crew.locate(worker))
+        assert (solver.state.v.numpy() == solver._crew._kept.numpy()).all()
+        located = solver.state.x.numpy().copy(), solver.state.v.numpy().copy()
+        solver.follow()
+        followed = (getattr(solver.state, name).numpy() for name in ("x", "v", "C", "F"))
+        states.append((*located, *followed))
+    for simd, plain in zip(*states, strict=True):
+        assert np.abs(simd - plain).max() < 3e-6 * np.abs(plain).max()
+
+
 def test_simd_and_plain_contact_agree():
     solid = block((0.425, 0.5, 0.325), low=(0.025, 0.05, 0.0), per=4)
     found = []
@@ -512,6 +542,7 @@ def test_lattice_compiles_for_cuda(arch, tmp_path):
     kind = wp.float32, "cuda"
     made = *workers.kernels(laws, *kind), *lattice_walls.kernels(walls, *kind, several=True)
     made += *solids.kernels_of(["box", "sphere"], *kind), *material.kernels_of(*kind)
+    made += points.make_locate(wp.float32), points.make_push(wp.float32)
     modules = {kernel.module.name: kernel.module for kernel in made}
     for name, module in modules.items():
         folder = tmp_path / name

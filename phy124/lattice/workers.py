@@ -167,13 +167,17 @@ class Crew:
 
     def locate(self, worker: Worker) -> list[Named]:
         """Return the launch that computes x and v of a worker's points, before pushes."""
-        nodes, state, span = self._nodes, self._state, worker.points
+        nodes, state, span, model = self._nodes, self._state, worker.points, self._model
+        outputs = [state.x, state.v, self._kept]
+        if self._vectors and span.stop > span.start:
+            full, blocks = self._block(span)
+            inputs = [full, model.dx, *blocks, self._rows, self._rest, nodes.u, nodes.v]
+            count = len(blocks[0]) // simd.CELLS
+            launch = model.launch(simd.make_locate_simd(), count, inputs, outputs)
+            return launches([("locate", launch)])
         inputs = [span.start, self._rows, self._offset, self._rest, nodes.u, nodes.v]
-        kernel = point_kernels.make_locate(self._model.real)
-        launch = self._model.launch(
-            kernel, span.stop - span.start, inputs, [state.x, state.v, self._kept]
-        )
-        return launches([("locate", launch)])
+        kernel = point_kernels.make_locate(model.real)
+        return launches([("locate", model.launch(kernel, span.stop - span.start, inputs, outputs))])
 
     def force(
         self, worker: Worker, pushes: Tracks | None = None, *, trial: bool = False

@@ -127,6 +127,9 @@ def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], ND
     second = second.reshape(-1, 3, 3) / filled[:, None, None]
     # Equal moments have no axes of their own: the points then lie along those of the lattice.
     _, axes = np.linalg.eigh(second + np.diag([0.0, 1.0, 2.0]) * ALIGNED * dx**2)
+    # Their signs are arbitrary: the points of all full cells have the same order.
+    largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
+    axes = axes * np.sign(largest)
     squares = np.einsum("cik,cij,cjk->ck", axes, second, axes)
     reach = np.sqrt(np.maximum(squares, 0))
     x = centre[:, None] + np.einsum("qk,ck,cik->cqi", CORNERS, reach, axes)

@@ -6,6 +6,7 @@ at nearly the same time. `packed` [blocks,8,4,16] stores the three components of
 volume of each point, each for all sixteen cells of a block in a row.
 """
 
+import itertools
 import math
 from typing import Any, NamedTuple
 
@@ -24,6 +25,8 @@ CELLS = 16
 """Number of cells of a thread."""
 NODES = 256
 """Number of nodes of a thread."""
+GAUSS = 1 + np.array(list(itertools.product((-1, 1), repeat=3))) / math.sqrt(12)
+"""Gauss points relative to a cell's first node, in the order of the kernels [8,3], cells."""
 ALIGNED = 1e-4
 """Largest deviation of the points of a full cell from the Gauss points [cells]."""
 Vectors = wp.array(dtype=wp.vec3)
@@ -61,7 +64,7 @@ def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
         first: Number of the first cell.
     """
     rows = np.concatenate([offset, volume[:, None]], axis=1).reshape(-1, PER_CELL, 4)
-    wrong = np.abs(np.abs(rows[:, :, :3] - 1) - 1 / math.sqrt(12))
+    wrong = np.abs(rows[:, :, :3] - GAUSS)
     whole = wrong.max(axis=(1, 2)) < ALIGNED
     parts, constants = [], []
     for chosen in (np.flatnonzero(whole), np.flatnonzero(~whole)):
@@ -84,7 +87,12 @@ def make_stress_simd(law: Law, viscous: bool):
     If the law is viscous, it also raises the maxima like `make_measure_simd`.
     """
     kind = "viscous" if viscous else "elastic"
-    pieces = ["lattice", *(["lattice:rates"] if viscous else []), f"lattice:{kind}"]
+    pieces = [
+        "lattice",
+        "lattice:strains",
+        *(["lattice:rates"] if viscous else []),
+        f"lattice:{kind}",
+    ]
     body = f"const int width = {law.width};\n" + code(*pieces, "lattice:stress")
 
     @native_kernel(f"phy124_lattice_{law.name}_{kind}_simd", body, seconds=1.0)
@@ -114,7 +122,7 @@ def make_measure_simd():
 
     @native_kernel(
         "phy124_lattice_measure_simd",
-        code("lattice", "lattice:rates", "lattice:measure"),
+        code("lattice", "lattice:strains", "lattice:rates", "lattice:measure"),
         seconds=1.0,
     )
     def lattice_measure_simd(
@@ -139,7 +147,7 @@ def make_follow_simd():
 
     @native_kernel(
         "phy124_lattice_follow_simd",
-        code("lattice", "lattice:rates", "lattice:follow"),
+        code("lattice", "lattice:strains", "lattice:rates", "lattice:follow"),
         seconds=1.0,
     )
     def lattice_follow_simd(
@@ -161,6 +169,29 @@ def make_follow_simd():
         """Compute x, v, C and F of the points of sixteen cells."""
 
     return lattice_follow_simd
+
+
+@build_once
+def make_locate_simd():
+    """Kernel over blocks of sixteen cells: works like `make_locate`, for float32."""
+
+    @native_kernel("phy124_lattice_locate_simd", code("lattice", "lattice:locate"), seconds=0.6)
+    def lattice_locate_simd(
+        full_blocks: int,
+        dx: float,
+        order: Ints,
+        packed: Numbers,
+        rows: Ints,
+        rest: Vectors,
+        u: Vectors,
+        v: Vectors,
+        x_out: Vectors,
+        v_out: Vectors,
+        kept_out: Vectors,
+    ):
+        """Compute x and v of the points of sixteen cells."""
+
+    return lattice_locate_simd
 
 
 @build_once

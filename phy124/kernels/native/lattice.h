@@ -148,6 +148,40 @@ const auto differentiate = [&](const Lanes* values, Lanes (*slopes)[9]) {
         }
     }
 };
+// Values at the eight points: entry d.
+const auto interpolate = [&](const Lanes* values, Lanes (*out)[3]) {
+    for (int d = 0; d < 3 && full; ++d) {
+        Lanes mean[9][2], across[3][4];
+        for (int r = 0; r < 9; ++r) {
+            const Lanes* const n = values + 9 * r + d;
+            const Two m = means(n[0], n[3], n[6]);
+            mean[r][0] = m.low, mean[r][1] = m.high;
+        }
+        for (int i = 0; i < 3; ++i)
+            for (int z = 0; z < 2; ++z) {
+                const Two m = means(mean[3 * i][z], mean[3 * i + 1][z], mean[3 * i + 2][z]);
+                across[i][z] = m.low, across[i][2 + z] = m.high;
+            }
+        for (int k = 0; k < 4; ++k) {
+            const Two m = means(across[0][k], across[1][k], across[2][k]);
+            out[k][d] = m.low, out[4 + k][d] = m.high;
+        }
+    }
+    for (int point = 0; point < 8 && !full; ++point) {
+        const Weights a = weigh(point);
+        for (int d = 0; d < 3; ++d) {
+            Lanes sum = {};
+            for (int r = 0; r < 9; ++r) {
+                const Lanes* const n = values + 9 * r + d;
+                const Lanes z = a.w[2][0] * n[0] + a.w[2][1] * n[3] + a.w[2][2] * n[6];
+                sum += a.w[0][r / 3] * a.w[1][r % 3] * z;
+            }
+            out[point][d] = sum;
+        }
+    }
+};
+
+//: strains
 alignas(64) Lanes F_all[8][9];
 differentiate(U, F_all);
 for (int point = 0; point < 8; ++point)
@@ -371,6 +405,26 @@ for (int point = 0; point < 8; ++point) {
         for (int d = 0; d < 3; ++d) {
             ((float*)x_out.data)[p + d] = still[p + d] + row[d];
             ((float*)v_out.data)[p + d] = row[3 + d];
+        }
+    }
+}
+
+//: locate
+alignas(64) Lanes W[81], shift[8][3], speed[8][3];
+collect((const float*)v.data, W);
+interpolate(U, shift);
+interpolate(W, speed);
+const float* const still = (const float*)rest.data;
+for (int point = 0; point < 8; ++point) {
+    alignas(64) Lanes moved[8] = {};
+    for (int d = 0; d < 3; ++d) moved[d] = shift[point][d], moved[3 + d] = speed[point][d];
+    transpose(moved);
+    for (int k = 0; k < 16; ++k) {
+        const long p = 3 * (8L * cells[k] + point);
+        const float* const row = (const float*)(moved + k % 8) + k / 8 * 8;
+        for (int d = 0; d < 3; ++d) {
+            ((float*)x_out.data)[p + d] = still[p + d] + row[d];
+            ((float*)v_out.data)[p + d] = ((float*)kept_out.data)[p + d] = row[3 + d];
         }
     }
 }
