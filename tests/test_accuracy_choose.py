@@ -15,6 +15,7 @@ from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.monitor.tearing import Tearing
 from phy124.particles.thickness import Proportions
+from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
@@ -257,6 +258,22 @@ def test_a_time_too_short_is_refused(monkeypatch):
 def reach_in(goal: Goal) -> int:
     scene, _ = choose.in_time(goal, ball(10), Scene(), forecaster=Oracle())
     return scene.resolution.cells
+
+
+def test_advised_time_is_without_compilation(monkeypatch):
+    """The advised command finds the kernels compiled."""
+
+    def compile_first(setup) -> SimpleNamespace:
+        if "compile" not in context.watch.seconds:
+            context.watch.add({"compile": 50.0}, 50.0)
+        return SimpleNamespace(scene=setup.scene)
+
+    context = RunContext()
+    monkeypatch.setattr(choose, "prepare", set_up)
+    monkeypatch.setattr(choose, "Simulation", compile_first)
+    with pytest.raises(InputError) as refusal:
+        run_for_goal(Goal.time(0.5), ball(10), Scene(), context, forecaster=Oracle())
+    assert "--max-seconds 3;" in refusal.value.remedy
 
 
 def test_two_wishes_are_one_too_many(capsys):

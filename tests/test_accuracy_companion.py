@@ -1,5 +1,6 @@
 """A run's own error: from a companion on a coarser grid, if that is cheap; the run is unchanged."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -119,8 +120,7 @@ def test_missing_own_error_has_a_reason(run, monkeypatch, change, why):
     report = with_own_error(simulation, clip, omit=change.get("omit", "")).report
     assert report["error"]["about"] is None and why in report["error"]["why_not"]
     assert report["effects"]["left_out"][-1]["why"] == report["error"]["why_not"]
-    noted = report["notes"][len(clip.report["notes"]) :]
-    assert len(noted) == (error is not None) and all(why in sentence for sentence in noted)
+    assert report["notes"] == clip.report["notes"], "the promise has the reason"
     assert not promise(SCENE, Proportions(0.5, 0.3), report).of_scene
 
 
@@ -145,6 +145,25 @@ def test_forecast_of_the_companion_depends_on_the_solver(run):
     lattice, (mpm, _) = Simulation(prepare(ball(100), scene)), run
     longer = [forecast(each, 1, 10**4) / forecast(each, 1, 0) for each in (lattice, mpm)]
     assert longer[0] > 3 > longer[1], "each point of a lattice takes time to prepare"
+
+
+def test_own_error_of_a_goal_is_that_of_its_grids(run):
+    goal = {"unit": "pixels", "fraction": 0.01, "cells": 16, "levels": [12, 16], "why_not": ""}
+    report = with_own_error(*run, goal=goal).report
+    assert (report["error"]["about"], report["error"]["cells"]) == (0.01, None)
+    assert "--max-error" in report["effects"]["ran"][-1]
+    said = promise(SCENE, None, {**report, "goal": goal})
+    assert said.error == report["error"]["at_most"] and said.why == "Measured on D/12 and D/16."
+    torn = with_own_error(*run, goal={**goal, "fraction": None, "why_not": "torn"}).report
+    assert torn["error"]["about"] is None and torn["error"]["why_not"] == "torn"
+
+
+@pytest.mark.parametrize("cost", [0.2001, 0.203, 0.31])
+def test_cost_differs_in_words_from_its_limit(run, monkeypatch, cost):
+    monkeypatch.setattr(companion, "forecast", lambda *_: cost)
+    why = with_own_error(*run).report["error"]["why_not"]
+    took, limit = re.findall(r"[\d.]+ %", why)
+    assert took != limit and float(limit.split()[0]) == 20
 
 
 def test_small_runs_have_no_companion(run):

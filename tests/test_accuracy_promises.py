@@ -225,7 +225,7 @@ def test_percentages_have_two_significant_digits(fraction, text):
 
 
 def test_verdict_shows_the_digits_that_decide_it():
-    said = check_promise(Promise(0.00801, ""), 0.00804, stated=0.011)
+    said = check_promise(Promise(0.00801, ""), 0.00804, stated={"at_most": 0.011})
     assert said == (
         "at most 0.801 %, measured 0.804 %: DOES NOT HOLD; the run itself states at most 1.1 %"
     )

@@ -57,6 +57,11 @@ def test_every_level_and_variation_is_run(study):
     assert not study[1].skipped
 
 
+def test_liquid_by_projection_is_not_run_with_half_the_substep():
+    names = [name for name, _ in Study(ball(10), Scene.named("water"), levels=LEVELS)._plan()]
+    assert names[3:] == ["float64 at D/16", "liquid compressible at D/16"]
+
+
 def test_errors_fall_and_hold_the_finest_levels_own(study):
     found = study[1].convergence
     levels = [row for row in study[1].rows if row.level]
@@ -231,11 +236,12 @@ def row(cells: int, error: float | None, seconds: float, name: str = "") -> Row:
 def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
     found, scene = Convergence(1.0, (0.01,)), Scene.named("press")
     monkeypatch.setattr(report_of, "promise", lambda scene, thickness: Promise(0.06, ""))
-    broken = replace(row(32, 0.08, 3), stated={"about": 0.03, "at_most": 0.09})
+    broken = replace(row(32, 0.08, 3), stated={"at_most": 0.09, "until": 0.5})
     said = kept_promises(scene, 0.5, (row(16, 0.05, 1), broken), found)
     assert said["draft"] == "at most 6.0 %, measured 5.0 %: holds"
     assert said["standard"] == (
-        "at most 6.0 %, measured 8.0 %: DOES NOT HOLD; the run itself states at most 9.0 %"
+        "at most 6.0 %, measured 8.0 %: DOES NOT HOLD; "
+        "the run itself states at most 9.0 % in the first 0.50 s"
     )
     assert said["fine"] == "not tried"
     monkeypatch.setattr(
@@ -257,7 +263,10 @@ def test_the_recommendation_is_the_fastest_that_is_good_enough():
         "D/48 would take 3.0 times as long, with an error of about 2.0 %."
     )
     unknown = Convergence(None, why_not="no convergence: x")
-    assert "no level reached 4.0 %" in recommend((row(16, 0.2, 1.0),), found, (4, 4))
+    assert recommend((row(8, 0.3, 0.5), row(16, 0.2, 1.0)), found, (4, 4)) == (
+        "Most accurate: D/16, with an error of about 20 % of the object's size in 1.0 s. No grid "
+        "is recommended, since none has an error of at most 4.0 %; this needs a finer one."
+    )
     assert "no convergence" in recommend(rows, unknown, (4, 4))
 
 

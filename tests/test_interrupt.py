@@ -65,6 +65,8 @@ def test_cancelled_run_resumes_bit_for_bit(tmp_path):
     cut = pipeline.simulate(ball(500), SCENE, tmp_path / "cut", progress=cancel, keep=True)
     assert (cut.report["interrupted"], cut.report["complete"]) == (True, False)
     assert "--resume" in cut.report["stopped"]
+    assert cut.report["error"]["why_not"] == "the run was interrupted"
+    assert cut.report["promise"]["error"] is None
     assert cut.report["frames"] == len(Clip.load(tmp_path / "cut/clip.safetensors")) == 3
     names = {path.name for path in (tmp_path / "cut").iterdir()}
     assert names == {path.name for path in (tmp_path / "whole").iterdir()} | {pipeline.PAUSE}

@@ -12,6 +12,7 @@ have equal reports.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from phy124.accuracy.expectation import expect
 from phy124.accuracy.probe import min_cells
-from phy124.accuracy.promises import format_percent, why_broken
+from phy124.accuracy.promises import SPREAD, format_apart, format_percent, why_broken
 from phy124.accuracy.severity import motion_of
 from phy124.budget.cost import USUAL, Rates
 from phy124.errors import Cancelled
@@ -118,31 +119,45 @@ class Lost(Exception):
     """A companion ended early; the message says why."""
 
 
-def with_own_error(run: Simulation, clip: Clip, *, omit: str = "") -> Clip:
-    """Return the clip of a finished run with the run's own error in its report.
+def with_own_error(
+    run: Simulation, clip: Clip, *, omit: str = "", goal: Mapping[str, Any] | None = None
+) -> Clip:
+    """Return the clip of a run with the run's own error in its report.
 
     Args:
         run: The run.
         clip: The clip of the run.
         omit: Reason to leave the companion out; empty: it runs if it is cheap enough.
+        goal: The entry `goal` of the report, if the grids of `--max-error` measured the error.
     """
     omit = omit or why_broken(clip.report).rstrip(".")
-    result, notes = OwnError(why_not=omit), list(clip.report["notes"])
-    if not omit:
+    if omit:
+        result = OwnError(why_not=omit)
+    elif goal is not None:
+        result = _measured_for(goal)
+    else:
         try:
             result = measure_error(run, clip)
         except Lost as lost:  # the run itself is finished and must not be lost
             result = OwnError(why_not=str(lost))
-            notes.append(f"This run does not state its own error: {lost}.")
     effects = dict(clip.report["effects"])
     if result.cells is not None:
         cost = f"{format_percent(result.cost)} of the dynamics" if result.cost else "unknown"
         effects["ran"] = [*effects["ran"], f"own error, from D/{result.cells}: cost {cost}"]
+    elif result.about is not None:
+        effects["ran"] = [*effects["ran"], "own error, from the grids of --max-error"]
     else:
         row = {"effect": "own error", "why": result.why_not}
         effects["left_out"] = [*effects["left_out"], row]
-    changes = {"error": result._asdict(), "effects": effects, "notes": notes}
-    return clip.with_report({**clip.report, **changes})
+    return clip.with_report({**clip.report, "error": result._asdict(), "effects": effects})
+
+
+def _measured_for(goal: Mapping[str, Any]) -> OwnError:
+    """Return the error that the grids of a maximum error measured."""
+    error = goal["fraction"]
+    if error is None:
+        return OwnError(why_not=goal["why_not"].rstrip("."))
+    return OwnError(error, SPREAD * error)
 
 
 def measure_error(run: Simulation, clip: Clip) -> OwnError:
@@ -165,8 +180,8 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
         return OwnError(why_not="a solid of the scene is too thin for a coarser grid")
     cost = forecast(run, run.solver.clock.substeps)
     if cost > AFFORDABLE:
-        took = f"a coarser grid would take {format_percent(cost)} of the time of the dynamics"
-        why = f"{took}, more than {format_percent(AFFORDABLE)}"
+        took, limit = format_apart(cost, AFFORDABLE)
+        why = f"a coarser grid would take {took} of the time of the dynamics, and may take {limit}"
         return OwnError(cost=round(cost, 4), why_not=why)
     with run.setup.context.watch.stage("companion"):
         return _compare(run, clip, scene, indices)

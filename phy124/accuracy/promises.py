@@ -127,15 +127,12 @@ def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
     broken = why_broken(report)
     if broken:
         return refuse_promise(broken)
-    entry = report.get("error") or {}
-    if entry.get("about") is not None:
-        return promise_own(entry)
-    goal = report.get("goal")
-    if goal is None or goal["unit"] == "seconds":
-        return None
-    if goal["fraction"] is None:
-        return refuse_promise(f"{goal['why_not']}.")
-    return promise_measured(goal["fraction"], goal["cells"], goal["levels"])
+    goal, entry = report.get("goal"), report.get("error") or {}
+    if goal is not None and goal["unit"] != "seconds":
+        if goal["fraction"] is None:
+            return refuse_promise(f"{goal['why_not']}.")
+        return promise_measured(goal["fraction"], goal["cells"], goal["levels"])
+    return promise_own(entry) if entry.get("about") is not None else None
 
 
 def promise(
@@ -233,7 +230,10 @@ def off(error: float | None, *, torn: bool = False) -> str:
 
 
 def check_promise(
-    promised: Promise, error: float, until: float | None = None, stated: float | None = None
+    promised: Promise,
+    error: float,
+    until: float | None = None,
+    stated: Mapping[str, Any] | None = None,
 ) -> str:
     """Describe whether an error bound holds in a scene.
 
@@ -241,9 +241,10 @@ def check_promise(
         promised: The error bound.
         error: The error measured in this scene, in object sizes.
         until: Time up to which the error was measured [s]; None: the whole motion.
-        stated: Bound that a run of this scene states for itself, in object sizes; None: unknown.
+        stated: The error that a run of this scene states for itself, as in its report; None:
+            unknown.
     """
-    states = "" if stated is None else f"; the run itself states at most {format_percent(stated)}"
+    states = _describe_stated(stated or {})
     here = f"measured here{'' if until is None else f' up to {until:.2f} s'}"
     if promised.error is None:
         said = f"this kind of scene has no expected error; {here}: {format_percent(error)}"
@@ -256,6 +257,14 @@ def check_promise(
         return f"at most {bound} was expected for the whole motion; {here}: {measured}{states}"
     verdict = "holds" if error <= promised.error else "DOES NOT HOLD"
     return f"at most {bound}, measured {measured}: {verdict}{states}"
+
+
+def _describe_stated(own: Mapping[str, Any]) -> str:
+    """Describe the bound in the entry `error` of a report, and its time; empty without a bound."""
+    if own.get("at_most") is None:
+        return ""
+    span = "" if own.get("until") is None else f" in the first {own['until']:.2f} s"
+    return f"; the run itself states at most {format_percent(own['at_most'])}{span}"
 
 
 def _join_names(names: Sequence[str]) -> str:

@@ -108,8 +108,7 @@ class RunFolder:
                 run, clip, interrupted = self._simulate(simulate)
                 with ThreadPoolExecutor(1, "pack") as pool:
                     self.packing = pool.submit(clip.pack)
-                    if not interrupted:
-                        clip = with_own_error(run, clip, omit=self._omit_error())
+                    clip = self._with_error(run, clip, interrupted)
                     return self._save_and_film(folder, before, run, clip, interrupted)
         finally:
             self.recording.leave()
@@ -152,11 +151,15 @@ class RunFolder:
             raise _without_films(self.out, made, resumes=self.recording.saved > 0) from problem
         return Result(self.out, tuple(self.out / name for name in sorted(made)), report)
 
-    def _omit_error(self) -> str:
-        """Return the reason why the run's own error is not estimated; empty: it is."""
-        if self.about.get("goal", {"unit": "seconds"})["unit"] != "seconds":
-            return "the error is measured by the grids that --max-error has run"
-        return why_broken(self.about) if self.error else "--no-error turns the estimate off"
+    def _with_error(self, run: Simulation, clip: Clip, interrupted: bool) -> Clip:
+        """Return the clip with the run's own error, or the reason for none, in its report."""
+        omit, goal = why_broken(self.about).rstrip("."), self.about.get("goal")
+        if interrupted:
+            return with_own_error(run, clip, omit="the run was interrupted")
+        if goal is not None and goal["unit"] != "seconds":
+            return with_own_error(run, clip, omit=omit, goal=goal)
+        omit = omit if self.error else "--no-error turns the estimate off"
+        return with_own_error(run, clip, omit=omit)
 
     def _simulate(
         self, simulate: Callable[[], tuple[Simulation, Clip]]

@@ -154,13 +154,17 @@ def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int,
         return f"{no}, because every level is coarser than D/{COARSEST}."
     good = [row for row in levels if row.error is not None and row.error <= GOOD]
     best = min(good or levels[-1:], key=lambda row: row.seconds)
-    advice = (
-        f"Recommended: {best.name}, with an error of about {format_percent(best.error or 0)} of "
-        f"the object's size in {best.seconds:.1f} s"
+    reached = (
+        f"with an error of about {format_percent(best.error or 0)} of the object's size in "
+        f"{best.seconds:.1f} s"
     )
+    advice = f"Recommended: {best.name}, {reached}"
     finer = [row for row in levels if row.cells > best.cells]
     if not good:
-        return f"{advice}; no level reached {format_percent(GOOD)}, which needs a finer grid."
+        return (
+            f"Most accurate: {best.name}, {reached}. No grid is recommended, since none has an "
+            f"error of at most {format_percent(GOOD)}; this needs a finer one."
+        )
     if not finer:
         return f"{advice}; it is the finest grid that was run."
     ratio = finer[0].seconds / best.seconds
@@ -195,8 +199,7 @@ def kept_promises(
             sentences[name] = f"cannot be judged: {convergence.why_not}"
         else:
             promised = promise(scene.model_copy(update={"accuracy": name}), proportions)
-            stated = (row.stated or {}).get("at_most")
-            sentences[name] = check_promise(promised, row.error, until, stated)
+            sentences[name] = check_promise(promised, row.error, until, row.stated)
     return sentences
 
 

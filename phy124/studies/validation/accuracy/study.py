@@ -144,14 +144,17 @@ class Study:
             return
         middle = base.model_copy(update={"cells": min(VARIED, max(self.levels))})
         here = f"at D/{middle.cells}"
-        yield (
-            f"half the substep {here}",
-            self._with(middle.model_copy(update={"cfl": middle.cfl / 2})),
-        )
+        if not self.scene.projects:  # whose substeps do not depend on cfl
+            shorter = middle.model_copy(update={"cfl": middle.cfl / 2})
+            yield f"half the substep {here}", self._with(shorter)
         other = "float64" if middle.precision == "float32" else "float32"
         yield f"{other} {here}", self._with(middle.model_copy(update={"precision": other}))
         if self.scene.on_lattice:
             yield f"solver mpm {here}", self._with(middle.model_copy(update={"solver": "mpm"}))
+            return
+        if self.scene.projects:
+            compressible = middle.model_copy(update={"liquid": "compressible"})
+            yield f"liquid compressible {here}", self._with(compressible)
             return
         binding = "lattice" if self.scene.binding == "particles" else "particles"
         bound = self._with(middle).model_copy(update={"binding": binding})
