@@ -259,12 +259,12 @@ def check_promise(
     return f"at most {bound}, measured {measured}: {verdict}{states}"
 
 
-def _describe_stated(own: Mapping[str, Any]) -> str:
+def _describe_stated(entry: Mapping[str, Any]) -> str:
     """Describe the bound in the entry `error` of a report, and its time; empty without a bound."""
-    if own.get("at_most") is None:
+    if entry.get("at_most") is None:
         return ""
-    span = "" if own.get("until") is None else f" in the first {own['until']:.2f} s"
-    return f"; the run itself states at most {format_percent(own['at_most'])}{span}"
+    span = "" if entry.get("until") is None else f" in the first {entry['until']:.2f} s"
+    return f"; the run itself states at most {format_percent(entry['at_most'])}{span}"
 
 
 def _join_names(names: Sequence[str]) -> str:
