@@ -66,6 +66,15 @@ def test_substeps_on_a_lattice_follow_from_its_own_rest(name):
     assert made.substeps == pytest.approx(simulation.solver.clock.substeps, rel=0.08)
 
 
+def test_companion_on_a_lattice_takes_as_long_as_its_pilot(monkeypatch):
+    simulation = Simulation(prepare(OBJECT, scene("press", 16, **{"accuracy.solver": "lattice"})))
+    monkeypatch.setattr(companion, "AFFORDABLE", 1e6)
+    forecaster = Forecaster()
+    made = forecaster.of(simulation, filming=False, load=QUIET)
+    pilot = forecaster._pilot(simulation)
+    assert made.stages["companion"] == pytest.approx(pilot.seconds / 2**2.5)
+
+
 def test_forecast_has_the_companion_of_runs_that_afford_it(monkeypatch):
     simulation, forecaster = Simulation(prepare(OBJECT, scene("press"))), Forecaster()
     options = {"filming": False, "load": QUIET}

@@ -173,6 +173,8 @@ def _spin(seconds: float) -> float:
 
 SPEED_UP = 0.72
 """Speed-up per additional thread."""
+GROWTH = 2.5
+"""Exponent with which the time of a companion grows with its cells."""
 UNSURE = 0.1
 """Fraction of substeps limited by the particles' motion above which the forecast is a guess."""
 GUESS = 1.14
@@ -403,6 +405,9 @@ class Forecaster:
                 companion.count_threads(simulation.setup)
             )
             stages["companion"] = cost * faster * stages["simulate"]
+            if pilot.stages:  # On a lattice a companion is the pilot on another grid.
+                ratio = companion.coarsen(scene).resolution.cells / pilot.cells
+                stages["companion"] = pilot.seconds * ratio**GROWTH
         return Forecast(
             stages,
             measured=(),

@@ -306,6 +306,8 @@ class Pilot:
     """Side of a cell [m]."""
     stages: Stages = field(default_factory=dict)
     """The stages of the substeps on lattices; empty for other solvers."""
+    seconds: float = 0.0
+    """Duration of the pilot run, with its preparation [s]."""
 
     def finer(self, dx: float) -> float:
         """Return how many times more cells a grid has along the object, for its cells' side [m]."""
@@ -376,7 +378,7 @@ def run_pilot(
         placed: The object in its position, from a setup of the same Gaussians.
     """
     context = RunContext(device=(context or RunContext()).device)
-    coarse = coarsen(scene)
+    coarse, start = coarsen(scene), time.perf_counter()
     cells = coarse.resolution.cells
     simulation = Simulation(prepare(gaussians, coarse, context, crop=crop, placed=placed))
     solver, timing = simulation.solver, scene.time
@@ -403,7 +405,8 @@ def run_pilot(
     made = Pilot(cells, counts, rest, growth, stopped, factors=factors, dx=solver.model.dx)
     if _on_lattice(solver):
         stages = average_stages(solver.timings, solver.clock.substeps - 1)
-        return replace(made, excess=ON_LATTICE, stages=stages)
+        seconds = time.perf_counter() - start
+        return replace(made, excess=ON_LATTICE, stages=stages, seconds=seconds)
     return replace(made, viscous=1 / (solver.clock.viscous * timing.fps))
 
 

@@ -32,12 +32,22 @@ PASS = 0.7
 """Time of each additional transfer pass, as a fraction of the substep (docs/lab/transfers.md)."""
 STEP = 6.0
 """Ratio of a step's time of a liquid by projection to a substep's time."""
+VECTOR, PLAIN, LAUNCHES = 0.25, 2.4, 3600.0
+"""Time of a lattice's point relative to a particle's, with and without kernels for vector units;
+and time of the launches of a lattice's substep, in particles (docs/lab/forecasts.md).
+"""
+UNDAMPED, DAMPED = 1.5, 0.235
+"""Longest substep at rest on a lattice without damping, in units of sqrt(cfl) dx / c; and damping
+ratio of the fastest vibration, in units of dx / c divided by the viscous limit.
+"""
 WINDOW = 11
 """Number of nodes per axis that the grid's window has in addition to those across the object."""
 GRAVITY = 9.81
 """Acceleration that limits the steps of a liquid by projection [m/s^2]."""
 BYTES_PER_PARTICLE = 400
 """Memory of a particle: its state, a snapshot of its state, and temporary arrays [bytes]."""
+BYTES_PER_POINT = 1100
+"""Memory of a point of a lattice, including the arrays from which the lattice is made [bytes]."""
 BYTES_PER_NODE = 32
 BYTES_PER_GAUSSIAN = 40
 """Memory of one Gaussian in one frame of the clip [bytes]."""
@@ -137,9 +147,13 @@ class Work:
         slower *= 1 + PASS * scene.resolution.passes
         slower *= STEP if scene.projects and not scene.mixes else 1.0
         views, nodes = len(scene.view.sides), count_nodes(scene) if nodes is None else nodes
+        launches = 0.0
+        if _only_lattices(scene):
+            slower *= VECTOR if _has_vectors(scene) else PLAIN
+            launches, nodes = LAUNCHES, 0.0
         return cls(
             substeps=substeps,
-            particles=slower * particles * substeps,
+            particles=(slower * particles + launches) * substeps,
             nodes=slower * nodes * substeps,
             frames=frames,
             videos=views,
@@ -211,9 +225,27 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
         longest = min(longest, STRAIN_PER_STEP / rotation)
     if scene.time.substep is not None:
         longest = min(longest, scene.time.substep)
-    elastic = fraction * scene.dx / max(section.wave_speed() for section in materials)
+    crossing = scene.dx / max(section.wave_speed() for section in materials)
+    elastic = fraction * crossing
     factors = scene.softnesses(np.arange(scene.time.frames - 1) / scene.time.fps)
+    if _only_lattices(scene):
+        damping = DAMPED * crossing / viscous
+        elastic = UNDAMPED * math.sqrt(fraction) * crossing / (math.hypot(1, damping) + damping)
+        ceiling = math.inf if scene.time.substep is None else scene.time.substep
+        longest, factors = min(ceiling, STRAIN_PER_STEP / max(rotation, 1e-9)), factors.clip(1)
     return np.minimum(elastic / np.sqrt(factors), longest)
+
+
+def _only_lattices(scene: Scene) -> bool:
+    """Return whether all objects that move are on lattices."""
+    return scene.on_lattice and not scene.couples
+
+
+def _has_vectors(scene: Scene) -> bool:
+    """Return whether the stress on lattices has kernels for the vector units of a CPU."""
+    laws = {section.device_law.name for section in scene.materials}
+    single = scene.resolution.precision == "float32"
+    return single and all(law.startswith("neo_hookean") for law in laws)
 
 
 class Estimate(NamedTuple):
@@ -262,6 +294,7 @@ def estimate_memory(
         frames: Number of frames that stay in memory.
     """
     double = 2 if scene.resolution.precision == "float64" else 1
-    state = double * (BYTES_PER_PARTICLE * particles + BYTES_PER_NODE * nodes)
+    each = BYTES_PER_POINT if _only_lattices(scene) else BYTES_PER_PARTICLE
+    state = double * (each * particles + BYTES_PER_NODE * nodes)
     memory = state + min(BYTES_PER_GAUSSIAN * gaussians * frames, HELD) + AT_REST * gaussians
     return memory, state + BYTES_PER_SHAPE * gaussians
