@@ -12,3 +12,15 @@ extensions = ["myst_parser", "api", "declared"]
 myst_heading_anchors = 4
 exclude_patterns = ["reference/generated/report.md"]
 """Included by reference/report.md."""
+
+
+def setup(app):
+    """Connect what this file adds to Sphinx."""
+    app.connect("html-page-context", fold_navigation, priority=400)  # before the theme at 500
+
+
+def fold_navigation(app, pagename, templatename, context, doctree):
+    """List in the sidebar only what is above and beside a page: whole trees take half the build."""
+    toctree = context.get("toctree")
+    if toctree is not None:
+        context["toctree"] = lambda **options: toctree(**(options | {"collapse": True}))
