@@ -20,7 +20,7 @@ def setup(app):
 
 
 def fold_navigation(app, pagename, templatename, context, doctree):
-    """List in the sidebar only what is above and beside a page: whole trees take half the build."""
+    """List in the sidebar the parents and neighbours of a page; all pages would double the time."""
     toctree = context.get("toctree")
     if toctree is not None:
         context["toctree"] = lambda **options: toctree(**(options | {"collapse": True}))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import tempfile
 import urllib.error
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
@@ -42,6 +43,7 @@ def client_of(server: Server):
             ssl_verify=False,
             verbose=False,
             analytics_enabled=False,
+            download_files=tempfile.gettempdir(),
             httpx_kwargs=patient,
         )
     )
@@ -86,6 +88,14 @@ def post(url: str, data: bytes) -> tuple[int, bytes]:
     except urllib.error.HTTPError as error:
         with error:
             return error.code, error.read()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def downloads(tmp_path_factory):
+    """The folder of downloaded files; gradio_client leaves empty folders beside them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tempfile, "tempdir", str(tmp_path_factory.mktemp("downloads")))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -245,7 +245,7 @@ def runs_as_graph(solver):
 def test_every_preset_moves_the_same_by_the_device_alone(name, monkeypatch):
     # The device measures its limits every four substeps.
     scene = Scene.named(name).replaced(
-        {"accuracy": {"cells": 8}, "time.frames": 4, "checks.measure": MEASURE_EVERY}
+        {"accuracy": {"cells": 8}, "time.frames": 2, "checks.measure": MEASURE_EVERY}
     )
     runs = []
     for alone in (False, True):

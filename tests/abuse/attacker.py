@@ -14,6 +14,8 @@ from support.served import TIMEOUT, Server
 from support.websocket import WebSocket
 
 BOUNDARY = "boundary"
+HANDLERS: dict[str, int] = {}
+"""Number of the handler of each panel and event: the same for all visitors of all servers."""
 
 
 class Attacker:
@@ -26,7 +28,6 @@ class Attacker:
         self.cookie = f"phy124={secrets.token_urlsafe(24)}" if cookie else ""
         self._always = {"Cookie": self.cookie} if cookie else {}
         self._always |= {"X-Forwarded-For": address} if address else {}
-        self._handlers: dict[str, int] = {}
 
     def send(
         self, method: str, path: str, body: Any = None, headers: dict[str, str] | None = None
@@ -147,10 +148,10 @@ class Attacker:
         return connection
 
     def _handler(self, panel: str, event: str) -> int:
-        if not self._handlers:
+        if not HANDLERS:
             config = json.loads(self.get("/config")[1])
             names = {c["id"]: c["props"].get("elem_id") for c in config["components"]}
             for dependency in config["dependencies"]:
                 for target, name in dependency["targets"]:
-                    self._handlers.setdefault(f"{names.get(target)} {name}", dependency["id"])
-        return self._handlers[f"{panel} {event}"]
+                    HANDLERS.setdefault(f"{names.get(target)} {name}", dependency["id"])
+        return HANDLERS[f"{panel} {event}"]

@@ -33,8 +33,8 @@ DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
 GIGABYTE = 1 << 30
 NOT_HERE = "The server does not have this picture. Choose it again."
 SECRETS = ["/etc/passwd", "/dev/zero", "/dev/random", "/no/such/file.png", "../../app.py"]
-CROWD = 25
-"""Visitors who come at once, four times as many as may wait."""
+CROWD = 9
+"""Visitors who come at once, more than twice as many as may wait."""
 SLOW, FILES = 2000, 1024
 """Connections that never finish their request, and how many files the server may have open."""
 
@@ -53,7 +53,7 @@ def server(tmp_path_factory):
         grace_minutes=0.3,
         max_cut_seconds=60,
         max_seconds=120,
-        max_queue=6,
+        max_queue=4,
         max_video_mb=3,
     ) as running:
         yield running

@@ -48,20 +48,21 @@ def _more(visit: Visit) -> None:
     visit.page.get_by_role("button", name="More", exact=True).click()
 
 
-@pytest.mark.parametrize(
-    ("panel", "label"),
-    [
-        ("#picture", "Choose a picture or a file of Gaussians"),
-        ("#more-pictures", "Side"),
-        ("#others", "Right"),
-    ],
-)
-def test_a_second_wrong_file_is_refused_like_the_first(visit, text, panel, label):
+PANELS = {
+    "#picture": "Choose a picture or a file of Gaussians",
+    "#more-pictures": "Side",
+    "#others": "Right",
+}
+"""Panels that take a picture, and the label of the field."""
+
+
+def test_a_second_wrong_file_is_refused_like_the_first(visit, text):
     _preset(visit, "collide")
-    visit.page.evaluate(LISTEN, panel)
-    for times in (1, 2):
-        visit.page.get_by_label(label, exact=True).set_input_files(text)
-        visit.page.wait_for_function(SAYS, arg=[panel, WRONG, times])
+    for panel, label in PANELS.items():
+        visit.page.evaluate(LISTEN, panel)
+        for times in (1, 2):
+            visit.page.get_by_label(label, exact=True).set_input_files(text)
+            visit.page.wait_for_function(SAYS, arg=[panel, WRONG, times])
 
 
 def test_after_a_wrong_side_the_object_is_made_without_it(visit, text):

@@ -10,6 +10,7 @@ from visit import Visit
 from support.served import free_port, serving
 
 pytestmark = pytest.mark.browser
+HERE = "**/phy124/here"
 CUT_AGAIN = """(before) => {
     const now = document.querySelector('#cutout img').getAttribute('src');
     return now && now !== before;
@@ -48,17 +49,22 @@ def test_page_outlives_restarts_of_its_server(browser, start):
         page.wait_for_function(CUT_AGAIN, arg=before)
         assert page.evaluate("globalThis.sameDocument"), "the page was loaded again"
         assert page.locator("#viewer .phy-time").is_visible()
-        page.locator("#takeaway").get_by_text("no longer has this result").wait_for()
+        gone = page.locator("#takeaway").get_by_text("no longer has this result")
+        gone.wait_for()
         assert page.locator("#takeaway a.file").count() == 0
         page.wait_for_selector("#progress .refused", state="detached")
         visit.choose(frames=3)
         visit.generate()
         visit.finished()
+        # What `finished` waits for may still be there from the result before.
+        gone.wait_for(state="detached")
         page.reload()
         page.wait_for_selector("#cutout img[src]")
         assert not notice.is_visible()
         before = page.locator("#cutout img").get_attribute("src")
+    page.route(HERE, lambda route: route.abort())  # The page asks every 15 s whether it is known.
     with start():  # which the page learns from the next refusal
+        page.unroute(HERE)
         visit.generate()
         page.wait_for_function(CUT_AGAIN, arg=before)
         page.wait_for_selector("#progress .refused", state="detached")

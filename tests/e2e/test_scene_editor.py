@@ -21,9 +21,9 @@ START = """() => {
 }"""
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def page(browser):
-    """The editor with the page's own catalogue, without a server."""
+    """The editor with the page's own catalogue, without a server; all tests change its scene."""
     static, offer = ROOT / "demo" / "static", json.dumps(catalogue(Settings()))
     page = browser.new_page()
     page.set_default_timeout(LONG)

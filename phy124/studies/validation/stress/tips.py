@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,7 @@ def hairs(x: Array) -> NDArray[np.bool_]:
 SHAPES: tuple[Inside, ...] = (cone, needle, edge, table, hairs)
 
 
+@cache
 def cloud(inside: Inside) -> Gaussians:
     """Fill a shape of about 1 m with Gaussians."""
     x = np.random.default_rng(0).uniform((-0.6, -0.6, 0), (0.6, 0.6, 1.0), (100_000, 3))
