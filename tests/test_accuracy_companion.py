@@ -16,7 +16,8 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
-SCENE = Scene.named("press").replaced({"accuracy.cells": 16, "time.frames": 5})
+PARTICLES = {"accuracy": {"cells": 16, "solver": "mpm"}}
+SCENE = Scene.named("press").replaced({**PARTICLES, "time.frames": 5})
 TIMES = np.arange(4) / 10
 
 

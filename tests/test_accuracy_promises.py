@@ -86,9 +86,9 @@ def test_predictions_add_the_groups_and_never_extrapolate():
     known = {"coefficients": coefficients, "features": [], "kinds": {"elastic squeezed": RANGE}}
     error = expect(press, Proportions(10 / 32, 0.3), known).error
     assert error == pytest.approx(np.exp(-3 + 0.5 + 0.25) / 2)
-    finer = press.replaced({"accuracy": {"cells": 128}})
+    finer = press.replaced({"accuracy.cells": 128})
     assert expect(finer, Proportions(10 / 32, 0.3), known).error == pytest.approx(error)
-    coarser = press.replaced({"accuracy": {"cells": 16}})
+    coarser = press.replaced({"accuracy.cells": 16})
     assert expect(coarser, Proportions(20 / 32, 0.3), known).error == pytest.approx(8 * error)
 
 

@@ -33,12 +33,14 @@ from phy124.studies.validation.accuracy.study import Study
 from support.shapes import ball
 
 LEVELS = (8, 12, 16)
+PARTICLES = {"accuracy": {"cells": 16, "solver": "mpm"}}
+"""On a lattice, material cannot tear, and the energy lost is not split."""
 
 
 @pytest.fixture(scope="module")
 def study() -> tuple[Study, Report]:
     scene = Scene.named("drop").replaced(
-        {"time.frames": 5, "view.size": 64, "accuracy": {"cells": 16}, "object.lift": 0.1}
+        {"time.frames": 5, "view.size": 64, **PARTICLES, "object.lift": 0.1}
     )
     made = Study(ball(800), scene, levels=LEVELS)
     return made, made.run()
@@ -105,8 +107,10 @@ def test_where_it_cannot_be_told_it_is_not():
     assert all(row.lost_to is None and row.energy_lost is not None for row in report.rows)
 
 
-def test_a_free_spin_keeps_its_angular_momentum():
-    scene = Scene.named("spin").replaced({"time.frames": 3, "view.size": 32})
+@pytest.mark.parametrize("solver", ["mpm", "lattice"])
+def test_a_free_spin_keeps_its_angular_momentum(solver):
+    chosen = {"accuracy": {"cells": 8, "solver": solver}, "time.frames": 3, "view.size": 32}
+    scene = Scene.named("spin").replaced(chosen)
     made = Study(ball(300), scene, levels=(8,), thorough=False).run()
     row = made.rows[0]
     assert row.angular_momentum_lost < 1e-4
@@ -168,7 +172,7 @@ def test_the_error_on_any_grid_follows_from_those_that_were_run():
 
 
 def test_a_level_that_may_be_torn_is_said():
-    soft = {"material.E": 300, "time.frames": 8, "view.size": 32, "binding": "lattice"}
+    soft = {**PARTICLES, "material.E": 300, "time.frames": 8, "view.size": 32, "binding": "lattice"}
     scene = Scene.named("spin").replaced(soft)
     report = Study(ball(300), scene, levels=(8,), thorough=False).run()
     assert report.rows[0].name == "D/8"
@@ -179,7 +183,7 @@ def test_a_torn_level_promises_nothing(monkeypatch, tmp_path):
     """However close two grids are: what both tear is not what the material does."""
     likely = property(lambda self: self._model.dx < 1 / 13)
     monkeypatch.setattr(Tearing, "likely", likely)
-    quick = {"time.frames": 2, "view.size": 32, "binding": "lattice"}
+    quick = {**PARTICLES, "time.frames": 2, "view.size": 32, "binding": "lattice"}
     report = Study(ball(300), Scene.named("drop").replaced(quick), levels=(8, 10, 12, 16)).run()
     rows = {row.name: row for row in report.rows}
     assert all(rows[f"D/{cells}"].error is not None for cells in (8, 10, 12))
@@ -200,7 +204,7 @@ def test_a_torn_level_promises_nothing(monkeypatch, tmp_path):
 
 def test_too_few_whole_levels_have_no_order(monkeypatch):
     monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 9))
-    quick = {"time.frames": 2, "view.size": 32, "binding": "lattice"}
+    quick = {**PARTICLES, "time.frames": 2, "view.size": 32, "binding": "lattice"}
     scene = Scene.named("drop").replaced(quick)
     report = Study(ball(300), scene, levels=(8, 10, 12), thorough=False).run()
     assert report.convergence.order is None
@@ -389,7 +393,8 @@ def test_study_has_the_further_objects_of_a_scene(tmp_path):
 
 def test_study_on_the_command_line(tmp_path, capsys, monkeypatch):
     (tmp_path / "s.toml").write_text(
-        'accuracy = {cells = 8}\ntime = {frames = 2}\nview = {size = 32, views = ["front"]}\n'
+        'accuracy = {cells = 8, solver = "mpm"}\ntime = {frames = 2}\n'
+        'view = {size = 32, views = ["front"]}\n'
     )
     arguments = ["accuracy", str(tmp_path / "s.toml"), "--out", str(tmp_path / "o")]
     arguments += ["--levels", "6", "8", "10"]

@@ -24,9 +24,9 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.clip import Clip
-from phy124.monitor.diagnostics import Diagnostics, diagnose
 from phy124.monitor.dissipation import Loss, split_seconds
 from phy124.monitor.tearing import Tearing
+from phy124.monitor.watchdog import Watchdog
 from phy124.particles.thickness import Proportions
 from phy124.progress import Progress
 from phy124.runtime.context import RunContext
@@ -177,13 +177,12 @@ class Study:
         simulation = Simulation(prepare(self.gaussians, scene, context, crop=self.crop))
         self._proportions = self._proportions or simulation.setup.proportions
         predicted = self._forecast(simulation) if self.thorough else None
-        before = diagnose(simulation.solver)
         clip = simulation.run()
         if not clip.report["complete"]:
             return None, f"{name} is left out: {clip.report['stopped']}"
         self.clips[name] = clip.surface
         solver, accuracy = simulation.solver, scene.resolution
-        tearing = simulation.find(Tearing)
+        tearing, watchdog = simulation.find(Tearing), simulation.find(Watchdog)
         seconds, torn = (
             simulation.setup.context.watch.seconds,
             " ".join(tearing.notes() if tearing else ()),
@@ -205,7 +204,7 @@ class Study:
             limiters={key: count / sum(counts.values()) for key, count in counts.items()},
             energy_lost=-clip.report["balance"]["energy_gain"],
             lost_to=_lost_to(clip.report.get("energy")),
-            angular_momentum_lost=_momentum_lost(scene, before, diagnose(solver)),
+            angular_momentum_lost=_momentum_lost(scene, watchdog) if watchdog else None,
             torn=torn,
             stated=stated,
         ), f"{name}: {torn}" if torn else ""
@@ -344,8 +343,9 @@ def _particles_per_axis(simulation: Simulation) -> float:
     return float(np.median(counts) ** (1 / 3))
 
 
-def _momentum_lost(scene: Scene, before: Diagnostics, after: Diagnostics) -> float | None:
+def _momentum_lost(scene: Scene, watchdog: Watchdog) -> float | None:
     """Return the relative change of angular momentum; None if forces or walls may change it."""
+    before, after = watchdog.first, watchdog.last
     start = float(np.linalg.norm(before.angular))
     if scene.acting or scene.boundaries or start == 0:
         return None
