@@ -116,8 +116,10 @@ def _run(scene: Scene, setting: Setting) -> Simulation:
 
 
 def _make_exploding(setting: Setting) -> Scene:
+    """Return a scene of particles, whose substeps grow in proportion to cfl."""
     scene = Scene.from_data({**SMALL, "object": {"spin": [0.0, 0.0, 3.0]}, "forces": []})
-    wrong = scene.resolution.model_copy(update={"cfl": TOO_LONG, "precision": setting.precision})
+    update = {"cfl": TOO_LONG, "precision": setting.precision, "solver": "mpm"}
+    wrong = scene.resolution.model_copy(update=update)
     return scene.model_copy(update={"accuracy": wrong})
 
 
