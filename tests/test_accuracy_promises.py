@@ -92,6 +92,22 @@ def test_predictions_add_the_groups_and_never_extrapolate():
     assert expect(coarser, Proportions(20 / 32, 0.3), known).error == pytest.approx(8 * error)
 
 
+def test_errors_on_lattices_come_from_runs_on_lattices():
+    press = Scene.named("press").replaced({"time.frames": 14, "accuracy.solver": "lattice"})
+    kinds = {"elastic squeezed": RANGE}
+    known = {"coefficients": {"lattice": {"one": -1.0}}, "features": [], "kinds": kinds}
+    said = expect(press, USUAL, known)
+    assert said.error is None and said.unmeasured == "elastic pressed or gripped, on a lattice"
+    kinds["lattice elastic squeezed"] = {**RANGE, "objects": 5}
+    said = expect(press, USUAL, known)
+    assert (said.error, said.objects) == (pytest.approx(np.exp(-1)), 5)
+    mpm = expect(press.replaced({"accuracy.solver": "mpm"}), USUAL, known)
+    assert (mpm.error, mpm.objects, mpm.such) == (1.0, 9, "elastic pressed or gripped, by MPM")
+    wind = press.replaced({"forces": [{"kind": "wind", "v": [0, 1, 0]}]})
+    known["features"] = ["a force of the kind wind"]
+    assert expect(wind, USUAL, known).unmeasured == "a force of the kind wind, on a lattice"
+
+
 def test_violence_sees_forces_walls_and_hands():
     still = Scene.named("sway").replaced({"forces": []})
     assert violence(still) == 0

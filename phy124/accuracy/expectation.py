@@ -39,6 +39,8 @@ WORDS: dict[Motion, str] = {
     "free": "touching nothing",
 }
 """Kind of motion -> its description in messages."""
+ON_LATTICE = ", on a lattice"
+"""Words for the lattice solver of elastic objects, added to a kind of scene or a feature."""
 MARGIN = 1.25
 """Maximum ratio by which a scene may exceed the measured range of a property."""
 NEARBY = 0.02
@@ -79,19 +81,29 @@ def law_of(scene: Scene) -> str:
 
 
 def kind_of(scene: Scene) -> str:
-    """Return the law and the kind of motion of a scene, such as "elastic landing"."""
-    return f"{law_of(scene)} {motion_of(scene)}"
+    """Return the law and the kind of motion of a scene, such as "elastic landing".
+
+    A scene on lattices is of another kind: "lattice elastic landing".
+    """
+    kind = f"{law_of(scene)} {motion_of(scene)}"
+    return f"lattice {kind}" if scene.on_lattice else kind
 
 
 def groups(scene: Scene) -> list[str]:
     """Return the names of a scene's groups; the model adds the groups' coefficients."""
     motion, law = motion_of(scene), law_of(scene)
     names = ["all", motion, law, f"{law} {motion}", *features(scene)]
-    return [*names, "several objects"] if scene.objects else names
+    return [*names, "lattice", kind_of(scene)] if scene.on_lattice else names
+
+
+def name_features(scene: Scene) -> list[str]:
+    """Return a scene's features, with its solver; each must have been measured with this solver."""
+    names = features(scene)
+    return [f"{name}{ON_LATTICE}" for name in names] if scene.on_lattice else names
 
 
 def features(scene: Scene) -> list[str]:
-    """Return a scene's special features; each must have been measured."""
+    """Return a scene's special features."""
     forces = [force for force in scene.acting if force.kind not in ("gravity", "acceleration")]
     names = {f"a force of the kind {force.kind}" for force in forces}
     if any(force.region is not None for force in scene.acting):
@@ -105,8 +117,8 @@ def features(scene: Scene) -> list[str]:
             names.add("liquids of different densities")
     if scene.binding == "particles":
         names.add("binding = particles")
-    if scene.on_lattice:
-        names.add("accuracy.solver = lattice")
+    if scene.objects:
+        names.add("several objects")
     return sorted(names)
 
 
@@ -158,7 +170,8 @@ def expect(
     """
     model = model or table()
     law, motion = law_of(scene), motion_of(scene)
-    such, measured = f"{law} {WORDS[motion]}", model["kinds"].get(f"{law} {motion}")
+    solver = ON_LATTICE if scene.on_lattice else ", by MPM" if "elastic" in law else ""
+    such, measured = f"{law} {WORDS[motion]}{solver}", model["kinds"].get(kind_of(scene))
     unknown = _describe_beyond(scene, model["features"])
     if unknown or measured is None:
         return Expectation(None, unknown or such)
@@ -205,7 +218,7 @@ def _describe_beyond(scene: Scene, known: Sequence[str]) -> str:
         return "motion that accuracy.rpic_damping damps"
     if accuracy.gradient != type(accuracy).model_fields["gradient"].default:
         return f"accuracy.gradient = {accuracy.gradient}"
-    new = [name for name in groups(scene)[4:] if name not in known]
+    new = [name for name in name_features(scene) if name not in known]
     return new[0] if new else find_difference(scene)
 
 

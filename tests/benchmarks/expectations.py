@@ -12,7 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from functools import cache
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,11 +25,15 @@ from phy124.accuracy.expectation import (
     expect,
     groups,
     kind_of,
+    law_of,
+    name_features,
     properties,
     regressors,
 )
+from phy124.accuracy.severity import motion_of
+from phy124.lattice.refusals import reason_for_particles
 from phy124.particles.thickness import Proportions
-from phy124.scene import Scene
+from phy124.scene import PRESETS, Scene
 
 FILE = ROOT / "phy124/accuracy/measured.json"
 HOLD = 0.94
@@ -49,6 +53,8 @@ TERMS = {
     "feature": (1.0, ("one", "cells")),
 }
 """Role of a group -> standard deviation of its coefficients before the fit, and its terms."""
+EXPECTED = ("draft", "standard")
+"""Accuracies in the table of expected errors."""
 MOTIONS = ("squeezed", "landing", "standing", "held", "free")
 
 
@@ -173,7 +179,7 @@ def ranges(known: list[Sample]) -> dict[str, Any]:
 
 def known_features(known: list[Sample]) -> list[str]:
     """Return the features that were measured with enough objects."""
-    pairs = {(name, sample.object) for sample in known for name in groups(sample.scene)[4:]}
+    pairs = {(name, sample.object) for sample in known for name in name_features(sample.scene)}
     count = Counter(name for name, _ in pairs)
     return sorted(name for name, number in count.items() if number >= ENOUGH)
 
@@ -323,7 +329,12 @@ def write_page(pairs: list[Pair]) -> None:
             each = [pair for pair in group if pair.scene == name]
             lines += [summary(f"{grids}: {name}", each)] if len(each) > 2 else []
     lines.append(summary("**draft, variants**", [p for p in mpm if p.scene in VARIANTS]))
-    lines.append(summary("**lattice**", [pair for pair in pairs if pair.solver == "lattice"]))
+    for grids in GRIDS:
+        group = [pair for pair in pairs if (pair.solver, pair.grids) == ("lattice", grids)]
+        lines += [summary(f"**lattice, {grids}**", group)] if group else []
+        for name in ALL:
+            each = [pair for pair in group if pair.scene == name]
+            lines += [summary(f"lattice, {grids}: {name}", each)] if len(each) > 4 else []
     heads = ["pairs", "pairs (objects)", "held", "held, left out", "stated / true", "worst"]
     heads += ["before: held", "before: stated / true", "before: worst", "broken promises foreseen"]
     days, where = {row["date"] for row in known}, {row["machine"] for row in known}
@@ -336,7 +347,7 @@ def write_page(pairs: list[Pair]) -> None:
     page = DOCS / "lab/own-error.md"
     replace_block(page, "zoo", f"{markdown(heads, lines)}\n\n{text}")
     replace_block(page, "solvers", compare_solvers(pairs))
-    told = [(pair.error, pair.before) for pair in mpm if pair.before is not None]
+    told = [(pair.error, pair.before) for pair in pairs if pair.before is not None]
     held, ratio = sum(a <= b for a, b in told), np.median([b / a for a, b in told])
     text = (
         f"For all objects, before the run: {held} of {len(told)} bounds held, and they were in the "
@@ -348,9 +359,14 @@ def write_page(pairs: list[Pair]) -> None:
 def expected(model: dict[str, Any]) -> str:
     """Return a table of the expected errors of a usual object, at draft and at standard."""
     usual, table = Proportions(0.2, 0.5), dict[str, dict[str, str]]()
-    for name in ALL:
-        law, _, motion = kind_of(scene_of(name)).rpartition(" ")
-        scenes = [scene_of(name).replaced({"accuracy": each}) for each in ("draft", "standard")]
+    for name, solver in product(ALL, ("mpm", "lattice")):
+        if solver == "lattice" and reason_for_particles(scene_of(name)):
+            continue
+        base = scene_of(name, solver)
+        law, motion = law_of(base), motion_of(base)
+        law = f"{law}, lattice" if base.on_lattice else law
+        accuracies = ({"cells": PRESETS[each].cells, "solver": solver} for each in EXPECTED)
+        scenes = [base.replaced({"accuracy": accuracy}) for accuracy in accuracies]
         errors = [expect(scene, usual, model).error for scene in scenes]
         if None not in errors:
             text = " / ".join(f"{100 * error:.1f}" for error in errors if error)
