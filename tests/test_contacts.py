@@ -17,7 +17,8 @@ from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
 from support.shapes import ball
 
-SCENE = {"accuracy": {"cells": 8}, "time.frames": 4, "time.fps": 60.0, "object.lift": 0.0}
+PARTICLES = {"accuracy": {"cells": 8, "solver": "mpm"}}
+SCENE = {**PARTICLES, "time.frames": 4, "time.fps": 60.0, "object.lift": 0.0}
 
 
 @pytest.mark.parametrize("threads", [1, 2])
