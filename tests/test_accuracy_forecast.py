@@ -56,7 +56,7 @@ def test_substeps_are_predicted(name):
     assert predicted.caveat is None
 
 
-@pytest.mark.parametrize("name", ["press", "sway"])
+@pytest.mark.parametrize("name", ["press", pytest.param("sway", marks=pytest.mark.slow)])
 def test_substeps_on_a_lattice_follow_from_its_own_rest(name):
     chosen = scene(name, 20, **{"accuracy.solver": "lattice"})
     simulation = Simulation(prepare(OBJECT, chosen))
