@@ -42,7 +42,7 @@ LONGEST, LONGER = 20_000, 200
 """Largest length of a scene as text [characters], and its increase per frame, because a saved live
 run has a position of the hand for each frame."""
 LISTS, PARTS = ("forces", "boundaries", "objects", "parts", "pairs"), 64
-"""Fields of a scene that are lists, and the largest number of parts."""
+"""Fields of a scene that are lists -> the largest number of entries."""
 WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}
 """Densities of familiar materials [kg/m^3]."""
 SUBSTANCES: dict[str, dict[str, Any]] = {

@@ -114,7 +114,7 @@ def _check_distance(scene: Scene) -> None:
 def _find_remedies(
     scene: Scene, excess: float, fits: Callable[[Scene], bool]
 ) -> tuple[Remedy, ...]:
-    """Return the remedies that pass `fits`, for a run that exceeds its budget `excess` times."""
+    """Return the remedies that pass `fits`, for a run that needs `excess` times its budget."""
     fitting = []
     for remedy in _propose_remedies(scene, excess):
         try:

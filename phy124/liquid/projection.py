@@ -46,7 +46,7 @@ class Projection:
         """Mobility of each solid, per impulse of q."""
         shape = (self._parts, 2 * solids)
         self._responses = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        """Velocity and angular velocity of each solid for a vector, computed by each part."""
+        """Velocity and angular velocity of each solid that a vector causes: shares of the parts."""
 
     def part(self, worker: int) -> tuple[int, int]:
         """Return a worker's first part, and how many parts the worker has."""

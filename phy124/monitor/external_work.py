@@ -111,7 +111,7 @@ class ExternalWork(Observer):
         """
         self._changes = changes
         self._device: dict[str, wp.array] = {}
-        """Open sums of each worker since its launches were last recorded [W,ROOM]."""
+        """Sums of each worker since its launches were last recorded, not collected yet [W,ROOM]."""
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.GIVEN) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
         """Momentum of the object at the start of the frame, without the open sums [kg m/s]; and the

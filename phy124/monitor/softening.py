@@ -95,7 +95,7 @@ class Softening(Observer):
         return {"factor": self.factor}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the factor without adding work, since it already applied to the restored state."""
+        """Set the factor without counting its work, which the restored state already contains."""
         self._multiply(snapshot["factor"])
 
     def _multiply(self, factor: float) -> None:

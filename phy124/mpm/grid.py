@@ -111,7 +111,7 @@ class Grid:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Cover `size` [3] nodes from node `low` [3] on; all nodes are set to zero."""
+        """Make the nodes of a box, all zero: `size` [3] nodes, of which the first is `low` [3]."""
         # One node more than the window, since the SIMD rows read four nodes at once.
         count = int(np.prod(size)) + 1
         self.use(low, size, wp.zeros(count, dtype=self.vec4, device=self.device))

@@ -66,7 +66,7 @@ class Solid:
 
     @cached_property
     def _resampled(self) -> dict[float, Solid]:
-        """Side of voxels [m] -> the solid on them, for grids of which one is twice as fine."""
+        """Side of voxels [m] -> the solid in such voxels: a grid twice as fine uses them again."""
         return {}
 
     @property

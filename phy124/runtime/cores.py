@@ -16,7 +16,7 @@ SIBLINGS = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
 
 
 def cores() -> int:
-    """Return the number of hardware threads this process may use, capped by the groups' quota."""
+    """Return the number of hardware threads this process may use, capped by its cgroups' quota."""
     return _within_quota(_hardware_threads())
 
 
