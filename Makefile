@@ -27,10 +27,10 @@ bridge: .venv/bridge
 test:
 	+$(MAKE) $(if $(findstring jobserver,$(MAKEFLAGS)),,--jobs 2 --output-sync=target) test-default test-page
 
-# Four on two cores: tests of servers wait more than they compute. In order, since a file of one long
+# Three on two cores: tests of servers wait more than they compute. In order, since a file of one long
 # test must not be the last.
 test-default: .venv/bytecode
-	$(BIN)/pytest -n 4 --dist loadfile --no-loadscope-reorder -m "not slow and not browser"
+	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m "not slow and not browser"
 
 test-page: .venv/test
 	if command -v chromium >/dev/null; then $(BIN)/pytest -m "browser and not slow" tests/e2e; fi

@@ -120,6 +120,7 @@ def soft(E: float) -> Scene:
     return Scene.named("spin").replaced({"material.E": E, **particles, **quick})
 
 
+@pytest.mark.slow
 def test_an_object_that_tears_is_given_more_particles(quick):
     about = run_for_goal(Goal.error("50%"), ball(600), soft(1000)).about
     assert about["particles_per_axis"] == 3
@@ -127,6 +128,7 @@ def test_an_object_that_tears_is_given_more_particles(quick):
     assert not about["torn"]
 
 
+@pytest.mark.slow
 def test_too_many_particles_return_the_last_level(quick, monkeypatch):
     """The second try is refused: nothing that was run is lost for it."""
     monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 13))
@@ -144,12 +146,14 @@ def test_too_many_particles_return_the_last_level(quick, monkeypatch):
     assert reached.about["met"] is False
 
 
+@pytest.mark.slow
 def test_the_densest_object_is_not_tried_again(quick, monkeypatch):
     monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 13))
     most = quick.replaced({"accuracy.particles_per_axis": 4.0, "time.frames": 4})
     assert run_for_goal(Goal.error("0.2%"), ball(600), most).about["particles_per_axis"] == 4
 
 
+@pytest.mark.slow
 def test_an_object_that_tears_all_the_same_meets_no_goal(quick):
     """However close two grids are: what both tear is not what the material does."""
     with pytest.raises(InputError, match=r"on D/\d+ the material is stretched \d.* may tear it"):

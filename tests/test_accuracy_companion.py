@@ -141,6 +141,7 @@ def test_coarse_positions_have_no_own_error(tmp_path):
     assert promise(SCENE, None, result.report).error is None
 
 
+@pytest.mark.slow
 def test_forecast_of_the_companion_depends_on_the_solver(run):
     scene = SCENE.replaced({"accuracy": {"cells": 8, "solver": "lattice"}})
     lattice, (mpm, _) = Simulation(prepare(ball(100), scene)), run

@@ -31,7 +31,10 @@ WALLS = {
         ("spin", {}),
         ("drop", {"material": {"law": "sand"}}),
         ("drop", {"accuracy": {"cells": 8, "particles_per_axis": 1.0, "precision": "float64"}}),
-        *(("drop", {"boundaries": [wall]}) for wall in WALLS.values()),
+        *(
+            pytest.param("drop", {"boundaries": [wall]}, marks=pytest.mark.slow)
+            for wall in WALLS.values()
+        ),
     ],
 )
 def test_all_that_takes_long_is_listed(name, changes, monkeypatch):

@@ -389,6 +389,7 @@ def test_a_storm_of_cancels_stops_only_ones_own(server):
         assert all(isinstance(each.result(TIMEOUT), list) for each in storm)
 
 
+@pytest.mark.slow
 def test_a_crowd_of_visitors_does_not_silence_health(server):
     delays, stop = [], threading.Event()
 

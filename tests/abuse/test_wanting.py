@@ -18,6 +18,7 @@ from attacker import Attacker
 
 from support.served import ROOT, TIMEOUT, serving
 
+pytestmark = pytest.mark.slow
 DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
 FILES, STREAMS = 1024, 600
 """Files that the server may have open, and streams that an attacker opens."""

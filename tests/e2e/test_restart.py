@@ -9,7 +9,7 @@ from visit import Visit
 
 from support.served import free_port, serving
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
 HERE = "**/phy124/here"
 CUT_AGAIN = """(before) => {
     const now = document.querySelector('#cutout img').getAttribute('src');
