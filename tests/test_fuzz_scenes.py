@@ -235,9 +235,9 @@ def most_are_complete() -> None:
     assert OUTCOMES["complete"] > sum(OUTCOMES.values()) / 2, OUTCOMES
 
 
-@settings(max_examples=15, derandomize=True, **COMMON)
+@settings(max_examples=30, derandomize=True, **COMMON)
 @given(cloud=CLOUDS, scene=scenes(st.just("float32")))
-def run_fifteen(cloud: Cloud, scene: Scene) -> None:
+def run_thirty(cloud: Cloud, scene: Scene) -> None:
     check(cloud, scene)
 
 
@@ -249,7 +249,7 @@ def run_two_thousand(cloud: Cloud, scene: Scene) -> None:
 
 def test_random_scenes():
     OUTCOMES.clear()
-    run_fifteen()
+    run_thirty()
     most_are_complete()
 
 
