@@ -136,8 +136,9 @@ def quit_after(client, run):
     run.state = State.QUITTING
 
 
-def test_a_viewer_in_another_process_steers_a_run():
-    run = steered(paused=False)
+def test_a_viewer_in_another_process_steers_a_run(monkeypatch):
+    run, remarks = steered(paused=False), []
+    monkeypatch.setattr(run.remarks, "add", remarks.append)
     offered = controls(run, Options(), "coarse", action=False)
     options = Options(epoch=EPOCH, profile="viz")
     with FoxgloveSink(options, port=0, controls=offered) as sink:
@@ -152,9 +153,9 @@ def test_a_viewer_in_another_process_steers_a_run():
     assert said["pause"] == said["step"] == said["reset"] == said["quit"] == ok
     assert "must be a uint64" in said["wrong"] and said["cdr"] == "Unsupported encoding"
     assert 31 in said["features"]["features"]["features"] and said["contact"] > 60
-    # Two topics, four messages that are none, a wrench that is no number, and perhaps the flood:
-    # too fast for the sink's thread, for the run, or for both.
-    assert run.remarks.count in (7, 8, 9)
+    # Two topics, four messages that are none, and a wrench that is no number. How often the flood
+    # is too fast for the sink's thread or for the run depends on the machine.
+    assert len([s for s in remarks if s not in (FLOOD, loop.FLOOD)]) == 7
 
 
 def test_ten_thousand_messages_are_skipped_with_one_line():
