@@ -13,7 +13,7 @@ from phy124.boundaries.motion import Path
 from phy124.forces import Acceleration, Grab, Gravity, TotalForce, Wind
 from phy124.forces.held import Part
 from phy124.kernels.lattice import points
-from phy124.kernels.lattice.stress import GRADIENT, SPEED
+from phy124.kernels.lattice.stress import CLOSING, GRADIENT, SPEED
 from phy124.kernels.work import IMPULSE, WORK
 from phy124.lattice import material, solids, workers
 from phy124.lattice import walls as lattice_walls
@@ -170,6 +170,45 @@ def test_ties_leave_no_node_without_mass():
     lattice = RestLattice.of(x, volume, volume, DX)
     free = np.setdiff1d(np.arange(len(lattice)), lattice.tied)
     assert lattice.mass[free].min() > 0
+
+
+def test_sliver_at_a_corner_joins_the_cell_behind_it():
+    """By itself it would hang on one node, and its own nodes would have no mass and no ties."""
+    fraction = np.zeros((6, 6, 6), np.float32)
+    fraction[:4, :4, :4] = 1
+    fraction[3, 3, 3], fraction[4, 4, 4] = 0.3, 0.003
+    x, volume = integration_points(Solid(np.zeros(3, int), DX, fraction), DX)
+    assert volume.reshape(-1, 8).sum(axis=1).min() > 0.3 * DX**3
+    assert len(x) == 8 * 4**3
+    lattice = RestLattice.of(x, volume, volume, DX)
+    assert lattice.mass[lattice.mass > 0].min() > 1e-3 * DX**3
+
+
+@pytest.mark.parametrize(("speed", "shock"), [(0.3, False), (0.8, True)])
+def test_slow_motion_of_flat_material_is_no_shock(speed, shock):
+    """The sides of a cell squeezed to a tenth approach at `speed` times the speed of sound."""
+    solver = make(block((0.4, 0.3, 0.3)))
+    flat = np.diag([1, 1, 0.1]) - np.eye(3)
+    rate = speed * solver.clock.sound / DX
+    solver.nodes_state.u.assign(solver.lattice.x @ flat)
+    solver.nodes_state.v.assign(solver.lattice.x * [0, 0, -rate])
+    solver.measure_if_due()
+    assert solver.clock.in_shock == shock
+
+
+def test_damped_body_stays_sound_in_an_impact():
+    """The rate of compression that shortens a substep also limits the next one."""
+    damped = SOFT.model_copy(update={"damping": 50.0})
+    solver = make(
+        block((0.4, 0.4, 0.4), low=(0, 0, 0.05)),
+        damped,
+        v=(0, 0, -2 * damped.wave_speed()),
+        boundaries=[HalfSpace(friction=0.3)],
+        precision="float32",
+    )
+    solver.advance(0.03)
+    assert np.linalg.det(solver.state.F.numpy()).min() > 0
+    assert np.linalg.norm(solver.state.v.numpy(), axis=1).max() < 2 * damped.wave_speed()
 
 
 def test_frequency_follows_a_squeezed_body():
@@ -494,7 +533,8 @@ def test_simd_and_plain_stress_agree(damping):
         solver.phases.run_task(MEASURE)
         limits.append(solver._crew.take_maxima())
     assert np.abs(forces[0] - forces[1]).max() < 2e-6 * np.abs(forces[1]).max()
-    assert limits[0][GRADIENT] == pytest.approx(limits[1][GRADIENT], rel=1e-3)
+    for which in (GRADIENT, CLOSING):
+        assert limits[0][which] == pytest.approx(limits[1][which], rel=1e-3)
     assert limits[0][SPEED] >= limits[1][SPEED]
 
 

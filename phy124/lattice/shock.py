@@ -2,20 +2,23 @@
 
 An impact near the speed of sound would squeeze the first layer of points flat before the stress of
 the next layer stops it. The viscosity (phy124/kernels/lattice/stress.py, `make_shock`) spreads such
-a shock over a few cells. It acts while material is compressed faster than `FAST` c / dx.
+a shock over a few cells. It acts while opposite sides of a cell approach each other faster than
+`FAST` c. The rate of compression alone does not show a shock: where a crease squeezes a few points
+flat, slow motions have a high rate.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from phy124.mpm.clock import Clock
 from phy124.mpm.stage import Named
-from phy124.mpm.timestep import Substep
+from phy124.mpm.timestep import Extremes, Substep, decay
 
 FAST = 0.6
-"""Rate of compression above which the viscosity acts, relative to c / dx."""
+"""Closing rate above which the viscosity acts, relative to c / dx."""
 LEAST = 0.1
 """Largest compression in a substep while it acts. The viscosity grows with the rate, so that its
 stable substep is a fixed compression; with 0.2, impacts at ten times the speed of sound invert.
@@ -33,6 +36,8 @@ class LatticeClock(Clock):
     """Largest speed of a pressure wave at rest [m/s]."""
     shocked = 0
     """Number of substeps with artificial viscosity."""
+    closing = lasting = 0.0
+    """Largest closing rate as last measured, and largest recent one, which decays slowly [1/s]."""
 
     @property
     def _rate(self) -> float:
@@ -44,7 +49,12 @@ class LatticeClock(Clock):
     @property
     def in_shock(self) -> bool:
         """Whether the artificial viscosity acts."""
-        return self._rate * self.dx > FAST * self.sound
+        return max(self.closing, self.lasting) * self.dx > FAST * self.sound
+
+    def limit_by(self, extremes: Extremes, *, complete: bool, acceleration: float = 0.0) -> None:
+        """Limit substeps by measured values, as in `Clock`; `closing` has been set before."""
+        self.lasting = max(self.closing, decay(self.lasting, self.since_measured))
+        super().limit_by(extremes, complete=complete, acceleration=acceleration)
 
     def stable(self) -> Substep:
         """Return the longest stable substep in the current state."""
@@ -61,6 +71,15 @@ class LatticeClock(Clock):
             drift: Length of the substep [s].
         """
         return self.in_shock or speed * drift > IMPACT * self.dx
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state to continue from, as plain data."""
+        return {**super().snapshot(), "closing": self.closing, "lasting": self.lasting}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot."""
+        super().restore(snapshot)
+        self.closing, self.lasting = (snapshot.get(name, 0.0) for name in ("closing", "lasting"))
 
 
 def in_shock_only(clock: LatticeClock, recorded: Sequence[Named]) -> list[Named]:

@@ -325,7 +325,8 @@ class LatticeSolver:
         """Return a time over which no point is squeezed too much, at most `drift` [s]."""
         self.phases.join()
         self.phases.run_task(MEASURE)
-        speed, gradient = self._crew.take_maxima()
+        # They are not reset: where the stress measures, the end of the substep reads them, too.
+        speed, gradient, self.clock.closing = self._crew.maxima()
         self.clock.extremes = self.clock.extremes._replace(speed=speed, gradient=gradient)
         self.clock.expire()
         return min(drift, STRAIN_PER_STEP / max(gradient, 1e-30))
@@ -399,7 +400,7 @@ class LatticeSolver:
         Args:
             elapsed: Time since the last measurement [s].
         """
-        speed, gradient = self._crew.take_maxima()
+        speed, gradient, self.clock.closing = self._crew.take_maxima()
         self._refuse_collapse()
         extremes, pull = self.clock.extremes, self.rejection.acceleration
         fastest = max(speed, extremes.speed) + self.rejection.wall

@@ -302,10 +302,14 @@ class Crew:
         kernel = point_kernels.make_follow(model.real)
         return launches([("follow", model.launch(kernel, span.stop - span.start, inputs, outputs))])
 
-    def take_maxima(self) -> list[float]:
-        """Return the largest speed and rate of strain since the last call, and reset them."""
+    def maxima(self) -> list[float]:
+        """Return the largest speed, rate of strain and closing rate since they were reset."""
         rows = [worker.maxima.numpy() for worker in self.workers]
-        largest = [float(value) for value in map(max, *rows, rows[0])]
+        return [float(value) for value in map(max, *rows, rows[0])]
+
+    def take_maxima(self) -> list[float]:
+        """Return the maxima and reset them."""
+        largest = self.maxima()
         for worker in self.workers:
             worker.maxima.zero_()
         return largest

@@ -181,11 +181,12 @@ def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]
     filled = np.zeros(tuple(size))
     np.add.at(filled, tuple((place - low).T), part)
     sliver = np.argwhere((filled > 0) & (filled < SLIVER))
-    fullest, target = np.full(len(sliver), SLIVER), sliver.copy()
+    fullest, target = np.zeros(len(sliver)), sliver.copy()
     for step in AROUND:
-        fill = filled[tuple((sliver + step).T)] / np.abs(step).sum()
-        fuller = fill > fullest
-        fullest[fuller], target[fuller] = fill[fuller], (sliver + step)[fuller]
+        fill = filled[tuple((sliver + step).T)]
+        near = fill / np.abs(step).sum()
+        fuller = (fill >= SLIVER) & (near > fullest)
+        fullest[fuller], target[fuller] = near[fuller], (sliver + step)[fuller]
     moved = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1)
     moved[tuple(sliver.T)] = target
     return moved[tuple((place - low).T)] + low

@@ -18,7 +18,7 @@ from phy124.kernels.lattice.points import (
 )
 from phy124.kernels.transfer import Law
 
-SPEED, GRADIENT, MAXIMA = 0, 1, 2
+SPEED, GRADIENT, CLOSING, MAXIMA = 0, 1, 2, 3
 """Index of each measured maximum, and their number."""
 FLAT = wp.constant(0.05)
 """Volume ratio below which a point's rate of strain is reduced: a point that is squeezed flat, or
@@ -128,7 +128,12 @@ def compression(C: Any):
 
 @build_once
 def make_lattice_measure(real: Any):
-    """Kernel over points: finds the largest speed and rate of compression."""
+    """Kernel over points: finds the largest speed, rate of compression and closing rate.
+
+    The closing rate is the speed at which opposite sides of a cell approach each other, relative to
+    the side of the cell at rest: the rate of compression times the volume ratio. In material that
+    is squeezed flat, a slow motion has a high rate of compression.
+    """
     t = types(real)
 
     @kernel(f"phy124_lattice_measure_{real.__name__}", real, seconds=0.3)
@@ -142,5 +147,6 @@ def make_lattice_measure(real: Any):
             return
         wp.atomic_max(maxima_out, SPEED, wp.sqrt(fast))
         wp.atomic_max(maxima_out, GRADIENT, rate)
+        wp.atomic_max(maxima_out, CLOSING, rate * wp.clamp(J, real(0.0), real(1.0)))
 
     return lattice_measure

@@ -215,7 +215,7 @@ const auto strain_rate = [&](const Lanes* rate, const Lanes* c, Lanes per_J, Lan
             C[3 * i + j] = (sum + rate[3 * i + 2] * c[3 * j + 2]) * scale;
         }
 };
-Lanes fastest = {}, steepest = {}, doubt = {};
+Lanes fastest = {}, steepest = {}, closing = {}, doubt = {};
 for (int d = 0; d < 3; ++d) {
     Lanes speed = {};
     for (int r = 0; r < 9; ++r) {
@@ -229,7 +229,7 @@ const auto root = [](Lanes x) {
     for (int lane = 0; lane < 16; ++lane) x[lane] = __builtin_sqrtf(x[lane]);
     return x;
 };
-// Bound of the rate of compression, `compression` of lattice/stress.py.
+// Bound of the rate of compression, `compression` of lattice/stress.py, and the closing rate.
 const auto survey = [&](const Lanes* C, Lanes J) {
     const Lanes flat = larger(J, Lanes{} + FLOOR) / larger(J, Lanes{} + FLAT);
     const Lanes mean = (C[0] + C[4] + C[8]) * (1.0f / 3);
@@ -238,14 +238,15 @@ const auto survey = [&](const Lanes* C, Lanes J) {
     const Lanes square = a * a + b * b + c * c + 0.5f * (d * d + e * e + f * f);
     const Lanes rate = (root(square * (2.0f / 3)) - mean) * flat;
     steepest = larger(steepest, rate);
+    closing = larger(closing, rate * (J < 1.0f ? J : Lanes{} + 1.0f));
     doubt += (rate + J) * 0.0f;
 };
 const auto report = [&]() {
     float* const most = (float*)maxima_out.data;
     for (int lane = 0; lane < 16; ++lane) {
         if (!(doubt[lane] == 0.0f)) ((int*)stray_out.data)[0] += 1;
-        const float here[2] = {__builtin_sqrtf(fastest[lane]), steepest[lane]};
-        for (int k = 0; k < 2; ++k) most[k] = here[k] > most[k] ? here[k] : most[k];
+        const float here[3] = {__builtin_sqrtf(fastest[lane]), steepest[lane], closing[lane]};
+        for (int k = 0; k < 3; ++k) most[k] = here[k] > most[k] ? here[k] : most[k];
     }
 };
 
