@@ -1,5 +1,5 @@
 # make demo | paper | app | bridge | test | test-browser | bench | cuda-report | gpu | accuracy | docs | gallery
-#   | dist | lint | clean
+#   | dist | lint | kernels | clean
 # Everything is installed into .venv; a stamp per set of packages says that it is there.
 
 PYTHON ?= python3
@@ -8,7 +8,7 @@ BIN := .venv/bin
 export PYTHONDONTWRITEBYTECODE :=
 INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo paper app bridge test test-default test-page test-slow test-browser bench cuda-report gpu accuracy docs gallery dist lint clean chromium
+.PHONY: demo paper app bridge test test-default test-page test-slow test-browser bench cuda-report gpu accuracy docs gallery dist lint kernels clean chromium
 
 demo: .venv/base
 	$(BIN)/phy124 generate demo/examples/duck.png --scene press --stage studio --out out/duck-press
@@ -72,6 +72,9 @@ dist: .venv/base
 
 lint: .venv/lint
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/pre-commit run --all-files --show-diff-on-failure
+
+kernels: .venv/base
+	$(BIN)/phy124 warm
 
 clean:
 	rm -rf .venv out build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis
