@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from phy124.boundaries import Container
 from phy124.commands.options import SceneOptions, ViewOptions
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.pipeline.capture import capture
 from phy124.rendering import framing, nearest
 from phy124.rendering.framing import cameras, departures, describe_framing
 from phy124.rendering.nearest import CLOSE, DEPTHS, ROOM, Sample
+from phy124.rendering.stage.solids import span_container
 from phy124.scene import Scene, View
 from phy124.simulation import Simulation, prepare
 from support.clips import AWAY, flight
@@ -276,3 +278,22 @@ def test_commands_film_on_the_stage_unless_told_otherwise(tmp_path):
 def test_elevation_is_an_option_of_commands_that_film():
     assert SceneOptions("drop", view=ViewOptions(elevation=30)).resolve().view.elevation == 30
     assert ViewOptions().changes() == {}
+
+
+@pytest.mark.parametrize(("width", "whole"), [(1.1, True), (4.0, False)])
+def test_a_container_is_shown_whole_unless_it_is_large(width, whole):
+    half = width / 2
+    inside = {"lower": [-half, -half, -0.5], "upper": [half, half, 0.0]}
+    clip = flight(AWAY[:1])
+    tank = replace(
+        clip, scene={**clip.scene, "boundaries": [{"kind": "container", "inside": inside}]}
+    )
+    chosen = view(**FITS, stage="studio")
+    camera, alone = cameras(tank, chosen, "front")[0], cameras(clip, chosen, "front")[0]
+    corners = np.array(span_container(Container(inside=inside), *Sample.of(tank).corners))
+    points = [[corners[i, 0], corners[j, 1], corners[k, 2]] for i, j, k in np.ndindex(2, 2, 2)]
+    pixels = camera.project(np.array(points))[0] / chosen.size
+    assert (pixels.min() > 0 and pixels.max() < 1) == whole
+    assert (camera == alone) != whole
+    plain = view(**FITS, stage="plain")
+    assert cameras(tank, plain, "front")[0] == cameras(clip, plain, "front")[0]

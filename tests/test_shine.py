@@ -7,6 +7,7 @@ import pytest
 
 from phy124.budget.effects import Effects
 from phy124.gaussians import Gaussians
+from phy124.generators.shapes import make_shape
 from phy124.rendering.film import film
 from phy124.rendering.framing import cameras
 from phy124.rendering.liquid import NOWHERE, Liquid, Planes
@@ -104,6 +105,38 @@ def test_a_pool_is_drawn_as_flat_up_to_its_walls():
             drawn_up = thin.normals[thin.opacities > 0, 2] > 0.5
             assert drawn_up.mean() > 0.8, "a film is drawn from above only"
     assert spoilt[5] < 0.3 * CELL < spoilt[0]
+
+
+def test_a_film_of_particles_in_rows_has_no_stripes():
+    along, across = np.arange(0.01, 1, 0.3 * CELL), np.arange(CELL, 1, 2.6 * CELL)
+    points = np.meshgrid(along, across, [CELL / 2, 1.5 * CELL], indexing="ij")
+    x = np.stack(points, axis=-1).reshape(-1, 3)
+    floor = Planes(np.array([[0, 0, 1.0]]), np.zeros(1))
+    drawn = Liquid(x, 2 * CELL, 0.5, floor).shape(still(x), floor)
+    seen = drawn.opacities > 0
+    means, scale = drawn.means[seen], drawn.scales[seen, :1]
+    line = np.linspace(0.35, 0.65, 61)
+    away = (0.5 - means[:, :1]) ** 2 + (line - means[:, 1:2]) ** 2
+    depths = -np.log1p(-drawn.opacities[seen])[:, None] * np.exp(-away / (2 * scale**2))
+    depth = depths.sum(axis=0)
+    assert depth.std() < 0.1 * depth.mean()
+
+
+@pytest.mark.parametrize(("law", "colours"), [("fluid", 1), ("neo_hookean", 600)])
+def test_a_tinted_liquid_has_a_single_colour(law, colours):
+    shaded = ball(600)
+    shaded.sh[:] = np.linspace(-0.5, 0.5, 600)[:, None, None]
+    changes = {"material.law": law, "material.tint": "#1f6fb8"}
+    scene = Scene.named("drop").replaced({**SMALL, **changes})
+    clip = Simulation(prepare(shaded, scene, RunContext(threads=1))).run()
+    rgb = clip.frame(0).gaussians.rgb[:600]
+    assert len(np.unique(rgb.round(5), axis=0)) == colours
+
+
+@pytest.mark.parametrize("patterned", [False, True])
+def test_a_box_of_liquid_has_no_pattern(patterned):
+    rgb = make_shape("box", (1, 1, 1), (0.1, 0.4, 0.7), patterned=patterned).rgb
+    assert (np.ptp(rgb, axis=0) > 1e-5).all() == patterned
 
 
 def test_torn_liquid_is_drawn_as_round_drops(solid):

@@ -27,19 +27,24 @@ Surface = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Points [N,3] and outward unit normals [N,3]."""
 
 
-def make_shape(name: str, sides: Sequence[float], colour: Sequence[float]) -> Gaussians:
+def make_shape(
+    name: str, sides: Sequence[float], colour: Sequence[float], *, patterned: bool = True
+) -> Gaussians:
     """Make the Gaussians of a shape that is centred on the origin.
 
     Args:
         name: sphere (an ellipsoid if the sides differ), box, or capsule (along its longest side).
         sides: Lengths along x, y and z, m.
         colour: Red, green and blue, 0..1.
+        patterned: Whether a checker pattern and a light from above make the motion visible.
     """
     half = np.asarray(sides, np.float64) / 2
     x, normals = {"sphere": _sphere, "box": _box, "capsule": _capsule}[name](half)
     squares = np.floor(CHECKS * x / (2 * half.max()) + 0.25).sum(axis=1) % 2
     width = 0.75 * float(np.sqrt(_area(half) / len(x)))
-    return cover_surface(x, normals, np.asarray(colour), width=width, bright=1 - CONTRAST * squares)
+    bright = 1 - CONTRAST * squares if patterned else 1.0
+    rgb = np.asarray(colour)
+    return cover_surface(x, normals, rgb, width=width, bright=bright, shaded=patterned)
 
 
 def cover_surface(

@@ -20,7 +20,7 @@ FLOWING = 4.0
 
 
 SHADING = 0.3
-"""Fraction of the brightness contrast that Gaussians keep under a tint."""
+"""`Material.shading` of most materials."""
 Tint = Annotated[RGB | None, BeforeValidator(lambda tint: None if tint == "none" else tint)]
 """A colour; absent or "none": the picture's colours."""
 
@@ -50,6 +50,9 @@ class Material(Section):
     shade: ClassVar[float] = 0.0
     """Variation of the grains' brightness: standard deviation relative to the mean."""
 
+    shading: ClassVar[float] = SHADING
+    """Fraction of the brightness contrast that Gaussians keep under a tint."""
+
     shines: ClassVar[bool] = False
     """Whether films show the material's gloss (phy124/rendering/shine.py)."""
 
@@ -62,7 +65,8 @@ class Material(Section):
         default=None,
         examples=["snow"],
         description="Colour of the substance, as channels from 0 to 1 or a CSS name: the picture's "
-        f"colours keep {SHADING:.0%} of their contrast in brightness. none: the picture's colours.",
+        f"colours keep {SHADING:.0%} of their contrast in brightness, liquids nothing. none: the "
+        "picture's colours.",
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:

@@ -35,6 +35,7 @@ class Fluid(Material):
     max_stretch: ClassVar[float | None] = 1.5
     rounds: ClassVar[bool] = True
     grains: ClassVar[bool] = True
+    shading: ClassVar[float] = 0.0  # Light and shade would flow with the liquid like a dye.
     shines: ClassVar[bool] = True
     device_law: ClassVar[Law] = Law(
         name="fluid",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -10,10 +11,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.boundaries import Container
 from phy124.camera import FOV_Y, VIEWS, Camera
 from phy124.errors import InputError
 from phy124.io.clip import Clip
 from phy124.rendering.nearest import OUTSIDE, Sample, Values, place_along, place_nearest
+from phy124.rendering.stage.build import boundaries_of
+from phy124.rendering.stage.solids import span_container
 from phy124.scene import View
 from phy124.scene.cameras import Poses
 
@@ -25,6 +29,8 @@ WINDOW = 0.3
 """A camera that moves in and out shows the motion of this time before and after a frame [s]."""
 NEARER = 1.1
 """The camera moves in and out if this usually enlarges several objects by at least this factor."""
+MORE = 1.5
+"""A container is shown as a whole if it moves the camera away by at most this factor."""
 FARTHEST = 100.0
 """Largest allowed distance of a view, in object sizes."""
 
@@ -75,6 +81,12 @@ def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
     seen, path = (sample.follow(), sample.path) if follow else (sample, 0.0)
     around = _make_cameras(view, poses, np.ones(count), np.tile(seen.middle, (count, 1)))
     stand = place_nearest(seen, around, zooms=view.fov == FOV_Y)
+    containers = [] if follow else list(_containers(clip, view))
+    if containers:
+        with_them = seen.beside(np.concatenate(containers))
+        whole = place_nearest(with_them, around, zooms=view.fov == FOV_Y)
+        if whole.distance * stand.zoom <= MORE * stand.distance * whole.zoom:
+            seen, stand = with_them, whole
     farthest = stand.zoom * LARGEST * size / (2 * min(around[0].halves))
     middle = seen.middle + stand.shift if stand.distance <= farthest else (low + high) / 2
     radii = np.full(count, min(stand.distance, farthest))
@@ -88,6 +100,17 @@ def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
         half = np.tan(np.radians(poses.fov) / 2) / stand.zoom
         poses = poses.replace(fov=np.degrees(2 * np.arctan(half)))
     return _make_cameras(view, poses, radii, targets)
+
+
+def _containers(clip: Clip, view: View) -> Iterator[NDArray]:
+    """Yield the corners [8,3] m of each container that is shown and at rest."""
+    corners = Sample.of(clip).corners
+    if view.stage != "studio" or corners is None:
+        return
+    for boundary in boundaries_of(clip):
+        if isinstance(boundary, Container) and boundary.motion is None:
+            box = np.array(span_container(boundary, *corners))
+            yield np.array([[box[i, 0], box[j, 1], box[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
 
 
 def _make_cameras(view: View, poses: Poses, radii: Values, targets: Values) -> list[Camera]:

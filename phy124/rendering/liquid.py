@@ -38,14 +38,17 @@ MOVES = (-0.35, 0.9)
 OVERLAP, NARROW, WIDEST, FLAT = 0.95, 0.4, 0.7, 0.3
 """Radius of a disc relative to the distance between discs; its bounds, in cells; its thickness
 relative to its radius."""
-TOUCH, FILM, EDGE = 0.75, 1.5, 0.5
-"""Largest distance of Gaussians from a wall at which they are drawn on it; thickness of a film on a
-wall below which only its free surface is drawn; smallest depth below the free surface of Gaussians
-that are drawn on a wall, in cells."""
+TOUCH, FILM, EDGE = 0.75, (1.5, 2.5), 0.5
+"""Largest distance of Gaussians from a wall at which they are drawn on it; thicknesses of a film on
+a wall between which its face on the wall fades in; smallest depth below the free surface of
+Gaussians that are drawn on a wall, in cells."""
 WETTED = 0.6
 """Smallest phi at a wall that a liquid touches."""
 LONG = 3.0
 """Largest length through which one sees a liquid, relative to its smallest thickness there."""
+RIM = 0.3
+"""Length of the normals of discs at the rim of a liquid on a wall, whose gloss is weak because they
+differ from disc to disc."""
 LITTLE = 0.02
 """Smallest fraction of space before walls by which means are divided."""
 ALONE, DROP = 0.4, 0.42
@@ -249,13 +252,17 @@ def _shape(
     ahead = here.copy()
     ahead[near] = field.sample(inside, near, AHEAD * normals[near].T)
     depth = AHEAD * (here - LEVEL) / np.maximum(here - ahead, 1e-6)
-    thin = close & (field.gap + depth < FILM) & (np.sum(normals * field.facing, axis=1) > 0.5)
+    upright = np.sum(normals * field.facing, axis=1)
+    # How much of the face on the wall is drawn; sheets in the air have two faces.
+    lower = np.where(upright > 0.5, smoothstep(field.gap + depth, *FILM), 1)
+    thin = close & (lower == 0)
+    rim = (field.gap + depth < FILM[0]) & (upright < 0.9)
     wet = _touches(field, phi, close) & ~thin & (depth > np.maximum(field.gap, EDGE))
     normals[wet], steep[wet], ahead[wet] = -field.facing[wet], here[wet], 0
     chance = 0.618034 * np.arange(n) % 1
     alone = (here < ALONE * volume) | (torn & (chance > KEPT))
     fade = np.where(alone | torn, 0, 1 - smoothstep(ahead, *FILLED))
-    fade *= smoothstep(steep / np.maximum(here, 1e-6), *STEEP)
+    fade *= smoothstep(steep / np.maximum(here, 1e-6), *STEEP) * np.where(wet, lower, 1)
     free = alone | (~torn & ~thin & (fade < 0.5) & (here < LEVEL))
     on, loose = np.flatnonzero((fade > 0) & ~free), np.flatnonzero(free)
 
@@ -263,32 +270,45 @@ def _shape(
     depth = np.where(wet, field.gap, np.maximum(depth.clip(*MOVES), -field.gap))[on]
     means[on] += normals[on] * (depth * cell)[:, None]
     # Discs per cell of the surface: smoothed, a layer of them is as high as the Gaussian.
-    layer = field.sample(field.blur(field.sum(fade[on], on)), on) * np.sqrt(2 * np.pi) * BLUR
-    radius = np.clip(OVERLAP / np.sqrt(np.maximum(layer, 1e-6)), NARROW, WIDEST)
+    around = field.sample(field.blur(field.sum(fade[on], on)), on)
+    layer = around * np.sqrt(2 * np.pi) * BLUR
+    narrow = WIDEST + lower[on] * (NARROW - WIDEST)
+    radius = np.clip(OVERLAP / np.sqrt(np.maximum(layer, 1e-6)), narrow, WIDEST)
     scales[on] = (radius * cell)[:, None] * np.array([1, 1, FLAT])
     per_cell = cell / visibility if visibility else np.inf
-    faces = np.where(thin[on], 1, 2)
+    faces = 1 + lower[on]
     tau = np.minimum(_thickness(inside, field, on, normals[on]) * per_cell / faces, OPAQUE)
+    # The mean of the discs around: particles in stretched rows would be seen as stripes.
+    tau = field.sample(field.blur(field.sum(fade[on] * tau, on)), on) / np.maximum(around, 1e-6)
     overlapping = np.maximum(2 * np.pi * radius**2 * layer, 0.5)
-    opacities[on] = fade[on] * -np.expm1(-np.maximum(tau, -np.log1p(-LEAST)) / overlapping)
-    # Balls overlap in spray that is not thin enough for drops, and absorb what their volume does.
-    edge, drop = np.cbrt(volume), alone[loose]
-    apart = np.cbrt(volume / np.maximum(here[loose], 1e-3))
-    uneven = 0.6 + 0.8 * chance[loose] ** 3
-    size = np.where(drop, DROP * edge * uneven, np.minimum(0.6 * apart, WIDEST))
+    opacities[on] = fade[on] * -np.expm1(-np.maximum(tau, -np.log1p(-LEAST) / faces) / overlapping)
+    drop = alone[loose]
+    size, opacities[loose] = _balls(volume, here[loose], drop, chance[loose], per_cell)
     scales[loose] = (size * cell)[:, None]
-    column = np.minimum(volume / (2 * np.pi * size**2) * per_cell, OPAQUE)
-    opacities[loose] = np.where(drop, 0.9, np.maximum(-np.expm1(-column), LEAST / 2))
     normals[free | (fade == 0)] = 0
 
     pale = np.zeros(n, np.float32)
-    pale[on] = THIN * np.exp(-2 * tau)
-    pale[loose] = SPRAY * np.where(drop, 1, 0.5)
+    pale[on], pale[loose] = THIN * np.exp(-faces * tau), SPRAY * np.where(drop, 1, 0.5)
     rgb = np.clip(0.5 + SH_C0 * part.sh[:, 0], 0, 1)
     rgb = rgb + pale[:, None] * (PALE - rgb)
     quats = np.where(normals.any(axis=1, keepdims=True), _rotations(normals), (1, 0, 0, 0))
+    normals[rim & ~wet] *= RIM
     arrays = (means, quats, scales, opacities, rgb, normals)
     return Surface(*(array.astype(np.float32) for array in arrays))
+
+
+def _balls(
+    volume: float, phi: NDArray, drop: NDArray, chance: NDArray, per_cell: float
+) -> tuple[NDArray, NDArray]:
+    """Return standard deviations [n], in cells, and opacities [n] of drops and of balls in spray.
+
+    Balls overlap in spray that is not thin enough for drops, and absorb what their volume does.
+    """
+    apart = np.cbrt(volume / np.maximum(phi, 1e-3))
+    uneven = 0.6 + 0.8 * chance**3
+    size = np.where(drop, DROP * np.cbrt(volume) * uneven, np.minimum(0.6 * apart, WIDEST))
+    column = np.minimum(volume / (2 * np.pi * size**2) * per_cell, OPAQUE)
+    return size, np.where(drop, 0.9, np.maximum(-np.expm1(-column), LEAST / 2))
 
 
 def _touches(field: Field, phi: NDArray, close: NDArray) -> NDArray[np.bool_]:

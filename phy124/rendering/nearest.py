@@ -108,6 +108,15 @@ class Sample:
         low, high = self._boxes(self.means)
         return (low.min(axis=0) + high.max(axis=0)) / 2
 
+    def beside(self, points: NDArray) -> Sample:
+        """Return the sample with points [K,3] m that stay where they are, as part of the object."""
+        # Repeated, they are not among the few that may lie outside the picture.
+        times, still = len(self.means), np.repeat(points, 1 + len(self.means[0]) // 256, axis=0)
+        means = np.broadcast_to(still.astype(np.float32), (times, *still.shape))
+        shapes = np.zeros((*means.shape, 3), np.float32)
+        whole = np.concatenate([self.means, means], axis=1)
+        return Sample(whole, np.concatenate([self.covariances, shapes], axis=1), self.corners)
+
     def follow(self) -> Sample:
         """Return the sample relative to its path, as a camera that follows it sees it."""
         return Sample(self.means - self.path[:, None], self.covariances)

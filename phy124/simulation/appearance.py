@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Array, Gaussians
 from phy124.materials import AnyMaterial
-from phy124.materials.base import FLOWING, SHADING
+from phy124.materials.base import FLOWING
 from phy124.materials.fluid import Fluid
 from phy124.monitor.tearing import APART
 from phy124.motion.deform import of_gaussians
@@ -166,7 +166,7 @@ def make_appearance(
         if section.tint is not None:
             chosen = moves.copy()
             chosen[moves] = kinds == index
-            gaussians = tint(gaussians, chosen, section.tint, SHADING)
+            gaussians = tint(gaussians, chosen, section.tint, section.shading)
     return Appearance(
         vary_brightness(gaussians, shades, scene.seed) if shades.any() else gaussians,
         particles,

@@ -25,6 +25,7 @@ from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.axes import euler
 from phy124.lattice.refusals import refuse_for_lattice
 from phy124.materials import AnyMaterial
+from phy124.materials.fluid import Fluid
 from phy124.motion.scenery import Scenery
 from phy124.mpm import FreeBody
 from phy124.particles import Cleaning, Particles, clean, make_particles
@@ -238,7 +239,9 @@ def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
     if len(present) or not isinstance(body, SceneObject):
         return present
     if body.shape is not None:
-        return make_shape(body.shape, body.sides, body.colour)
+        # In a liquid, a pattern would flow along like a dye.
+        patterned = not isinstance(body.material, Fluid)
+        return make_shape(body.shape, body.sides, body.colour, patterned=patterned)
     if not body.waits:
         remedy = "Make the Gaussians by `phy124.pipeline.make_gaussians`, which reads them."
         raise InputError("gaussians", "missing", "its file has not been read.", remedy)

@@ -75,16 +75,23 @@ def _walls(boundary: Boundary, rest: NDArray) -> Iterator[PlacedWall]:
     low, high = rest.min(axis=0), rest.max(axis=0)
     span = _around(low, high)
     if isinstance(boundary, Container):
-        # Rendered walls end a little above the object; open sides end at 2 object sizes.
-        size = float((high - low).max())
-        room = size * np.array([2.0, 2.0, 0.1])
-        inside = (np.array(boundary.inside.lower), np.array(boundary.inside.upper))
-        span = (np.maximum(inside[0], low - 2 * size), np.minimum(inside[1], high + room))
+        span = span_container(boundary, low, high)
     for part in boundary.parts():
         outline, shape = _shape(part, body)
         if shape is not None:
             wall = PlacedWall(outline, shape, part.track(body), part.holds, span)
             yield replace(wall, span=_clamped_span(wall, rest)) if part.holds else wall
+
+
+def span_container(container: Container, low: NDArray, high: NDArray) -> Corners:
+    """Return the box of a rendered container around an object at rest between two corners [m].
+
+    Its walls end a little above the object; open sides end at 2 object sizes.
+    """
+    size = float((high - low).max())
+    room = size * np.array([2.0, 2.0, 0.1])
+    inside = (np.array(container.inside.lower), np.array(container.inside.upper))
+    return np.maximum(inside[0], low - 2 * size), np.minimum(inside[1], high + room)
 
 
 def _shape(part: Boundary, body: AtRest) -> tuple[str, NDArray[np.float64] | None]:
