@@ -83,7 +83,7 @@ def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
     stand = place_nearest(seen, around, zooms=view.fov == FOV_Y)
     containers = [] if follow else list(_containers(clip, view))
     if containers:
-        with_them = seen.beside(np.concatenate(containers))
+        with_them = seen.with_fixed(np.concatenate(containers))
         whole = place_nearest(with_them, around, zooms=view.fov == FOV_Y)
         if whole.distance * stand.zoom <= MORE * stand.distance * whole.zoom:
             seen, stand = with_them, whole

@@ -108,7 +108,7 @@ class Sample:
         low, high = self._boxes(self.means)
         return (low.min(axis=0) + high.max(axis=0)) / 2
 
-    def beside(self, points: NDArray) -> Sample:
+    def with_fixed(self, points: NDArray) -> Sample:
         """Return the sample with points [K,3] m that stay where they are, as part of the object."""
         # Repeated, they are not among the few that may lie outside the picture.
         times, still = len(self.means), np.repeat(points, 1 + len(self.means[0]) // 256, axis=0)
