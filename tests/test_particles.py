@@ -19,8 +19,10 @@ from phy124.particles import (
     is_in_box,
     make_particles,
     scale_to_size,
+    solid,
 )
 from phy124.particles.seeding import MAX_PARTICLES
+from phy124.particles.solid import find_interior
 
 BALL = math.pi / 6
 SIDES = np.array([1, 0.7, 0.43])
@@ -368,3 +370,17 @@ def test_refusals_say_what_to_do(rng):
         make_particles(gaussians, density=1, spacing=1e-3)
     with pytest.raises(InputError, match=r"size = -1: the longest side"):
         scale_to_size(gaussians, -1)
+
+
+def test_the_same_gaussians_outline_the_same_solid_only_once(rng, monkeypatch):
+    same, other = (dots(rng.random((60, 3)), 0.05) for _ in range(2))
+    first = find_interior(same)
+    monkeypatch.setattr(solid, "_voxelise", lambda some: pytest.fail("it is known"))
+    assert find_interior(dots(same.means.copy(), 0.05)) is first
+    monkeypatch.undo()
+    assert find_interior(other) is not first
+    for count in range(solid.MEMORY + 1):
+        find_interior(dots(rng.random((60 + count, 3)), 0.05))
+    assert len(solid._kept) == solid.MEMORY and first not in solid._kept.values()
+    with pytest.raises(ValueError, match="read-only"):
+        first.fraction[:] = 0

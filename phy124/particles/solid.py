@@ -22,6 +22,7 @@ their side is the particle spacing multiplied or divided by a whole number. `MAX
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -46,6 +47,8 @@ SEAL = 0.065
 """Half the widest gap that is sealed, as a fraction of the longest side."""
 CONNECTED = 6
 """Smallest mean number of occupied neighbours, of 26, of voxels in a connected surface or cloud."""
+MEMORY = 2
+"""Number of solids that are kept for later runs of the same objects."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,14 +126,39 @@ def find_solid(gaussians: Gaussians, spacing: float) -> Solid:
     return find_interior(gaussians).resample(spacing)
 
 
+_kept: dict[bytes, Solid] = {}
+"""Digest of Gaussians -> the solid that they outline; the last one was used last."""
+
+
 def find_interior(gaussians: Gaussians) -> Solid:
-    """Find the solid outlined by clean Gaussians, on voxels that depend on the Gaussians alone."""
+    """Find the solid outlined by clean Gaussians, on voxels that depend on the Gaussians alone.
+
+    The last `MEMORY` solids are kept, because an object is often simulated several times.
+    """
+    digest = _digest(gaussians)
+    solid = _kept.pop(digest, None) or _find_interior(gaussians)
+    _kept[digest] = solid
+    if len(_kept) > MEMORY:
+        _kept.pop(next(iter(_kept)), None)
+    return solid
+
+
+def _digest(gaussians: Gaussians) -> bytes:
+    """Return the digest of everything on which the solid depends."""
+    digest = hashlib.blake2b(digest_size=16)
+    for array in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities):
+        digest.update(array.tobytes())
+    return digest.digest()
+
+
+def _find_interior(gaussians: Gaussians) -> Solid:
     opaque = gaussians.opacities >= VISIBLE
     some = gaussians.select(opaque) if opaque.any() else gaussians
     grid = _voxelise(some)
     region, outside = _find_inside(grid.occupied, grid.across)
     fraction = region.astype(np.float32)
     _trim_surface(fraction, region, outside, grid)
+    fraction.flags.writeable = False  # all runs share it
     return Solid(grid.first, grid.voxel, fraction)
 
 

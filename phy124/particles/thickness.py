@@ -11,6 +11,7 @@ sideways by its own weight (Euler and Bernoulli). It is large for a heavy top on
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,6 +54,7 @@ def measure_proportions(*objects: tuple[Solid, float]) -> Proportions:
     return Proportions(min(local_thickness(shape) for shape in shapes) / objects[0][1], softest)
 
 
+@lru_cache(maxsize=4)
 def compliance(shape: Solid) -> float:
     """Return the mean deflection of an upright object in its softest horizontal direction [m].
 
@@ -84,6 +86,7 @@ def _inside(shape: Solid) -> NDArray[np.bool_]:
     return inside[scipy.ndimage.find_objects(inside.astype(np.int8))[0]]
 
 
+@lru_cache(maxsize=4)
 def local_thickness(shape: Solid, fraction: float = FRACTION) -> float:
     """Return the largest thickness [m] for which at most `fraction` of the volume is thinner.
 
