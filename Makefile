@@ -33,7 +33,7 @@ test-default: .venv/bytecode
 	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m "not slow and not browser"
 
 test-page: .venv/test
-	if command -v chromium >/dev/null; then $(BIN)/pytest -m "browser and not slow" tests/e2e; fi
+	if command -v chromium-headless-shell || command -v chromium; then $(BIN)/pytest -m "browser and not slow" tests/e2e; fi
 
 test-slow: .venv/test
 	$(BIN)/pytest -m "slow and not gpu and not weights and not ros"
@@ -41,7 +41,7 @@ test-slow: .venv/test
 test-browser: chromium test-page
 
 chromium:
-	command -v chromium >/dev/null || (apt-get update -qq && apt-get install -y -qq chromium)
+	command -v chromium-headless-shell >/dev/null || (apt-get update -qq && apt-get install -y -qq chromium-headless-shell)
 
 bench: .venv/test
 	for script in tests/benchmarks/*.py; do $(BIN)/python $$script || exit 1; done

@@ -3,7 +3,7 @@ teddy, and the orientations of a file of Gaussians.
 
     make test && .venv/bin/python docs/images/screenshots.py
 
-Needs Debian's chromium, and what the tests need.
+Needs Debian's chromium-headless-shell, and what the tests need.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from phy124.io.formats import write_gaussians  # noqa: E402
 from phy124.progress import silent  # noqa: E402
 from support.served import serving  # noqa: E402
 
+SHELL = "chromium-headless-shell"
 FLAGS = [
     "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
@@ -45,7 +46,7 @@ def main() -> None:
         serving(Path(folder)) as server,
         sync_playwright() as session,
     ):
-        browser = session.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        browser = session.chromium.launch(executable_path=shutil.which(SHELL), args=FLAGS)
         for name, look in LOOKS.items():
             _take(browser, server.url, name, look)
         _ways(browser, server.url, Path(folder) / "duck.splat")

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
-
 import pytest
-from visit import FLAGS, Visit
+from visit import CHROMIUM, FLAGS, Visit
 
 from support.served import serving
-
-CHROMIUM = shutil.which("chromium")
 
 
 @pytest.fixture(scope="session")
@@ -24,7 +20,7 @@ def server(tmp_path_factory):
 def browser():
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if CHROMIUM is None:
-        pytest.skip("Debian's chromium is not installed (make test-browser installs it)")
+        pytest.skip("no chromium-headless-shell here (make test-browser installs Debian's)")
     with playwright.sync_playwright() as session:
         chromium = session.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         yield chromium
