@@ -47,6 +47,15 @@ def test_auto_runs_as_the_solver_that_it_chooses():
     assert any("rest lattice" in row for row in clips[0].report["effects"]["ran"])
 
 
+def test_fine_computes_in_float32_on_lattices_alone():
+    fine = scene(accuracy="fine")
+    assert (fine.on_lattice, fine.precision) == (True, "float32")
+    for changes in ({"accuracy.solver": "mpm"}, {"material": {"law": "sand"}}):
+        assert fine.replaced(changes).precision == "float64"
+    both = {"objects": [{**SAND, "place": [3.0, 0.0]}], "accuracy.solver": "lattice"}
+    assert fine.replaced(both).couples and fine.replaced(both).precision == "float64"
+
+
 def test_effects_tell_why_there_is_no_lattice():
     omitted = {row.effect: row.why for row in Effects.of(scene(contacts=True)).left_out}
     assert omitted["rest lattice"].startswith("contacts is on")

@@ -143,7 +143,7 @@ class Work:
             nodes: Number of grid nodes; None: the number for an object that fills its bounding
                 cube.
         """
-        slower = DOUBLE if scene.resolution.precision == "float64" else 1.0
+        slower = DOUBLE if scene.precision == "float64" else 1.0
         slower *= 1 + PASS * scene.resolution.passes
         slower *= STEP if scene.projects and not scene.mixes else 1.0
         views, nodes = len(scene.view.sides), count_nodes(scene) if nodes is None else nodes
@@ -244,7 +244,7 @@ def _only_lattices(scene: Scene) -> bool:
 def _has_vectors(scene: Scene) -> bool:
     """Return whether the stress on lattices has kernels for the vector units of a CPU."""
     laws = {section.device_law.name for section in scene.materials}
-    single = scene.resolution.precision == "float32"
+    single = scene.precision == "float32"
     return single and all(law.startswith("neo_hookean") for law in laws)
 
 
@@ -293,7 +293,7 @@ def estimate_memory(
         nodes: Number of grid nodes.
         frames: Number of frames that stay in memory.
     """
-    double = 2 if scene.resolution.precision == "float64" else 1
+    double = 2 if scene.precision == "float64" else 1
     each = BYTES_PER_POINT if _only_lattices(scene) else BYTES_PER_PARTICLE
     state = double * (each * particles + BYTES_PER_NODE * nodes)
     memory = state + min(BYTES_PER_GAUSSIAN * gaussians * frames, HELD) + AT_REST * gaussians

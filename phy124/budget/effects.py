@@ -243,7 +243,7 @@ def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
     bound = scene.binding == "particles"
     why = "binding is lattice: Gaussians follow the particles inside and around them"
     yield Effect("one particle for each Gaussian", bound, why)
-    double = scene.resolution.precision == "float64"
+    double = scene.precision == "float64"
     enough = "single precision is enough: the grid error is larger"
     yield Effect("double precision", double, enough, Cost(particle=48))
     transfer = scene.resolution.transfer
@@ -255,7 +255,7 @@ def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
     spline = scene.resolution.gradient == "spline"
     why = "accuracy.gradient is affine: stress and strain come from the affine fit"
     yield Effect("gradients of the weights", spline, why, Cost(particle=SPLINE))
-    rows = form_of(scene.resolution.precision, device, scene.resolution.gradient) == "simd"
+    rows = form_of(scene.precision, device, scene.resolution.gradient) == "simd"
     why = "only for float32 on the CPU with accuracy.gradient = affine"
     yield Effect("SIMD rows", rows, f"{why}; the device is {device}")
     window = "a window of cells follows the particles; a dense grid has 100^3 nodes"

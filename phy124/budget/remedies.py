@@ -92,7 +92,7 @@ def _shorten_substep(scene: Scene) -> Remedy:
 
 
 def _use_double(scene: Scene) -> Remedy | None:
-    single = scene.resolution.precision == "float32"
+    single = scene.precision == "float32"
     return change_accuracy(scene, precision="float64") if single else None
 
 

@@ -24,7 +24,7 @@ PER_CELL = 8
 """Number of integration points of a cell."""
 SMALLEST = 1e-3
 """Smallest part of a cell that gets points, as a fraction of the cell."""
-HAZE = 0.05
+HAZE = 0.005
 """Cells filled less than this have no surface points: they hold single Gaussians around a body."""
 TRACE = 0.1
 """Fraction below which a voxel next to one of twice its fraction has no surface points."""

@@ -29,8 +29,10 @@ class Accuracy(Section):
     cfl: float = Field(
         default=0.75, ge=0.01, le=0.9, description="Substep as a fraction of the stable limit."
     )
-    precision: Literal["float32", "float64"] = Field(
-        default="float32", description="Floating-point precision of the simulation."
+    precision: Literal["float32", "float64", "auto"] = Field(
+        default="float32",
+        description="Floating-point precision of the simulation. auto: float32 if everything that "
+        "moves is on lattices, whose strain collects no rounding errors; otherwise float64.",
     )
     transfer: Literal["apic", "aflip", "xpic2", "xpic3", "xpic4", "xpic5"] = Field(
         default="apic",
@@ -112,8 +114,8 @@ NAMED = {
         "would not help, since the loss per transfer does not depend on it",
     ),
     "fine": (
-        Accuracy(cells=48, precision="float64"),
-        "final results: cells are a third as wide, and double precision removes rounding errors",
+        Accuracy(cells=48, precision="auto"),
+        "final results: cells are a third as wide, and no rounding errors build up",
     ),
 }
 """Name -> settings and purpose. docs/lab/accuracy.md has the measured errors."""

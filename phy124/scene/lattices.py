@@ -35,7 +35,7 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     for item, elastic in zip((scene, *scene.objects), find_elastic(scene), strict=True):
         if not elastic and not getattr(item, "scenery", False):
             return "lattices are for elastic materials"
-    if accuracy.precision != "float32":
+    if accuracy.precision == "float64":
         return f"accuracy.precision is {accuracy.precision}, in which lattices are slower"
     if scene.properties is not None:
         return "its materials are in a file"

@@ -212,6 +212,14 @@ class Scene(Section):
         return "lattice" if self.on_lattice else "mpm"
 
     @property
+    def precision(self) -> Literal["float32", "float64"]:
+        """Floating-point precision of the simulation."""
+        chosen = self.resolution.precision
+        if chosen != "auto":
+            return chosen
+        return "float32" if self.on_lattice and not self.couples else "float64"
+
+    @property
     def on_lattices(self) -> list[bool]:
         """Whether each object moves on its lattice at rest: it is elastic as a whole."""
         return find_elastic(self) if self.on_lattice else [False] * len(self.names)

@@ -40,7 +40,7 @@ def summarise(scene: Scene, cells: str = "") -> str:
     items.append(
         f"{format_number(scene.object.size)} m over {cells or f'{accuracy.cells} cells'}, "
         f"{format_number(scene.particles_per_axis)} "
-        f"particles per cell and axis, {accuracy.precision}, solver {_list_solvers(scene)}, "
+        f"particles per cell and axis, {scene.precision}, solver {_list_solvers(scene)}, "
         f"{BINDINGS[scene.binding]}"
     )
     return "; ".join([*items, f"{time.frames} frames at {format_number(time.fps)}/s"])

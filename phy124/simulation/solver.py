@@ -78,7 +78,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         held=still,
         origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
         cfl=scene.resolution.fraction,
-        precision=scene.resolution.precision,
+        precision=scene.precision,
         device=setup.context.device,
         gradient=scene.resolution.gradient,
     )
@@ -181,7 +181,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     each.
     """
     scene = choose_solver(scene, device)
-    precision = scene.resolution.precision
+    precision = scene.precision
     real = PRECISIONS[precision]
     form = form_of(precision, device, scene.resolution.gradient)
     subject = Subject(scene, scene.materials)

@@ -147,7 +147,7 @@ class Study:
         if not self.scene.projects:  # whose substeps do not depend on cfl
             shorter = middle.model_copy(update={"cfl": middle.cfl / 2})
             yield f"half the substep {here}", self._with(shorter)
-        other = "float64" if middle.precision == "float32" else "float32"
+        other = "float64" if self.scene.precision == "float32" else "float32"
         yield f"{other} {here}", self._with(middle.model_copy(update={"precision": other}))
         if self.scene.on_lattice:
             yield f"solver mpm {here}", self._with(middle.model_copy(update={"solver": "mpm"}))
@@ -193,7 +193,7 @@ class Study:
         return Row(
             name=name,
             cells=accuracy.cells,
-            precision=accuracy.precision,
+            precision=scene.precision,
             cfl=accuracy.cfl,
             binding=scene.binding,
             particles=len(simulation.setup.particles),
