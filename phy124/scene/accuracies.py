@@ -56,13 +56,13 @@ class Accuracy(Section):
         "particle (MLS-MPM), with which objects that bend over several cells are too soft. spline: "
         "gradients of the weights, which takes 1.7 to 4 times as long; for transfer = apic only.",
     )
-    solver: Literal["mpm", "lattice", "auto"] = Field(
-        default="mpm",
-        exclude_if=lambda value: value == "mpm",
-        description="Solver of elastic objects. mpm: the material point method. lattice: the nodes "
-        "of a lattice at rest move with the object, which bends right and cannot tear; for "
-        "transfer = apic only. auto: lattice where it is supported and measured better; otherwise "
-        "the report says why not.",
+    solver: Literal["auto", "mpm", "lattice"] = Field(
+        default="auto",
+        exclude_if=lambda value: value == "auto",
+        description="Solver of elastic objects. auto: lattice where it is supported and measured "
+        "better; otherwise mpm, and the report says why. mpm: the material point method. lattice: "
+        "the nodes of a lattice at rest move with the object, which bends right and cannot tear; "
+        "for transfer = apic only.",
     )
     rpic_damping: float = Field(
         default=0.0,
