@@ -96,10 +96,12 @@ def grids(scene: Scene) -> tuple[int, ...]:
 
 
 def on_grid(scene: Scene, cells: int) -> Scene:
-    """Return the scene on another grid, in single precision, which does not affect its error
-    (docs/lab/accuracy.md).
+    """Return the scene on another grid, with the same solver of elastic objects.
+
+    It is in single precision, which does not affect its error (docs/lab/accuracy.md).
     """
-    accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
+    changes = {"cells": cells, "precision": "float32", "solver": scene.solver}
+    accuracy = scene.resolution.model_copy(update=changes)
     return scene.model_copy(update={"accuracy": accuracy})
 
 

@@ -12,7 +12,7 @@ from demo.jobs import Studio
 from demo.line import Job
 from demo.progress import Measured, Reused, Step
 from demo.settings import Settings
-from demo.studies import GRIDS, Level, Measurement, grids, read_study
+from demo.studies import GRIDS, Level, Measurement, grids, on_grid, read_study
 from demo.visitors import Visitors
 from demo.work import DEVICE, steps, study_file
 from demo.work.limits import Limits
@@ -101,8 +101,15 @@ def test_a_study_whose_time_is_up_says_so_and_keeps_nothing(study, monkeypatch):
     assert not study_file(study).exists()
 
 
+def test_a_study_keeps_the_solver_of_its_scene(study):
+    double = study.scene.replaced({"accuracy.precision": "float64"})
+    assert on_grid(study.scene, 12).on_lattice and not on_grid(double, 12).on_lattice
+    assert study_file(study) != study_file(replace(study, scene=double))
+
+
 def test_torn_grids_are_kept_as_such(study, monkeypatch):
     monkeypatch.setattr(Tearing, "likely", property(lambda self: True))
+    study = replace(study, scene=study.scene.replaced({"accuracy.solver": "mpm"}))
     list(steps(study))
     found = read_study(study_file(study))
     assert all(level.torn and level.error is None for level in found.levels)

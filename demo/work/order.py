@@ -161,6 +161,7 @@ def study_file(order: Order) -> Path:
     """
     physics = {name: value for name, value in order.scene.data().items() if name not in VIEWED}
     resolution = order.scene.resolution.model_dump(mode="json", exclude={"cells", "precision"})
+    resolution["solver"] = order.scene.solver
     name = key(made_gaussians(order).name, physics, resolution)
     return order.folder / "studies" / f"{name}.json"
 
