@@ -143,6 +143,8 @@ def test_needle_has_surface_points():
     """A needle fills 1 % of each of its cells."""
     solid = block((1.0, 0.01, 0.01), dx=0.02)
     assert len(surface_points(solid, DX)) > 10
+    tip = block((1.0, 0.02, 0.01), dx=0.02)  # fills 2 % of each cell; haze fills less than 0.5 %
+    assert len(surface_points(tip, DX)) >= len(surface_points(solid, DX))
 
 
 def test_ties_extrapolate_linear_motions():
