@@ -44,6 +44,14 @@ def test_damping_is_a_remedy_on_the_lattice_only():
     assert find_remedies(["damping"], scene.replaced(damped.changes)) == ()
 
 
+def test_particles_are_a_remedy_on_the_lattice_only():
+    scene = Scene.named("press").replaced({"accuracy": {"cells": 32, "solver": "lattice"}})
+    (remedy,) = find_remedies(["solver"], scene)
+    assert remedy.words == "accuracy.solver = mpm"
+    assert not scene.replaced(remedy.changes).on_lattice
+    assert find_remedies(["solver"], scene.replaced(remedy.changes)) == ()
+
+
 def test_gentler_push_halves_speeds_forces_and_press():
     scene = Scene.named("press").replaced({"object.velocity": (0, 2, 0)})
     (gentler,) = find_remedies(["push"], scene)

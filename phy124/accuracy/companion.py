@@ -35,9 +35,11 @@ from phy124.simulation.setup import Setup
 
 AFFORDABLE = 0.2
 """Largest forecast of the companion's time, as a fraction of the time of the run's dynamics."""
+ON_LATTICE = 1.5
+"""Factor on `AFFORDABLE` for lattices, on which the dynamics take half the time or less."""
 SAMPLE = 2000
 """Number of Gaussians whose motion is compared."""
-MPM, LATTICE = Rates(particle=7e-8), Rates(substep=1.5e-4, particle=5.5e-8)
+MPM, LATTICE = Rates(particle=7e-8), Rates(substep=2e-4, particle=5.5e-8)
 RATES = {
     "mpm": (MPM, MPM),
     "lattice": (Rates(substep=4e-4, particle=4e-8), LATTICE),
@@ -46,7 +48,7 @@ RATES = {
 """Rates of a run and of its companion with each solver of elastic objects on a CPU, and on a GPU.
 On a lattice, the checks and shapes of a run's frames are a large part of the time of its substeps.
 """
-PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.04, 0.0, 1.1e-5), "cuda": (0.045, 3e-7, 0.0)}
+PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.07, 0.0, 1.4e-5), "cuda": (0.045, 3e-7, 0.0)}
 """Time to prepare a companion [s]: in total, per Gaussian and per particle of the companion."""
 COARSEST = 6
 """Minimum number of cells across the object on the companion's grid."""
@@ -179,8 +181,9 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
     if scene.resolution.cells < min_cells(scene):
         return OwnError(why_not="a solid of the scene is too thin for a coarser grid")
     cost = forecast(run, run.solver.clock.substeps)
-    if cost > AFFORDABLE:
-        took, limit = format_apart(cost, AFFORDABLE)
+    most = affordable(run)
+    if cost > most:
+        took, limit = format_apart(cost, most)
         why = f"a coarser grid would take {took} of the time of the dynamics, and may take {limit}"
         return OwnError(cost=round(cost, 4), why_not=why)
     with run.setup.context.watch.stage("companion"):
@@ -192,6 +195,11 @@ def coarsen(scene: Scene) -> Scene:
     cells = max(round(RATIO * scene.resolution.cells), COARSEST)
     accuracy = scene.resolution.model_copy(update={"cells": cells, "solver": scene.solver})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
+
+
+def affordable(run: Simulation) -> float:
+    """Return the largest forecast cost with which the companion of a run runs."""
+    return AFFORDABLE * (ON_LATTICE if run.scene.on_lattice else 1.0)
 
 
 def forecast(run: Simulation, substeps: int, particles: int | None = None) -> float:

@@ -400,7 +400,7 @@ class Forecaster:
         }
         cost = companion.forecast(simulation, substeps)
         wanted = error and self.error and scene.time.frames >= companion.FEWEST
-        if wanted and cost <= companion.AFFORDABLE:
+        if wanted and cost <= companion.affordable(simulation):
             faster = speed_up(simulation.setup.threads) / speed_up(
                 companion.count_threads(simulation.setup)
             )

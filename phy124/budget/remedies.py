@@ -77,6 +77,11 @@ def _damp(scene: Scene) -> Remedy | None:
     return change_field("material.damping", float(f"{enough:.2g}"))
 
 
+def _leave_lattice(scene: Scene) -> Remedy | None:
+    """Move elastic objects as particles, which survive being squeezed flat."""
+    return change_accuracy(scene, solver="mpm") if scene.on_lattice else None
+
+
 def _choose_sounder_law(scene: Scene) -> Remedy | None:
     material = scene.material
     if material.sounder_law is None or scene.properties is not None:
@@ -151,6 +156,7 @@ def _raise_ceiling(scene: Scene) -> Remedy | None:
 REMEDIES: dict[str, Callable[[Scene], Remedy | None]] = {
     "law": _choose_sounder_law,
     "damping": _damp,
+    "solver": _leave_lattice,
     "substep": _shorten_substep,
     "precision": _use_double,
     "push": _halve_push,

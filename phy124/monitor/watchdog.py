@@ -71,7 +71,7 @@ F, and the part lost by rounding strains the body. Measured values are 3e-10 per
 and 7e-10 with half the `accuracy.cfl`, at any distance from the origin. The energy is quadratic in
 the strain, and a quarter of it is tolerated.
 """
-FAST = ("damping", "push", "cells")
+FAST = ("damping", "solver", "push", "cells")
 ROUNDED = ("precision",)
 """Causes of violations (`phy124.budget.remedies`): a run too fast for its window, and rounding."""
 SWOLLEN = 2.0
@@ -344,7 +344,7 @@ class Watchdog(Observer):
     def _unstable(self) -> tuple[str, ...]:
         """Return causes of an unstable run: the substep; for violent motion more."""
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
-        return ("damping", "substep", "law", "push") if violent else ("substep",)
+        return ("damping", "solver", "substep", "law", "push") if violent else ("substep",)
 
     def _strain_energy(self, strain: float) -> float:
         """Return the elastic energy of the whole body at a given strain [J]."""

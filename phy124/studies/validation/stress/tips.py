@@ -17,8 +17,11 @@ from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.stress.bodies import Array, host
 from phy124.studies.validation.stress.case import Check, Setting, at_most
 
-DEEPEST = 0.3
-"""Maximum permitted depth of a Gaussian below the floor [cells]."""
+DEEPEST = {"mpm": 0.3, "lattice": 0.5}
+"""Solver -> maximum permitted depth of a Gaussian below the floor [cells].
+
+On a lattice a sharp tip turns about its few surface points; see docs/design/lattice.md.
+"""
 PIERCED = 2.5
 """Maximum permitted depth of a Gaussian inside another body [cells].
 
@@ -93,8 +96,8 @@ def drop(inside: Inside, setting: Setting, options: dict[str, Any]) -> Simulatio
     return Simulation(prepare(cloud(inside), scene, RunContext(device=setting.device)))
 
 
-def depth(inside: Inside, lift: float, accuracy: str, setting: Setting) -> float:
-    """Return the largest depth of a shape's Gaussians below the floor [cells].
+def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting) -> Check:
+    """Check the largest depth of a shape's Gaussians below the floor [cells].
 
     Args:
         inside: Returns the mask of the points [N,3] inside the shape.
@@ -103,7 +106,9 @@ def depth(inside: Inside, lift: float, accuracy: str, setting: Setting) -> float
         setting: Device and precision.
     """
     run = drop(inside, setting, {"object.lift": lift, "accuracy": accuracy})
-    return -float(run.run().means[:, :, 2].min()) / run.scene.dx
+    depth = -float(run.run().means[:, :, 2].min()) / run.scene.dx
+    what = f"depth of {inside.__name__} at {accuracy}, dropped from {lift:g} m [cells]"
+    return at_most(what, depth, DEEPEST[run.scene.solver])
 
 
 def depth_in_body(inside: Inside, accuracy: str, setting: Setting) -> float:
@@ -140,11 +145,7 @@ def tips(setting: Setting) -> list[Check]:
     """Check that tips, edges, legs and hairs of a soft body do not penetrate the floor."""
     lifts = (0.0, 0.1, 0.3) if setting.long else (0.1, 0.3)
     return [
-        at_most(
-            f"depth of {inside.__name__} at {accuracy}, dropped from {lift:g} m [cells]",
-            depth(inside, lift, accuracy, setting),
-            DEEPEST,
-        )
+        check_depth(inside, lift, accuracy, setting)
         for accuracy in (("draft", "standard", "fine") if setting.long else ("draft",))
         for lift in lifts
         for inside in SHAPES
