@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -160,12 +161,18 @@ def test_own_error_of_a_goal_is_that_of_its_grids(run):
     assert torn["error"]["about"] is None and torn["error"]["why_not"] == "torn"
 
 
-@pytest.mark.parametrize("cost", [0.3001, 0.303, 0.41])
+@pytest.mark.parametrize("cost", [0.2001, 0.203, 0.31])
 def test_cost_differs_in_words_from_its_limit(run, monkeypatch, cost):
     monkeypatch.setattr(companion, "forecast", lambda *_: cost)
     why = with_own_error(*run).report["error"]["why_not"]
     took, limit = re.findall(r"[\d.]+ %", why)
-    assert took != limit and float(limit.split()[0]) == 30
+    assert took != limit and float(limit.split()[0]) == 20
+
+
+def test_companion_on_a_lattice_may_take_a_larger_part(run):
+    simulation, _ = run
+    lattice = SimpleNamespace(scene=SCENE.replaced({"accuracy": {"cells": 8, "solver": "lattice"}}))
+    assert companion.affordable(lattice) == 1.5 * companion.affordable(simulation)
 
 
 def test_small_runs_have_no_companion(run):
