@@ -82,21 +82,29 @@ def cloud(inside: Inside) -> Gaussians:
     return Gaussians.from_rgb(x, quats, scales, np.full(count, 0.9), grey)
 
 
-def drop(inside: Inside, setting: Setting, options: dict[str, Any]) -> Simulation:
+def solvers(setting: Setting) -> tuple[str, ...]:
+    """Return the solvers of elastic objects that a scene may choose in a setting."""
+    fast = (setting.device, setting.precision) == ("cpu", "float32")
+    return ("mpm", "lattice") if fast else ("mpm",)
+
+
+def drop(inside: Inside, setting: Setting, solver: str, options: dict[str, Any]) -> Simulation:
     """Prepare a simulation of twelve frames in which a shape falls.
 
     Args:
         inside: Returns the mask of the points [N,3] inside the shape.
         setting: Device and precision.
+        solver: Solver of elastic objects.
         options: Changes to the preset `drop`, by field name.
     """
     scene = Scene.named("drop").replaced({"time.frames": 12, **options})
-    resolution = scene.resolution.model_copy(update={"precision": setting.precision})
+    changes = {"precision": setting.precision, "solver": solver}
+    resolution = scene.resolution.model_copy(update=changes)
     scene = scene.model_copy(update={"accuracy": resolution})
     return Simulation(prepare(cloud(inside), scene, RunContext(device=setting.device)))
 
 
-def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting) -> Check:
+def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting, solver: str) -> Check:
     """Check the largest depth of a shape's Gaussians below the floor [cells].
 
     Args:
@@ -104,14 +112,15 @@ def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting) ->
         lift: Height from which the shape is dropped [m].
         accuracy: Name of the accuracy preset.
         setting: Device and precision.
+        solver: Solver of elastic objects.
     """
-    run = drop(inside, setting, {"object.lift": lift, "accuracy": accuracy})
+    run = drop(inside, setting, solver, {"object.lift": lift, "accuracy": accuracy})
     depth = -float(run.run().means[:, :, 2].min()) / run.scene.dx
-    what = f"depth of {inside.__name__} at {accuracy}, dropped from {lift:g} m [cells]"
-    return at_most(what, depth, DEEPEST[run.scene.solver])
+    what = f"depth of {inside.__name__} at {accuracy} by {solver}, from {lift:g} m [cells]"
+    return at_most(what, depth, DEEPEST[solver])
 
 
-def depth_in_body(inside: Inside, accuracy: str, setting: Setting) -> float:
+def depth_in_body(inside: Inside, accuracy: str, setting: Setting, solver: str) -> float:
     """Return the largest depth of a shape's Gaussians in a cushion of the same material [cells].
 
     Each Gaussian's position is mapped to the undeformed cushion, and its depth is measured there. A
@@ -121,11 +130,12 @@ def depth_in_body(inside: Inside, accuracy: str, setting: Setting) -> float:
         inside: Returns the mask of the points [N,3] inside the shape.
         accuracy: Name of the accuracy preset.
         setting: Device and precision.
+        solver: Solver of elastic objects.
     """
     material = Scene.named("drop").material
     cushion = {"name": "cushion", "shape": "box", "sides": CUSHION, "material": material}
     options = {"accuracy": accuracy, "object.on": "cushion", "objects": [cushion]}
-    run = drop(inside, setting, options)
+    run = drop(inside, setting, solver, options)
     model, state = run.solver.model, run.solver.state
     body = model.particles(1)
     rest, deepest = host(state.x)[body].copy(), -np.inf
@@ -145,7 +155,8 @@ def tips(setting: Setting) -> list[Check]:
     """Check that tips, edges, legs and hairs of a soft body do not penetrate the floor."""
     lifts = (0.0, 0.1, 0.3) if setting.long else (0.1, 0.3)
     return [
-        check_depth(inside, lift, accuracy, setting)
+        check_depth(inside, lift, accuracy, setting, solver)
+        for solver in solvers(setting)
         for accuracy in (("draft", "standard", "fine") if setting.long else ("draft",))
         for lift in lifts
         for inside in SHAPES
@@ -156,10 +167,11 @@ def tips_on_body(setting: Setting) -> list[Check]:
     """Check that tips, edges and hairs penetrate another body at most by the known depth."""
     return [
         at_most(
-            f"depth of {inside.__name__} at {accuracy} in a cushion [cells]",
-            depth_in_body(inside, accuracy, setting),
+            f"depth of {inside.__name__} at {accuracy} by {solver} in a cushion [cells]",
+            depth_in_body(inside, accuracy, setting, solver),
             PIERCED,
         )
+        for solver in solvers(setting)
         for accuracy in (("draft", "standard") if setting.long else ("draft",))
         for inside in (cone, needle, edge, hairs)
     ]
