@@ -48,7 +48,7 @@ RATES = {
 """Rates of a run and of its companion with each solver of elastic objects on a CPU, and on a GPU.
 On a lattice, the checks and shapes of a run's frames are a large part of the time of its substeps.
 """
-PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.07, 0.0, 1.4e-5), "cuda": (0.045, 3e-7, 0.0)}
+PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.07, 0.0, 1.2e-5), "cuda": (0.045, 3e-7, 0.0)}
 """Time to prepare a companion [s]: in total, per Gaussian and per particle of the companion."""
 COARSEST = 6
 """Minimum number of cells across the object on the companion's grid."""
