@@ -17,7 +17,7 @@ from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 TORN = {
-    "accuracy": {"cells": 8},
+    "accuracy": {"cells": 8, "solver": "mpm"},
     "time.frames": 6,
     "object.lift": 0.1,
     "object.spin": (0, 0, 40.0),
