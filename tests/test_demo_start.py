@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import socket
 import subprocess
@@ -11,6 +12,7 @@ from threading import Thread
 
 import pytest
 
+from demo.__main__ import import_gradio
 from demo.jobs import Studio
 from demo.server import check_address, reach_itself, tool_routes
 from demo.settings import Settings
@@ -32,6 +34,23 @@ def test_a_busy_port_is_said_in_a_sentence(tmp_path):
         )
     assert ended.returncode == 2 and "Traceback" not in ended.stderr
     assert f"port = {port}: Another program listens there." in ended.stderr
+
+
+def test_gradio_is_imported_without_declarations_for_editors(monkeypatch):
+    gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
+    from gradio import component_meta
+
+    read: list[str] = []
+    monkeypatch.setattr(component_meta, "extract_class_source_code", lambda *_: read.append("it"))
+
+    def define(name: str) -> None:
+        component_meta.create_or_modify_pyi(gradio.Textbox, name, [])
+        assert inspect.getfile(Settings).endswith("settings.py"), "others know their files"
+
+    monkeypatch.setattr("demo.__main__.import_module", define)
+    import_gradio()
+    assert not read
+    assert inspect.getfile(gradio.Textbox).endswith("textbox.py")
 
 
 def test_setting_turns_the_tools_for_agents_off(tmp_path):
