@@ -10,6 +10,7 @@ from argparse import ArgumentParser
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
+from typing import Any
 
 from phy124.errors import InputError
 from phy124.runtime.failures import Kind, failure
@@ -45,7 +46,7 @@ def import_gradio() -> None:
     """
     usual = inspect.getfile
 
-    def find(thing: object) -> str:
+    def find(thing: Any) -> str:
         if getattr(thing, "__module__", "").startswith("gradio."):
             raise OSError
         return usual(thing)
