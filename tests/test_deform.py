@@ -417,7 +417,8 @@ def test_gaussians_of_a_cloud_of_two_stay_with_their_particles(apart):
     scales, grey = np.full((2, 3), 0.02), np.full((2, 3), 0.5)
     quats = np.tile((1.0, 0, 0, 0), (2, 1))
     two = Gaussians.from_rgb(x, quats, scales, np.full(2, 0.9), grey)
-    scene = Scene.named("drop").replaced({"accuracy": "draft", "time.frames": 24})
+    accuracy = {"cells": 16, "solver": "mpm"}
+    scene = Scene.named("drop").replaced({"accuracy": accuracy, "time.frames": 24})
     run = Simulation(prepare(two, scene))
     clip = run.run()
     assert clip.means[..., 2].min() > -0.3 * scene.dx

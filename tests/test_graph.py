@@ -244,9 +244,8 @@ def runs_as_graph(solver):
 @pytest.mark.parametrize("name", OF_ONE)
 def test_every_preset_moves_the_same_by_the_device_alone(name, monkeypatch):
     # The device measures its limits every four substeps.
-    scene = Scene.named(name).replaced(
-        {"accuracy": {"cells": 8}, "time.frames": 2, "checks.measure": MEASURE_EVERY}
-    )
+    changes = {"time.frames": 2, "checks.measure": MEASURE_EVERY}
+    scene = Scene.named(name).replaced({"accuracy": {"cells": 8, "solver": "mpm"}, **changes})
     runs = []
     for alone in (False, True):
         monkeypatch.setattr("phy124.mpm.solver.usable", lambda device, alone=alone: alone)

@@ -24,6 +24,7 @@ from reference.physgaussian import Original, Recording
 from test_golden_mpm import run, solver_of
 
 RATE = 30.0
+PARTICLES = Scene.from_data({"accuracy": {"solver": "mpm"}})
 
 
 def lone(C, precision="float64"):
@@ -81,7 +82,7 @@ def test_its_substeps_are_stable_up_to_the_limit_and_no_further():
             np.zeros((1, 3)), np.ones(1), [NeoHookean()], dx=0.2, cfl=0.75, scheme=Scheme(rpic=1)
         )
     asked = Scene.from_data({"accuracy": {"rpic_damping": 1}})
-    assert longest_substeps(asked)[0] == pytest.approx(longest_substeps(Scene())[0] * 0.5**0.5)
+    assert longest_substeps(asked)[0] == pytest.approx(longest_substeps(PARTICLES)[0] * 0.5**0.5)
 
 
 def spinning(rate, precision="float32"):
@@ -118,7 +119,7 @@ def test_without_it_nothing_is_launched():
         solver.step(1e-6, 1e-6)
         launched = {name for phase in solver.workers[0].phases for name, _ in phase}
         assert ("rpic" in launched) == (rate > 0)
-    plain, asked = Scene(), Scene.from_data({"accuracy": {"rpic_damping": 3}})
+    plain, asked = PARTICLES, Scene.from_data({"accuracy": {"rpic_damping": 3}})
     more = {kernel.key for kernel in kernels(asked)} - {kernel.key for kernel in kernels(plain)}
     assert more == {"make_rpic__locals__rpic"}
     assert "rpic_damping" not in plain.resolution.model_dump()
