@@ -261,7 +261,8 @@ def test_every_preset_moves_the_same_by_the_device_alone(name, monkeypatch):
 @pytest.mark.gpu
 @pytest.mark.parametrize("name", OF_ONE)
 def test_cuda_moves_as_the_cpu_does(name, gpu):
-    scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 6})
+    accuracy = {"cells": 8, "solver": "mpm"}
+    scene = Scene.named(name).replaced({"accuracy": accuracy, "time.frames": 6})
     cpu, cuda = (
         Simulation(prepare(ball(500), scene, RunContext(device=device))) for device in ("cpu", gpu)
     )

@@ -37,7 +37,12 @@ SCENES = {
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_gpu_moves_it_as_the_cpu_does(name, gpu):
-    changes = {"accuracy": {"cells": 8}, "time.frames": 6, **FALLING, **SCENES[name]}
+    changes = {
+        "accuracy": {"cells": 8, "solver": "mpm"},
+        "time.frames": 6,
+        **FALLING,
+        **SCENES[name],
+    }
     scene = Scene.named("drop").replaced(changes)
     here, there = (
         Simulation(prepare(ball(500), scene, RunContext(device=device, threads=1)))

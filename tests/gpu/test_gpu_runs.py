@@ -12,7 +12,7 @@ from phy124.simulation import Interrupted, Simulation, prepare
 from support.shapes import ball
 
 pytestmark = pytest.mark.gpu
-FEW = {"accuracy": {"cells": 8}, "time.frames": 6}
+FEW = {"accuracy": {"cells": 8, "solver": "mpm"}, "time.frames": 6}
 ROUNDING = 1e-3
 """Largest distance between two runs of one scene on a GPU [m]: atomic sums come in any order."""
 

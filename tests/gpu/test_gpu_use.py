@@ -21,7 +21,7 @@ from support.orders import small_order
 from support.shapes import ball, splats
 
 pytestmark = pytest.mark.gpu
-FEW = {"accuracy": {"cells": 8}, "time.frames": 3}
+FEW = {"accuracy": {"cells": 8, "solver": "mpm"}, "time.frames": 3}
 
 
 def test_the_command_line_makes_a_clip_and_films_it(gpu, tmp_path, capsys):

@@ -12,11 +12,11 @@ from support.scenes import LAWS, OTHER_SOLIDS, SOLIDS
 from support.shapes import ball
 
 Clips = dict[str, Callable[[], Clip]]
-SHORT = {"accuracy": {"cells": 8}, "time.frames": 8}
+SHORT = {"accuracy": {"cells": 8, "solver": "mpm"}, "time.frames": 8}
 
 
 def clip(preset: str, **changes: Any) -> Clip:
-    """Of a ball, all forms and threads as they were chosen."""
+    """Of a ball of particles, all forms and threads as they were chosen."""
     scene = Scene.named(preset).replaced({**SHORT, **changes})
     return Simulation(prepare(ball(500), scene, RunContext(threads=1))).run()
 

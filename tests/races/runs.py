@@ -27,7 +27,7 @@ from phy124.studies.validation.stress.laws import every_deformation
 from support.scenes import FORCES, LAWS, OTHER_SOLIDS, SOLIDS, SWING
 from support.shapes import ball, splats
 
-SMALL = {"accuracy": {"cells": 8}, "time.frames": 3, "time.fps": 400.0}
+SMALL = {"accuracy": {"cells": 8, "solver": "mpm"}, "time.frames": 3, "time.fps": 400.0}
 FALLING = {"object.lift": 0.0, "object.velocity": [0.3, 0.1, -1.5]}
 Runs = dict[str, Callable[[], object]]
 
@@ -189,8 +189,9 @@ def backwards() -> None:
 
 
 def few(name: str = "spin") -> Scene:
-    """A preset with few frames and cells."""
-    return Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 3})
+    """A preset with few frames and cells, whose objects move as particles."""
+    particles = {"accuracy": {"cells": 8, "solver": "mpm"}}
+    return Scene.named(name).replaced({**particles, "time.frames": 3})
 
 
 def on_a_stage() -> None:
