@@ -6,7 +6,7 @@ import pytest
 
 from demo.forecast import Estimator
 from demo.rates import SPREAD, Learned
-from phy124.budget.cost import Work
+from phy124.budget.cost import GAUSSIANS, Work, count_particles
 from phy124.scene import Scene
 
 FEW = {"view.size": 16, "view.views": ["front"], "time.frames": 2}
@@ -21,7 +21,7 @@ def _report(scene: Scene, **spent: float) -> dict:
         "stages": stages,
         "substeps": work.substeps,
         "frames": work.frames,
-        "particles": work.particles / work.substeps,
+        "particles": count_particles(scene, GAUSSIANS),
     }
 
 

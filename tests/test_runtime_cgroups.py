@@ -133,7 +133,14 @@ def test_a_run_too_large_for_its_group_is_refused(tmp_path):
     """As a machine with so little memory refuses it: before work, by the number of cells."""
     write_ply(tmp_path / "ball.ply", ball(2000))
     command = ["-m", "phy124", "simulate", tmp_path / "ball.ply", "--scene", "drop", "--json"]
-    options = ["--set", "accuracy.cells=72", "--frames", "3", "--set", "time.budget=1e8"]
+    options = [
+        "--set",
+        'accuracy={cells=72,solver="mpm"}',
+        "--frames",
+        "3",
+        "--set",
+        "time.budget=1e8",
+    ]
     limits = {"memory.max": 500 * MB, "memory.limit_in_bytes": 500 * MB}
     with limited("memory", limits) as group:
         done = within(group, *command, *options, "--device", "cpu", "--out", tmp_path / "out")

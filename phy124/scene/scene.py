@@ -91,9 +91,8 @@ class Scene(Section):
     )
     accuracy: AccuracyName | Accuracy = Field(
         default="standard",
-        description="draft (16 cells across the object), standard (32), fine (48, float64), "
-        "or a table of cells, particles_per_axis, cfl, precision, transfer, blend and "
-        "rpic_damping.",
+        description="draft (16 cells across the object), standard (32), fine (48), or a table of "
+        "cells, particles_per_axis, cfl, precision, solver, transfer, blend and rpic_damping.",
     )
     binding: Literal["particles", "lattice"] = Field(
         default="lattice",
