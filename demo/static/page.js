@@ -270,7 +270,7 @@
       growing.waiting.push(url);
       if (growing.busy) return;
       growing.busy = true;
-      while (growing.waiting.length) await this.grow(growing, growing.waiting.shift());
+      while (this.growing === growing && growing.waiting.length) await this.grow(growing, growing.waiting.shift());
       growing.busy = false;
     }
 
