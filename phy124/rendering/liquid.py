@@ -35,9 +35,9 @@ STEEP = (0.2, 0.35)
 """Gradient of phi relative to phi, per cell, at which discs cease and begin to fade."""
 MOVES = (-0.35, 0.9)
 """Largest displacements onto the surface, inwards and outwards, in cells."""
-OVERLAP, NARROW, WIDEST, FLAT = 0.95, 0.4, 0.7, 0.3
-"""Radius of a disc relative to the distance between discs; its bounds, in cells; its thickness
-relative to its radius."""
+OVERLAP, NARROW, BROAD, WIDEST, FLAT = 0.95, 0.4, 0.55, 0.7, 0.3
+"""Radius of a disc relative to the distance between discs; its lower bound, also for a film on a
+wall, and its upper bound, in cells; its thickness relative to its radius."""
 TOUCH, FILM, EDGE = 0.75, (1.5, 2.5), 0.5
 """Largest distance of Gaussians from a wall at which they are drawn on it; thicknesses of a film on
 a wall between which its face on the wall fades in; smallest depth below the free surface of
@@ -272,7 +272,7 @@ def _shape(
     # Discs per cell of the surface: smoothed, a layer of them is as high as the Gaussian.
     around = field.sample(field.blur(field.sum(fade[on], on)), on)
     layer = around * np.sqrt(2 * np.pi) * BLUR
-    narrow = WIDEST + lower[on] * (NARROW - WIDEST)
+    narrow = BROAD + lower[on] * (NARROW - BROAD)
     radius = np.clip(OVERLAP / np.sqrt(np.maximum(layer, 1e-6)), narrow, WIDEST)
     scales[on] = (radius * cell)[:, None] * np.array([1, 1, FLAT])
     per_cell = cell / visibility if visibility else np.inf
@@ -281,14 +281,14 @@ def _shape(
     # The mean of the discs around: particles in stretched rows would be seen as stripes.
     tau = field.sample(field.blur(field.sum(fade[on] * tau, on)), on) / np.maximum(around, 1e-6)
     overlapping = np.maximum(2 * np.pi * radius**2 * layer, 0.5)
-    opacities[on] = fade[on] * -np.expm1(-np.maximum(tau, -np.log1p(-LEAST) / faces) / overlapping)
+    opacities[on] = fade[on] * -np.expm1(-np.maximum(tau, -np.log1p(-LEAST)) / overlapping)
     drop = alone[loose]
     size, opacities[loose] = _balls(volume, here[loose], drop, chance[loose], per_cell)
     scales[loose] = (size * cell)[:, None]
     normals[free | (fade == 0)] = 0
 
     pale = np.zeros(n, np.float32)
-    pale[on], pale[loose] = THIN * np.exp(-faces * tau), SPRAY * np.where(drop, 1, 0.5)
+    pale[on], pale[loose] = THIN * np.exp(-2 * tau), SPRAY * np.where(drop, 1, 0.5)
     rgb = np.clip(0.5 + SH_C0 * part.sh[:, 0], 0, 1)
     rgb = rgb + pale[:, None] * (PALE - rgb)
     quats = np.where(normals.any(axis=1, keepdims=True), _rotations(normals), (1, 0, 0, 0))
