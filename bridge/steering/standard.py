@@ -47,7 +47,7 @@ class Standard:
     """The standard services of a run."""
 
     def __init__(self, run: SteeredRun, options: Options, *, action: bool) -> None:
-        """Store the run and the options; `action` says whether steps are also an action."""
+        """Store the run and the options; with `action`, peers may also step by a ROS action."""
         self._run, self._action = run, action
         self._entities = Entities(run, options)
 

@@ -160,7 +160,7 @@ def _orientation_alone(self: Image.Exif, offset: int = 8) -> bytes:
 
 
 def _open(data: bytes, formats: tuple[str, ...]) -> Image.Image:
-    """Open the image; decoding follows later, except for HEIC."""
+    """Open the image; only HEIC is decoded at once."""
     kind = read_kind(data)
     if kind == "HEIC":
         return _open_heic(data)

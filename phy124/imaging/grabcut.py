@@ -17,7 +17,7 @@ from phy124.imaging.lab import to_lab
 Field = NDArray[np.float32]
 ROUNDS = 4
 RING = 0.03
-"""Width of the border that is assumed to be background, in shorter sides of the image."""
+"""Width of the border that is assumed to be background, relative to the image's shorter side."""
 COLOURS = 6
 """Number of colour clusters that describe the border."""
 KEEP = 0.12

@@ -47,7 +47,7 @@ relative to their distance at rest.
 
 @wp.func
 def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
-    """Return the axis lengths of a plastic or fluid Gaussian, made more equal the longer it is.
+    """Return a plastic or fluid Gaussian's axis lengths; the longer it is, the rounder it becomes.
 
     A ball of radius sqrt(a b), where a and b are the two longest axes, covers as much of a frame as
     the Gaussian does.

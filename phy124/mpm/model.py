@@ -197,7 +197,7 @@ class Model:
 
     @property
     def moves(self) -> NDArray[np.bool_]:
-        """Whether each particle may move [P]: True for bodies that are not held."""
+        """Whether each particle may move [P]; particles of held bodies may not."""
         free = np.ones(len(self), bool)
         for body in self.held:
             free[self.particles(body)] = False

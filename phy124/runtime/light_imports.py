@@ -40,7 +40,7 @@ class PlainDict(dict[str, Any]):
 
 
 class PlainDocs(defaultdict[str, list[Any]]):
-    """Sections of a docstring, without parsing; changes to them are ignored."""
+    """Stands for the sections of a docstring: nothing is parsed, and changes are ignored."""
 
     def __init__(self, function: object) -> None:
         super().__init__(list)

@@ -35,7 +35,7 @@ RELAXED = wp.constant(0.6)
 so that full corrections add up to too much.
 """
 LOOSE = wp.constant(0.5)
-"""Smallest part of a point's mobility that clamps must leave for walls to act on it."""
+"""Walls act on a point only if clamps leave it at least this part of its mobility."""
 NODES = 27
 """Largest number of nodes of a surface point."""
 MOMENT, SUMS = GIVEN, 16
