@@ -23,6 +23,7 @@ their side is the particle spacing multiplied or divided by a whole number. `MAX
 from __future__ import annotations
 
 import hashlib
+import threading
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -128,6 +129,8 @@ def find_solid(gaussians: Gaussians, spacing: float) -> Solid:
 
 _kept: dict[bytes, Solid] = {}
 """Digest of Gaussians -> the solid that they outline; the last one was used last."""
+_lock = threading.Lock()
+"""Held while `_kept` changes: jobs of the page run in threads."""
 
 
 def find_interior(gaussians: Gaussians) -> Solid:
@@ -136,10 +139,14 @@ def find_interior(gaussians: Gaussians) -> Solid:
     The last `MEMORY` solids are kept, because an object is often simulated several times.
     """
     digest = _digest(gaussians)
-    solid = _kept.pop(digest, None) or _find_interior(gaussians)
-    _kept[digest] = solid
-    if len(_kept) > MEMORY:
-        _kept.pop(next(iter(_kept)), None)
+    with _lock:
+        solid = _kept.get(digest)
+    solid = solid or _find_interior(gaussians)
+    with _lock:
+        _kept.pop(digest, None)
+        _kept[digest] = solid
+        while len(_kept) > MEMORY:
+            del _kept[next(iter(_kept))]
     return solid
 
 
