@@ -12,7 +12,8 @@ from html import escape
 from typing import Any
 
 from phy124.accuracy import Forecaster, Stop
-from phy124.accuracy.forecast import GUESS, QUIET, Load, LoadMeter, format_span
+from phy124.accuracy.forecast import GUESS
+from phy124.accuracy.load import QUIET, Load, LoadMeter, format_span
 from phy124.accuracy.promises import Promise, promise, why_broken
 from phy124.budget.cost import GAUSSIANS, Rates, Work, count_particles
 from phy124.budget.limits import duration

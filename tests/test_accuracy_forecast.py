@@ -10,7 +10,8 @@ import pytest
 from phy124.__main__ import main
 from phy124.accuracy import Forecaster, companion
 from phy124.accuracy import forecast as module
-from phy124.accuracy.forecast import QUIET, Forecast, pixels_per_size, speed_up
+from phy124.accuracy.forecast import Forecast, pixels_per_size, speed_up
+from phy124.accuracy.load import QUIET
 from phy124.accuracy.probe import CELLS, Pilot, SubstepCost, coarsen, run_pilot
 from phy124.accuracy.promises import Promise
 from phy124.rendering.nearest import ROOM

@@ -89,6 +89,8 @@ def test_without_its_package_4dgs_says_what_to_install(clip, capsys, monkeypatch
     ("words", "sentence"),
     [
         ("--to obj", "This output format is not supported"),
+        ("--to frame", "Did you mean frames?"),
+        ("--to html", "clip.safetensors --format html`"),
         ("--to glb --frame 3", "The clip has the frames 0 to 2"),
         ("--to glb --frame -1", "The clip has the frames 0 to 2"),
         ("--to glb --frame 1 --all", "Leave one of them out"),

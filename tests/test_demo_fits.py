@@ -20,7 +20,7 @@ from demo.jobs import Studio
 from demo.settings import Settings
 from demo.visitors import Room, Visitors
 from demo.work import Done
-from phy124.accuracy.forecast import Load, format_span
+from phy124.accuracy.load import Load, format_span
 from phy124.budget.cost import Rates
 from phy124.errors import Cancelled, InputError
 from phy124.io.video import write_mp4

@@ -13,7 +13,7 @@ from demo.forecast import Estimator, probe_estimate, stops_table
 from demo.jobs import Studio
 from demo.settings import Settings, table
 from demo.visitors import Visitors
-from phy124.accuracy.forecast import Load
+from phy124.accuracy.load import Load
 from phy124.accuracy.promises import format_percent
 from phy124.boundaries import BOUNDARIES
 from phy124.budget.cost import Work, count_substeps

@@ -9,7 +9,16 @@ from phy124.boundaries import Sphere
 from phy124.errors import InputError
 from phy124.forces import Wind
 from phy124.mpm.tracks import Sine
-from phy124.scene import PRESETS, AccuracyName, Scene, Timing, parse_value, preset_names, summarise
+from phy124.scene import (
+    PRESETS,
+    Accuracy,
+    AccuracyName,
+    Scene,
+    Timing,
+    parse_value,
+    preset_names,
+    summarise,
+)
 from reference.material_point import KINDS
 
 EXPECTED = {
@@ -234,6 +243,13 @@ def test_values_are_replaced_by_dotted_path():
 def test_named_accuracies_resolve():
     assert Scene(accuracy="draft").resolution == PRESETS["draft"]
     assert Scene(accuracy={"cells": 20}).dx == 1 / 20
+
+
+def test_accuracy_is_described_with_each_setting_and_choice():
+    text = Scene.model_fields["accuracy"].description
+    assert all(f"{name} ({each.cells})" in text for name, each in PRESETS.items())
+    assert all(name in text for name in Accuracy.model_fields)
+    assert "solver (auto, mpm, lattice)" in text and "liquid (compressible, projection)" in text
 
 
 @pytest.mark.parametrize(

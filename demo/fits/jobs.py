@@ -8,7 +8,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from phy124.accuracy.forecast import GUESS, format_span
+from phy124.accuracy.forecast import GUESS
+from phy124.accuracy.load import format_span
 from phy124.errors import InputError
 from phy124.runtime.isolated import Deadline
 from phy124.studies.fit.budget import FEWEST, USUAL

@@ -1,4 +1,4 @@
-"""Forecasts the time of a run before it starts, and measures the load from other programs.
+"""Forecasts the time of a run before it starts.
 
     seconds = substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures)
 
@@ -10,18 +10,14 @@ frames. The forecast is only a guess if the particles' speed limits the substep.
 
 from __future__ import annotations
 
-import math
-import threading
-import time
-import zlib
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, get_args
 
 import numpy as np
 
 from phy124.accuracy import companion
+from phy124.accuracy.load import QUIET, Load, LoadMeter, format_span
 from phy124.accuracy.probe import (
     Pilot,
     SubstepCost,
@@ -38,138 +34,8 @@ from phy124.imaging.painted import WHOLE, Crop
 from phy124.particles.thickness import Proportions
 from phy124.rendering.nearest import ROOM
 from phy124.runtime.context import RunContext
-from phy124.runtime.cores import cores
 from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation, prepare
-
-SPIN = 0.3
-"""Duration for which busy-waiting threads measure the fraction of a core that each gets [s]."""
-ENOUGH, LONGEST = 0.2, 4.0
-"""Minimum CPU time of a spinning thread, and maximum duration of spinning, in units of `SPIN`."""
-BLOCK = bytes(1 << 18)
-"""Data whose checksum a spinning thread computes without holding Python's global lock."""
-ALONE = 0.93
-"""Fraction of a core's time that a thread must get for the core to count as free."""
-SECOND_THREAD = 1.5
-"""Factor on the time of a simulation if no free core is available for its second thread."""
-MINIMUM, MAXIMUM = 0.8, 1.5
-"""Range of measured time / forecast time on an idle machine (docs/lab/forecasts.md)."""
-BUSY = 1.2
-"""Factor that widens the range on a busy machine, since the load may change during a run."""
-FRESH = 10.0
-"""Time for which a measurement of the load is valid [s]."""
-
-
-@dataclass(frozen=True)
-class Load:
-    """Factors by which other programs on this machine slow down a run."""
-
-    thread: float = 1.0
-    """Factor on the time of single-threaded work."""
-    simulation: float = 1.0
-    """Factor on the time of a simulation."""
-
-    @classmethod
-    def measure(cls, device: str = "cpu") -> Load:
-        """Measure the current load from the fraction of a core that busy-waiting threads get.
-
-        The measurement includes the effects of priorities, of a container's limits and of the
-        scheduler. Other work of this process counts as load. Runs on a GPU are hardly affected by
-        the load, so both factors are 1 for a GPU.
-        """
-        if device != "cpu":
-            return cls()
-        fraction = _measure_fraction(1)
-        thread = 1.0 if fraction > ALONE else 1 / fraction
-        free = fraction > ALONE and (cores() == 1 or _measure_fraction(2) > ALONE)
-        return cls(thread, thread if free else SECOND_THREAD * thread)
-
-    def of(self, stage: str) -> float:
-        """Return the factor by which this load lengthens a stage of a run."""
-        return self.simulation if stage == "simulate" else self.thread
-
-    def mean(self, other: Load) -> Load:
-        """Return the mean of two loads, for work between their measurements."""
-        thread = (self.thread + other.thread) / 2
-        return Load(thread, (self.simulation + other.simulation) / 2)
-
-    @property
-    def busy(self) -> bool:
-        """Whether other programs slow down a simulation."""
-        return self.simulation > 1
-
-    def span(self, seconds: float, *, unsure: float = 1.0) -> tuple[float, float]:
-        """Return the expected range of a run's time (shortest, longest) [s].
-
-        Programs that start or end during the run are not predicted.
-
-        Args:
-            seconds: Predicted time of the run under this load [s].
-            unsure: Factor that widens the range.
-        """
-        wider = unsure * (BUSY if self.busy else 1.0)
-        return MINIMUM / wider * seconds, MAXIMUM * wider * seconds
-
-
-class LoadMeter:
-    """Measures the load on request, unless the last measurement is recent enough.
-
-    A measurement takes about 0.6 s.
-    """
-
-    def __init__(self, device: str = "cpu") -> None:
-        """Create the meter without measuring.
-
-        Args:
-            device: Warp device of the runs.
-        """
-        self.latest = Load()
-        """The last measured load; before the first measurement, the load of an idle machine."""
-        self._device, self._measured = device, -math.inf
-        self._measuring = threading.Lock()
-
-    def load(self) -> Load:
-        """Return the load; measure it if the last measurement is too old."""
-        if time.monotonic() > self._measured + FRESH:
-            self.measure()
-        return self.latest
-
-    def measure(self) -> Load:
-        """Measure the load now."""
-        with self._measuring:  # two simultaneous measurements would count each other as load
-            self.latest = Load.measure(self._device)
-            self._measured = time.monotonic()
-            return self.latest
-
-
-def format_span(span: tuple[float, float]) -> str:
-    """Format a range of times [s]: "12 to 18 s", "1.5 to 2.3 min"."""
-    low, high = span
-    if high < 90:
-        a, b = max(1, round(low)), max(1, round(high))
-        return f"{a} s" if a == b else f"{a} to {b} s"
-    if high < 5400:
-        return f"{low / 60:.1f} to {high / 60:.1f} min"
-    return f"{low / 3600:.1f} to {high / 3600:.1f} h"
-
-
-def _measure_fraction(threads: int) -> float:
-    """Return the mean fraction of a core that each of `threads` spinning threads gets."""
-    with ThreadPoolExecutor(threads) as pool:
-        return sum(pool.map(_spin, [SPIN] * threads)) / threads
-
-
-def _spin(seconds: float) -> float:
-    """Return the fraction of a core that this thread gets while it spins.
-
-    It spins for `seconds`, or longer if it has received too little CPU time for a measurement.
-    """
-    start, start_cpu, passed, ran = time.perf_counter(), time.thread_time(), 0.0, 0.0
-    while passed < seconds or (ran < ENOUGH * seconds and passed < LONGEST * seconds):
-        zlib.crc32(BLOCK)
-        passed, ran = time.perf_counter() - start, time.thread_time() - start_cpu
-    return max(ran, 1e-3) / passed
-
 
 SPEED_UP = 0.72
 """Speed-up per additional thread."""
@@ -179,7 +45,6 @@ UNSURE = 0.1
 """Fraction of substeps limited by the particles' motion above which the forecast is a guess."""
 GUESS = 1.14
 """Factor that widens the range of the time if the forecast is only a guess."""
-QUIET = Load()
 ON_DEVICE = ("simulate", "deform", "render")
 """Stages that a GPU computes."""
 REMEMBERED = 32

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import tyro
 
@@ -30,6 +30,7 @@ from phy124.io.formats.moving_mesh import fit_to_clip, write_moved
 from phy124.io.growing import write_frames_clip
 from phy124.particles.merging import merge_clip_to, merge_to
 from phy124.rendering.shine import drawn_frames, make_shine
+from phy124.scene import Format as Filmed
 from phy124.scene import View
 
 MERGE = tyro.conf.arg(metavar="N")
@@ -112,7 +113,7 @@ class Export:
         """
         if self.to == "frames":
             return self._write_values()
-        chosen = find_written_format(Path(), self.to)
+        chosen = self._find_format()
         self._refuse_replacing(self.out or self.clip.with_suffix(chosen.suffix))
         if self.out is not None and not self.all:
             _refuse_other_ending(self.out, chosen)
@@ -133,6 +134,14 @@ class Export:
         first = clip.frame(self.frame or 0).gaussians
         notes = note_lost(first, chosen)
         return _show(files, len(first), chosen, notes, as_json=self.json)
+
+    def _find_format(self) -> Format:
+        """Return the format to write."""
+        if self.to in get_args(Filmed) and self.to not in written_formats():
+            limit = "Films of a clip have this format, which export does not write."
+            remedy = f"Use `phy124 render {self.clip} --format {self.to}`."
+            raise InputError("to", self.to, limit, remedy)
+        return find_written_format(Path(), self.to, others=("frames",))
 
     def _write_values(self) -> int:
         """Write a clip with all values of each frame; print its name."""

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import tyro
 from pydantic import Field
 
-from phy124.accuracy.forecast import Load, format_span
+from phy124.accuracy.load import Load, format_span
 from phy124.commands.bars import Bars
 from phy124.commands.options import GeneratorName
 from phy124.errors import InputError

@@ -118,7 +118,10 @@ class SceneOptions:
 
     scene: str = "press"
     """Preset (see `phy124 scenes`) or path of a .toml file."""
-    accuracy: Annotated[AccuracyName | None, help_of(Scene, "accuracy")] = None
+    accuracy: Annotated[
+        AccuracyName | None,
+        help_of(Scene, "accuracy", example="--accuracy fine --set accuracy.solver=mpm"),
+    ] = None
     frames: Annotated[int | None, help_of(Timing, "frames")] = None
     seconds: Annotated[float | None, help_of(Timing, "seconds")] = None
     fps: float | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal, get_args
 
 from pydantic import Field
 
@@ -74,7 +74,6 @@ class Accuracy(Section):
         "rate x density x dx^2/8, so its effect depends on the grid. Substeps become 0.71 times "
         "as long.",
     )
-
     liquid: Literal["compressible", "projection"] | None = Field(
         default=None,
         examples=["projection"],
@@ -122,6 +121,26 @@ NAMED = {
 PRESETS = {name: accuracy for name, (accuracy, _) in NAMED.items()}
 GOOD_FOR = {name: use for name, (_, use) in NAMED.items()}
 AccuracyName = Literal["draft", "standard", "fine"]
+
+
+def describe_accuracy() -> str:
+    """Describe the values of `accuracy`: the names, and the settings of a table."""
+    names = [f"{name} ({each.cells})" for name, each in PRESETS.items()]
+    settings = []
+    for name, declared in Accuracy.model_fields.items():
+        choices = ", ".join(_list_choices(declared.annotation))
+        settings.append(f"{name} ({choices})" if choices else name)
+    return (
+        f"Cells across the object by name: {', '.join(names)}; or a table of "
+        f"{', '.join(settings[:-1])} and {settings[-1]}."
+    )
+
+
+def _list_choices(kind: Any) -> list[str]:
+    """List the texts that a type accepts."""
+    if isinstance(kind, str):
+        return [kind]
+    return [choice for each in get_args(kind) for choice in _list_choices(each)]
 
 
 def check_transfer(accuracy: Accuracy) -> None:

@@ -24,7 +24,13 @@ from phy124.materials import LAWS, AnyMaterial, NeoHookean
 from phy124.mpm.tracks import AnyProfile, Track
 from phy124.properties import Properties
 from phy124.properties.stiffness import AnyStiffness, check_profile
-from phy124.scene.accuracies import PRESETS, Accuracy, AccuracyName, check_transfer
+from phy124.scene.accuracies import (
+    PRESETS,
+    Accuracy,
+    AccuracyName,
+    check_transfer,
+    describe_accuracy,
+)
 from phy124.scene.changes import apply
 from phy124.scene.files import check_depth, read_toml
 from phy124.scene.lattices import find_elastic, reason_for_mpm
@@ -91,8 +97,7 @@ class Scene(Section):
     )
     accuracy: AccuracyName | Accuracy = Field(
         default="standard",
-        description="draft (16 cells across the object), standard (32), fine (48), or a table of "
-        "cells, particles_per_axis, cfl, precision, solver, transfer, blend and rpic_damping.",
+        description=describe_accuracy(),
     )
     binding: Literal["particles", "lattice"] = Field(
         default="lattice",

@@ -73,7 +73,7 @@ class View(Section):
         default=("mp4",),
         description="File formats. For each view: a video (mp4, webm, mov, webp, gif) or a folder "
         "of pictures (png). For the whole clip: usd, ply (a folder with a file per frame), or "
-        "html (a page that plays the motion in 3D).",
+        "html (a page that plays the motion in 3D). `phy124 export` writes others.",
     )
     outputs: tuple[Output, ...] = Field(
         default=(),

@@ -10,7 +10,7 @@ with an entry point in the group `phy124.formats` (docs/guide/extending-files.md
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -338,8 +338,15 @@ def write_gaussians(
     return chosen
 
 
-def find_written_format(path: Path, name: str | None = None) -> Format:
+def find_written_format(
+    path: Path, name: str | None = None, *, others: Sequence[str] = ()
+) -> Format:
     """Return the format of a name, or the format for the extension of a path.
+
+    Args:
+        path: File to write.
+        name: Name of the format; None: the extension of the path determines it.
+        others: Further names that the caller accepts, which an error lists, too.
 
     Raises:
         InputError: If there is no such format, or it can only be read.
@@ -356,7 +363,7 @@ def find_written_format(path: Path, name: str | None = None) -> Format:
     if name not in written:
         load_plugin("formats", name)  # raises an error that describes a broken plug-in
         raise InputError(
-            "to", name, "This output format is not supported.", suggest(name, list(written))
+            "to", name, "This output format is not supported.", suggest(name, [*written, *others])
         )
     return written[name]
 

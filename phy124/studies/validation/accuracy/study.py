@@ -19,7 +19,8 @@ import numpy as np
 from phy124.accuracy.companion import with_own_error
 from phy124.accuracy.convergence import Convergence, distances, longest_convergence
 from phy124.accuracy.difference import difference
-from phy124.accuracy.forecast import QUIET, Forecaster, pixels_per_size
+from phy124.accuracy.forecast import Forecaster, pixels_per_size
+from phy124.accuracy.load import QUIET
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.imaging.painted import WHOLE, Crop
