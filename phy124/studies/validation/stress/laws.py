@@ -114,11 +114,13 @@ def heap(setting: Setting) -> list[Check]:
     below this angle, since it becomes flatter by inertia.
     """
     checks, cells = [], 20 if setting.long else 12
+    # On finer grids, gentle heaps creep for longer: by 0.0037 R in 0.2 s after 1 s at 20 degrees.
+    end = 1.6 if setting.long else 1.0
     for angle in (20.0, 25.0, 30.0, 35.0, 40.0) if setting.long else (25.0, 35.0):
         s = cone(angle, angle + 5, cells, setting)
-        s.advance(0.8)
+        s.advance(end - 0.2)
         earlier = host(s.state.x)
-        s.advance(1.0)
+        s.advance(end)
         # Compare positions instead of speeds, since an elastic heap vibrates long after it stops
         # flowing.
         moved = float(np.quantile(np.linalg.norm(host(s.state.x) - earlier, axis=1), 0.99))
