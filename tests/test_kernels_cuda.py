@@ -124,7 +124,9 @@ def test_every_module_of_the_presets_compiles_for_cuda(tmp_path):
     modules = [
         module
         for name, module in wp._src.context.user_modules.items()
-        if name.startswith("phy124") and module.kernels and not name.endswith(CPU_ONLY)
+        if name.startswith("phy124")
+        and module.kernels
+        and not any(part in name for part in CPU_ONLY)
     ]
     for module in modules:
         (tmp_path / module.name).mkdir()
