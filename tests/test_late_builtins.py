@@ -35,3 +35,33 @@ def test_late_variants_give_the_same_results() -> None:
     )
     assert int(late[0]) < int(usual[0]) / 2
     assert late[1:] == usual[1:]
+
+
+THREADS = """
+import sys, threading
+from phy124.runtime.late_builtins import declare_late
+declare_late()
+import warp as wp
+wp.config.log_level = wp.LOG_ERROR
+wp.init()
+sys.setswitchinterval(1e-6)
+v = wp.vec3(1.0, 2.0, 2.0)
+start = threading.Barrier(4)
+def call(function, *arguments):
+    start.wait()
+    function(*arguments)
+    print("done", flush=True)
+for call_of in ((wp.mul, 2.0, v), (wp.add, v, v), (wp.sub, v, v), (wp.dot, v, v), (wp.length, v)):
+    threads = [threading.Thread(target=call, args=call_of) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+"""
+
+
+def test_threads_that_call_a_function_first_at_once() -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", THREADS], check=True, capture_output=True, text=True
+    )
+    assert run.stdout.split() == 20 * ["done"], run.stderr

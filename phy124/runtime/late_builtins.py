@@ -8,6 +8,7 @@ of the time to import Warp.
 from __future__ import annotations
 
 import sys
+import threading
 from collections import defaultdict
 from collections.abc import Callable
 from typing import Any
@@ -47,6 +48,7 @@ def _declare_late() -> None:
     if not config.version.startswith(KNOWN):
         return
     waiting: defaultdict[str, list[Callable[[], None]]] = defaultdict(list)
+    declaring = threading.RLock()
 
     def declare_generic(
         key: str, input_types: dict[str, Any] | None = None, export: bool = True, **options: Any
@@ -63,8 +65,12 @@ def _declare_late() -> None:
             setattr(sys.modules["warp"], key, declared[key])
 
     def resolve_from_python(function: Any, *arguments: Any, **options: Any) -> Any:
-        for declare_variants in waiting.pop(function.key, ()):
-            declare_variants()
+        if function.key in waiting:
+            with declaring:  # a second thread waits until all variants are declared
+                variants = waiting[function.key]
+                while variants:
+                    variants.pop(0)()
+                waiting.pop(function.key)
         return resolve(function, *arguments, **options)
 
     context.add_builtin = declare_generic
