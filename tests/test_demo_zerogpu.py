@@ -101,4 +101,4 @@ def test_finer_run_expects_more_seconds_of_gpu(tmp_path):
         studio._run = lambda visitor, order, job: list(work(order))  # pyright: ignore
         studio.run("a", Cutout(DUCK, DUCK), scene.data()).wait(60)
     draft, fine = (order.expected for order in orders)
-    assert 0 < draft < fine < 60
+    assert 0 < draft < fine  # both grow with the load of the machine

@@ -1,4 +1,4 @@
-"""What the bridge costs: `python tests/benchmarks/bridge.py [encode|record|publish ...]`.
+"""What the bridge costs: `python tests/benchmarks/bridging.py [encode|record|publish ...]`.
 
 Prints one JSON line per case. Every figure is paired with its floor, the plain copy of the same
 bytes, measured in turn with it so that both meet the same neighbours:
