@@ -15,12 +15,14 @@ DRAIN = 1 << 28
 VALUES, DEEPEST = 50_000, 40
 """Largest number of values in the JSON of a request, and largest nesting depth."""
 HELD, SMALL = 128_000_000, 64_000
-"""Memory for incomplete bodies, and size up to which a body is received even above it [bytes]."""
-ODD = "This request cannot be read: it has too many values, or too many within each other."
+"""Limit of the memory for incomplete bodies, and size up to which a body is exempt from this limit
+[bytes]."""
+ODD = "This request cannot be read: it has too many values, or they are nested too deeply."
 
 
 class BodyLimit:
-    """Refuses bodies that are too large, whatever size they declare, and JSON with too many values.
+    """Refuses bodies that are too large, even if they declare no size, and JSON with too many
+    values.
 
     Gradio parses JSON in its main thread: three million numbers would block all visitors for a
     second.
@@ -129,7 +131,7 @@ def _too_large(said: str) -> PlainTextResponse:
 
 
 async def _drain(receive: Receive) -> None:
-    """Read and discard a body: a client that is still sending does not read the answer."""
+    """Read and discard a body, because a client reads the answer only when it has sent the body."""
     read, more = 0, True
     while more and read < DRAIN:
         message = await receive()

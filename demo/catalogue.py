@@ -24,9 +24,9 @@ from .source import SMALLER
 
 FOLDER = Path(__file__).parent
 FIRST = "press drop bounce wind spin push_right sway"
-"""Presets shown first; then all others by name, those named after a material last."""
+"""Presets shown first. All others follow by name; those named after a material come last."""
 TITLES = {"push_right": "Push"}
-"""Title of a preset's card, if its name is no title."""
+"""Preset -> title of its card, for presets whose names are unsuitable as titles."""
 READY = {
     "press": ("Duck, pressed", "duck"),
     "bounce": ("Chick, thrown", "chick"),
@@ -35,12 +35,12 @@ READY = {
     "land_on_cushion": ("Pear, cushion", "pear"),
     "bury": ("Chick, sand", "chick"),
 }
-"""Preset -> title and example picture of a finished result, which `make_previews` makes."""
+"""Preset -> title and example picture of its finished result, which `make_previews` creates."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
-"""Forces that the direction pad sets -> the field that it sets."""
+"""Force that the direction pad changes -> the field of the force that it sets."""
 LONGEST, LONGER = 20_000, 200
-"""Largest length of a scene as text [characters], and its increase per frame, because a saved live
-run has a position of the hand for each frame."""
+"""Largest length of a scene as text [characters], and its increase per frame. It increases because
+a saved live run has a position of the hand for each frame."""
 LISTS, PARTS = ("forces", "boundaries", "objects", "parts", "pairs"), 64
 """Fields of a scene that are lists -> the largest number of entries."""
 WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}
@@ -159,7 +159,7 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
 
 
 def check_length(field: str, data: Any, settings: Settings) -> None:
-    """Check the length of plain data as text.
+    """Check that plain data, written as text, is not too long.
 
     Args:
         field: Name of the data in error messages.
@@ -190,7 +190,7 @@ def _check_counts(data: dict[str, Any], settings: Settings) -> None:
 
 
 def _refuse_makers(scene: Scene) -> None:
-    """Refuse further objects from a generator or file, which would be read in this process.
+    """Refuse further objects from a generator or a file, because this process would read the file.
 
     Raises:
         InputError: The scene has such an object.
@@ -244,7 +244,7 @@ def check_most(limits: dict[str, tuple[int, int]]) -> None:
 
 
 def check_time(seconds: float, settings: Settings) -> None:
-    """Refuse a run of `seconds` on an idle machine if this exceeds the time limit.
+    """Refuse a run that exceeds the time limit; `seconds` is its time on an idle machine.
 
     Raises:
         InputError: The time limit is exceeded.

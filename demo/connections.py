@@ -18,7 +18,8 @@ except ImportError:  # Windows
     resource = None
 
 HEAD, BODY, STALLED = 20.0, 120.0, 60.0
-"""Longest time for a request's head, for its body, and for an answer that is not read [s]."""
+"""Longest time to receive a request's head, to receive its body, and to wait until an answer is
+read [s]."""
 FILES, UNLIMITED = 16_384, 512
 """Number of open files and connections that the page asks the system for, and the number assumed if
 the system has no such limit."""

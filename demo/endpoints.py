@@ -41,7 +41,7 @@ NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 
 
 class MeasureRequest(BaseModel):
-    """Arguments of /measure; each is checked where it is used, so that an error names it."""
+    """Arguments of /measure; each is checked where it is used, and an error names the argument."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -155,7 +155,7 @@ def _unpack(
 
 
 def _unread(component: Component) -> Any:
-    """Make a component pass on its value unchanged, for checks that name the argument."""
+    """Make a component pass on its value unchecked; later checks name the argument in errors."""
     component.preprocess = lambda payload: payload
     return component
 
@@ -246,7 +246,7 @@ def _cut_out(studio: Studio, name: str, asked: MeasureRequest) -> tuple[Scene, J
     with _refusing():
         changes = {} if asked.changes is None else asked.changes
         if not isinstance(changes, dict):
-            limit = "They must be an object of values by dotted path."
+            limit = "They must be an object that maps dotted paths to values."
             remedy = 'Give {"material.E": 20000}, for example.'
             raise InputError("changes", type(changes).__name__, limit, remedy)
         check_length("changes", changes, studio.settings)

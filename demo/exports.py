@@ -27,7 +27,7 @@ from .work import Done
 BRIDGE = __name__.partition("demo")[0] + "bridge"
 """Package name of the bridge: `bridge` in a checkout, `phy124_bridge` if installed."""
 TOGETHER = threading.BoundedSemaphore(2)
-"""Limits the number of conversions at the same time: each occupies a core for seconds."""
+"""Limits the number of simultaneous conversions, because each occupies a core for seconds."""
 TAIL = 60.0
 """Time limit for the bridge [s]."""
 
@@ -62,7 +62,7 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
 
 
 def check_size(kinds: Sequence[str], frames: int, gaussians: int, most: float) -> None:
-    """Refuse, before a run, formats that will exceed the disk space of a visitor.
+    """Refuse formats whose files would exceed a visitor's disk space; called before the run.
 
     Args:
         kinds: Names of the formats.
@@ -116,7 +116,7 @@ def _ply(done: Done, path: Path) -> None:
 
 
 def _mcap(done: Done, path: Path) -> None:
-    """Record with the bridge's command line, because page and bridge do not import each other."""
+    """Record with the bridge's command line, because the page must not import the bridge."""
     clip = (done.clip / "clip.safetensors").resolve()
     command = [sys.executable, "-m", BRIDGE, "record", str(clip), str(path.resolve())]
     root = Path(__file__).parents[1]

@@ -1,6 +1,6 @@
 """Optional inputs in addition to the front picture: other views, a depth map, a thickness, and
-whether to film the object in its photograph; for a file of Gaussians its orientation.
-Names, ranges and choices are those of the command line's options.
+whether to film the object in its photograph. A file of Gaussians has only its orientation as such
+an input. Names, ranges and choices are those of the command line's options.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class Photographed(Section):
 
     compose: bool = Field(
         default=False,
-        description="Film the object in the photograph as well, in place of itself, with its "
-        "shadow; takes longer.",
+        description="Also film the moving object inside its photograph, with its shadow; "
+        "takes longer.",
     )
 
 
@@ -108,10 +108,10 @@ class ExtraInputs:
         if isinstance(source, Cutout):
             _refuse(self.reading, "This option is only for a file of Gaussians.")
             return self
-        _refuse(self.depth, "A file of Gaussians needs none.")
+        _refuse(self.depth, "A file of Gaussians needs no depth.")
         _refuse(self.views, "A file of Gaussians has all sides already.")
         _refuse(self.photographed, "A file of Gaussians comes with no photograph.")
-        _refuse(self.making, "A file of Gaussians needs none.")
+        _refuse(self.making, "A file of Gaussians needs no generator.")
         up, front = self.reading.up, self.reading.front
         front = front or (None if up else source.axes.front)
         return replace(self, reading=Reading(up=up or source.axes.up, front=front))
@@ -164,7 +164,7 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
         InputError: An option has an invalid value, or names no upload of this visitor.
     """
     if not isinstance(values, dict | None):
-        limit = "It must be an object of values by option."
+        limit = "It must be an object that maps options to values."
         raise InputError("known", type(values).__name__, limit, 'Give {"thickness": 0.6}, say.')
     rest = {option: value for option, value in (values or {}).items() if value is not None}
     sent: dict[str, Path] = {}
@@ -177,7 +177,7 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
     film = {option: rest.pop(option) for option in Photographed.model_fields if option in rest}
     making = _validate(Making, {o: rest.pop(o) for o in Making.model_fields if o in rest})
     if making != NOT_CHOSEN and not is_present(making.generator):
-        limit = "This server does not have its weights."
+        limit = "This server does not have the generator's weights."
         raise InputError("generator", making.generator, limit, "Leave it out.")
     if "depth" in sent:
         depth["depth"] = str(sent.pop("depth"))
@@ -195,7 +195,7 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
 
 
 def _refuse(section: Section, why: str) -> None:
-    """Refuse a section with any option set; raises InputError."""
+    """Refuse a section if any of its options is set; raises InputError."""
     for option, value in section.model_dump(exclude_defaults=True).items():
         raise InputError(option, value, why, "Leave it out.")
 

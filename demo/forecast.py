@@ -28,7 +28,8 @@ from .studies import Measurement, on_grid
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 SET_UP = 0.4
-"""Time to set up a grid of a study and compare its motion, as a fraction of the rate `rest`."""
+"""Time for one grid of a study, to set it up and to compare its motion, as a fraction of the rate
+`rest`."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ class Estimator:
         self.learned.calibrate(self._alone(small), self._alone(usual))
 
     def _alone(self, run: Callable[[], Measured]) -> Measured:
-        """Run now; return the times, corrected for the load by other programs, and the scene."""
+        """Make a run; return its times, corrected for the load by other programs, and its scene."""
         before = self.meter.measure()
         report, scene = run()
         return _alone(report, before.mean(self.meter.measure())), scene

@@ -32,11 +32,12 @@ POLICY = (
     "base-uri 'self'; form-action 'self'; frame-ancestors {frames}"
 )
 INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
-"""Policy for all responses except the page, in case a browser opens one as a page."""
+"""Content security policy of all responses except the page; it applies if a browser opens one as a
+page."""
 COOKIE = "phy124"
 NAME = re.compile(r"[A-Za-z0-9_-]{32}")
 NETWORK = 64
-"""Length of the IPv6 prefix that a subscriber gets [bits]."""
+"""Length of the IPv6 prefix that a provider assigns to a subscriber [bits]."""
 
 
 class Doorkeeper:
@@ -82,7 +83,8 @@ class Doorkeeper:
         return _without_port(place) in self.origins or _usual(place) == _usual(host.lower())
 
     def _has_own_host(self, headers: Headers) -> bool:
-        """Return whether all host names of the request, including those from proxies, are ours.
+        """Return whether all host names in the request, including those added by proxies, are the
+        page's.
 
         Gradio writes the names from proxies into the page; they are therefore checked, too.
         """

@@ -64,7 +64,7 @@ class Studio:
     visitors: Visitors
     forecaster: Estimator = field(default_factory=lambda: Estimator(DEVICE.locked))
     work: Callable[[Order], Iterator[Any]] = steps
-    """Function that carries out an order; on ZeroGPU it is demo.zerogpu's."""
+    """Function that carries out an order; on ZeroGPU it comes from demo.zerogpu."""
     searches: deque[float] = field(default_factory=lambda: deque(maxlen=5))
     """Durations of the last segmentations [s]."""
     warm: threading.Event = field(default_factory=threading.Event)
@@ -383,7 +383,9 @@ class Studio:
         return stages_done(self.order((visitor, source, scene), self.check_extras(name, extras)))
 
     def _compiling(self, scene: Scene) -> float:
-        """Return the time to compile a scene's kernels [s]; 0 if a run may be doing this now."""
+        """Return the time to compile a scene's kernels [s]; 0 if a run may be compiling them
+        already.
+        """
         if self.forks or not DEVICE.acquire(blocking=False):
             return 0.0
         try:

@@ -33,7 +33,7 @@ SERVER = {
 
 
 SUBJECTS = {"image": "The file", "video": "The video", "depth": "The depth map"}
-"""Field of an error -> subject of the visitor's message, which does not show the field."""
+"""Field of an error -> subject of the visitor's message, in which it replaces the field."""
 
 
 class Job:

@@ -54,7 +54,7 @@ CLOSE = 0.72
 FILM = (800, 600)
 """Width and height of a finished result's film [pixels]."""
 PLAYERS, SPLATS = ("press", "bounce", "jelly"), 9_000
-"""Finished results with a player, and its number of Gaussians."""
+"""Presets whose finished results have a player, and number of Gaussians in each player."""
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ from .handlers.run import NO_PICTURE
 
 HEAD = '<script src="phy124/static/server.js"></script>'
 MARK = "mark"
-"""Key of the mark in a panel's value."""
+"""Key in a panel's value; its content differs between any two answers (see `mark_answers`)."""
 
 
 HEAD += '<script src="phy124/static/page.js"></script>'

@@ -1,4 +1,5 @@
-"""Components for uploads of programs; the uploads stay undecoded until the limits are checked.
+"""Components for the files that programs upload; files are decoded only after the limits are
+checked.
 
 Gradio itself would decode a picture before any check, fetch it from any URL, and accept data: URLs
 beyond its `max_file_size`.
@@ -26,7 +27,7 @@ FETCHES_NOTHING = "This page downloads nothing from an address. Send the file it
 
 
 class Sent(ImageData):
-    """A picture from a program; anything but a file is refused with a message."""
+    """A picture that a program sent; any value that is not a file is refused with a message."""
 
     name: ClassVar[str] = "image"
     """Name of the argument."""
@@ -69,7 +70,7 @@ def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
 
 
 class SentVideo(FileData):
-    """A video from a program; anything but a file is refused with a message."""
+    """A video that a program sent; any value that is not a file is refused with a message."""
 
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> SentVideo:
@@ -98,7 +99,7 @@ def film(**options: Any) -> gr.File:
 
 
 def _describe_as_file(component: Any, name: str) -> Any:
-    """Describe a component as a file without a URL in the API."""
+    """Describe a component in the API as a file, for which no URL is accepted."""
     example = {"path": name, "meta": {"_type": "gradio.FileData"}}
     component.api_info = FileData.model_json_schema
     component.example_payload = lambda: example

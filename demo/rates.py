@@ -18,9 +18,10 @@ from phy124.budget.cost import Rates, Work
 from phy124.scene import Scene
 
 READ = 0.2
-"""Time up to which the Gaussians count as read from a file, not generated [s]."""
+"""If making the Gaussians took at most this time, they count as read from a file, not as generated
+[s]."""
 SPREAD = 3.0
-"""Largest ratio of a learned cost to the cost measured at the start, or its inverse."""
+"""Largest factor by which a learned cost may be above, or below, the cost measured at the start."""
 WINDOW = 5
 """Number of runs from which the median is computed."""
 FIXED = 0.7
@@ -60,7 +61,7 @@ class Learned:
             self._seen = {name: deque([value] * 2, WINDOW) for name, value in costs.items()}
 
     def assume(self, rates: Rates, work: Work) -> None:
-        """Take rates as measured, where this process cannot measure any; runs correct them.
+        """Use these rates in a process that cannot measure any; finished runs correct them.
 
         Args:
             rates: The rates.

@@ -16,7 +16,7 @@ from pathlib import Path
 from phy124.errors import InputError
 
 EACH = 64
-"""Largest number of waiting uploads per address; the oldest are removed."""
+"""Largest number of waiting uploads per address; above it, the oldest are removed."""
 ARRIVED = 600.0
 """Longest time between an upload and the request that names it [s]."""
 

@@ -52,7 +52,8 @@ LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SWEEP = 5.0
 """Interval between two checks for visitors who have left [s]."""
 NAMES = ("NO_PROXY", "no_proxy")
-"""Environment variables for hosts without a proxy; programs read either of the two."""
+"""Environment variables that list the hosts to reach without a proxy; each program reads one of the
+two."""
 
 
 def prepare(settings: Settings, root: Path) -> None:
@@ -84,7 +85,7 @@ def check_address(settings: Settings) -> None:
             raise InputError("port", port, limit, remedy) from None
         if error.errno == errno.EACCES:
             limit = "This user may not listen there."
-            raise InputError("port", port, limit, "Give one from 1024 on.") from None
+            raise InputError("port", port, limit, "Give a port from 1024 on.") from None
         limit = "This machine cannot listen there."
         raise InputError(
             "host", host, limit, "127.0.0.1 admits only this machine, 0.0.0.0 every network."
@@ -241,7 +242,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
 
 
 def tool_routes(page: Any, studio: Studio) -> list[BaseRoute]:
-    """Return the routes of the tools for agents, if they are offered and can be."""
+    """Return the routes of the tools for agents; none if they are off or `mcp` is missing."""
     if not studio.settings.mcp:
         return []
     if find_spec("mcp") is None:

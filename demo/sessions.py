@@ -94,7 +94,9 @@ class Sessions(StateHolder):
                     self._remove(name)
 
     def _make_room(self, address: str) -> None:
-        """Remove a session of a full address: of an absent visitor, or of the visitor with most."""
+        """At the limit of an address, remove a session: an absent visitor's, or one of whoever has
+        most.
+        """
         origins = {k: origin for k, origin in self._origins.items() if origin.address == address}
         if len(origins) < ADDRESS:
             return

@@ -44,7 +44,7 @@ class Settings(Section):
         default=50_000,
         ge=1000,
         le=500_000,
-        description="Gaussians made of a picture, and largest number read from a file.",
+        description="Gaussians made from a picture, and largest number read from a file.",
     )
     max_upload_mb: float = Field(default=8, gt=0, le=1000, description="Largest picture [MB].")
     max_file_mb: float = Field(
@@ -91,7 +91,8 @@ class Settings(Section):
     )
     mcp: bool = Field(default=True, description="Offer the endpoints to agents (MCP server).")
     hosts: str = Field(
-        default="", description="More host names the page answers to, with commas; * for any."
+        default="",
+        description="Further host names of the page, separated by commas; * for any.",
     )
 
     @classmethod

@@ -169,7 +169,7 @@ def _describe(tool: str, name: str, files: set[str]) -> str:
 
 
 class ToolServer:
-    """Answers agents; each generate or measure without a run begins a visit of its own."""
+    """Answers agents; each call of generate, or of measure without a run, begins a new visit."""
 
     def __init__(self, page: gr.Blocks, studio: Studio) -> None:
         self.studio, self.tools = studio, tools(page)
@@ -194,7 +194,7 @@ class ToolServer:
             await manager.handle_request(scope, receive, send)
 
     def routes(self) -> list[BaseRoute]:
-        """Return the server's routes; the schema is what Hugging Face reads of a Space."""
+        """Return the server's routes; Hugging Face reads the route /schema of a Space."""
 
         async def schema(_: Request) -> JSONResponse:
             return JSONResponse([each.model_dump(mode="json") for each in await self._list()])
@@ -213,7 +213,7 @@ class ToolServer:
         ]
 
     async def _call(self, name: str, arguments: dict[str, Any]) -> types.CallToolResult:
-        """Call a tool; errors are sentences for the agent, and those of the server are logged."""
+        """Call a tool; the agent gets errors as sentences, and errors of the server are logged."""
         try:
             if name not in self.tools:
                 raise gr.Error(f"There is no tool {name[:40]}. Use {', '.join(self.tools)}.")
@@ -301,7 +301,7 @@ def _answer(text: str, data: dict[str, Any], *, failed: bool = False) -> types.C
 
 
 def _summary(result: Mapping[str, Any]) -> str:
-    """Return what an agent reads of a result: run, links, sentences; the rest is structured."""
+    """Return a result as text for the agent: run, links, sentences. All else is structured data."""
     lines = [f"run: {result['run']}"] if "run" in result else []
     lines += [str(result[name]) for name in ("sentence", "error") if result.get(name) is not None]
     lines += [f"[{Path(link).name}]({link})" for link in result.get("files", [])]

@@ -124,7 +124,9 @@ class Streams:
         """Open streams, the oldest first."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on; above the limit per cookie the oldest stream ends, else answer 429."""
+        """Pass a request on. Above the limit per cookie, end the oldest stream; above others,
+        answer 429.
+        """
         asked = scope["type"] == "http" and scope["method"] == "GET"
         if not asked or not STREAMED.match(scope["path"]):
             return await self.app(scope, receive, send)

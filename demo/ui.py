@@ -25,8 +25,8 @@ QUIET: dict[str, Any] = {
     "show_progress": "hidden",
     "api_visibility": "private",
 }
-"""Options of events that are answered at once. Gradio drops a further event until the previous one
-is answered, as a button that is pressed twice requires."""
+"""Options of events that are answered at once. Gradio drops further events until the first is
+answered, so a button that is pressed twice acts once."""
 EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
 """Options of events that must not be dropped, because each has different data."""
 LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}

@@ -1,5 +1,5 @@
-"""Warm up: load every kernel that the presets use, which spares the first visitor the wait, and
-measure this machine, which makes the first forecast right.
+"""Warm up before the first visitor: load every kernel that the presets use, to avoid a wait, and
+measure this machine, for an accurate first forecast.
 """
 
 from __future__ import annotations

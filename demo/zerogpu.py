@@ -1,4 +1,4 @@
-"""Run jobs on ZeroGPU, the shared GPUs of Hugging Face Spaces, for their forecast time.
+"""Run jobs on ZeroGPU, the shared GPUs of Hugging Face Spaces, reserved for the forecast time.
 
 ZeroGPU refuses a job whose declared duration exceeds the visitor's remaining quota (anonymous
 visitors have about 120 s a day), and ends a job that takes longer than declared. Therefore each job
@@ -20,7 +20,8 @@ from .progress import Done, Measured
 from .work import Order, steps
 
 MARGIN = 1.5
-"""Declared time relative to the forecast; a run simulates no frame after 70 % of it."""
+"""Declared time relative to the forecast; after 70 % of the declared time, no further frame is
+simulated."""
 SHORTEST = 15
 """Shortest declared time, which includes the start of the forked process [s]."""
 COMPILING = 20

@@ -123,7 +123,7 @@ def test_what_comes_after_the_scene_is_left_out(tmp_path, monkeypatch, seconds, 
     monkeypatch.setattr("demo.fits.video.isolated.run", lambda work, *given, **_: work(*given))
     path = filmed(tmp_path / "a.mp4")
     assert read_video(path, tmp_path / "out", seconds, speed, LONG).count == count
-    with pytest.raises(InputError, match="in which the video shows 1 picture"):
+    with pytest.raises(InputError, match="the video has only 1 picture in this time"):
         read_video(path, tmp_path / "out", 0.01, speed, LONG)
     path.write_bytes(b"\0\0\0\x20ftypisom" + bytes(99))
     with pytest.raises(InputError, match="not a readable video"):

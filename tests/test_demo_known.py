@@ -53,7 +53,7 @@ def test_generator_is_offered_if_the_server_has_weights(studio, monkeypatch):
             (visitor, duck, scene), studio.check_extras("a", {"generator": "triposr"})
         )
 
-    with pytest.raises(InputError, match="This server does not have its weights"):
+    with pytest.raises(InputError, match="This server does not have the generator's weights"):
         order()
     monkeypatch.setattr("demo.extras.is_present", lambda name: True)
     assert catalogue(studio.settings)["known"]["generator"]["enum"] == ["relief", "triposr"]
@@ -75,7 +75,7 @@ def test_generator_is_offered_if_the_server_has_weights(studio, monkeypatch):
         ({"compose": "yes, please"}, "compose = "),
         ({"colour": "red"}, "colour = "),
         ({"answer": {"option": "side"}}, "answer = "),
-        ([0.6], "known = .*object of values"),
+        ([0.6], "known = .*object that maps options"),
         ({"side": "/etc/passwd"}, "does not have this picture"),
         ({"back": str(DUCK)}, "does not have this picture"),
         ({"depth": ["duck.png"]}, "does not have this picture"),

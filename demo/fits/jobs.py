@@ -1,4 +1,4 @@
-"""Video-fitting jobs: one per visitor at a time, and a limit for the server."""
+"""Jobs that fit a result to a video: one per visitor at a time, and a limited number in total."""
 
 from __future__ import annotations
 
@@ -57,7 +57,8 @@ class Fits:
         self.line = Line("fit", workers=settings.max_fits, most=settings.max_queue)
 
     def offer(self, done: Done | None) -> dict[str, Any]:
-        """Forecast a fit of a result; return a sentence, and the range of its time budget [s].
+        """Forecast a fit of a result; return the forecast as a sentence, and the range of time
+        budgets [s].
 
         Raises:
             InputError: The result cannot be fitted here.
@@ -144,6 +145,8 @@ def _watch(job: Job, out: Path) -> None:
 
 
 def _folder(visitor: Visitor, done: Done, upload: Path, asked: FitOptions) -> Path:
-    """Return the folder of a fit; the same video gives the same folder, so a fit can continue."""
+    """Return the folder of a fit; the same video gives the same folder, so an interrupted fit
+    continues.
+    """
     options = asked.model_dump(exclude={"seconds"})
     return visitor.folder / "fits" / f"{done.clip.name}-{key(upload.read_bytes(), options)}"

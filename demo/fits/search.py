@@ -31,7 +31,7 @@ GAUSSIANS = 4000
 """Number of Gaussians from which outlines are computed."""
 NAME = "material.E"
 TIMES = 10.0
-"""Largest ratio of the stiffness of the result to that of the filmed object, or its inverse."""
+"""Largest factor by which the result may be stiffer, or softer, than the filmed object."""
 SOFTEST, STIFFEST = 1e3, 1e10
 """Range of the page's slider [Pa]."""
 PLAN, REPORT = "plan.json", "fit.json"

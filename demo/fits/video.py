@@ -105,7 +105,7 @@ def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: 
     # Rounding errors must not exclude the last picture.
     count = whole if fps is None else min(whole, math.floor(seconds * fps + 1e-3) + 1)
     if count < 2:
-        limit = f"The scene lasts {seconds:.2f} s, in which the video shows {count} picture."
+        limit = f"The scene lasts {seconds:.2f} s; the video has only {count} picture in this time."
         raise InputError("video", path.name, limit, "Choose more frames for the scene.")
     with staging(out) as folder:
         for number in range(count):

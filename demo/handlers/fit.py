@@ -116,16 +116,18 @@ def summarise(report: dict[str, Any]) -> list[str]:
     lines = [f"Softness: {_format(value['value'])} Pa ({low} to {high} Pa, 95 %); it was {was} Pa."]
     least, most = (_format(end) for end in value["limit"]["interval"])
     lines.append(
-        f"That is for the accuracy of this result. The material itself, without the error of the "
-        f"grid: {_format(value['limit']['value'])} Pa ({least} to {most} Pa)."
+        f"This value holds for the accuracy of this result. Without the error of the grid, the "
+        f"material has {_format(value['limit']['value'])} Pa ({least} to {most} Pa)."
     )
     if shown["before"] and shown["fitted"]:
         before, after = (_rms(shown[name]) for name in ("before", "fitted"))
-        lines.append(f"The outlines differ by {after:.2%} of a pixel; before by {before:.2%}.")
+        lines.append(
+            f"The outlines now differ by {after:.2%} of a pixel; before the fit, by {before:.2%}."
+        )
     if laid := shown["laid"]:
         lines.append(
-            f"The video's first picture was aligned with the object, scaled {laid['scale']:.2f} "
-            f"times; the outlines share {laid['shared']:.0%} of their area."
+            f"The video's first picture was scaled by {laid['scale']:.2f} and moved to match the "
+            f"object; the outlines share {laid['shared']:.0%} of their area."
         )
     lines += [f"{sum(report['runs'])} runs in {report['seconds']:.0f} s.", *report["notes"]]
     return lines

@@ -228,7 +228,9 @@ def on_prepare(studio: Studio) -> Handler:
         offered = {**takeaway_of(done), "asked": kind}
         if kind == SHARE:
             minutes = studio.settings.room.grace / 60
-            lasts = f"It works while this page is open, and {minutes:g} minutes longer."
+            lasts = (
+                f"The link works while this page is open, and for {minutes:g} minutes after that."
+            )
             link = f"phy124/shared/{visitor.share(path)}"
             return {**offered, "share": {"link": link, "lasts": lasts}}
         return {**offered, "file": path.name}

@@ -81,7 +81,7 @@ def with_stops(
     *,
     opened: bool = False,
 ) -> str:
-    """Format a forecast as its time, which opens a panel with the error and the accuracies.
+    """Format a forecast as its time; a click on the time opens a panel with error and accuracies.
 
     Args:
         studio: The state shared by all visitors.
@@ -125,7 +125,7 @@ def _error_line(
     extras: Any,
     promise: Promise,
 ) -> str:
-    """Format the error of a scene, with a button to measure it where it has not been measured."""
+    """Format the error of a scene; if it has not been measured, add a button that measures it."""
     kind = ' class="measured"' if promise.of_scene else ""
     line = f"<p{kind}>{describe_error(promise, 'Off')}</p>"
     if not promise.missing or promise.of_scene:
@@ -172,7 +172,7 @@ def on_generate(studio: Studio) -> Handler:
 
 
 def on_finer(studio: Studio) -> Handler:
-    """Handle "finer" of the report panel: run the motion that is shown at the next accuracy."""
+    """Handle "finer" of the report panel: run the displayed motion again, at the next accuracy."""
 
     def start(done: Done | None, request: gr.Request) -> tuple[Any, ...]:
         visitor = studio.visitors.find(visitor_of(request))

@@ -71,7 +71,7 @@ class Lattice:
 def _bound(
     gaussians: Gaussians, rest: NDArray, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
-    """Return the particles that carry the Gaussians, and eight carriers with weights for each."""
+    """Return the particles that carry Gaussians, and eight of them with weights per Gaussian."""
     nodes = np.arange(len(rest))
     near, weights = carriers(gaussians.means, rest)
     used = np.unique(near)

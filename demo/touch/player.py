@@ -29,8 +29,8 @@ REST = 0.25
 PREPARING = 120.0
 """Time limit for cutting out other views of the object [s]."""
 RATE = 1.6
-"""Real-time factor that the grid must reach, above 1 to leave time for a browser on the same
-machine; this makes the grid a tenth coarser."""
+"""Real-time factor that the grid must reach. It is above 1 to leave time for a browser on the same
+machine, which makes the grid a tenth coarser."""
 TEXT, BINDING, FRAME, SESSION = b"t", b"b", b"f", b"s"
 """First letters of messages: plain data for the page, a binding, a frame, a session."""
 HEAD = struct.Struct("<IIff")

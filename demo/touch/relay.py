@@ -44,9 +44,9 @@ SAYINGS = 32
 PARTING = 10.0
 """Time limit for sending the last sentence to a browser [s]."""
 BROKEN = "The live run failed. Start it again."
-IDLE = "It ended, because it was not touched for {:g} minutes."
+IDLE = "The live run ended, because it was not touched for {:g} minutes."
 OVER = "A live run lasts {:g} minutes here. Start another one."
-REPLACED = "It ended, because you started another one."
+REPLACED = "The live run ended, because you started another one."
 GONE = 4404
 """Close code of a socket without a live run."""
 WORDS = ("grab", "to", "release", "gravity", "soften", "speed", "pause", "reset", "save", "seen")
@@ -225,7 +225,7 @@ class Relay:
                 process.stdin.write(json.dumps(message).encode() + b"\n")
 
     def _acknowledge(self, count: Any) -> None:
-        """Note that the browser has rendered frame `count`, or skipped earlier frames."""
+        """Note that the browser has rendered frame `count`; it may have skipped earlier frames."""
         if isinstance(count, int):
             self._seen = min(max(count, self._seen), self._sent)
         self._news.set()

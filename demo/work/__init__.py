@@ -1,4 +1,4 @@
-"""The job of a click on Generate: cut-out -> Gaussians -> clip -> films, with stages as needed.
+"""The job that Generate starts: cut-out -> Gaussians -> clip -> films, without stages already done.
 
 The job of an order with grids is: cut-out -> Gaussians -> error of the scene.
 `steps` runs a job in a thread and yields events. When it is asked to stop, it raises `Cancelled`

@@ -61,7 +61,7 @@ def others_of(visitor: Visitor, scene: Scene) -> tuple[Other, ...]:
 
 
 def with_crops(scene: Scene, others: tuple[Other, ...]) -> Scene:
-    """Return the scene, with each of these objects' crop of its picture."""
+    """Return the scene, in which each of these objects has its crop of the picture."""
     objects = list(scene.objects)
     for other in others:
         with Image.open(other.cutout) as cutout:
