@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from phy124.accuracy.expectation import expect
 from phy124.accuracy.probe import min_cells
 from phy124.accuracy.promises import SPREAD, format_apart, format_percent, why_broken
-from phy124.accuracy.severity import motion_of
+from phy124.accuracy.severity import Motion, motion_of
 from phy124.budget.cost import USUAL, Rates
 from phy124.errors import Cancelled
 from phy124.io.clip import Clip
@@ -39,16 +39,27 @@ ON_LATTICE = 1.5
 """Factor on `AFFORDABLE` for lattices, on which the dynamics take half the time or less."""
 SAMPLE = 2000
 """Number of Gaussians whose motion is compared."""
-MPM, LATTICE = Rates(particle=7e-8), Rates(substep=2e-4, particle=5.5e-8)
+MPM, LATTICE = Rates(particle=7e-8), Rates(substep=2.6e-4, particle=3.6e-8)
 RATES = {
     "mpm": (MPM, MPM),
-    "lattice": (Rates(substep=4e-4, particle=4e-8), LATTICE),
+    "lattice": (Rates(substep=4.2e-4, particle=2.1e-8), LATTICE),
     "cuda": (USUAL["cuda"], USUAL["cuda"]),
 }
 """Rates of a run and of its companion with each solver of elastic objects on a CPU, and on a GPU.
-On a lattice, the checks and shapes of a run's frames are a large part of the time of its substeps.
+On a lattice, the checks of a run's frames are a large part of the time of its substeps.
 """
-PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.07, 0.0, 1.2e-5), "cuda": (0.045, 3e-7, 0.0)}
+EFFORT: dict[Motion, float] = {
+    "squeezed": 2.2,
+    "landing": 1.55,
+    "standing": 1.55,
+    "held": 0.9,
+    "free": 2.4,
+}
+"""Kind of motion -> time of a substep on lattices, relative to the rates.
+
+Contact takes time, and so do measurements of the frequency of what is strained.
+"""
+PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.044, 0.0, 1e-5), "cuda": (0.045, 3e-7, 0.0)}
 """Time to prepare a companion [s]: in total, per Gaussian and per particle of the companion."""
 COARSEST = 6
 """Minimum number of cells across the object on the companion's grid."""
@@ -212,11 +223,11 @@ def forecast(run: Simulation, substeps: int, particles: int | None = None) -> fl
     """
     kind = run.scene.solver if run.device == "cpu" else "cuda"
     (rates, bare), (once, each, point) = RATES[kind], PREPARING[kind]
-    substeps = max(substeps, 1)
     if particles is None:
         particles = count_particles(run.setup)
-    dynamics = substeps * (rates.substep + rates.particle * len(run.setup.particles))
-    companion = RATIO * substeps * (bare.substep + bare.particle * particles)
+    taken = max(substeps, 1) * (EFFORT[motion_of(run.scene)] if kind == "lattice" else 1.0)
+    dynamics = taken * (rates.substep + rates.particle * len(run.setup.particles))
+    companion = RATIO * taken * (bare.substep + bare.particle * particles)
     preparing = once + each * len(run.setup.gaussians) + point * particles
     return (preparing + companion) / dynamics
 
