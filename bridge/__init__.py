@@ -5,4 +5,4 @@ each sink imports its own library when it is opened.
 """
 
 PROGRAM = "python -m bridge" if __name__ == "bridge" else "phy124-bridge"
-"""The command to type: in a checkout, or if this folder is installed as `phy124_bridge`."""
+"""The command to type; it differs between a checkout and an installed `phy124_bridge`."""

@@ -12,13 +12,13 @@ from contextlib import contextmanager
 
 STOPPED = "bridge: stopped\n"
 ALWAYS = ("SIGINT",)
-"""Signals that end a node even if its parent ignores them: `ros2 launch` relies on SIGINT."""
+"""Signals that end a node even if its parent process ignores them; `ros2 launch` sends SIGINT."""
 
 
 # Import only light modules above: until `importing` runs, Ctrl-C would show a traceback.
 @contextmanager
 def importing(status: int, text: str = "") -> Iterator[None]:
-    """End the process at once at Ctrl-C or SIGTERM within this context, with a status and a text.
+    """Within this context, Ctrl-C or SIGTERM ends the process at once, with a status and a text.
 
     A KeyboardInterrupt could get lost, because some libraries catch it during their import.
     """

@@ -1,4 +1,4 @@
-"""Backends that publish frames live: rclpy where ROS 2 is installed, otherwise DDS; or Foxglove.
+"""Backends that publish frames live: rclpy if ROS 2 is installed, else DDS; Foxglove on request.
 
 A package adds a backend with an entry point `phy124.sinks` (docs/guide/extending-files.md).
 """
@@ -33,7 +33,8 @@ REQUIREMENTS: dict[str, Callable[[], None]] = {
 }
 """Outlet -> function that raises InputError if the package that the outlet needs is missing."""
 AUTOMATIC = ("rclpy", "dds")
-"""Backends that `auto` tries in this order; it uses only one, or frames would arrive twice."""
+"""Backends that `auto` tries in this order; it uses only one, because through two, each frame would
+arrive twice."""
 
 
 def sink_names() -> list[str]:
@@ -120,7 +121,7 @@ def _refuse_unsuitable(backend: str, network: bool, clock: bool, ros_args: Seque
         limit = "ROS_AUTOMATIC_DISCOVERY_RANGE sets how far a ROS 2 node reaches."
         raise InputError("network", network, limit, "Leave it out.")
     if ros_args and backend != "rclpy":
-        limit = f"The backend {backend} is no ROS 2 node."
+        limit = f"The backend {backend} is not a ROS 2 node."
         raise InputError("--ros-args", " ".join(ros_args[1:]), limit, "Use rclpy, or leave it out.")
     if clock and backend != "rclpy":
         limit = f"The backend {backend} does not publish /clock."

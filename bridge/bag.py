@@ -75,7 +75,7 @@ def recorded_files(path: Path) -> list[Path]:
         InputError: The recording is a bag of sqlite3, or there is no recording.
     """
     if path.suffix == SQLITE or any(path.glob(f"*{SQLITE}")):
-        limit = "It is a bag of sqlite3, but only MCAP is supported."
+        limit = "It is a bag in sqlite3 format, but only MCAP is supported."
         text = "{output_bags: [{uri: NEW, storage_id: mcap, all_topics: true}]}"
         remedy = f"Write `{text}` to mcap.yaml, then run `ros2 bag convert -i {path} -o mcap.yaml`."
         raise InputError("recording", path, limit, remedy)
@@ -124,7 +124,7 @@ def metadata_yaml(file: str, counts: Counts) -> str:
 
 
 def describe(writer: Writer, file: str, counts: Counts) -> None:
-    """Write the same metadata into the .mcap file, for ROS 2 to read without metadata.yaml."""
+    """Write the same metadata into the .mcap file; ROS 2 can then read it without metadata.yaml."""
     writer.add_metadata(OWN_RECORD, {"serialized_metadata": _information(file, counts)})
 
 
@@ -159,7 +159,7 @@ def _topic_entry(topic: Topic, count: int) -> str:
 
 
 def _qos(topic: Topic, *, numbers: bool) -> str:
-    """Return a YAML list with one profile; rosbag2 has numbers in channels, words in the file."""
+    """Return a YAML list with one profile: in numbers for channels, in words for metadata.yaml."""
     form = 0 if numbers else 1
     reliability = (1, "reliable") if topic.reliable else (2, "best_effort")
     durability = (1, "transient_local") if topic.transient_local else (2, "volatile")

@@ -110,7 +110,7 @@ def _message(name: str) -> Encoder:
     def encode_message(body: _Body, value: Any) -> None:
         if not isinstance(value, Mapping):
             if len(set(flat)) != 1:
-                raise ValueError(f"a {name} is given by member names")
+                raise ValueError(f"a {name} must be a mapping of member names to values")
             body.pack(layout, layout.size // len(flat), *value)
             return
         if not value.keys() <= known:

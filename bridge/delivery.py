@@ -15,7 +15,7 @@ LONGEST_WAIT = 1.0
 FAREWELL = 2.0
 """Longest time that an ending publisher waits for acknowledgements of the last frames [s]."""
 STEP = 0.02
-"""Longest wait between two updates of the clock, in which Ctrl-C is noticed, too [s]."""
+"""Longest wait between two updates of the clock, after which Ctrl-C is noticed, too [s]."""
 IN_BUFFERS = 1 << 20
 """Unacknowledged data that is assumed to have arrived [bytes]: acknowledgements may take 100 ms
 (Cyclone's heartbeat), and this much fits into the default buffers of a subscriber."""
@@ -62,7 +62,8 @@ class Delivery:
         self._patient, self._stuck = patient, not patient
 
     def before_frame(self, size: int) -> None:
-        """Wait if the next frame would displace one; a hanging subscriber delays only one frame.
+        """Wait if the frame would displace an unacknowledged one; a subscriber that hangs delays
+        one.
 
         Args:
             size: Size of the frame [bytes].

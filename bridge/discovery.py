@@ -78,7 +78,7 @@ class Discovery:
             reach, peers = "LOCALHOST", ()
         if network and reach in ("LOCALHOST", "OFF"):
             limit = f"The environment restricts discovery to this machine (range {reach})."
-            remedy = f"`unset {LOCALHOST_ONLY}` and `export {RANGE}=SUBNET`, or leave it out."
+            remedy = f"`unset {LOCALHOST_ONLY}` and `export {RANGE}=SUBNET`, or leave network out."
             raise InputError("network", network, limit, remedy)
         if peers and reach in ("OFF", "SYSTEM_DEFAULT"):
             log.warning("%s is ignored in the range %s.", PEERS, reach)
@@ -137,7 +137,7 @@ def domain_id() -> int:
     text = os.environ.get(DOMAIN) or "0"
     if not text.isdecimal() or int(text) > LAST_DOMAIN:
         limit = f"A domain is a whole number from 0 to {LAST_DOMAIN}."
-        raise InputError(DOMAIN, text, limit, "Set it to one, or unset it.")
+        raise InputError(DOMAIN, text, limit, "Set the variable to such a number, or unset it.")
     return int(text)
 
 
@@ -158,7 +158,7 @@ def _peers() -> tuple[str, ...]:
 
 @contextmanager
 def tuned_cyclone() -> Iterator[None]:
-    """Let a domain of Cyclone DDS that rclpy creates in this context have the settings `BUFFERS`.
+    """Within this context, domains of Cyclone DDS that rclpy creates get the settings `BUFFERS`.
 
     A user's CYCLONEDDS_URI takes precedence. Other middlewares ignore the variable.
     """

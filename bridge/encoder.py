@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 
 class FrameEncoder:
-    """Encodes frames as messages according to `options`; logs omissions once, unless `quiet`."""
+    """Encodes frames as messages by `options`; warns once of data left out, unless `quiet`."""
 
     def __init__(self, options: Options, *, quiet: bool = False) -> None:
         if options.draco:

@@ -33,7 +33,7 @@ LATER: dict[str, dict[str, Any]] = {
         "set_acceleration": bool,
     }
 }
-"""Request -> members that version 2 of its package, that of Lyrical, has after the others."""
+"""Request -> members that version 2 of its package, which Lyrical has, appends to the others."""
 
 
 @cache
@@ -44,7 +44,7 @@ def idl_type(name: str) -> type[IdlStruct]:
 
 @cache
 def service_type(name: str) -> type[IdlStruct]:
-    """Return the type of a service's request or response, after rmw_cyclonedds_cpp's header.
+    """Return the type of a service's request or response, with rmw_cyclonedds_cpp's header first.
 
     Requests may also have the flags of `LATER`.
     """

@@ -145,7 +145,9 @@ def _optional(package: str, lacking: str) -> str:
 
 
 def _beside_ros(name: str, module: str, newest: int) -> str:
-    """Describe the version that a node would import, and whether ROS 2's packages accept it."""
+    """Describe the version of a package that a node imports, and whether ROS 2's packages accept
+    it.
+    """
     spec = find_spec(module)
     if spec is None or spec.origin is None:
         return f"{name}: not installed"

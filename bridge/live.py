@@ -179,7 +179,7 @@ class Pacer:
         self.shown, self.position = self.shown + 1, frame.time
 
     def stamp_at(self, now: float) -> float:
-        """Return the time of the newest frame [s], because later times are not computed yet."""
+        """Return the time of the newest frame [s], the latest that has been computed."""
         del now
         return self.position
 

@@ -42,7 +42,9 @@ def main(args: list[str] | None = None) -> None:
 
 
 class Work:
-    """What a managed node does in each state; callbacks change the state, `run` acts."""
+    """The work of a managed node: callbacks change its state, and `run` acts according to the
+    state.
+    """
 
     def __init__(self, node: Any) -> None:
         """Declare the parameters of a node; raises InputError for a wrong value."""

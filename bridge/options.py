@@ -15,9 +15,8 @@ from .layout import Profile
 
 LIVE_PROFILE: Profile = "viz"
 LIVE_POINTS = 32_768
-"""Gaussians per frame that subscribers with default settings receive at 30 Hz
-
-(docs/guide/ros2-messages.md)."""
+"""Gaussians per frame that subscribers with default settings receive at 30 Hz (see
+docs/guide/ros2-messages.md)."""
 LIVE_SPLATS = 8_192
 """Largest number of Gaussians per frame in the profile `splats`, of 384 bytes each."""
 Image = Literal["rgb", "depth", "mask", "flow", "jpeg", "h264"]
@@ -97,7 +96,7 @@ class Options(Section):
     @classmethod
     def _tf2_name(cls, value: str) -> str:
         if value.startswith("/"):
-            raise ValueError("tf2 refuses frame names that begin with a slash. Leave it out.")
+            raise ValueError("tf2 refuses frame names that begin with a slash. Omit the slash.")
         return value
 
     @field_validator("rotation")
@@ -137,14 +136,14 @@ class Options(Section):
         usual = type(self).model_fields["images"].default
         if self.images != usual and not self.views and self.cameras is None:
             raise ValueError(
-                "Images are sent of cameras, and no camera is chosen. Choose some with views or "
+                "Images show what cameras see, but no camera is chosen. Choose some with views or  "
                 "cameras, or leave images out."
             )
         return self
 
     @property
     def camera_names(self) -> tuple[str, ...]:
-        """Names of the cameras, as in the names of their topics; ROS allows no hyphens and dots.
+        """Names of the cameras in topics, where ROS allows no hyphens or dots.
 
         Raises:
             InputError: The file of cameras cannot be read.
@@ -183,7 +182,7 @@ def azimuth(view: str) -> float | None:
 
 
 def camera_name(side: str) -> str:
-    """Return the name of a camera in topics and frames, where ROS allows no hyphens and dots."""
+    """Return the name of a camera in topics and frames, where ROS allows no hyphens or dots."""
     return re.sub(r"\W", "_", side)
 
 

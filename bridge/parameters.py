@@ -80,14 +80,14 @@ Each field of a section is a parameter.
 
 
 def _start(field: FieldInfo) -> Any:
-    """Return the initial value of a field's parameter: 0 or empty for None, which ROS lacks."""
+    """Return the initial value of a field's parameter; 0 or "" stands for None, which ROS lacks."""
     if field.default is None:
         kinds = get_args(field.annotation)
         return 0 if int in kinds else 0.0 if float in kinds else ""
     return field.default
 
 
-CLOCK = {"clock": Parameter(False, "Publish /clock at 40 Hz; nothing else must publish it then.")}
+CLOCK = {"clock": Parameter(False, "Publish /clock at 40 Hz; no other node must publish it then.")}
 CLIP = {"clip": Parameter("", "A clip.safetensors made by phy124."), **CLOCK}
 SIMULATED = {
     "source": Parameter("", "A picture or a file of Gaussians."),
@@ -224,7 +224,7 @@ class Running:
                 self._node.set_parameters([RosParameter(name, value=values[name])])
 
     def _keep_types(self, asked: list[Any]) -> list[Any]:
-        """Replace numbers by those of the declared type; `_check` refuses other wrong values."""
+        """Convert numbers to the declared type; `_check` refuses values of any other type."""
         from rclpy.parameter import Parameter as RosParameter
 
         kept = []
@@ -285,7 +285,8 @@ KINDS: dict[type, tuple[str, Callable[[Any], Any]]] = {
     tuple: ("a list of numbers", _numbers),
     list: ("a list of texts", _texts),
 }
-"""Type of the default -> its name in messages, and its conversion (None: the wrong type)."""
+"""Type of the default -> its name in messages, and its conversion, which returns None for a value
+of the wrong type."""
 
 
 def _example(default: Any) -> str:

@@ -239,7 +239,7 @@ class Player:
         self._rebase(first, again + missed * period / self.speed)
 
     def _splice(self, time: float) -> None:
-        """Continue the time stamps one interval after the last, although the clip's time jumps."""
+        """At a jump of the clip's time, let the next time stamp follow the last by one interval."""
         if self._stamp is not None:
             self._offset = self._stamp + self.interval - time
         self._shown_at = -math.inf

@@ -100,7 +100,7 @@ class RosHandler(logging.Handler):
         self._logger = logger
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Log a record. Each level needs its own call: rclpy ties a severity to a caller."""
+        """Log a record. Each level has its own call: rclpy allows one level per calling line."""
         text = self.format(record)
         if record.levelno >= logging.CRITICAL:
             self._logger.fatal(text)

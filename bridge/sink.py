@@ -69,7 +69,7 @@ class LiveSink(Sink, Protocol):
 
     @property
     def start(self) -> float:
-        """Time of the first frame in time stamps [s since 1970]."""
+        """Time stamp of the first frame [s since 1970]."""
         return 0.0
 
     def show(self, playback: Playback) -> None:

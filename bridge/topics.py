@@ -57,7 +57,7 @@ DIAGNOSTICS = Topic(
     "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", depth=10, transient_local=False
 )
 COMMAND = Topic("/phy124/command", "std_msgs/msg/String", depth=10, transient_local=False)
-"""Subscribed to, not published; `live.command` defines the commands."""
+"""The bridge subscribes to this topic; `live.command` defines the commands."""
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", depth=100, transient_local=False)
 PUSH = Topic("~/push", "geometry_msgs/msg/WrenchStamped", depth=64, transient_local=False)
 GRAB = Topic("~/grab", "geometry_msgs/msg/PointStamped", depth=10, transient_local=False)

@@ -142,7 +142,7 @@ def test_wrong_content_is_refused():
         encode("std_msgs/msg/Header", {"stamp": {"sec": 2**31}})
     with pytest.raises(ValueError, match="data has 3 values, wanted 16"):
         encode("rmw_dds_common/msg/Gid", {"data": bytes(3)})
-    with pytest.raises(ValueError, match="given by member names"):
+    with pytest.raises(ValueError, match="must be a mapping of member names"):
         encode("builtin_interfaces/msg/Time", (1, 2))
 
 

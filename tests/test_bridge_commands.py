@@ -133,7 +133,7 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         (["record", "CLIP", "--parent-frame", "phy124"], "cannot be its own parent"),
         (["play", "CLIP", "--speed", "0"], "speed = 0.0: The speed must lie between"),
         (["play", "CLIP", "--clock", "--backend", "dds"], "does not publish /clock"),
-        (["play", "CLIP", "--backend", "dds", "--ros-args", "-p", "a:=1"], "is no ROS 2 node"),
+        (["play", "CLIP", "--backend", "dds", "--ros-args", "-p", "a:=1"], "is not a ROS 2 node"),
         (
             ["info", "CLIP", "--ros-args", "-p", "a:=1"],
             "Only `play` and `live` take arguments for ROS 2",

@@ -11,7 +11,7 @@ from bridge.options import LIVE_POINTS, Options, angles, quaternion
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        ({"frame_id": "/map"}, "begin with a slash. Leave it out"),
+        ({"frame_id": "/map"}, "begin with a slash. Omit the slash"),
         ({"frame_id": "map"}, "cannot be its own parent. Rename one"),
         ({"rotation": (0, 0, 0, 0)}, "Use 0 0 0 1 for no rotation"),
         ({"rotation": (0, 1)}, "x y z w, or roll pitch yaw"),

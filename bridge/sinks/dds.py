@@ -263,7 +263,7 @@ def require_cyclonedds() -> None:
 
 
 def _domain(domain: int, discovery: Discovery) -> Any:
-    """Create the configured DDS domain; the last configuration requires least of the machine."""
+    """Create a DDS domain with the first usable configuration; the last one requires least."""
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain
 

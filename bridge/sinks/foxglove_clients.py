@@ -146,7 +146,7 @@ class Clients:
 
 
 def _wake(obey: Obey) -> None:
-    """Do nothing; the job wakes the thread that waits for jobs, which then reads the messages."""
+    """Do nothing. As a job, this wakes the thread that waits for jobs and reads the messages."""
     del obey
 
 

@@ -166,7 +166,7 @@ class RclpySink:
         self._reports.change(playback)
 
     def _declare(self, values: dict[str, Any]) -> None:
-        """Declare missing parameters; values from --ros-args are carried out as commands."""
+        """Declare missing parameters, and apply the values that --ros-args gives them."""
         new = {
             name: replace(parameter, default=values[name])
             for name, parameter in self._parameters.items()
@@ -213,7 +213,7 @@ class RclpySink:
         return self._publishers[topic].wait_for_all_acked(Duration(seconds=seconds))
 
     def _depth(self) -> float:
-        """Return the number of frames that the writer keeps, after `qos_overrides`."""
+        """Return the number of frames that the writer keeps, with `qos_overrides` applied."""
         profile = self._publishers[self._encoder.main.name].qos_profile
         return math.inf if profile.history.name == "KEEP_ALL" else profile.depth
 

@@ -117,7 +117,9 @@ class Entities:
         }
 
     def set_state(self, request: Any) -> dict[str, Any]:
-        """Move an entity as a rigid body (SetEntityState); without flags, as in 1.x, all of it."""
+        """Move an entity as a rigid body (SetEntityState); a request of 1.x has no flags: all is
+        set.
+        """
         name, state = request.entity, request.state
         before = self._motions.get(name)
         if before is None:
@@ -165,7 +167,7 @@ class Entities:
         return result(Code.NOT_FOUND, f"There is no {name!r}, only {', '.join(self._motions)}.")
 
     def _overlapping(self, bounds: Any) -> set[str] | None:
-        """Return the entities of which a point is within bounds; None: all."""
+        """Return the entities with at least one point within the bounds; None if all match."""
         if bounds.type == EMPTY:
             return None
         first, second = (np.array([p.x, p.y, p.z]) for p in bounds.points[:2])

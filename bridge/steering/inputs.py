@@ -26,9 +26,9 @@ import math
 import time
 
 MOST = 32
-"""Largest number of coordinate frames with a wrench between two frames of the run."""
+"""Largest number of coordinate frames in which wrenches may act between two frames of the run."""
 READER_DEPTH = 100
-"""Depth of the reader of /tf_static, because each publishing node has a message there."""
+"""Queue depth of the reader of /tf_static; each publishing node keeps a message there."""
 EVERY = 1.0
 """Shortest interval between two lines of the log [s]: peers may send thousands of messages."""
 log = logging.getLogger(__name__)

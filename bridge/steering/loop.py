@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from phy124.live import Live
 
 IDLE = 3
-"""Number of reads without a message after which no message is assumed to wait."""
+"""After this number of reads without a message, no message is assumed to be waiting."""
 READING, SHARE = 0.02, 0.25
-"""Longest time for reading before a frame [s], or share of the time since the last reading, if that
-is longer. A slower run has more messages to read."""
+"""Reading before a frame takes at most this time [s], or this share of the time since the last
+reading if the share is longer. A slower run has more messages to read."""
 FLOOD = "Messages arrive faster than they are read: only the newest of each topic are kept."
 
 

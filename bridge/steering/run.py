@@ -33,7 +33,7 @@ MOST_STEPS = 100_000
 
 
 GRAB_SECONDS, OLDEST_STAMP = 60.0, 2.0
-"""Default of the time after which a grab ends, and of the largest age of a message [s]."""
+"""Defaults of the time after which a grab ends, and of the largest age of a message [s]."""
 
 
 def checked_duration(name: str, seconds: float) -> float:
@@ -83,7 +83,7 @@ class SteeredRun:
         """
         self.live, self.remarks = live, Remarks()
         self.epoch = options.epoch or 0.0
-        """Time of the start in time stamps [s since 1970]."""
+        """Time stamp of the start [s since 1970]."""
         self.inputs = Inputs(
             live,
             options,

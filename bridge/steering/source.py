@@ -32,10 +32,12 @@ class SteeredOptions(LiveOptions):
     """Preset (see `phy124 scenes`) or path of a .toml file; default: the scene of the clip, or
     drop."""
     threads: int | None = None
-    """CPU threads of the simulation; default: one per free core, as far as there is work."""
+    """CPU threads of the simulation; default: one per free core, or fewer if there is little
+    work."""
     max_error: float | None = None
-    """Largest error bound, as a fraction of the object's size: the coarsest grid that meets it is
-    used, even if it is too slow; default: the finest grid that is fast enough."""
+    """Largest error bound, as a fraction of the object's size. The coarsest grid that meets it is
+    used, even if that grid is too slow for real time. Default: the finest grid that is fast
+    enough."""
 
 
 def make_live(

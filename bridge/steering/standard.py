@@ -40,7 +40,7 @@ class Feature(IntEnum):
 SCOPE_TIME, SCOPE_STATE = 1, 2
 """Bits of the scope of ResetSimulation."""
 EVERYTHING = (0, 255)
-"""Scopes that mean all of it, SCOPE_DEFAULT and SCOPE_ALL."""
+"""Scopes that mean both time and state: SCOPE_DEFAULT and SCOPE_ALL."""
 
 
 class Standard:
