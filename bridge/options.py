@@ -136,7 +136,7 @@ class Options(Section):
         usual = type(self).model_fields["images"].default
         if self.images != usual and not self.views and self.cameras is None:
             raise ValueError(
-                "Images show what cameras see, but no camera is chosen. Choose some with views or  "
+                "Images show what cameras see, but no camera is chosen. Choose some with views or "
                 "cameras, or leave images out."
             )
         return self

@@ -73,7 +73,7 @@ WEIGHTS = {name: package.WEIGHTS for package in NEURAL for name in package.GENER
 
 
 def is_present(name: str) -> bool:
-    """Whether a generator with a trained network has all that it needs; False if it cannot say."""
+    """Whether a generator has all that its trained network needs; False if this is unknown."""
     package = next((package for package in NEURAL if name in package.GENERATORS), None)
     return bool(getattr(package, "is_present", lambda: False)())
 

@@ -38,9 +38,9 @@ FORM = re.compile(r"cmd(?:\s+(?P<seconds>[0-9.]+))?\s*:\s*(?P<words>.*)", re.DOT
 LONGEST = 1800.0
 """Default time limit of a command [s]."""
 BEAT = 0.2
-"""Interval at which the end of the command and cancellation are checked [s]."""
+"""Interval between two checks whether the command has ended or the run is cancelled [s]."""
 LONGEST_MESSAGE = 300
-"""Number of characters, from the end of a failed command's output, in the error message."""
+"""Number of characters that the error message shows from the end of a failed command's output."""
 USAGE = 'Write "cmd: PROGRAM {image} {out}"; {seed} is a number, `cmd 120:` a limit in seconds.'
 
 

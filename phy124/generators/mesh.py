@@ -43,16 +43,17 @@ MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
 """Time limit for reading a mesh."""
 COUNT, OBJECT_COUNT = 24_000, 50_000
-"""Approximate number of Gaussians of a further object of a scene, enough to make edges look
-straight, and of the first object."""
+"""Approximate numbers of Gaussians: of a further object of a scene, where they are enough to make
+edges look straight, and of the first object."""
 GREY = (0.7, 0.7, 0.7)
 """Colour of a mesh without colours."""
 FAR = 100.0
-"""Distance from the origin, in sizes of a mesh, from which float32 positions are inexact."""
+"""If a mesh is farther from the origin than this multiple of its size, float32 positions are
+inexact."""
 LARGEST_HEADER = 1 << 20
 """Number of leading bytes that are examined to recognise a mesh."""
 SMALLEST = 1e-6
-"""Smallest area of a mesh divided by its longest side squared."""
+"""Smallest area of a mesh, relative to the square of its longest side."""
 Drawn = tuple[NDArray[np.float64], NDArray[np.float64], "NDArray[np.float64] | None"]
 """Points [N,3], outward normals [N,3], and colours [N,3] in 0..1, or None without colours."""
 
@@ -139,7 +140,7 @@ class _About(NamedTuple):
 
 
 def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[Gaussians, _About]:
-    """Cover a mesh with about `count` Gaussians, in the axes of phy124, with a longest side 1."""
+    """Cover a mesh with about `count` Gaussians, in the axes of phy124, with longest side 1."""
     _refuse(path)
     kind = _kind(path)
     drawn, coarse = _read_apart(path, _read, str(path), kind, seed, count)
@@ -153,7 +154,7 @@ def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[
 
 
 def _read_apart(path: Path, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function that reads a mesh in a separate process, with a time limit.
+    """In a separate process with a time limit, call a function that reads a mesh.
 
     Raises:
         InputError: If the function takes too long or raises ValueError("limit; remedy").
@@ -233,7 +234,7 @@ def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | Non
 
 
 def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
-    """Return the pieces of a mesh, in place, with only the vertices that triangles use.
+    """Return the pieces of a mesh, placed in the scene, with only the vertices of their triangles.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".
@@ -246,7 +247,7 @@ def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
 
 
 def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
-    """Return the pieces of a mesh that have triangles, in place, and the shapes in its file.
+    """Return a mesh's pieces that have triangles, placed in the scene, and the file's shapes.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".
@@ -288,7 +289,7 @@ def _load(path: str, kind: str) -> Any:
 
 
 def _legible(path: str) -> BytesIO:
-    """Return the content of a PLY without blank lines and comments that are not UTF-8."""
+    """Return the content of a PLY without blank lines, and without comments that are not UTF-8."""
     head, end, body = Path(path).read_bytes().partition(b"end_header")
     lines = [line for line in head.splitlines() if line.strip() and _is_text(line)]
     if b"format ascii 1.0" in lines:

@@ -102,7 +102,7 @@ class Opened(NamedTuple):
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin of the Gaussians' coordinates, in the file's axes and unit."""
     coarse: bool = False
-    """Whether the file's positions have too little precision at the object's distance from 0."""
+    """Whether the object is so far from the origin that the file's positions are imprecise."""
 
 
 @dataclass(frozen=True)

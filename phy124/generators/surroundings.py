@@ -20,7 +20,8 @@ SAMPLE = 100_000
 MOST = 0.8
 """Fraction of the visible area, or of the inner Gaussians, that counts as the object."""
 SMALL = 0.3
-"""Largest ratio of the object's longest side to the bounding box's if the rest is background."""
+"""If the object's longest side, divided by the bounding box's, is at most this, the rest is
+background."""
 AROUND = 1.25
 """Size of the recommended crop box relative to the object."""
 TAIL = 1e-3
@@ -28,7 +29,7 @@ TAIL = 1e-3
 ROUNDS = 4
 """Number of iterations that refine the centre of the object."""
 FAR = 3.0
-"""Smallest ratio of a sky's distance from the centre to the radius that contains the fraction
+"""Smallest distance of a sky from the centre, relative to the radius that contains the fraction
 `MOST` of the Gaussians inside the sky."""
 THIN = 0.2
 """Largest standard deviation of the distances of a sky's Gaussians, relative to their mean."""

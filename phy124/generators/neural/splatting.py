@@ -1,4 +1,4 @@
-"""A differentiable rasteriser of 3D Gaussians, which fits them to images.
+"""A differentiable rasteriser of 3D Gaussians, used to fit Gaussians to images.
 
 Kerbl et al. 2023, "3D Gaussian Splatting"; the projection follows Zwicker et al. 2002 (EWA). This
 reference implementation is plain torch, tile by tile, and suits small images and gradients on the

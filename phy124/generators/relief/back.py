@@ -20,10 +20,10 @@ from phy124.generators.relief.height import nearest_of
 Field = NDArray[np.float64]
 BackLook = Literal["auto", "mirror", "plain"]
 SYMMETRIC = 0.86
-"""Smallest overlap (IoU) of a silhouette with its mirror image that shows a front."""
+"""A silhouette that overlaps with its mirror image by at least this much (IoU) shows a front."""
 UPPER, OUTLINE, FACE = 0.4, 0.65, 0.75
-"""Fraction of the height that may contain a face, and the smallest overlap of its outline and
-correlation of its brightness with those of its mirror image."""
+"""Upper fraction of the height that may contain a face. It counts as a face if it and its mirror
+image have at least this overlap of outlines and this correlation of brightness."""
 LARGE, FEWEST = 20.0, 50
 """Standard deviation of the filter that removes the shading [pixels], and the smallest number of
 pixels that are compared."""
@@ -32,16 +32,18 @@ SHIFTS = 21
 INSET = 0.03
 """Distance inside the rim at which the rim's colour is read, in image sizes."""
 SHORTER = 6.0
-"""Exponent of the length ratio of row and column on the back; the shorter one has more weight."""
+"""Exponent of the ratio between lengths of row and column, which weights both on the back; the
+shorter one has more weight."""
 COARSE = 3.0
 """Standard deviation of the filter that separates colours and fine texture [pixels]."""
 PATCH, STEP, OFFSET = 20, 10, 3
-"""Side of a patch of texture, spacing of patches on the back, and of candidates [pixels]."""
+"""Side of a patch of texture, spacing of the patches on the back, and spacing of the candidates
+from which they are copied [pixels]."""
 QUIET, STRONG = 0.4, 0.07
-"""Fraction of the candidates, from the least texture, that may be copied, and the standard
-deviation of texture above which it is weakened: it has edges of features."""
+"""Fraction of the candidates that may be copied, beginning with the least texture; and standard
+deviation above which texture is weakened, because it shows edges of features."""
 ALIKE = 6
-"""Number of the candidates of most similar colour among which one is chosen at random."""
+"""Number of candidates with the most similar colours; one of them is chosen at random."""
 
 
 def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
@@ -86,7 +88,7 @@ def _about(values: NDArray, axis: int) -> NDArray:
 
 
 def _alike(rgba: Field, axis: int) -> float:
-    """Return the correlation of the brightness in an image [H,W,4] with its mirror image."""
+    """Return the correlation of an image's brightness [H,W,4] with its mirror image's."""
     solid = _about(rgba[..., 3] > 0.5, axis).astype(np.float64)
     bright = _about(rgba[..., :3].mean(axis=2), axis) * solid
     weight = cv2.GaussianBlur(solid, (0, 0), LARGE)
@@ -192,7 +194,7 @@ def _thickness(depth: Field) -> Field:
 
 
 def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tuple[Field, Field]:
-    """Interpolate colours [H,W,3] between the ends of each run of a row; also return run lengths.
+    """Interpolate colours [H,W,3] along each row's runs of inside pixels; also return run lengths.
 
     The colours of thin features, such as a beak, are weighted less at a distance.
     """

@@ -18,7 +18,8 @@ Field = NDArray[np.float64]
 REACH = 0.2
 """Depth behind the rim over which the mirrored image fades into the back, in image sizes."""
 STRETCH, BLURS = 1.0, (0.0, 1.5, 3.0, 6.0)
-"""Blur per stretch of the image on a steep surface, and the levels of blur [pixels]."""
+"""Blur of the image where a steep surface stretches it, per unit of stretch; and the levels of blur
+[pixels]."""
 FRINGE = 2.0
 """Width of the edge whose colours are ignored [pixels]."""
 
@@ -110,7 +111,7 @@ FACING = 4.0
 HIDDEN = 0.02
 """Factor on the weight of an image in which the point is hidden."""
 BEHIND = 8.0
-"""Distance behind the visible surface from which a point is hidden [pixels]."""
+"""A point is hidden if it is farther than this behind the visible surface [pixels]."""
 CELL = 2.0
 """Size of the cells of the visibility test [pixels]."""
 

@@ -112,7 +112,7 @@ def _widest(row: NDArray[np.bool_]) -> int:
 
 
 def _divides(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether some row of the lower end has more runs than the end's first row."""
+    """Whether some row of the lower end has more runs of pixels than the end's first row."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     runs = np.count_nonzero(np.diff(solid[last - rows + 1 : last + 1].astype(int)) > 0, axis=1)
     return bool(runs.max() > runs[0])

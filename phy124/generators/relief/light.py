@@ -24,20 +24,21 @@ EDGE = 4
 DARKEST = 0.03
 """Added to the brightness before its logarithm is taken."""
 PRIOR, SAMPLES = 0.3, 60.0
-"""Expected size of s, and the number of independent samples in an image."""
+"""Expected size of the light s, and number of independent samples in an image."""
 LIMIT, FRONTAL = 0.3, 0.2
-"""Largest size of a component of s across the view, and of the component towards the camera, which
-is not negative: photographs are rarely lit from behind alone."""
+"""Largest size of the components of s across the view, and of the component towards the camera. The
+latter is not negative, because photographs are rarely lit from behind alone."""
 CERTAIN = (0.08, 0.16)
-"""Sizes of s below which it is ignored, since colours may cause it, and above which it is used."""
+"""Below the first size, s is ignored, because colours may cause it; above the second, s is fully
+used."""
 THICK = (8.0, 18.0)
-"""Half thicknesses [pixels] of the object below and above which, in the same way, its normals are
-uncertain and certain."""
+"""Below the first half thickness of the object [pixels], its normals are uncertain, and s is
+ignored; above the second, they are certain."""
 ROUNDS = 4
 
 
 def fit_light(rgb: Field, surface: Surface, object_mask: NDArray[np.bool_]) -> Field:
-    """Return the vector s [3] of an image [H,W,3] of a surface's front."""
+    """Return the light s [3] of an image [H,W,3] that shows a surface's front."""
     seen = cv2.erode(object_mask.astype(np.uint8), np.ones((2 * EDGE + 1,) * 2)) > 0
     place = np.argwhere(seen)
     place = place[(place % EVERY == 0).all(axis=1)]

@@ -36,7 +36,8 @@ class Profile:
     """Whether the top and the bottom are flat."""
 
     def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
-        """Return each row's thickest point and nearest edge, as offsets towards the other camera.
+        """Return for each row how far the thickest point and the nearest edge are towards the other
+        camera.
 
         Args:
             y: Rows relative to the centre [N].

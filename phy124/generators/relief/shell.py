@@ -12,9 +12,9 @@ from phy124.generators.relief.picture import WORK
 
 Field = NDArray[np.float64]
 TANGENT = 0.58
-"""Standard deviation along the surface, in spacings: neighbours overlap and leave no holes."""
+"""Standard deviation along the surface, in spacings; it makes neighbours overlap, without holes."""
 BACK_REACH = 1.25
-"""Factor on the standard deviation along the surface on the back."""
+"""On the back, the standard deviation along the surface is multiplied by this factor."""
 NORMAL = 0.12
 """Standard deviation across the surface, in spacings: small, to keep the outline crisp."""
 OPACITY = 0.97

@@ -27,8 +27,9 @@ from phy124.generators.relief.solids import RIM, apply_depth, inflate
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
 
 SEEN = 0.7
-"""Weight of the object's front edge, seen on the image's lowest line, in the height of a flat end's
-plane; the rest is the weight of the end's corners. (For divided feet, the weight is 1.)"""
+"""The height of a flat end's plane is a weighted mean. The object's front edge, which is seen on
+the image's lowest line, has this weight; the end's corners have the rest. (For divided feet, the
+weight is 1.)"""
 
 
 @dataclass(frozen=True)

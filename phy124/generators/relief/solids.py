@@ -27,14 +27,15 @@ CENTRED = 0.06
 EVERY = 0.97
 """Smallest fraction of the rows that must fit a solid of revolution."""
 WAISTED = 0.97
-"""Largest ratio of the silhouette's area to that of its convex hull that shows a waist."""
+"""A silhouette has a waist if its area, divided by that of its convex hull, is at most this."""
 COMPACT = 1.25
-"""Largest ratio of height and width, either way, of a convex shape that looks like a solid of
-revolution; longer ones may lie on their side."""
+"""Largest ratio of the longer to the shorter side of a convex shape that looks like a solid of
+revolution; longer shapes may lie on their side."""
 OVERHANG = 3.0
 """Largest ratio of depth to height of a brim; limits the depth of thin features such as wings."""
 STRAIGHT = 0.98
-"""Smallest overlap (IoU) with a polygon of few corners for an outline of straight edges."""
+"""An outline has straight edges if it overlaps with a polygon of few corners by at least this
+(IoU)."""
 CORNERS = 12
 ROUNDED = 0.1
 """Radius of a block's edges, in half widths."""

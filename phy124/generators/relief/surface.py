@@ -68,7 +68,8 @@ class View:
 Field = NDArray[np.float64]
 Neighbours = NDArray[np.int32]
 BACK_PITCH = 1.5
-"""Spacing of points on the back relative to the front; wider, since its colours are smooth."""
+"""Spacing of points on the back relative to the front; larger, because the back's colours are
+smooth."""
 OVERHANG = 5.0
 """Distance beyond the flat ends up to which points are distributed [pixels]."""
 TRIAL = 2.0
@@ -88,7 +89,9 @@ def smooth(values: Field, weights: NDArray, width: float) -> Field:
 
 
 def _slopes(values: Field, inside: NDArray[np.bool_]) -> tuple[Field, Field]:
-    """Return the derivatives down and right of the inside pixels, from inside pixels alone."""
+    """Return the derivatives of the values at inside pixels, down and right, from inside pixels
+    alone.
+    """
     slopes = []
     for axis in (0, 1):
         step = np.diff(values, axis=axis, append=0)
@@ -157,7 +160,8 @@ class Surface(Implicit):
 
     @classmethod
     def seen(cls, w: Field, middle: Field, distance: float) -> Surface:
-        """Return the surface whose image in `View`'s camera is w; less than half a ball is seen.
+        """Return the surface whose image in `View`'s camera is w; of a ball, less than half is
+        seen.
 
         Let p be a pixel relative to the image centre, d the camera's distance, and
         w = h^2 - |p - c|^2 the image of a ball. Along the view ray, with A = 1 + p^2 / d^2, the

@@ -58,14 +58,15 @@ class Settings:
     elevations: tuple[int, int] = (-30, 30)
     """Range of elevations of the guided views [degrees]; positive is below the object."""
     sizes: tuple[int, ...] = (128, 256, 512)
-    """Sides of the guided views [pixels]: below 30 % of the steps, below 60 %, and afterwards."""
+    """Sides of the guided views [pixels]: in the first 30 % of the steps, up to 60 %, and after
+    that."""
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
     final_extent: float = 1.0
     """Scene extent used in the last pruning."""
 
     def guided_size(self, ratio: float) -> int:
-        """Return the side of the guided views at the fraction `ratio` of the steps [pixels]."""
+        """Return the side of the guided views [pixels] after the fraction `ratio` of the steps."""
         return self.sizes[min((ratio >= 0.3) + (ratio >= 0.6), len(self.sizes) - 1)]
 
 

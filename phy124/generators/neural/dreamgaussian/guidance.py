@@ -15,7 +15,8 @@ from torch import Tensor
 STEPS = 1000
 T_MIN, T_MAX = 20, 980
 BETAS = (0.00085, 0.012)
-"""First and last beta of Stable Diffusion's schedule, which is linear in the square root."""
+"""First and last beta of Stable Diffusion's schedule, in which the square root of beta is
+linear."""
 
 
 class Pose(NamedTuple):

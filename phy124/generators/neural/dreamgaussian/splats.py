@@ -61,7 +61,7 @@ class Splats:
 
     @classmethod
     def from_points(cls, points: Tensor, colors: Tensor, rates: Rates | None = None) -> Splats:
-        """Create spheres at `points [N,3]`, as wide as neighbours are apart; colours 0..1 [N,3]."""
+        """Create spheres at `points [N,3]`; width: distance of neighbours; colours 0..1 [N,3]."""
         n = len(points)
         mean = neighbour_distances(points).clamp(min=SMALLEST)
         parameters = {
@@ -190,7 +190,7 @@ class Density:
     extent: float = 4.0
     """Size of the scene."""
     percent_dense: float = 0.01
-    """Scale divided by the extent, up to which Gaussians are cloned; larger ones are split."""
+    """Up to this scale, divided by the extent, Gaussians are cloned; larger ones are split."""
     opacity_min: float = 0.01
     reset_every: int = 700
     """Steps between resets of the opacity; no reset happens within the default 500 steps."""

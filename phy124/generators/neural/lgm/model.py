@@ -60,7 +60,8 @@ GENERATIONS: dict[str, Rotations] = {
     "744d6324656342c64f871308e73db97f0eb51858d94329b30090e986a6d050ab": "each",  # ..._fixrot
     "186631d0736c4dd933676be5a47d492d4354f796e18526d174535b1ae96f1335": "each",  # model_fixrot
 }
-"""Normalisation of the public weight files, by sha256; the generations share shapes and names."""
+"""Quaternion normalisation of the public weight files, by sha256; names and shapes of tensors are
+the same in both generations."""
 CHANNELS = 14
 
 
@@ -183,7 +184,8 @@ NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
 """Side of the images that are compared [pixels]."""
 MARGIN = 0.98
-"""Ratio of the error of "all" to that of "each" below which the rarer "all" is chosen."""
+"""If the error of "all", divided by that of "each", is below this ratio, "all" is chosen, although
+it is rarer."""
 
 
 def remove_rotations(rows: Tensor) -> Tensor:

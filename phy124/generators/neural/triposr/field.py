@@ -46,7 +46,7 @@ class Field:
         return density, colour
 
     def on_grid(self, axis: Array) -> Callable[[NDArray[np.int64]], Array]:
-        """Return a function from indices [N,3] of a grid with equal axes to densities [N].
+        """Return a function that maps indices [N,3] of a grid with equal axes to densities [N].
 
         The features of each plane are interpolated once per grid line, not once per point.
         """

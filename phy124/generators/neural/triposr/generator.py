@@ -1,4 +1,5 @@
-"""The generator TripoSR: turns a segmented image into a density field, and that into Gaussians.
+"""The generator TripoSR: turns a segmented image into a density field, and the field into
+Gaussians.
 
 Tochilkin et al. 2024. The network runs in onnxruntime from ONNX files, or in torch from the public
 checkpoint, whichever exists.
@@ -32,7 +33,8 @@ RATIO = 0.85
 GREY = 0.5
 """Colour behind the object."""
 SETS = ("triposr", "triposr-int8", "triposr-torch")
-"""Sets of weights, best first: weights in int8; also activations in int8; float32 (torch)."""
+"""Sets of weights, best first: only weights in int8, weights and activations in int8, and all in
+float32 (torch)."""
 Image_ = Image.Image | NDArray[np.uint8]
 
 

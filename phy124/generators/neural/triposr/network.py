@@ -24,8 +24,9 @@ DENSITY_BIAS = -1.0
 UNUSED = "image_tokenizer.model.pooler."
 """Prefix of those tensors of the checkpoint that TripoSR never uses."""
 OFFSET = 0.1
-"""Added to the number of patches per side when position embeddings are resized. transformers 4.35,
-with which the network was trained, does so; without it, the positions shift slightly."""
+"""Added to the number of patches per side when position embeddings are resized. The network was
+trained with transformers 4.35, which adds this number; without it, the positions would shift
+slightly."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ COARSE = 64
 REFINE = 3
 """Fine intervals per coarse interval."""
 NEAR = 3.0
-"""Largest difference of the log density from the surface's at which a coarse vertex is refined."""
+"""A coarse vertex is refined if its log density differs from the surface's by at most this
+value."""
 FRAGMENT = 0.01
 """Smallest volume of a separate piece, relative to the largest piece; smaller ones are dropped."""
 BATCH = 1 << 18
