@@ -1,4 +1,4 @@
-"""Declares types in one precision, and the name, type and meaning of each argument of kernels.
+"""Declares types of one precision, and the name, type and meaning of each kernel argument.
 
 A kernel that is built for one precision only names its arguments; `build.kernel` gives them the
 types that are declared in this module. A written array is named like the array that is read,

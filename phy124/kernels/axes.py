@@ -1,4 +1,4 @@
-"""Axes of a matrix: orthogonal columns by Jacobi rotations, and the rotation along them.
+"""Makes a matrix's columns orthogonal by Jacobi rotations, and finds the rotation along them.
 
 One-sided Jacobi rotations (Hestenes 1958; high relative accuracy: Demmel, Veselic 1992) make the
 columns of a matrix orthogonal by plane rotations of at most 45 degrees. Everything is in float64;
@@ -9,7 +9,7 @@ import warp as wp
 
 SWEEPS = wp.constant(24)
 IDENTITY_ZONE = wp.constant(wp.float64(2.414))
-"""Trace above which a rotation is below 45 degrees: then no relabelling of axes is closer."""
+"""Trace above which a rotation is so small (below 45 degrees) that its axes keep their labels."""
 
 
 @wp.func
@@ -127,7 +127,7 @@ def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
 
 @wp.func
 def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
-    """Return a unit vector orthogonal to e, in the plane of e and `wanted`, else e and `spare`."""
+    """Return `wanted` (or `spare`, if `wanted` is along e) made orthogonal to e, with length 1."""
     u = wanted - wp.dot(e, wanted) * e
     if wp.length(u) <= wp.float64(1e-3) * wp.length(wanted):
         u = spare - wp.dot(e, spare) * e
@@ -172,7 +172,7 @@ def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat3
 
 @wp.func
 def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
-    """Return the signed permutation W, of 24 proper ones, with U W closest to `previous`."""
+    """Return that one W of the 24 proper signed permutations with U W closest to `previous`."""
     unit = wp.float64(1.0)
     m = wp.transpose(previous) * u
     best = wp.identity(n=3, dtype=wp.float64)

@@ -15,7 +15,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.transfer import first_node, in_window
 
 OUT_OF_SIGHT = wp.constant(4)
-"""Distance below the window [nodes] at which no particle gathers."""
+"""Hidden particles are this far below the window [nodes], where they gather nothing."""
 
 
 @build_once

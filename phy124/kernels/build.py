@@ -27,11 +27,11 @@ Options = ParamSpec("Options")
 Built = TypeVar("Built")
 
 BUILDING = RLock()
-"""Held while a variant is built; a factory may call another one."""
+"""Lock that is held while a variant is built; a factory that holds it may call another factory."""
 
 
 def build_once(make: Callable[Options, Built]) -> Callable[Options, Built]:
-    """Let a factory of kernels build each variant once, however many threads ask for it.
+    """Return a factory that builds each kernel variant once, even if several threads ask for it.
 
     `functools.cache` alone does not suffice: two threads that ask at the same time would both build
     the variant, and its module would contain the kernel twice.

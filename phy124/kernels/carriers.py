@@ -12,7 +12,7 @@ CARRIERS = 8
 """Number of particles that carry each Gaussian."""
 CHOSEN = wp.constant(CARRIERS)
 FAR = wp.constant(wp.float64(1e300))
-"""Square of the distance of a particle that does not exist."""
+"""Squared distance that stands for a missing particle."""
 SPARE = wp.constant(wp.float64(1e-9))
 """Smallest weight; without it, particles at equal distance would all have weight 0."""
 
@@ -26,7 +26,7 @@ def outwards(step: int) -> int:
 
 @wp.func
 def within(at: wp.float64, low: int, high: int) -> int:
-    """Return the cell of a coordinate [cells], limited to `low` to `high`."""
+    """Return the cell that contains a coordinate [cells], clamped to the cells `low` to `high`."""
     return int(wp.clamp(wp.floor(at), wp.float64(low), wp.float64(high)))
 
 
@@ -39,7 +39,7 @@ def gap(at: wp.float64, cell: int) -> wp.float64:
 
 @wp.func
 def margin(at: wp.float64, first: int, last: int, count: int) -> wp.float64:
-    """Return the distance of a coordinate to the end of a range of cells, if cells follow there."""
+    """Return the distance to the nearest end of a range of cells beyond which cells follow."""
     room = wp.float64(1e100)
     if first > 0:
         room = wp.min(room, at - wp.float64(first))

@@ -48,7 +48,7 @@ def steepest(n: Any):
 
 @wp.func
 def inward(s: Any, axis: int):
-    """Return the step along an axis to the next node towards a wall; s is normal and distance."""
+    """Return the step along an axis to the next node towards the wall with normal s[0] to s[2]."""
     step = wp.vec3i()
     step[axis] = -int(wp.sign(s[axis]))
     return step
@@ -62,7 +62,7 @@ def front(s: Any, axis: int, dx: Any):
 
 @wp.func
 def add_velocity(nodes_out: wp.array(dtype=Any), n: int, change: Any):
-    """Change the velocity of a node, but not its mass, which other threads read."""
+    """Change a node's velocity; leave its mass untouched, because other threads read the mass."""
     nodes_out[n] += wp.vector(change[0], change[1], change[2], type(change[0])(0.0))
 
 
@@ -79,7 +79,7 @@ FLAT = {"half_space"}
 
 @build_once
 def make_settle(real: Any):
-    """Kernel over the nodes of a sub-box: adds the mean of the changes from a node's columns.
+    """Kernel over the nodes of a sub-box: adds to each node the mean of its columns' changes.
 
     `changes_out` holds the sums of weighted changes and of weights, and is zero afterwards. The
     weight of a column is the size of its change, so that the mean varies continuously when a column

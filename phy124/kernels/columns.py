@@ -78,9 +78,8 @@ NARROWING = wp.constant(1.55)
 1.6 for a cone.
 """
 OUT_OF_REACH = wp.constant(-1.25)
-"""Distance [cells] of a node from a wall, negative behind it, below which the node has no mass from
-a body in front of the wall: the body's nearest particles are a quarter of a cell away from the
-wall.
+"""Distance [cells] from a wall, negative behind it, below which a node has no mass from a body in
+front of the wall. The body's nearest particles are a quarter of a cell in front of the wall.
 """
 
 
@@ -112,7 +111,7 @@ def relative(q0: Any, q1: Any, q2: Any, wall: Any):
 
 @wp.func
 def narrow(m: Any, farther: Any, u: Any):
-    """Return the factor on the mass expected at the next node, for a body narrowing to the wall.
+    """Return the factor on the next node's expected mass if a body narrows towards the wall.
 
     `m` is the mass of the body on a node u cells in front of the wall, and `farther` is its mass on
     the next node away from the wall. For a body of constant cross-section, the ratio of these
@@ -128,7 +127,7 @@ def narrow(m: Any, farther: Any, u: Any):
 
 @wp.func
 def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
-    """Return whether material has reached a wall; m are the masses of nodes u cells in front.
+    """Return whether material touches a wall; nodes at distances u [cells] have masses m.
 
     If a body touches the wall, the masses of the two nodes next to the wall have a known ratio,
     whatever the body's density and width; if there is a gap, the nearer node has less mass. With
@@ -182,14 +181,14 @@ def ending(distances: Any, across: Any):
 
 @wp.func
 def tie(v: Any, m: Any, g: Any):
-    """Return velocity changes [node, axis] that bring nodes of masses m into the ratios g."""
+    """Return velocity changes [node, axis] that bring the velocities of masses m to ratios g."""
     weight = wp.cw_mul(g, m)
     return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
 
 
 @wp.func
 def hold_back(behind: Any, front: Any, normal: Any):
-    """Return the velocity change of a node behind a wall that is faster than the node in front.
+    """Return the change that slows a node behind a wall to the speed of the node in front of it.
 
     The change only slows the motion, so it never adds energy.
     """
@@ -206,19 +205,19 @@ def along_wall(change: Any, normal: Any):
 
 @wp.func
 def pressing(pressed: Any):
-    """Return whether the wall pushes: material that moves away is not held."""
+    """Return whether material presses on the wall; the wall does not hold material that departs."""
     return pressed > type(pressed)(0.0)
 
 
 @wp.func
 def either_way(pressed: Any):
-    """Return True: the wall acts on approaching and on departing material."""
+    """Return True, because the wall acts on approaching and on departing material."""
     return True
 
 
 @wp.func
 def add_rows(nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any, fourth: Any):
-    """Add velocity changes [node, axis], and a fourth component, to a column's nodes with mass."""
+    """Add velocity changes [node, axis] and a fourth component to the column's nodes with mass."""
     for row in range(3):
         if m[row] > type(m[row])(0.0):
             nodes[first + row * step] += wp.vector(

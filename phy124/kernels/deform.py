@@ -35,19 +35,19 @@ LARGEST = wp.constant(wp.float64(3.0e38))
 TINY = wp.constant(wp.float64(1e-12))
 SOUND_SHAPE = wp.constant(wp.float64(1.5))
 ROUND_SHAPE = wp.constant(wp.float64(4.0))
-"""Elongations of a Gaussian of plastic or fluid material, relative to rest: above `SOUND_SHAPE` it
-becomes rounder, from `ROUND_SHAPE` on it is a ball.
+"""Elongation, relative to rest, from which on a Gaussian of plastic or fluid material is drawn as a
+ball. It becomes rounder from the elongation `SOUND_SHAPE` on.
 """
 
 ARM = wp.constant(wp.float64(2.0))
-"""Largest distance of a Gaussian of plastic or fluid material from a particle that carries it,
-relative to their distance at rest.
+"""Largest distance between a Gaussian of plastic or fluid material and a particle that carries it,
+as a multiple of their distance at rest.
 """
 
 
 @wp.func
 def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
-    """Return a plastic or fluid Gaussian's axis lengths; the longer it is, the rounder it becomes.
+    """Return a plastic or fluid Gaussian's axis lengths, which are more equal the longer it is.
 
     A ball of radius sqrt(a b), where a and b are the two longest axes, covers as much of a frame as
     the Gaussian does.
@@ -310,7 +310,7 @@ def make_follow(real: Any):
 
 @build_once
 def make_count_broken(real: Any):
-    """Kernel: counts the particles whose position, and those whose F, is not finite."""
+    """Kernel: counts the particles with a non-finite position, and those with a non-finite F."""
     t = types(real)
 
     @kernel(f"phy124_broken_{real.__name__}", real, seconds=0.2)

@@ -22,7 +22,7 @@ MOMENTUM, ANGULAR, KINETIC, ELASTIC, MIDDLE, POWER, SUMS = 0, 3, 6, 7, 8, 11, 12
 `MIDDLE` is the sum of mass times position; `POWER` is the power of the elastic stress, V tau : C.
 """
 LEAST_J, LARGEST_J = 0, 1
-"""Index of each end of the range of J; the smallest J is stored as the maximum of -J."""
+"""Indices of the smallest and the largest J; the smallest is stored as the maximum of -J."""
 BROKEN, INVERTED = 0, 1
 """Index of each kind of unsound particle: not finite, inverted."""
 
@@ -139,7 +139,7 @@ def make_totals(law: Law, real: Any):
 
 @build_once
 def make_energies(law: Law, real: Any):
-    """Kernel: computes kinetic plus elastic energy of each particle [J], to find the largest."""
+    """Kernel: computes each particle's kinetic plus elastic energy [J]."""
     energy, exact = law.energy, wp.types.vector(law.width, wp.float64)
     has_history = law.project is not None
 
@@ -267,7 +267,7 @@ def make_apart(real: Any):
 
 @build_once
 def make_neighbours_lost(real: Any):
-    """Kernel: marks particles that are farther than a distance from a neighbour at rest.
+    """Kernel: marks particles that have moved too far away from one of their neighbours at rest.
 
     `square` is the square of the distance [m^2]. Thread i examines the particle `chosen[i]`, whose
     neighbours at rest are `neighbours[i]`, and sets `lost_out[i]` to 1 or 0.

@@ -29,7 +29,10 @@ def sphere(x: Any, shape: Any):
 
 @wp.func
 def box(x: Any, shape: Any):
-    """Return normal and signed distance of the box shape[0] +- shape[1], per face; exact inside."""
+    """Return normal and signed distance of the nearest face of the box shape[0] +- shape[1].
+
+    Inside the box this is the exact distance; outside it is the distance from the face's plane.
+    """
     d = x - shape[0]
     out = wp.vector(
         wp.abs(d[0]) - shape[1, 0], wp.abs(d[1]) - shape[1, 1], wp.abs(d[2]) - shape[1, 2]
@@ -64,7 +67,7 @@ def capsule(x: Any, shape: Any):
 
 @wp.func
 def cylinder(x: Any, shape: Any):
-    """Return normal and signed distance, per face, of the cylinder about shape[0] along shape[1].
+    """Return normal and signed distance of a face of a cylinder about shape[0] along shape[1].
 
     shape[2] is (radius, half length, 0).
     """

@@ -88,7 +88,7 @@ def log_volume(J: wp.float64):
 
 @wp.func
 def log_volume(J: wp.float32):  # noqa: F811
-    """Return `log_volume_far`, near J = 1 by a polynomial that costs a third of a call of log.
+    """Return `log_volume_far`; near J = 1 a polynomial replaces log at a third of its cost.
 
     The polynomial is the best approximation of log(1 + y) / y for |y| < 0.2: its error is 3e-8,
     with rounding 1.4e-7, and log J is exactly 0 at J = 1. Its two halves are independent, so a

@@ -1,4 +1,4 @@
-"""Damping in the transfers, and its reduction: fluctuations (FLIP, AFLIP, XPIC) and RPIC.
+"""Controls the damping of the transfers: less of it with FLIP, AFLIP and XPIC, more with RPIC.
 
 The grid does not represent all of the particles' motion. APIC discards the rest, called the
 fluctuation, in every substep, which damps the motion. The fluctuation is the difference between (v,
@@ -48,7 +48,7 @@ def make_carry(real: Any, form: str):
 
 @build_once
 def make_fluctuation(real: Any, form: str):
-    """Kernel: subtracts from a motion (v, C) its round trip over the grid; zero off the window."""
+    """Kernel: subtracts from (v, C) its round trip over the grid; zero outside the window."""
     t = types(real)
     collect = GATHERS[form]
 
@@ -95,7 +95,7 @@ def make_keep(real: Any):
 
 @wp.func
 def decay(x: Any):
-    """Return 1 - exp(-x), accurate to rounding for small x, too."""
+    """Return 1 - exp(-x), accurate to rounding even for small x."""
     t = wp.tanh(type(x)(0.5) * x)
     return type(x)(2.0) * t / (type(x)(1.0) + t)
 
@@ -108,7 +108,7 @@ def without_strain(C: Any, share: Any):
 
 @build_once
 def make_rpic(real: Any):
-    """Kernel, right before a scatter: sym C decays as exp(-rate t), with the rate in 1/s."""
+    """Kernel that runs right before a scatter: sym C decays as exp(-rate t), rate in 1/s."""
 
     @kernel(f"phy124_rpic_{real.__name__}", real)
     def rpic(chosen, rate: real, clock, C_out):

@@ -42,7 +42,7 @@ def hardness(J: Any, theta: Any):
 
 @wp.func
 def lag(F: Any, h: Any):
-    """Return log of J divided by its value about one relaxation time ago."""
+    """Return log(J / J'), where J' is the value of J about one relaxation time ago."""
     J = wp.max(wp.determinant(F), type(F[0, 0])(MIN_J))
     return wp.log(J / wp.max(h[0], type(J)(MIN_J)))
 
@@ -91,7 +91,7 @@ def tait_modulus(F: Any, h: Any, theta: Any):
 
 @wp.func
 def isotropic(F: Any, h: Any, theta: Any, dt: Any):
-    """Return F = tr F / 3 I, and the history: volume change without an error from rotation.
+    """Return F = tr F / 3 I, in which a rotation changes no volume, and the history.
 
     For F = (I + dt C) j I, the trace gives the change of volume to first order. The determinant
     would not do: for a rotation, det(I + dt W) exceeds 1 by (dt omega)^2, which would let a vortex

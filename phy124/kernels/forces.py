@@ -1,4 +1,4 @@
-"""Forces on particles before the scatter: accelerations, wrenches, pulls, a test's body force.
+"""Forces on particles before the scatter: accelerations, wrenches, pulls; a body force for tests.
 
 `chosen` lists the particles that a force acts on. `slot` is the track with the force's strength,
 averaged over the kick and zero while the force is off.
@@ -127,7 +127,7 @@ particles, with one moment of zero, has an invertible inertia tensor."""
 
 @wp.func
 def spring_damper(gap: wp.vec3d, slip: wp.vec3d, spring: wp.vec4d, kick: wp.float64):
-    """Return the force [N] at the end of a kick, by implicit Euler, stable for any stiffness.
+    """Return a damped spring's force [N] at the end of a kick (implicit Euler, always stable).
 
     `spring` is stiffness [N/m], damping [N s/m], the mass that the spring pulls [kg] and the
     largest force [N]; `gap` and `slip` are the target's position and velocity minus the group's.
@@ -258,7 +258,7 @@ def make_wrench(real: Any):
 
 @build_once
 def make_vortex(real: Any):
-    """Kernel: v += kick b(x, t), where b makes a given motion exact (manufactured solution).
+    """Kernel: v += kick b(x, t), where b makes a prescribed motion exact (manufactured solution).
 
     The motion is the generalised vortex of Kamojjala, Brannon, Sadeghirad, Guilkey 2015 (doi
     10.1007/s00366-013-0342-x): each radius of a ring rotates by beta(R, t) = h(R) g(t) about z,

@@ -23,7 +23,7 @@ from phy124.kernels.spectral import (
 HARDEST = wp.constant(4.0)
 """Largest exponent of snow's hardening: snow becomes at most e^4 = 55 times stiffer than fresh."""
 LOOSEST = wp.constant(1.0e6)
-"""Largest Jp of scattered snow, to prevent overflow."""
+"""Upper limit of Jp, which scattered snow would raise until it overflows."""
 
 
 @wp.func
@@ -100,7 +100,7 @@ def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float6
 
 @wp.func
 def snow_return(F: Any, h: Any, theta: Any, dt: Any):
-    """Clamp the stretches to [smallest, largest]; the excess changes Jp (eqs. 9, 10 there).
+    """Clamp stretches to [smallest, largest]; the excess changes Jp (Stomakhin 2013, eqs. 9, 10).
 
     Nothing, hardening included, is clamped if that would raise the energy: a stretch under pressure
     causes no fracture, however large it is. Without this rule, snow with a Poisson's ratio near 1/2

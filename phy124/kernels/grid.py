@@ -63,7 +63,7 @@ for vec4 in (wp.vec4, wp.vec4d):
         first: int,
         end: int,
     ) -> int:
-        """Return the first k >= `first` at which the velocities differ, or `end` if none does."""
+        """Return the first k >= `first` at which two rows' velocities differ; `end` if none."""
         ...
 
 

@@ -15,11 +15,11 @@ REACH = wp.constant(wp.float64(1.25))
 STRENGTH = wp.constant(wp.float64(0.45))
 """Fraction of the missing distance by which neighbours move apart in one round."""
 SAME_SIDE = wp.constant(wp.float64(0.3))
-"""Smallest cosine between normals of neighbours; below it, they are on opposite sides of a thin
-part.
+"""Smallest cosine between the normals of neighbours. Points with a smaller cosine are on opposite
+sides of a thin part.
 """
 COUNTED = wp.constant(6)
-"""Number of nearest neighbours whose mean distance is the spacing of a point."""
+"""A point's spacing is the mean distance of this number of nearest neighbours."""
 LEAST, MOST = wp.constant(wp.float64(0.6)), wp.constant(wp.float64(1.6))
 """Range of the spacing, in target spacings."""
 

@@ -1,4 +1,4 @@
-"""Measure the particles' bounding box, and maxima over the particles that limit a substep.
+"""Measures the particles' bounding box, and the maxima that limit a substep.
 
 `timestep.make_timestep` reads these maxima on the device and phy124/mpm/timestep.py on the host.
 The lowest corner is stored as the maximum of -x.
@@ -21,9 +21,10 @@ GRADIENT = 1
 STIFFNESS = 2
 """Index of A / rho0 [m^2/s^2]."""
 LOW = 3
-"""Index of the first component of minus the particles' lowest corner, m."""
+"""Index of the lowest corner of the particles, with its sign reversed: first of three numbers, m.
+"""
 HIGH = 6
-"""Index of the first component of the particles' highest corner, m."""
+"""Index of the highest corner of the particles: first of three numbers, m."""
 COUNT = 9
 """Number of maxima."""
 SPEEDS = 2
@@ -124,7 +125,7 @@ for kinds in (types(wp.float32), types(wp.float64)):
 
 @build_once
 def make_measure_speeds(real: Any):
-    """Kernel: measures only `SPEED` and `GRADIENT`, of all particles of any law.
+    """Kernel: measures only `SPEED` and `GRADIENT`, over all particles whatever their law.
 
     Thread i handles the same particles as thread i of `make_measure`.
     """

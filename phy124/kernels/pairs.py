@@ -31,16 +31,16 @@ from phy124.kernels.window import place, strides
 LIGHTEST = wp.constant(1e-6)
 """Smallest volume fraction of each body at a node for contact to be considered."""
 NARROWEST = wp.constant(0.05)
-"""Smallest volume fraction of a body in its interior: it is 1/2 at an edge and 1/4 at a corner;
-smaller fractions occur beyond the body, or for a single particle.
+"""Smallest volume fraction that counts as a body's interior. The fraction is 1/2 at an edge and 1/4
+at a corner; smaller fractions occur beyond the body, or for a single particle.
 """
 ROUNDING = wp.constant(0.375)
-"""Contact tolerance for curved gaps: a node may be open by this fraction of the sum of its four
-neighbours' gaps minus its own. The curvature of a gap as seen by two splines gives 1/4; the larger
-value is fitted to balls (docs/lab/contact-force.md).
+"""Contact tolerance for curved gaps. A node may be open by this fraction of the sum of its four
+neighbours' gaps, each minus the node's own gap. The curvature of a gap between two splines would
+give 1/4; the larger value is fitted to balls (docs/lab/contact-force.md).
 """
 STEEPER, TRUSTED = wp.constant(10.0), wp.constant(4.0)
-"""`STEEPER`: how fast the normal changes from the mean of two slopes to the steeper slope alone.
+"""`STEEPER`: how sharply the normal changes from the mean of two slopes to the steeper of the two.
 `TRUSTED`: factor on the squared slope of a body that never moves.
 """
 
@@ -119,7 +119,7 @@ def shared_most(
     node: wp.vec3i,
     step: wp.vec3i,
 ):
-    """Return the node, of three in a row, with the largest overlap of two bodies."""
+    """Return the one of three nodes in a row at which two bodies overlap most."""
     at = node
     most = mass_at(first, first_window, node) * mass_at(second, second_window, node)
     for side in range(-1, 2, 2):
@@ -164,7 +164,7 @@ def gap(
     step: wp.vec3i,
     fill: Any,
 ):
-    """Return the volume fraction around a node that two bodies leave empty; 1 without both."""
+    """Return the volume fraction around a node that two bodies leave empty; 1 if one is absent."""
     a = fill_fraction(first, first_window, at, -step, fill[0], type(fill[0])(NARROWEST))
     b = fill_fraction(second, second_window, at, step, fill[1], type(fill[1])(NARROWEST))
     unit = type(a)(1.0)
@@ -182,7 +182,7 @@ def neighbour(step: wp.vec3i, n: int):
 
 @wp.func
 def is_closed(gap: Any, more: Any):
-    """Return whether two bodies touch at a node, in view of the gap between them.
+    """Return whether the gap between two bodies at a node is so small that they touch.
 
     The gap is a mean over more than a cell. At the edge of the contact area it includes the wider
     gap outside this area, so a gap up to `ROUNDING` times `more` counts as closed; `more` is the
@@ -216,7 +216,7 @@ def surfaces_meet(
 
 @wp.func
 def stop(relative: Any, n: Any, friction: Any):
-    """Return the part of a relative velocity that contact removes.
+    """Return the component of a relative velocity that contact removes.
 
     It is the whole approach along the normal n, and the motion across n as far as Coulomb friction
     allows.

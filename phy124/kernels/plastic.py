@@ -1,4 +1,4 @@
-"""Return mappings on Hencky strain: they project the elastic part of F onto the yield surface.
+"""Plasticity in terms of Hencky strain: return mappings project the elastic F onto a yield surface.
 
 They change only e = log V: the new F is exp(e_new - e) F, which keeps the rotation and needs no
 singular vectors. Strengths are stored as norms of the deviatoric Kirchhoff stress, limit =
@@ -50,7 +50,7 @@ def remaining_fraction(log_k: Any, m: Any):
 
 @wp.func
 def herschel_bulkley(F: Any, h: Any, theta: Any, dt: Any):
-    """Apply viscoplastic flow (Yue et al. 2015): the excess over the limit decays at a finite rate.
+    """Apply viscoplastic flow (Yue et al. 2015): stress above the limit decays at a finite rate.
 
     The step is backward Euler of d|s|/dt = -2 mu (x / eta)^(1/n), x = |s| - limit; theta = (mu,
     lam, limit, eta [Pa s^n], n). h[0] is the accumulated plastic strain.

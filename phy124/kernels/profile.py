@@ -15,15 +15,15 @@ from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 
 MEAN = 1
-"""Flag of a track that is averaged over the kick."""
+"""Flag of a track whose mean over the kick is taken."""
 JOINS = 2
 """Flag of a track that is added to the uniform acceleration in slot 0."""
 LIMITED = 4
-"""Flag of a track whose stage sets its own limit on the acceleration of particles."""
+"""Flag of a track whose effect on particles is limited by the stage that uses the track."""
 KICK = 8
-"""Flag of a track that is averaged over the kick, even while inactive."""
+"""Flag of a track whose mean over the kick is taken even while the track is inactive."""
 DRIFT = 16
-"""Flag of a track that is averaged over the substep ahead, even while inactive."""
+"""Flag of a track whose mean over the next substep is taken even while the track is inactive."""
 
 
 @wp.func
@@ -69,7 +69,7 @@ def mean(
     a: Any,
     b: Any,
 ):
-    """Return the mean from a to b [s]; zero outside span = (start, end, origin, period)."""
+    """Return a track's mean from a to b [s], zero outside span = (start, end, origin, period)."""
     zero = a - a
     low = wp.max(a, span[0])
     high = wp.min(b, span[1])
@@ -108,7 +108,7 @@ def read(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last
 
 @wp.func
 def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: Any):
-    """Return the number of keys after the first that are later than a [s] and no later than b."""
+    """Count the keys later than a [s] and no later than b; the first key is not counted."""
     count = int(0)
     for i in range(first + 1, last + 1):
         if times[i] > a and times[i] <= b:

@@ -1,4 +1,4 @@
-"""Operations over many threads: sums, maxima, stores, and a barrier.
+"""Operations of many threads together: sums, maxima, stores, and a barrier.
 
 On a GPU, atomic operations on one address are serialised. Each thread therefore first reduces its
 own items, then the 32 threads of a warp reduce theirs, and one of them writes the result. If
@@ -19,13 +19,13 @@ import warp as wp
 from phy124.kernels.native import code, native_kernel
 
 EACH, MOST_THREADS, BLOCK = 32, 2**14, 256
-"""Number of particles per thread on the CPU, largest number of threads on a GPU, and threads of a
-block there.
+"""Number of particles per thread on the CPU; largest number of threads on a GPU; number of threads
+in a block of a GPU.
 """
 
 
 def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[int, int, int, int]:
-    """Return the number of threads that reduce all particles, and `first`, `each`, `stride`.
+    """Return the number of threads that reduce all particles, and their `first`, `each`, `stride`.
 
     A thread handles the particles `thread * first + k * stride`, k < `each`. On the CPU a thread's
     particles are neighbours; on a GPU, neighbouring threads have neighbouring particles, so that
@@ -38,8 +38,7 @@ def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[i
 
 
 def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int], int]:
-    """Return the threads (i, j, segment) over a box of nodes, and the nodes of row (i, j) per
-    thread.
+    """Return the launch's shape (i, j, segment) over a box of nodes, and the nodes per thread.
 
     A thread has the whole row on the CPU, and one node on a GPU.
     """
@@ -70,7 +69,7 @@ def add(grid: wp.array(dtype=wp.vec4d), node: int, value: wp.vec4d, run: int):  
 
 @wp.func
 def finite(a: Any):
-    """Return whether a number is finite; on the CPU `wp.isfinite` is a slower function call."""
+    """Return whether a number is finite; on the CPU this is faster than a call of `wp.isfinite`."""
     return a - a == type(a)(0.0)
 
 
@@ -82,7 +81,7 @@ def greater(a: Any, b: Any):
 
 @wp.func_native(code("reduction:load"))
 def load(grid: wp.array(dtype=wp.vec4), node: int) -> wp.vec4:
-    """Return a node; a GPU reads four numbers at once, which Warp's 4-byte alignment prevents."""
+    """Return a node; on a GPU, read its four numbers at once despite Warp's 4-byte alignment."""
     ...
 
 

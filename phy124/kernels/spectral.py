@@ -66,7 +66,7 @@ def slope(rise: wp.float64, run: wp.float64) -> wp.float64:
 
 @wp.func
 def with_values(b: wp.mat33d, at: wp.vec3d, f: wp.vec3d) -> wp.mat33d:
-    """Return the function of b that has the values f_i at its eigenvalues at_i (largest first)."""
+    """Return f(b) from the values f_i = f(at_i) at the eigenvalues at_i of b (largest first)."""
     first = slope(f[0] - f[1], at[0] - at[1])
     second = slope(first - slope(f[1] - f[2], at[1] - at[2]), at[0] - at[2])
     unit = wp.identity(3, dtype=wp.float64)
@@ -75,7 +75,7 @@ def with_values(b: wp.mat33d, at: wp.vec3d, f: wp.vec3d) -> wp.mat33d:
 
 @wp.func
 def signed_stretch(F: wp.mat33d) -> wp.mat33d:
-    """Return V of F = V R, with R a rotation for every F, even if F is flat or inverted.
+    """Return V of F = V R, where R is a rotation even if F is flat or inverted.
 
     The smallest stretch has the sign of det F.
     """
@@ -177,13 +177,13 @@ def linear_range(s: wp.float64):  # noqa: F811
 
 @wp.func
 def small_enough(s: wp.float32):
-    """Return |A|^2 up to which the series of exp A to A^5 / 120 is exact in float32."""
+    """Return |A|^2 up to which the series of exp A to A^5 / 120 is exact to rounding in float32."""
     return wp.float32(0.015625)
 
 
 @wp.func
 def small_enough(s: wp.float64):  # noqa: F811
-    """Return |A|^2 up to which the series of exp A to A^5 / 120 is exact in float64."""
+    """Return |A|^2 up to which the series of exp A to A^5 / 120 is exact to rounding in float64."""
     return wp.float64(2.5e-5)
 
 

@@ -1,4 +1,4 @@
-"""Choice of the next substep's length on the device, so that a frame does not wait for the host.
+"""Chooses the next substep's length on the device, so that a frame does not wait for the host.
 
 The limits, their double precision and their order are those of phy124/mpm/timestep.py and
 phy124/mpm/rejection.py. On one device, both versions take the same substeps, bit for bit.
@@ -13,14 +13,14 @@ from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import build_once, kernel
 
 DONE, LOOK, CAREFUL = 1, 2, 3
-"""Reasons why substeps end: the time is reached, the host must measure, or the next substep could
-move something too far.
+"""Reasons why a series of substeps ends: the time is reached, the host must measure, or the next
+substep could move something too far.
 """
 LIMITS = 5
 ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(LIMITS)
 """Index of each limit of a substep."""
 BLOCK = 4
-"""Number of substeps that the graph takes without a condition in between, where it can."""
+"""Number of substeps that the graph takes, where possible, without a condition in between."""
 
 
 @wp.struct
@@ -46,7 +46,7 @@ class Limits:
     acceleration: wp.float64
     """Upper bound of the acceleration of a particle by forces [m/s^2]."""
     memory: wp.float64
-    """Fraction of an earlier stiffness that the current stiffness cannot fall below."""
+    """Stiffness cannot fall below this fraction of an earlier measurement."""
     strain: wp.float64
     """Sum of |C| dt after which control returns to the host."""
     most: wp.int32
@@ -123,13 +123,13 @@ def spare(x: wp.float64, origin: wp.float64, dx: wp.float64):
 
 @wp.func
 def corner(maxima: wp.array(dtype=Any), i: int):
-    """Return three of the maxima, starting at index i, as a float64 vector."""
+    """Return the three maxima from index i on as a float64 vector."""
     return wp.vec3d(wp.float64(maxima[i]), wp.float64(maxima[i + 1]), wp.float64(maxima[i + 2]))
 
 
 @wp.func
 def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), bounds: Limits):
-    """Return whether the window's margin around the particles is neither too small nor too wide."""
+    """Return whether the window fits the particles with a margin neither too small nor too wide."""
     fits = bool(True)
     for axis in range(3):
         first = window[0][axis]
@@ -175,7 +175,7 @@ def violent(dt: wp.float64, s: Progress, bounds: Limits):
 
 @wp.func
 def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
-    """Return whether `BLOCK` substeps of length dt [s] surely follow, and then a measurement.
+    """Return whether exactly `BLOCK` substeps of length dt [s] precede the next measurement.
 
     The result is False if, between two of them, the time is reached, the particles are measured, or
     control returns to the host. The lengths of the substeps may differ by rounding.

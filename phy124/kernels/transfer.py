@@ -52,7 +52,7 @@ class Law(NamedTuple):
 
 
 NOWHERE = wp.constant(-1e9)
-"""Grid coordinate assigned to NaN positions: outside every window."""
+"""Grid coordinate that replaces NaN; it is outside every window."""
 
 
 @wp.func
@@ -90,7 +90,7 @@ def in_window(first: wp.vec3i, size: wp.vec3i):
 
 @wp.func
 def member(chosen: wp.array(dtype=int), i: int):
-    """Return the index of the i-th chosen particle; i itself if the list is empty."""
+    """Return the index of the i-th chosen particle, or i itself if the list is empty."""
     if chosen.shape[0] > 0:
         return chosen[i]
     return i

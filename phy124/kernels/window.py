@@ -1,4 +1,4 @@
-"""Nodes of a window of the grid: their position, their place in memory, and whether they hold mass.
+"""Nodes of a window of the grid: positions, indices in memory, and whether they have mass.
 
 Node (i, j, k) of the window is at origin + (window[0] + (i, j, k)) dx.
 """
@@ -21,7 +21,7 @@ def place(lattice: Any, node: wp.vec3i):
 
 @wp.func
 def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
-    """Return whether a node is in the window and in the layers that a launch may change."""
+    """Return whether a node is in the window, and in the layers that this launch may change."""
     return (
         node[0] >= span[0]
         and node[1] >= 0

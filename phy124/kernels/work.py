@@ -44,7 +44,7 @@ def add_given(
 
 @build_once
 def make_push_copy(real: Any, keeps_C: bool = False):
-    """Kernel: stores v, and C unless no force changes C, before forces act on the particles."""
+    """Kernel: stores v, and also C if a force changes C, before forces act on the particles."""
 
     @kernel(f"phy124_push_copy_{'v' if keeps_C else 'vC'}_{real.__name__}", real)
     def push_copy(v, C, v_out, C_out):
@@ -87,7 +87,7 @@ def make_push_sums_v(real: Any):
 
 @build_once
 def make_push_sums(real: Any):
-    """Kernel: adds changes of momentum and kinetic energy since `push_copy` to the `GIVEN` sums."""
+    """Kernel: adds the particles' changes since `push_copy` to the `GIVEN` sums."""
     t = types(real)
 
     @kernel(f"phy124_push_sums_vC_{real.__name__}", real)
@@ -205,14 +205,14 @@ def make_uniform_sums(real: Any):
 
 
 RUBBED, STRAINED, LOST = 0, 1, 2
-"""Index of each sum, and the number of sums: the work of the rate-dependent part of the stress, and
-of the rate-independent part [J].
+"""Indices of two sums, and their number: the work of the rate-dependent part of the stress, and the
+work of its rate-independent part [J].
 """
 
 
 @build_once
 def make_dissipation(law: Law, real: Any):
-    """Kernel, right after a gather: adds the work of the stress in a substep to the `LOST` sums.
+    """Kernel that runs right after a gather: adds the stress's work to the `LOST` sums.
 
     Each thread sums `each` particles before it writes, as in `make_measure`.
     """

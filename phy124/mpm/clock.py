@@ -21,7 +21,7 @@ class Clock:
     ) -> None:
         self.dx, self.viscous = model.dx, model.viscous
         self.cfl, self.ceiling = model.cfl, ceiling
-        """Fraction of the elastic limit that is used, and the longest substep allowed [s]."""
+        """Fraction of the elastic limit that substeps use, and the longest substep allowed [s]."""
         self.measure_every = measure_every
         """Number of substeps between two measurements, as chosen by the user."""
         self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
@@ -29,21 +29,22 @@ class Clock:
         self.limiters: dict[str, int] = {}
         """Number of substeps that each limit determined."""
         self.needed: dict[str, float] = {}
-        """Substeps of each limit, before rounding up to whole substeps per frame: a substep counts
-        as the ratio of its length to the length that the limit allowed.
+        """Number of substeps that each limit would need if a frame could have a fraction of a
+        substep. A substep counts as the ratio of its length to the length that the limit allowed.
         """
         self.extremes = self.recent = Extremes(0.0, 0.0, 0.0)
-        """The values that limit substeps: as last measured, and their maxima since the host last
-        read them. If the device takes substeps alone, the host reads only every few substeps.
+        """The values that limit substeps, as last measured, and their maxima since the host last
+        read them. The host reads them only every few substeps if the device takes substeps alone.
         """
         self.strain_rate = 0.0
         """Largest recent |C| [1/s]; |C| alone would be zero at the turning point of a vibration."""
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
-        """Current number of substeps between measurements of speeds; substeps since the last one.
+        """Current number of substeps between measurements of speeds, and number since the last
+        measurement.
         """
         self.strain = self.travel = math.inf
-        """Upper bounds of a particle's strain and of its displacement [m] since the last complete
-        measurement; if infinite, the next measurement must be complete.
+        """Upper bounds of any particle's strain and displacement [m] since the last complete
+        measurement. If they are infinite, the next measurement must be complete.
         """
         self._last_measured, self.since_complete = 0.0, 0
         """Time of the last measurement [s], and number of substeps since the last complete one."""
@@ -55,7 +56,7 @@ class Clock:
 
     @property
     def behind(self) -> float:
-        """Time by which velocities are behind positions [s]."""
+        """Time by which velocities lag behind positions [s]."""
         return self.last_dt / 2
 
     @property
@@ -82,7 +83,7 @@ class Clock:
         return -self.last_dt / 2 * power
 
     def uniform_work(self, momentum: NDArray) -> float:
-        """Return the work of the uniform acceleration since the last kick [J] that `lag` contains.
+        """Return the share of `lag` that the uniform acceleration has done since the last kick [J].
 
         Args:
             momentum: Momentum of all particles after that kick [3], kg m/s.
@@ -111,7 +112,7 @@ class Clock:
         return late or strain > calm_strain or ahead > TRAVEL * self.dx
 
     def limit_by(self, extremes: Extremes, *, complete: bool, acceleration: float = 0.0) -> None:
-        """Limit substeps by measured values.
+        """Use measured values as limits of the following substeps.
 
         Args:
             extremes: The largest values over all particles.
@@ -144,7 +145,7 @@ class Clock:
             self.values.assign(np.array(values))
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
-        """Count a finished substep; after a violent one, the next is preceded by a measurement.
+        """Count a finished substep; if it was violent, the next one starts with a measurement.
 
         Args:
             drift: Time step for positions and F [s].
@@ -158,12 +159,12 @@ class Clock:
             self.expire()
 
     def count(self, limiter: str, substeps: int = 1, *, needed: float) -> None:
-        """Count substeps that a limit determined; `needed` is their number before rounding up."""
+        """Count substeps that a limit determined; `needed` is their number without rounding up."""
         self.limiters[limiter] = self.limiters.get(limiter, 0) + substeps
         self.needed[limiter] = self.needed.get(limiter, 0.0) + needed
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state to continue from, as plain data."""
+        """Return the state from which to continue, as plain data."""
         return {
             "time": self.time,
             "last_dt": self.last_dt,
@@ -181,7 +182,7 @@ class Clock:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         self.time, self.last_dt = snapshot["time"], snapshot["last_dt"]
         self.substeps, self.since_measured = snapshot["substeps"], snapshot["since_measured"]
         self.interval = snapshot.get("interval", MEASURE_EVERY)

@@ -62,11 +62,13 @@ class Fluctuation:
     C: wp.array
     """Velocity gradients [P,3,3], 1/s, minus the part that the grid represents."""
     v_noise: wp.array
-    """Part of the velocities left after all of several passes [P,3], m/s; zero for one pass."""
+    """Remainder of the velocities after several passes [P,3], m/s; zero if there is only one pass.
+    """
     C_noise: wp.array
-    """Part of the gradients left after all of several passes [P,3,3], 1/s; zero for one pass."""
+    """Remainder of the gradients after several passes [P,3,3], 1/s; zero if there is only one pass.
+    """
     still: wp.array
-    """A clock with a time step of zero, for which the grid update changes no velocity."""
+    """A clock with a time step of zero, with which the grid update changes no velocity."""
 
     @classmethod
     def of(cls, model: Model, state: State, scheme: Scheme) -> Fluctuation:
@@ -78,7 +80,7 @@ class Fluctuation:
         return cls(model, state, scheme, v, C, v_noise, C_noise, still)
 
     def carry(self, part: Part, turn: int) -> Recorded:
-        """Record a pass to the grid: of the particles' motion first, then of the remainder."""
+        """Record a pass to the grid: first the particles' motion, in later passes the remainder."""
         model, run = self.model, part.particles
         v, C = self._left(turn)
         inputs = [part.chosen, model.mass[run], part.nodes.lattice, part.nodes.window]

@@ -28,8 +28,9 @@ from phy124.mpm.tracks import Track, Tracks
 STAGE = "free"
 """Name of the stages of free bodies in reports."""
 SOLUTIONS = 3
-"""Number of solutions of the six equations per substep. The first solution determines most
-approaching nodes, the second most friction; the next substep corrects the remaining error.
+"""Number of times that the six equations are solved in a substep. The first solution finds most of
+the nodes that approach, the second most of the friction. The next substep corrects the remaining
+error.
 """
 MARGIN = 1.5
 """Largest distance [cells] from a solid at which nodes can be in contact with it."""
@@ -179,7 +180,7 @@ class FreeBodies:
         return self._bodies
 
     def total(self, index: int) -> wp.array:
-        """Return the sums that a solid has transferred to the first body of particles."""
+        """Return the sums of what a solid has transferred to the first body of particles."""
         return self._totals[index][0]
 
     def _zeros(self, size: int) -> wp.array:
@@ -191,7 +192,7 @@ class FreeBodies:
         return math.ceil(far / self._model.dx + MARGIN)
 
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
-        """Let the solids collide with the given flat walls from now on.
+        """Set the flat walls with which the solids collide from now on.
 
         Args:
             planes: The walls.
@@ -217,7 +218,7 @@ class FreeBodies:
         ]
 
     def record(self, grid: Grid, body: int) -> list[Recorded]:
-        """Return the launches of the contact of all solids with a particle body, in order."""
+        """Return the launches for the contact of all solids with a particle body, in order."""
         solids = range(len(self.all))
         launches = (launch for index in solids for launch in self._meet(index, grid, body))
         return [(STAGE, launch) for launch in launches]
@@ -248,11 +249,11 @@ class FreeBodies:
         )
 
     def drift(self) -> list[Recorded]:
-        """Return the launches that end a substep, which move all solids."""
+        """Return the launches that move all solids at the end of a substep."""
         return [(STAGE, self._walls_launch(index, drifts=True)) for index in range(len(self.all))]
 
     def _walls_launch(self, index: int, *, drifts: bool) -> wp.Launch | None:
-        """Record the launch of the walls' contact with a solid."""
+        """Record the launch for a solid's contact with the walls."""
         solid, tracks = self.all[index], self._tracks
         inputs = [solid.mass, wp.vec3d(*solid.moments), wp.vec3d(*solid.half), POINTS[solid.shape]]
         inputs += [*self._walls, tracks.clock, tracks.values, tracks.rates]
@@ -265,12 +266,12 @@ class FreeBodies:
         self._begun = self._total()
 
     def _total(self) -> NDArray[np.float64]:
-        """Return the sums that each solid has transferred to each body [F,bodies,GIVEN]."""
+        """Return the sums of what each solid has transferred to each body [F,bodies,GIVEN]."""
         rows = [[sums.numpy() for sums in of_one] for of_one in self._totals]
         return np.array(rows, float).reshape(len(self.all), self._model.bodies, kernels.GIVEN)
 
     def impulses(self) -> NDArray[np.float64]:
-        """Return the sums that solids have transferred to all particles since the start [GIVEN]."""
+        """Return sums of what solids have transferred to all particles since the start [GIVEN]."""
         return self._total().sum(axis=(0, 1))
 
     @property
@@ -329,7 +330,7 @@ class FreeBodies:
         return float(max(speeds, default=0.0))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state to continue from; empty if there are no solids."""
+        """Return the state from which to continue; it is empty if there are no solids."""
         if not self.all:
             return {}
         return {
@@ -339,7 +340,7 @@ class FreeBodies:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         if not self.all:
             return
         for body, kept in zip(self._bodies, snapshot["bodies"], strict=True):
@@ -351,11 +352,12 @@ class FreeBodies:
 
 
 _GRIP = {"sticky": 1e9, "slip": 0.0}
-"""Friction coefficient of the kinds of contact that imply one; a solid may leave a sticky wall."""
+"""Friction coefficient for kinds of contact that have a fixed one; a solid may leave a sticky wall.
+"""
 
 
 def refuse_thin(solid: FreeBody, dx: float) -> None:
-    """Check that a solid is thick enough that material cannot pass through it.
+    """Raise an error if a solid is so thin that material could pass through it.
 
     Raises:
         InputError: The solid is thinner than two cells.

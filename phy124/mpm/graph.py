@@ -32,11 +32,11 @@ STAGE = "graph"
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
 """The limits of a substep, in the order of phy124/kernels/timestep.py."""
 STRAIN = 1.0
-"""Sum of |C| dt after which control returns to the host, which then repairs broken particles."""
+"""Sum of |C| dt after which control returns to the host, so that the host can repair particles."""
 MOST = 400
-"""Number of substeps after which control returns to the host, which may stop the run. Returning
-takes about as long as ten substeps. The number is constant, so that the same run always takes the
-same substeps.
+"""Number of substeps after which control returns to the host, so that the host can stop the run.
+Returning takes about as long as ten substeps. The number is constant, because a repeated run must
+take the same substeps.
 """
 
 
@@ -67,7 +67,7 @@ class Graph:
         self._per_substep, self._reason = 0, 0
 
     def forget(self) -> None:
-        """Discard the captured graph, since the launches of a substep have changed."""
+        """Discard the captured graph; call this when the launches of a substep have changed."""
         self._captured = None
 
     def run(
@@ -78,7 +78,7 @@ class Graph:
         *,
         apart: bool = False,
     ) -> bool:
-        """Take substeps up to a time, unless the host has to take one earlier.
+        """Take substeps up to a time, or stop earlier if the host has to take the next substep.
 
         Args:
             until: The time [s].
@@ -165,7 +165,7 @@ class Graph:
         self._limiters.upload({})
 
     def _download(self) -> int:
-        """Update the clock from the device; return the code of the reason for the stop."""
+        """Update the clock from the device; return the code of the reason why it stopped."""
         clock, limiters = self._clock, self._limiters.download()
         state = self._progress.download()[0]
         clock.time, clock.last_dt = float(state["time"]), float(state["last"])
@@ -181,7 +181,7 @@ class Graph:
 
 
 class Mirrored:
-    """An array on the device, with memory of the host to and from which it is copied."""
+    """An array on the device with a mirror in the host's memory, and copies in both directions."""
 
     def __init__(self, dtype: Any, count: int, device: str) -> None:
         """Allocate zeros.
@@ -196,14 +196,14 @@ class Mirrored:
         self._values: Any = self._staged.numpy()
 
     def upload(self, fields: dict[str, Any]) -> None:
-        """Set fields of the items, and everything else to zero."""
+        """Set the given fields of the items, and all other fields to zero."""
         self._values[:] = np.zeros_like(self._values)
         for name, value in fields.items():
             self._values[name] = value
         wp.copy(self.array, self._staged)
 
     def download(self) -> NDArray[Any]:
-        """Return the items; the next call overwrites them."""
+        """Return the items in memory that the next call overwrites."""
         wp.copy(self._staged, self.array)
         wp.synchronize_device(self.array.device)
         return self._values

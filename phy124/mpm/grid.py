@@ -24,7 +24,7 @@ MARGIN = 2 * TRAVEL
 """Margin of the window around the particles [cells]: twice their travel between measurements."""
 CROSSED = "particles crossed more cells than allowed between two measurements"
 FARTHEST = 2**30
-"""Distance from the origin [cells] within which the device can number nodes."""
+"""Distance from the origin [cells] up to which the device can compute indices of nodes."""
 
 
 class Unstable(RuntimeError):
@@ -54,14 +54,16 @@ class Grid:
         self.momenta = self.nodes
         """Momentum and mass of each node: the array to which particles scatter."""
         self.apart = apart
-        """Whether `momenta` is an array of its own, which the gather clears."""
+        """Whether `momenta` is a separate array; the gather clears a separate array."""
         self._changes: wp.array | None = None
         self.particles = particles
         """The span of the body's particles."""
         self.stale = True
         """Whether the window may no longer fit the positions of the particles."""
         self.layers: tuple[int, int] | None = None
-        """Layers first <= i < last that launches recorded now may change; None for all layers."""
+        """Range of layers (first <= i < last) that launches recorded now may change; None for all
+        layers.
+        """
         self.worker, self.workers = 0, 1
         """Index of the worker whose launches are recorded now, and the number of workers."""
 
@@ -88,7 +90,7 @@ class Grid:
             self.layers, self.worker, self.workers = None, 0, 1
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
-        """Cover the particles and a margin around them; return whether the window changed.
+        """Fit the window to the particles and a margin around them; return whether it changed.
 
         Args:
             lower: Lowest corner of the particles [3], m.
@@ -111,13 +113,13 @@ class Grid:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Make the nodes of a box, all zero: `size` [3] nodes, of which the first is `low` [3]."""
+        """Allocate `size` [3] nodes, all zero, of which the lowest is node `low` [3]."""
         # One node more than the window, since the SIMD rows read four nodes at once.
         count = int(np.prod(size)) + 1
         self.use(low, size, wp.zeros(count, dtype=self.vec4, device=self.device))
 
     def use(self, low: NDArray, size: NDArray, nodes: wp.array) -> None:
-        """Cover `size` [3] nodes from node `low` [3] on, stored in an array with one extra node."""
+        """Set the window to `size` [3] nodes from `low` [3] on; `nodes` has one extra node."""
         self.low, self.size, self.nodes, self.stale = low, size, nodes, False
         self.momenta = wp.zeros_like(nodes) if self.apart else nodes
         self._changes = None
@@ -125,7 +127,7 @@ class Grid:
 
     @property
     def changes(self) -> wp.array:
-        """Change of each node by a wall, allocated on first use; zero between two walls."""
+        """Change of each node by the current wall, allocated on first use; zero between walls."""
         if self._changes is None:
             self._changes = wp.zeros_like(self.nodes)
         return self._changes
@@ -137,7 +139,7 @@ class Grid:
         return low, high
 
     def run(self, particles: int) -> slice:
-        """Return the span of `particles` particles that launches recorded now may push."""
+        """Return the span, among the first `particles`, that launches recorded now may push."""
         ends = (self.worker, self.worker + 1)
         return slice(*(particles * end // self.workers for end in ends))
 
@@ -151,7 +153,7 @@ class Grid:
         return start, np.maximum(stop - start, 0)
 
     def slab(self, first: int, last: int) -> wp.array:
-        """Return nodes of the layers first <= i < last, which are contiguous in memory."""
+        """Return the nodes of the layers first <= i < last; they are contiguous in memory."""
         layer = int(self.size[1] * self.size[2])
         return cast("wp.array", self.nodes[first * layer : last * layer])
 

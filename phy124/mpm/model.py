@@ -87,8 +87,8 @@ class Model:
     least_stiffness: float = 1.0
     """Smallest factor on Young's modulus E of any particle."""
     respond: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
-    """Returns the accelerations of particles that forces on them cause [P]; None: each moves by
-    itself.
+    """Returns the accelerations [P] that forces on particles cause; None if each particle moves on
+    its own.
     """
 
     @classmethod
@@ -188,11 +188,11 @@ class Model:
         return slice(groups[0].start, groups[-1].stop)
 
     def named(self, name: str | None) -> slice:
-        """Return the span of a body's particles; if the name is None, that of all particles."""
+        """Return the span of a body's particles, or of all particles if the name is None."""
         return slice(0, len(self)) if name is None else self.particles(self.names.index(name))
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return the rest positions [Q,3], m, of a body; if the name is None, of all particles."""
+        """Return the rest positions [Q,3], m, of a body, or all of them if the name is None."""
         return self.rest[self.named(name)]
 
     @property
@@ -205,7 +205,7 @@ class Model:
 
     @property
     def dry_groups(self) -> tuple[Group, ...]:
-        """Groups of the particles that are not those of a liquid of another solver."""
+        """Groups of particles, except those of a liquid, which another solver moves."""
         return tuple(group for group in self.groups if group.body not in self.wet)
 
     @property
@@ -251,7 +251,7 @@ class State:
     x: wp.array
     """Positions [P,3], m."""
     residue: wp.array
-    """Rounding errors of the positions [P,3], m, which the next substep adds to the positions."""
+    """Rounding errors of the positions [P,3], m; the next substep adds them to the positions."""
     v: wp.array
     """Velocities [P,3], m/s, half a substep behind the positions."""
     C: wp.array
@@ -293,26 +293,26 @@ class State:
 
     @property
     def deformation(self) -> wp.array:
-        """Deformation gradients that the Gaussians follow: F_total if a law is plastic, else F."""
+        """Deformation gradients for the Gaussians: F_total if any law is plastic, else F."""
         return self.total if len(self.total) else self.F
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a copy on the device, as input of `restore`."""
+        """Return a copy on the device, for `restore`."""
         return {name: wp.clone(array) for name, array in self.arrays().items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot that is on the device or was read from a file."""
+        """Restore the state from a snapshot on the device or from a file."""
         for name, array in self.arrays().items():
             array.assign(snapshot[name])
 
 
 def part_of(array: wp.array, part: slice) -> wp.array:
-    """Return a slice of an array, or the array itself if it is empty because no law needs it."""
+    """Return a slice of an array, but an empty array, which no law needs, unchanged."""
     return cast("wp.array", array[part]) if len(array) else array
 
 
 def _zero_held(motion: NDArray, model: Model) -> NDArray:
-    """Return velocities or their gradients, set to zero for particles that never move."""
+    """Return velocities or their gradients, with zeros for particles that never move."""
     if not model.held:
         return motion
     moves: NDArray = model.moves.reshape(-1, *[1] * (motion.ndim - 1))
@@ -334,7 +334,7 @@ def parameters(
     dx: float,
     cfl: float,
 ) -> NDArray[np.float64]:
-    """Return parameters of particles of one law: a single row if all are equal, else a row each.
+    """Return the parameters of one law's particles: a single row if all are equal, else a row each.
 
     Args:
         materials: All materials.
@@ -354,7 +354,7 @@ def parameters(
 
 
 def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> list[tuple[int, int]]:
-    """Return the index of the first particle of each law in each body, and one past the last.
+    """Return first index and one past the last for each run of particles of one law in one body.
 
     Raises:
         ValueError: Bodies or laws are mixed, or a body has no particle.

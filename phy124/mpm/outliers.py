@@ -36,7 +36,7 @@ EVERYWHERE = 1e30
 
 
 class Outliers:
-    """The box that bounds the grid; the box is infinite while the particles stay together."""
+    """The box that bounds the grid; the box is infinite as long as the particles stay together."""
 
     def __init__(self, model: Model, state: State) -> None:
         self._model, self._state, self._half = model, state, np.zeros(3)
@@ -64,7 +64,7 @@ class Outliers:
         return {"corners": self.corners.numpy().tolist(), "half": half, "most": self.most}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot; the particles must be restored first."""
+        """Restore the state from a snapshot; the particles must be restored first."""
         self.corners.assign(np.array(snapshot["corners"], self.corners.numpy().dtype))
         self.bounded, self.most, self.changed = (
             snapshot["half"] is not None,
@@ -77,7 +77,7 @@ class Outliers:
         self.indices = wp.array(out, dtype=int, device=self._model.device)
 
     def confine(self, corners: Sequence[tuple[NDArray, NDArray]]) -> bool:
-        """Adapt the box to the particles; return whether they must be measured again.
+        """Adapt the box to the particles; return whether the particles must be measured again.
 
         Args:
             corners: Lowest and highest corner of each body's particles [3], m.
@@ -99,7 +99,7 @@ class Outliers:
         return True
 
     def around(self, part: Part, gather: Recorded, grid: Grid, tracks: Tracks) -> list[Recorded]:
-        """Return the gather of a part, surrounded by launches that move its outliers, if any.
+        """Return a part's gather; if the part has outliers, launches before and after move these.
 
         Args:
             part: Some of the particles.
@@ -130,7 +130,7 @@ class Outliers:
         self.most = max(self.most, len(out))
 
     def _beyond(self) -> NDArray[np.int32]:
-        """Return the indices of particles outside the box, with the device's comparisons."""
+        """Return the indices of particles outside the box, compared in the device's precision."""
         (low, high), x = self.corners.numpy(), self._state.x.numpy()
         return np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
 

@@ -25,8 +25,8 @@ from phy124.mpm.stage import Recorded
 STAGE = "pairs"
 """Name of the stages of contact between bodies."""
 ROOM = 16
-"""Numbers reserved for the sums of each pair and worker, so that no two workers write to the same
-cache line.
+"""Length of the array of sums for each pair and worker; with this length, no two workers write to
+the same cache line.
 """
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
@@ -66,12 +66,13 @@ class Pairs:
             )
         pairs = [chosen.get(number, Pair(*number)) for number in numbers]
         self.all = [pair for pair in pairs if not {pair.first, pair.second} <= model.held]
-        """All pairs except pairs of two held bodies, which cannot act on each other."""
+        """All pairs except those of two held bodies, because held bodies cannot act on each other.
+        """
         self._model = model
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._added = np.zeros((len(self.all), SUMS))
-        """Sums of the impulses of a liquid, which another solver computes [pairs,6]."""
+        """Sums of the impulses of a liquid [pairs,6]; another solver computes them."""
         self._begun = self._total()
         self._fill = fill_of(model)
 

@@ -26,14 +26,13 @@ from phy124.mpm.tracks import Tracks
 TRIES = 100
 """Largest number of trials; each trial's substep is at most half as long as the one before."""
 FIRST = 4
-"""Number of first substeps that are run as trials under steady sudden forces."""
+"""Number of substeps at the start of a run that are trials if sudden forces act steadily."""
 PULL = 0.1
-"""Distance [cells] that forces move a particle from rest in a substep, above which the substep is
-run as a trial.
+"""A substep is run as a trial if forces could move a particle from rest by more than this [cells].
 """
 ROUNDED = 1 - 1e-6
-"""Fraction of the previous frame's duration that counts for the bounds: with 1, rounding could
-include forces that ended before that frame.
+"""Fraction of the previous frame that the bounds include. If it were 1, rounding could include
+forces that ended before that frame.
 """
 
 
@@ -68,7 +67,7 @@ class StepRejection:
         """Number of substeps that were rejected."""
 
     def keep(self, sums: Sums) -> None:
-        """Restore further sums after a rejected substep, from now on."""
+        """From now on, also restore these sums after a rejected substep."""
         self._accumulators = [*self._accumulators, sums]
 
     def begin(self, start: float, end: float) -> None:
@@ -79,7 +78,7 @@ class StepRejection:
         """
         before = start - ROUNDED * (end - start) if math.isfinite(start) else start
         self.acceleration = _max_acceleration(self._model, self._tracks, self._pushes, before, end)
-        """Upper bound of the acceleration of a particle by forces [m/s^2]."""
+        """Upper bound of any particle's acceleration by forces [m/s^2]."""
         tops = [stage.top_speed(before, end) for stage in self._pushes if stage.top_speed]
         self.wall = max(_max_rate(self._tracks, before, end), *tops, 0.0)
         """Largest speed of a wall or a stream [m/s], which a particle may reach in one substep."""
@@ -107,7 +106,7 @@ class StepRejection:
         )
 
     def interval(self, clock: Clock, calm: float) -> int:
-        """Return the number of substeps until speeds must be measured: the user's choice if safe.
+        """Return the number of substeps until speeds must be measured: the user's number if safe.
 
         Args:
             clock: Holds the last measurement.

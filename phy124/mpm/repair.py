@@ -22,7 +22,9 @@ SOUND_J = (1e-5, 1e6)
 SOUND_F = 1e3
 """Largest norm of a sound deformation gradient."""
 NARROWEST = 1e-5
-"""Smallest ratio of the stretches, min / max; below it, rounding may change the sign of J."""
+"""Smallest ratio (min / max) of the stretches; at a smaller ratio rounding may change the sign of
+J.
+"""
 MAX_TOTAL = 1e6
 """Largest norm of F_total; the visible shape stops growing at a stretch of 4."""
 AFTER_STRAIN = 1.0
@@ -32,7 +34,7 @@ NO_PARTICLE = 2**31 - 1
 
 
 class Repair:
-    """Repairs the deformations of a run, starting with the first `begin`.
+    """Repairs the deformations of a run, from the first call of `begin` on.
 
     Call `begin` and `end` for each frame; the solver calls `substep`.
     """
@@ -76,7 +78,7 @@ class Repair:
         return {"count": self.count, "first": self.first}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         self.count, self.first = snapshot["count"], snapshot["first"]
 
     @staticmethod

@@ -48,9 +48,9 @@ from phy124.mpm.workers import (
 )
 
 MEASURE, GLANCE = -2, -3
-"""Tasks of workers in addition to phases: measure all limits, or only the speeds."""
+"""Two tasks of workers in addition to the phases: measure all limits, or only speeds."""
 CALM = 0.9
-"""Allowed growth of the stiffness between two measurements, as a fraction of the stable growth."""
+"""Fraction of the stable growth of stiffness that is allowed between two measurements."""
 
 
 class Solver:
@@ -59,7 +59,7 @@ class Solver:
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[Clock]] = Clock
     guest: Any = None
-    """Launch of another solver between the update of the grids and the walls."""
+    """Another solver's launch, which runs between the update of the grids and the walls."""
 
     def __init__(
         self,
@@ -128,7 +128,7 @@ class Solver:
         self._stray = wp.zeros(1, dtype=int, device=model.device)
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
         self.flying = False
-        """Whether no force on particles, wall or other body is within reach of the window."""
+        """Whether the window has no force on particles, no wall and no other body within reach."""
         self._moved = False
         """Whether a window has moved since the launches were recorded."""
         self.softened = 1.0
@@ -237,13 +237,13 @@ class Solver:
         self.clock.finish(drift)
 
     def renew(self) -> None:
-        """Measure everything again, because the state was set from outside."""
+        """Measure everything again; call this after setting the state from outside."""
         self.clock.expire()
         for grid in self.grids:
             grid.stale = True
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state that `restore` needs to continue bit for bit."""
+        """Return the state that `restore` needs in order to continue bit for bit."""
         return {
             "state": self.state.snapshot(),
             "clock": self.clock.snapshot(),
@@ -284,7 +284,7 @@ class Solver:
         return known
 
     def _stable_step(self, until: float) -> None:
-        """Take one substep, of a stable length that divides the remaining time evenly."""
+        """Take one substep; its stable length divides the remaining time evenly."""
         self._measure_if_due()
         clock = self.clock
         limit = clock.stable()
@@ -316,7 +316,7 @@ class Solver:
         return dt
 
     def _scatter(self, kick: float, drift: float) -> None:
-        """Run all phases but the gather: clock, tracks, forces, scatter, grid update, walls."""
+        """Run all phases except the gather: clock, tracks, forces, scatter, grid update, walls."""
         self.clock.begin(kick, drift)
         if self.tracks.vary:
             run_timed(self.timings, "tracks", self._sample.launch)
@@ -324,7 +324,7 @@ class Solver:
             self._run(phase)
 
     def _run(self, phase: int) -> None:
-        """Run a phase; threads wait for each other before the phase."""
+        """Run a phase after all threads have reached it."""
         if self.team.alive:
             run_timed(self.timings, "wait", lambda: self.team.put(phase))
             self.workers[0].run(phase)
@@ -359,7 +359,7 @@ class Solver:
             yield
 
     def _run_graph(self, until: float) -> bool:
-        """Take substeps on the device alone; return False if the host must take the next one."""
+        """Take substeps on the device; return False if the host must take the next substep."""
         alone = self.on_device and len(self.workers) == 1
         if not alone or self.rejection.sudden(self.clock):
             return False
@@ -380,7 +380,7 @@ class Solver:
             self._follow_window()
 
     def _measure_due(self) -> None:
-        """Measure the speeds, and all limits if they may have changed; raises Unstable."""
+        """Measure the speeds, and all other limits if these may have changed; raises Unstable."""
         clock = self.clock
         calm = self._calm_strain()
         if self.on_device or self.outliers.bounded or clock.complete(calm):
@@ -400,7 +400,7 @@ class Solver:
             clock.interval = min(interval, room)
 
     def _calm_strain(self) -> float:
-        """Return the strain up to which the substep stays stable although materials stiffen."""
+        """Return the strain up to which the substep stays stable as materials stiffen."""
         growth = max(CALM / self.clock.cfl**2, 1.05)
         stiffness = self.clock.extremes.stiffness / (self.model.least_stiffness * self.softened)
         return min(m.calm_strain(growth, stiffness) for m in self.model.materials)
@@ -436,7 +436,7 @@ class Solver:
         return corners_of(rows, bodies, len(self.grids))
 
     def _fit_slabs(self, rows: NDArray[np.float64], force: bool) -> bool:
-        """Fit private nodes to their particles, or divide again; return whether slabs changed."""
+        """Fit slabs to their particles or divide particles again; return whether slabs changed."""
         slabs = self.slabs
         if slabs is None or not slabs.fit(rows, force=force):
             return False
@@ -453,7 +453,7 @@ class Solver:
             worker.glances = self._recorder.speeds(worker, self._stray)
 
     def _maxima(self) -> NDArray[np.float64]:
-        """Measure; return a row of maxima for each part of each worker, or for each body.
+        """Measure, and return a row of maxima for each part of each worker, or for each body.
 
         Raises:
             Unstable: A particle is not finite.

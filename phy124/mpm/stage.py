@@ -24,17 +24,21 @@ class Stage(NamedTuple):
     in_newtons: bool = False
     """Whether the stage's track is a force on each particle [N], not an acceleration [m/s^2]."""
     keeps_C: bool = False
-    """Whether the stage never changes C, so that summing its work need not read C."""
+    """Whether the stage never changes C; the sums of its work then need not read C."""
     by_run: bool = False
-    """Whether each worker records the stage for its own particles, those of `Grid.run`."""
+    """Whether each worker records the stage only for its own particles (`Grid.run`)."""
     alone: bool = False
     """Whether one worker launches the stage for all layers while the others wait."""
     with_update: Callable[[Grid], wp.Launch | None] | None = None
-    """Records one launch for the stage and the grid update; None if the stage cannot."""
+    """Records one launch for the stage and the grid update together; None if the stage cannot."""
     limit: Callable[[float, float], float] | None = None
-    """Largest acceleration of a particle [m/s^2] between two times [s]; None: from the track."""
+    """Returns the largest acceleration of a particle [m/s^2] between two times [s]; None: use the
+    track.
+    """
     top_speed: Callable[[float, float], float] | None = None
-    """Speed [m/s] up to which the stage accelerates particles between two times [s]; None: any."""
+    """Returns the speed [m/s] up to which the stage accelerates particles between two times [s];
+    None if it has no limit.
+    """
 
 
 class Attachable(Protocol):
@@ -64,7 +68,7 @@ class Sums(Protocol):
 
 
 class Accumulator(Attachable, Sums, Protocol):
-    """Sums whose stages come last in a substep, after the boundaries."""
+    """Sums that stages at the end of a substep, after the boundaries, update."""
 
 
 Named = tuple[str, Callable[[], Any]]

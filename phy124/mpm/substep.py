@@ -29,7 +29,7 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import GATHER, Part, Slabs, Worker
 
 MEASURING = 2**17
-"""Largest number of threads that measure limits on a GPU, where each block writes once."""
+"""Largest number of threads that measure limits on a GPU; each block of threads writes once."""
 
 
 class Transfers(NamedTuple):
@@ -58,7 +58,7 @@ def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
 
 
 class Gathered(Protocol):
-    """Reads every part of the particles after each gather, without changing the particles."""
+    """Reads every part of the particles after the part's gather, without changing the particles."""
 
     def allocate(self, model: Model, workers: int) -> None:
         """Allocate memory for a number of workers."""
@@ -105,7 +105,7 @@ class Recorder:
     rpic: float = 0.0
     """Decay rate of the symmetric part of C [1/s]."""
     guest: Any = None
-    """Launch of another solver between the update of the grids and the walls."""
+    """Another solver's launch, which runs between the update of the grids and the walls."""
 
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
@@ -134,7 +134,7 @@ class Recorder:
         self.workers[0].phases[GATHER] += launches(last)
 
     def _passes(self, parts: Sequence[Part], worker: int) -> Iterator[list[Named]]:
-        """Yield a worker's phases of each pass over the grid before the substep's scatter."""
+        """Yield a worker's phases for each pass over the grid before the substep's scatter."""
         kept = self.fluctuation
         for turn in range(kept.scheme.passes if kept else 0):
             assert kept is not None
@@ -147,7 +147,7 @@ class Recorder:
             yield launches([kept.remain(part, grid, turn) for part, grid in pairs])
 
     def _put_down(self, body: int) -> None:
-        """Scatter the mass of a body that never moves; all substeps use the result."""
+        """Scatter the mass of a body that never moves, once for all substeps."""
         grid = self.grids[body]
         grid.nodes.zero_()
         every = wp.zeros(0, dtype=int, device=self.model.device)
@@ -165,11 +165,11 @@ class Recorder:
 
     @property
     def _grid(self) -> Grid:
-        """Grid for launches that do not use nodes."""
+        """Some grid, for launches that need one but do not use its nodes."""
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
-        """Return a worker's pushes; the first worker has all, unless all can be divided."""
+        """Return a worker's pushes; the first worker has all pushes unless all can be divided."""
         if all(stage.by_run for stage in stages):
             with self._grid.only(None, worker, len(self.workers)):
                 return launches([(stage.name, stage.record(self._grid)) for stage in stages])
@@ -178,7 +178,7 @@ class Recorder:
         return launches([(stage.name, stage.record(self._grid)) for stage in stages])
 
     def _update_phases(self, walls: Sequence[Stage], worker: int) -> list[list[Recorded]]:
-        """Return a worker's phases of update, contact between bodies, free bodies, and walls.
+        """Return a worker's phases: grid update, contact between bodies, free bodies, and walls.
 
         Walls come last, so that no other stage can push material through them.
         """
@@ -212,7 +212,7 @@ class Recorder:
         return None if launch is None else (wall.name, launch)
 
     def _meet_free(self) -> list[Recorded]:
-        """Return the contact of free bodies with each body in turn, for a single worker."""
+        """Return the launches for free bodies' contact with each body in turn, for one worker."""
         records = (self.free.record(self.grids[body], body) for body in self._moving)
         return list(itertools.chain(*records))
 

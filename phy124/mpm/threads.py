@@ -21,9 +21,9 @@ from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
 ROUNDS, NAP = 20, 5e-5
-"""Number of spins of a barrier that only yield the core; sleep between further spins [s]."""
+"""Number of spins of a barrier that only yield the core, and sleep [s] between later spins."""
 SPINS = 100_000
-"""Number of checks of the barrier per spin if every thread has a core; otherwise 1."""
+"""Number of checks of the barrier per spin if every thread has its own core; else it is 1."""
 Task = TypeVar("Task")
 
 
@@ -51,7 +51,7 @@ class Team(Generic[Task]):
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Start the threads, so that tasks can be put within this context."""
+        """Start the threads; tasks can be put within this context."""
         # Errors may remain from the previous context, if another error was raised first.
         self._barrier, self._queue = Barrier(self.size), []
         self._errors = [None] * self.size
@@ -72,7 +72,7 @@ class Team(Generic[Task]):
             self._barrier = None
 
     def put(self, task: Task) -> None:
-        """Wait until all members have finished their previous task, and start this task.
+        """Wait until all members have finished their previous task, then start this task.
 
         An exception of the previous task is re-raised; if there are several, the exception of the
         lowest member.

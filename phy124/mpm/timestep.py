@@ -26,13 +26,14 @@ CELLS_PER_STEP = 0.5
 STRAIN_PER_STEP = 0.4
 """Largest |C| dt; below 1 an element cannot become inverted in one substep."""
 MEMORY = 0.95
-"""Fraction of a measured stiffness that is still assumed after `MEASURE_EVERY` substeps."""
+"""Factor by which an assumed stiffness decays within `MEASURE_EVERY` substeps after a measurement.
+"""
 TRAVEL = 2
 """Largest distance that particles move between measurements of positions [cells]; the margin of the
 grid's window is twice this distance.
 """
 MEASURE_EVERY = 4
-"""Number of substeps between two measurements of the limits that is safe for any motion."""
+"""Number of substeps between two measurements of the limits; it is safe for any motion."""
 
 
 class Extremes(NamedTuple):
@@ -46,7 +47,7 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Return the extremes, with lower bounds: the decayed earlier stiffness, and `speed`.
+        """Return the extremes, raised to at least the decayed earlier stiffness and to `speed`.
 
         Args:
             before: Extremes measured `substeps` earlier.
@@ -117,12 +118,12 @@ def stable_substep(
 
 
 def decay(value: float, substeps: int) -> float:
-    """Return the value that is assumed some substeps after a measurement: it decays by `MEMORY`."""
+    """Return the value assumed a number of substeps after a measurement; it decays by `MEMORY`."""
     return MEMORY ** (substeps / MEASURE_EVERY) * value
 
 
 def beside_elastic(cfl: float) -> float:
-    """Return the fraction of the viscous limit that is stable with `cfl` of the elastic limit.
+    """Return the stable fraction of the viscous limit if `cfl` of the elastic limit is used.
 
     An oscillator with omega dt = 2 cfl and damping gamma dt, both integrated explicitly, is stable
     while (omega dt)^2 <= 4 - 2 gamma dt.
@@ -131,7 +132,7 @@ def beside_elastic(cfl: float) -> float:
 
 
 def beside_rpic(cfl: float) -> float:
-    """Return the stable substep, as a fraction of the elastic limit, if C's strain rate is damped.
+    """Return the stable fraction of the elastic limit if the strain rate in C is damped.
 
     An oscillator that keeps the fraction s of its velocity in each substep is stable while (omega
     dt)^2 <= 2 + 2 s; in the worst case s is 0.

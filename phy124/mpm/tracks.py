@@ -26,13 +26,13 @@ from phy124.schema.section import Section
 SEGMENTS = 64
 """Straight segments per period of a sine: the largest error is 0.12 % of the amplitude."""
 FOREVER = 1e30
-"""Later than the end of any run [s], but finite in float32."""
+"""A time later than the end of any run [s], but finite in float32."""
 Key = tuple[float, Vector]
 """Time [s] and value."""
 Over = Literal["", "kick", "drift"]
 """Interval over which a value is averaged: none, the kick, or the drift."""
 OVER: dict[Over, int] = {"": 0, "kick": KICK, "drift": DRIFT}
-"""Flags of these intervals."""
+"""Flag of each of these intervals."""
 
 
 class Table(Section):
@@ -151,7 +151,9 @@ class Track:
     period: float = 0.0
     """Time after which the keys repeat [s]; 0 if they never repeat."""
     mean: bool = False
-    """True: averaged over each kick and zero while inactive; False: as the slot's flags say."""
+    """True: the track is averaged over each kick, and is zero while inactive. False: the slot's
+    flags decide.
+    """
 
     @classmethod
     def constant(cls, value: Sequence[float]) -> Track:

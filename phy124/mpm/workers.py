@@ -34,21 +34,23 @@ from phy124.mpm.timestep import Maxima
 from phy124.runtime.cores import free_cores
 
 MIN_PARTICLES = 10_000
-"""Smallest number of particles per worker; with fewer, barriers cost more time than is saved."""
+"""Smallest number of particles per worker; with fewer, barriers cost more time than threads save.
+"""
 GATHER = -1
 """The last phase of a substep; workers wait for each other between phases."""
 SCHEDULE, WINDOW, REPAIR, FOLLOW = HOST = ("schedule", "window", "repair", "follow")
-"""Stages of the host. `schedule`: choosing substeps, and all other work between launches; `window`:
+"""Stages on the host. `schedule`: choosing substeps, and all other work between launches; `window`:
 recording launches for a moved window; `repair`: resetting broken deformations; `follow`: the
 functions called after each substep (progress, budget and observers).
 """
 NODES, GROWN = 16, 1.25
-"""Thresholds for dividing particles again: nodes of slabs per particle, which also bounds memory;
-and growth of the slabs' nodes per node of the window since the last division.
+"""Thresholds above which particles are divided again. `NODES`: nodes of slabs per particle, which
+also bounds memory. `GROWN`: growth of the ratio of the slabs' nodes to the window's nodes since the
+last division.
 """
 GAP, LINE = 1, 4
-"""Gap between two slabs [nodes], since SIMD rows touch one more node; and nodes per cache line: no
-two workers ever write to the same cache line.
+"""`GAP`: gap between two slabs [nodes], because SIMD rows touch one more node. `LINE`: nodes per
+cache line; no two workers ever write to the same cache line.
 """
 Result = TypeVar("Result")
 Timings = dict[str, list[float]]
@@ -67,7 +69,7 @@ class Part:
     count: int
     """Number of particles."""
     nodes: Grid
-    """The nodes to which the part scatters: the shared grid of the body, or private nodes."""
+    """The nodes to which the part scatters: the body's shared grid, or private nodes."""
     maxima: wp.array
     """Maxima measured over the part (phy124/kernels/measure.py)."""
 
@@ -78,7 +80,7 @@ class Part:
         return self.particles.start + np.asarray(self.chosen.numpy(), np.int64)
 
     def among(self, indices: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return the indices that belong to the part's particles."""
+        """Return those of the given indices that belong to the part's particles."""
         run = self.particles
         if len(self.chosen) == 0:
             return indices[(indices >= run.start) & (indices < run.stop)]
@@ -103,7 +105,7 @@ class Worker:
     timings: Timings = field(default_factory=dict)
 
     def run(self, phase: int) -> None:
-        """Run one phase of a substep; time between two launches counts for the second launch."""
+        """Run one phase of a substep; time between two launches is added to the second's time."""
         before = time.perf_counter()
         for name, launch in self.phases[phase]:
             launch()
@@ -150,7 +152,7 @@ class Slabs:
         self.starts: list[wp.array] = []
         """Index in the pool of the first node of each slab of each body."""
         self.runs: list[wp.array] = []
-        """The nodes of each worker."""
+        """Nodes in the pool that belong to each worker."""
         self._owner = np.zeros(len(model), np.int16)
         self._share = 0.0
         """Ratio of the slabs' nodes to the window's nodes after the last division."""
@@ -169,7 +171,7 @@ class Slabs:
 
     @property
     def outgrown(self) -> bool:
-        """Whether slabs have grown enough since the last division that a new one saves time."""
+        """Whether slabs have grown enough since the last division for a new one to save time."""
         if self._share == 0:
             self._share = self.share
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
@@ -186,7 +188,7 @@ class Slabs:
         self._share_out()
 
     def divide_again(self, lower: NDArray, upper: NDArray) -> None:
-        """Divide across the currently longest axis of the particles' box, from its corners [m]."""
+        """Divide the particles along the longest axis of their box between these corners [m]."""
         x: NDArray[Any] = self._state.x.numpy()
         layer = layers(np.clip(x, lower, upper), int(np.argmax(upper - lower)), self._model.dx)
         orders = [
@@ -217,7 +219,7 @@ class Slabs:
         return True
 
     def _reach(self, part: Part, row: NDArray[np.float64]) -> tuple[NDArray, NDArray] | None:
-        """Return the nodes that measured particles can touch; None if all are outliers."""
+        """Return the nodes that a part's measured particles can touch; None if all are outliers."""
         grid = self._grids[part.group.body]
         return grid.reach(*Maxima.of(row).corners) if np.isfinite(row).all() else None
 
@@ -301,7 +303,7 @@ def numbers(count: int, model: Model) -> wp.array:
 
 
 def usable_workers(particles: int, device: str, asked: int | None = None) -> int:
-    """Return the requested number of workers, or the number that saves most time; 1 on a GPU."""
+    """Return the requested number of workers, or the number that takes least time; 1 on a GPU."""
     if device != "cpu":
         return 1
     if asked is not None:
@@ -327,7 +329,7 @@ def layers(x: NDArray, axis: int, dx: float) -> NDArray[np.int16]:
 
 
 def _has_space(part: Part, reach: tuple[NDArray, NDArray] | None) -> bool:
-    """Return whether a part's private nodes leave enough margin until the next measurement."""
+    """Return whether a part's private nodes have enough margin until the next measurement."""
     if reach is None:
         return True
     nodes, (low, high) = part.nodes, reach

@@ -42,7 +42,7 @@ from phy124.kernels.window import strides
 
 @wp.func
 def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
-    """Return the fractions of the velocity relative to a surface that a node loses.
+    """Return which fractions of its velocity relative to a surface a node loses.
 
     The first is along the normal out of the body, the second across the normal.
     """
@@ -56,7 +56,7 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
 
 @build_once
 def make_begin(real: Any):
-    """Kernel of one thread: kicks a body once per substep; its motion is the first solution."""
+    """Kernel of one thread: kicks a body once per substep; its motion is the initial solution."""
 
     @kernel(f"phy124_free_begin_{real.__name__}", real)
     def begin(moments, clock, values, body_out, trial_out):

@@ -13,18 +13,18 @@ from phy124.kernels.free.numbers import arm_of, axes, first_node
 from phy124.kernels.pairs import fill_fraction, is_closed, mass_at, neighbour, outward
 
 NARROWEST = wp.constant(0.2)
-"""Smallest fraction of a cell's volume that both bodies must fill in their interior. A smaller
-limit lets a light box hover a cell above jelly: next to the box's lower edge the thin end of the
-jelly would count as its interior.
+"""Smallest fraction of a cell's volume that each body must fill in its interior. With a smaller
+limit a light box hovers a cell above jelly, because the thin end of the jelly next to the box's
+lower edge counts as interior.
 """
 THINNEST = wp.constant(0.015)
-"""Volume fraction that the solid must fill around a node for the node to be in contact: a cell away
+"""Volume fraction that the solid must fill around a node for the node to be in contact. A cell away
 from a flat side the fraction is 0.021. If nodes farther away take part, a light box creeps under
 its load.
 """
 ROUND = wp.constant(0.6)
-"""Fraction of the `ROUNDING` between two particle bodies that applies to a solid, whose surface is
-not smeared: fitted to a ball on a box (docs/lab/contact-force.md).
+"""Factor on `ROUNDING` in the contact of a particle body with a solid: the solid's surface is not
+smeared. The value is fitted to a ball on a box (docs/lab/contact-force.md).
 """
 STEEP = wp.constant(1e-4)
 """Slope of a box's volume fraction [1/cell] below which the nearest face gives the normal."""
@@ -32,7 +32,7 @@ STEEP = wp.constant(1e-4)
 
 @wp.func
 def volume_of_round(d: Any, s: Any, geometry: Any, dx: Any):
-    """Return normal and filled volume fraction around a node, for a surface taken as flat."""
+    """Return normal and filled volume fraction around a node, as if the surface were flat."""
     return wp.vector(s[0], s[1], s[2], coverage(-s[3] / dx))
 
 
@@ -100,7 +100,7 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """Return the node, of three in a row, where the overlap of body and material is largest."""
+        """Return the one of three nodes in a row at which body and material overlap most."""
         at = node
         most = real(0.0)
         for n in range(3):
@@ -124,7 +124,7 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """Return the unfilled volume fraction around a node; 1 if only one of the two is there."""
+        """Return the empty volume fraction around a node; 1 unless both bodies are there."""
         inside = fill_fraction(grid, window, at, step, fill, type(fill)(NARROWEST))
         part = solid(at, geometry, lattice, body)[3]
         deep = part

@@ -38,7 +38,7 @@ SWEEPS = wp.constant(24)
 
 @wp.func
 def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
-    """Return the vector from the centre to a point of a solid that a plane may touch [m].
+    """Return the vector from a solid's centre to a point at which a plane may touch it [m].
 
     Args:
         shape: Number of such points: 1 for a sphere, 2 for a capsule, 8 for a box.
@@ -64,7 +64,7 @@ def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
 
 @wp.func
 def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
-    """Return the angular velocity change of impulse J at r; a, c: the system's inverse blocks."""
+    """Return the angular velocity change by impulse J at r; a, c: blocks of the inverse system."""
     return c @ (wp.cross(r, J) - wp.transpose(b) @ (a @ J))
 
 
@@ -77,7 +77,7 @@ def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3
 
 @wp.func
 def within_cone(J: wp.vec3d, push: wp.float64, n: wp.vec3d, friction: wp.float64):
-    """Return an impulse of `push` along n, its part of J across n limited by Coulomb friction."""
+    """Return `push` along n, plus J's component across n limited by Coulomb friction [N s]."""
     grip = J - wp.dot(J, n) * n
     most = friction * push
     if wp.length(grip) > most:

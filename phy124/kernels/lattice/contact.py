@@ -31,13 +31,13 @@ from phy124.kernels.lattice.rows import Rows
 from phy124.kernels.work import GIVEN, add_given
 
 RELAXED = wp.constant(0.6)
-"""Part of each point's correction that is applied. Neighbouring points share most of their nodes,
-so that full corrections add up to too much.
+"""Fraction of each point's correction that is applied. Neighbouring points share most of their
+nodes, so full corrections would overshoot together.
 """
 LOOSE = wp.constant(0.5)
-"""Walls act on a point only if clamps leave it at least this part of its mobility."""
+"""Walls act on a point only if clamps leave it at least this fraction of its mobility."""
 NODES = 27
-"""Largest number of nodes of a surface point."""
+"""Largest number of nodes that carry a surface point."""
 MOMENT, SUMS = GIVEN, 16
 """Index of the moment of all impulses about the origin [N m s], and numbers reserved for each wall.
 The first `GIVEN` sums are those of phy124/kernels/work.py.
@@ -74,7 +74,7 @@ def press_and_rub(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, frictio
 
 @wp.func
 def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that holds what has touched it, but lets it slide [N s]."""
+    """Return the impulse of a surface that holds a point after touch, but lets it slide [N s]."""
     if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
         press = wp.max(press, type(gap)(0.0))
     return press * n
@@ -82,7 +82,7 @@ def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction:
 
 @wp.func
 def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that holds what has touched it [N s]."""
+    """Return the impulse of a surface that holds a point after touch [N s]."""
     if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
         press = wp.max(press, type(gap)(0.0))
     if press == type(gap)(0.0):
@@ -91,7 +91,7 @@ def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
 
 
 LIMITS = {"separate": press_and_rub, "slip": hold_across, "sticky": hold}
-"""Response of a surface -> the impulse that it allows, from a corrected impulse.
+"""Maps a surface's response to the function that limits a corrected impulse.
 
 The arguments are its normal part and that of the last impulse, its part along the surface, the
 normal, the distance of the point and the friction coefficient.
@@ -100,7 +100,7 @@ normal, the distance of the point and the friction coefficient.
 
 @build_once
 def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
-    """Kernel of one thread: finds points near a wall, and applies their last impulses.
+    """Kernel of one thread: finds points near a wall, and applies the last substep's impulses.
 
     `inverse` is zero for nodes that a clamp holds. `force_out` holds the mean force
     on each point in the last substep [N]; it becomes zero where a point has left. `gap_out` is the
@@ -167,7 +167,7 @@ def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
 
 @build_once
 def make_yields(real: Any, rows: Rows):
-    """Kernel over the points near a wall: computes the change of their velocities by 1 N s [1/kg].
+    """Kernel over points near a wall: computes their velocity changes per impulse [1/kg].
 
     It is zero for points whose nodes are nearly all held by a clamp (`inverse` is zero, but `whole`
     is not), since impulses on such points would move the other nodes violently.
@@ -378,7 +378,7 @@ def make_place(real: Any, rows: Rows):
 
 @build_once
 def make_account(real: Any, rows: Rows):
-    """Kernel over the points near a wall: adds impulse, moment and work of a substep to its sums.
+    """Kernel over the points near a wall: adds their impulse, moment and work to the wall's sums.
 
     The work is the impulse times the mean of the velocities before the kick and after the substep.
     With this mean, the work of all impulses is exactly the change of the kinetic energy. The mean
@@ -454,7 +454,7 @@ def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
 
 @build_once
 def make_distances(shape: str, real: Any):
-    """Kernel over points: computes the normal of a shape, and the signed distance from it [m]."""
+    """Kernel over points: computes a shape's normal, and the signed distance from the shape [m]."""
     t = types(real)
     distance = SHAPES[shape]
 

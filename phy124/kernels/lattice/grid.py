@@ -24,14 +24,14 @@ from phy124.kernels.transfer import slope, spline
 from phy124.kernels.window import strides
 
 SURFACE = wp.constant(0.5)
-"""Part of the space that the material fills at its surface."""
+"""Volume fraction that counts as the material's surface."""
 THINNEST, STEEPEST = wp.constant(0.02), wp.constant(0.05)
-"""Least filled part of the space, and least slope of it [1/cell], at a point in contact."""
+"""Smallest volume fraction, and its smallest slope [1/cell], at which a point is in contact."""
 
 
 @build_once
 def make_grid_near(real: Any, rows: Rows):
-    """Kernel over surface points: sets a flag if there is any mass on the nodes around a point."""
+    """Kernel over surface points: flags the points that have mass on a node around them."""
     t, moved_by = types(real), rows.moved_by
 
     @kernel(f"phy124_lattice_grid_near_{rows.name}{real.__name__}", real, seconds=0.4)
@@ -254,7 +254,7 @@ def make_grid_resist(sticky: bool, real: Any, rows: Rows):
 
 @build_once
 def make_grid_sum(real: Any):
-    """Kernel of one thread: adds impulses of points, and their moments, to a sum per body."""
+    """Kernel of one thread: adds the points' impulses and their moments to a sum per body."""
     t = types(real)
 
     @kernel(f"phy124_lattice_grid_sum_{real.__name__}", real, seconds=0.3)

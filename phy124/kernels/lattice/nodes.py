@@ -1,4 +1,4 @@
-"""Kernels that kick, hold and move the lattice's nodes, and tie nodes of almost no mass.
+"""Kernels that kick, hold and move the lattice's nodes; nodes of almost no mass follow others.
 
 `pool` holds the forces of all workers: the forces of worker w are for nodes `low[w]` to `high[w]`,
 and begin at `begin[w]`. The ties are stored as two sparse matrices: `donor_*` lists the tied nodes
@@ -66,7 +66,7 @@ def make_kick(real: Any):
 
 @build_once
 def make_try(real: Any):
-    """Kernel over nodes: adds accelerations to a shape, and displaces the nodes by the sum.
+    """Kernel over nodes: adds accelerations to a trial shape, and displaces the nodes by the sum.
 
     The sum is `gain` times the shape plus `share` times the accelerations; the displacement is
     `size` times the sum. Tied nodes follow their donors.

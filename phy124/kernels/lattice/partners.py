@@ -1,4 +1,4 @@
-"""Finds surface points that may come into contact, and the opposite position for each of them."""
+"""Finds surface points that may come into contact, and the surface position opposite to each."""
 
 from typing import Any
 
@@ -13,15 +13,15 @@ from phy124.kernels.lattice.rows import Rows
 SIDEWAYS = 0.75
 """Largest distance along the surface between a point and the place opposite to it [cells]."""
 APART, FACING = wp.constant(3.0), wp.constant(1.0)
-"""Distance at rest from which two points belong to different parts; and depth from which each is in
-front of the other one at rest, across a gap [cells].
+"""`APART`: distance at rest from which on two points belong to different parts [cells]. `FACING`:
+depth at rest from which on each point counts as in front of the other, across a gap [cells].
 """
 NEARER = wp.constant(0.6)
-"""Largest distance of sampled points that may meet, relative to their distance at rest."""
+"""Sampled points may meet if they are closer than this fraction of their distance at rest."""
 BEYOND = wp.constant(0.05)
-"""Distance beyond the edge of a flat side at which that side no longer meets a point [cells]."""
+"""A point farther than this beyond the edge of a flat side cannot touch that side [cells]."""
 OTHER = wp.constant(-0.2)
-"""Least cosine between the normals of points on one side of a part."""
+"""Smallest cosine between the normals of two points that are on the same side of a part."""
 
 
 @wp.func

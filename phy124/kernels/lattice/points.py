@@ -1,4 +1,4 @@
-"""Integration points: position, velocity and deformation from the nodes, and pushes to the nodes.
+"""Integration points: their position, velocity and deformation from the nodes, and pushes on nodes.
 
 `rows` holds the first node of each of a cell's nine rows of three nodes along z, `offset` a point's
 position relative to its cell's first node [cells]. Eight consecutive points form a cell.
@@ -13,7 +13,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.transfer import slope, spline
 
 PER_CELL, ROWS = 8, 9
-"""Points and rows of nodes of a cell."""
+"""Number of points of a cell, and number of its rows of nodes."""
 
 
 @wp.func
@@ -97,13 +97,13 @@ def spread_slopes(
 
 @wp.func
 def inverse_rows(F: Any):
-    """Return the cofactors of F: the transpose of its inverse times its determinant."""
+    """Return the cofactors of F, which are det F times the transpose of F's inverse."""
     return wp.matrix_from_rows(wp.cross(F[1], F[2]), wp.cross(F[2], F[0]), wp.cross(F[0], F[1]))
 
 
 @wp.func
 def safe_volume(J: Any):
-    """Return J, or the ratio below which laws replace log J by its tangent, if that is larger."""
+    """Return J, but at least the ratio below which laws replace log J by its tangent."""
     return wp.max(J, type(J)(1.0e-4))
 
 

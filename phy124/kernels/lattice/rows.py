@@ -63,13 +63,13 @@ def strike(
 
 @wp.func_native(code("rows", "rows:moved"))
 def moved_rows(values: Vectors, nodes: Nodes, weights: Weights, s: int) -> wp.vec3:
-    """Return the sum as `moved_by` does."""
+    """Return the same sum as `moved_by`, on the vector units of a CPU."""
     ...
 
 
 @wp.func_native(code("rows", "rows:yielding"))
 def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> wp.float32:
-    """Return the sum as `yielding` does."""
+    """Return the same sum as `yielding`, on the vector units of a CPU."""
     ...
 
 
@@ -77,12 +77,12 @@ def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> w
 def strike_rows(
     v: Vectors, inverse: Numbers, nodes: Nodes, weights: Weights, s: int, impulse: wp.vec3
 ):
-    """Apply an impulse as `strike` does."""
+    """Apply an impulse like `strike`, on the vector units of a CPU."""
     ...
 
 
 class Rows(NamedTuple):
-    """The functions on the nodes of a surface point, in plain or vectorised form."""
+    """The functions above, in plain or in vectorised form."""
 
     name: str
     """Prefix in names of modules."""

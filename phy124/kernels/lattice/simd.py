@@ -22,13 +22,13 @@ from phy124.kernels.native import code, native_kernel
 from phy124.kernels.transfer import Law
 
 CELLS = 16
-"""Number of cells of a thread."""
+"""Number of cells that one thread handles."""
 NODES = 256
-"""Number of nodes of a thread."""
+"""Number of nodes that one thread handles."""
 GAUSS = 1 + np.array(list(itertools.product((-1, 1), repeat=3))) / math.sqrt(12)
 """Gauss points relative to a cell's first node, in the order of the kernels [8,3], cells."""
 ALIGNED = 1e-4
-"""Largest deviation of the points of a full cell from the Gauss points [cells]."""
+"""In a full cell no point deviates from its Gauss point by more than this [cells]."""
 Vectors = wp.array(dtype=wp.vec3)
 Matrices = wp.array(dtype=wp.mat33)
 Numbers = wp.array(dtype=wp.float32)
@@ -50,13 +50,13 @@ class Blocks(NamedTuple):
     order: NDArray[np.int32]
     """Cells of each block [blocks,16]."""
     packed: NDArray[np.float32]
-    """Constants of the points [blocks,8,4,16]; cells that only fill up a block have no volume."""
+    """Constants of the points [blocks,8,4,16]; the cells that pad a block have no volume."""
     full: int
     """Number of blocks of full cells, which come first."""
 
 
 def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
-    """Return consecutive cells in blocks.
+    """Return consecutive cells, sorted into blocks.
 
     Args:
         offset: Positions of the points relative to their cell's first node [P,3], cells.

@@ -35,12 +35,13 @@ from phy124.kernels.lattice.contact import LIMITS, RELAXED, largest_approach
 from phy124.kernels.lattice.rows import Rows
 
 ALIGNED = wp.constant(0.9)
-"""Least cosine between a box's normal and the opposite of a point's at which they touch."""
+"""A box touches a point only if the box's normal and minus the point's have at least this cosine.
+"""
 
 
 @build_once
 def make_solid_begin(real: Any):
-    """Kernel of one thread: kicks a solid, and predicts its motion with the walls' last impulses.
+    """Kernel of one thread: kicks a solid, and predicts its motion under the walls' last impulses.
 
     `impulses` are those of each wall at each of the `points` of the solid that it may touch.
     """
@@ -106,7 +107,7 @@ def react(
 
 @wp.func
 def solid_yields(mass: wp.float64, turning: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """Return the change of a solid's velocity at r, along a unit vector, by 1 N s along it."""
+    """Return the velocity change at r along a unit vector, by 1 N s along the same vector."""
     arm = wp.cross(r, way)
     return wp.float64(1.0) / mass + wp.dot(arm, turning @ arm)
 
@@ -143,7 +144,7 @@ def make_solid_near(shape: str, real: Any, rows: Rows):
 
 @wp.func
 def way_out(p: Any, half: Any, m: Any):
-    """Return the distance from a point in a box at the origin to its surface, along m."""
+    """Return the distance along m from a point in a box at the origin to the box's surface."""
     way = type(half[0])(wp.inf)
     for c in range(3):
         if wp.abs(m[c]) > type(half[0])(1.0e-6):

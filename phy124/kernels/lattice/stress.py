@@ -21,8 +21,8 @@ from phy124.kernels.transfer import Law
 SPEED, GRADIENT, CLOSING, MAXIMA = 0, 1, 2, 3
 """Index of each measured maximum, and their number."""
 FLAT = wp.constant(0.05)
-"""Volume ratio below which a point's rate of strain is reduced: a point that is squeezed flat, or
-inverted, would otherwise stop the run.
+"""Volume ratio below which a point's rate of strain is reduced, because a point that is squeezed
+flat or inverted would otherwise stop the run.
 """
 
 QUADRATIC = wp.constant(2.0)

@@ -1,4 +1,4 @@
-"""Liquids by pressure projection: an incompressible flow on a staggered grid, carried by particles.
+"""Liquids by pressure projection: incompressible flow on a staggered grid, with particles.
 
 The x component of the velocity is stored at the centre of each cell's low x face; y and z likewise.
 Pressure, surface and density are stored at the centres of cells. A step is

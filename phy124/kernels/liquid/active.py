@@ -15,13 +15,13 @@ from phy124.kernels.liquid.conjugate import share
 from phy124.kernels.liquid.faces import cell_at, entry, inner, local
 
 REACH = wp.constant(4)
-"""Cells around a particle's cell that are active: a step moves it by two cells, and its kernels
-reach two cells further.
+"""Number of cells on each side of a particle's cell that are active: a step moves the particle by
+up to two cells, and its kernels reach two cells further.
 """
 EMPTY = wp.constant(1.5)
-"""Distance to the surface of a cell without liquid [cells]."""
+"""Distance to the surface [cells] that is stored in cells without liquid."""
 NONE = 1 << 30
-"""Lowest cell of a column without particles."""
+"""Lowest cell that is stored for a column without particles."""
 
 
 @build_once
@@ -42,7 +42,7 @@ def make_sweep(real: Any):
 
 @build_once
 def make_count_active(real: Any):
-    """Kernel over parts of the columns: combines all copies, widens them and counts their cells.
+    """Kernel over parts of the columns: combines the ranges' copies, widens them and counts cells.
 
     If `all` is 0, cells whose B-spline lies inside walls are not counted.
     """
@@ -134,7 +134,7 @@ def make_list_active(real: Any):
 
 @build_once
 def make_forget(real: Any):
-    """Kernel over cells: clears those that were active in the step before."""
+    """Kernel over cells: resets the cells that were active in the step before."""
     t = types(real)
 
     @kernel(f"phy124_liquid_forget_{real.__name__}", real, seconds=0.2)

@@ -1,4 +1,4 @@
-"""Bodies of particles in a liquid: their part in the pressure equation, and the pressure on them.
+"""Bodies of particles in a liquid: their terms of the pressure equation, and the pressure on them.
 
 The pressure gives a body two responses: that of its rigid motion (`solids`), and that of the layer
 of mass at its surface to the change of the pressure since the last step (a Robin condition:
@@ -23,8 +23,8 @@ from phy124.kernels.liquid.solids import put_motion
 from phy124.kernels.liquid.walls import centre_of, solid_face
 
 MOMENTS = 16
-"""Sums of a body: mass, mass times position [3], momentum [3], angular momentum about the origin
-[3], and second moments of the mass xx, yy, zz, xy, xz, yz.
+"""Number of sums for each body: mass, mass times position [3], momentum [3], angular momentum about
+the origin [3], and second moments of the mass xx, yy, zz, xy, xz, yz.
 """
 LIGHT = wp.constant(0.02)
 """Smallest mass of a body's surface layer, relative to that of a cell full of liquid."""
@@ -69,7 +69,7 @@ def make_moments(real: Any):
 
 @wp.func
 def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size: wp.vec3i):
-    """Return the cell at a surface that has more of the body's mass: `n`, or that behind the face.
+    """Return `n` or the cell behind the face, whichever has more of the body's mass.
 
     `row` is minus the difference of the open shares, positive if the low face is more open.
     """
@@ -81,7 +81,7 @@ def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size
 
 @build_once
 def make_yield(real: Any):
-    """Kernel over cells: adds motion and response of the bodies' surfaces to the equation.
+    """Kernel over cells: adds the bodies' surface motion and response to the equation.
 
     `free` is the number of solids before the first body, `scale` is rho dx^3 [kg], and `present`
     has the rigid motions of all solids at the start of the step. `x_guess` holds the last solution.
@@ -138,7 +138,7 @@ def make_yield(real: Any):
 
 @build_once
 def make_answer(real: Any):
-    """Kernel over bodies: writes the rigid motions that the pressure causes, and sums its impulses.
+    """Kernel over bodies: writes the rigid motions and sums the impulses that pressure causes.
 
     `given_out` has the impulse on each body and its moment about the origin.
     """
@@ -208,7 +208,7 @@ def make_body_change(real: Any):
 
 @build_once
 def make_contact(real: Any):
-    """Kernel over a region's cells: computes the area of contact with walls that never move.
+    """Kernel over a region's cells: computes the area of a body's contact with fixed walls.
 
     `still` has the open shares without bodies. The rows have the signs of `make_jumps`.
     """
@@ -243,7 +243,7 @@ def make_contact(real: Any):
 
 @build_once
 def make_head(real: Any):
-    """Kernel over cells: sums the mean of q - a x dt / dx at the surface of a body.
+    """Kernel over cells: sums q - a x dt / dx over the surface of a body, weighted by area.
 
     `rows_out` gets the sum over all cells of the body's surface, and its area.
     """

@@ -1,4 +1,4 @@
-"""Conjugate gradients for the pressure equation, with MIC(0) in each part of the cells.
+"""Conjugate gradients for the pressure equation, with MIC(0) for each part of the cells.
 
 The cells of liquid are listed in the order of memory, and divided into parts of equal length: one
 for each CPU thread, many on a GPU. The modified incomplete Cholesky factor (Bridson 2015, "Fluid
@@ -12,16 +12,20 @@ from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import kernel
 
 TUNING, SAFETY = wp.constant(wp.float64(0.97)), wp.constant(wp.float64(0.25))
-"""Modification of MIC(0), and the share of the diagonal below which it is not used."""
+"""Weight of MIC(0)'s modification, and the fraction of the diagonal below which the modified value
+is not used.
+"""
 RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
-"""Rows of sums: largest residual, largest right-hand side, and s A s.
+"""Rows in the table of sums: largest residual, largest right-hand side, and s A s.
 
 Rows 0 and 1 are r M r, in turn.
 """
 RIGID = wp.constant(5)
-"""First of six rows for each solid: force and moment J^T s of a vector s on it (see `solids`)."""
+"""First of each solid's six rows: the force and moment J^T s that a vector s exerts on the solid
+(see `solids`).
+"""
 ROWS = 5
-"""Number of rows of sums without solids."""
+"""Number of rows in the table of sums if there are no solids."""
 Vectors = wp.array(dtype=wp.vec3d)
 Table = wp.array2d(dtype=wp.float64)
 
@@ -164,7 +168,7 @@ def precondition(
 
 @wp.func
 def rigid_sums(sums: Table, solid: int):
-    """Return the force and the moment on a solid by a vector of pressures."""
+    """Return the force and the moment that a vector of pressures exerts on a solid."""
     row = RIGID + 6 * solid
     return (
         wp.vec3d(total(sums, row), total(sums, row + 1), total(sums, row + 2)),
@@ -174,7 +178,7 @@ def rigid_sums(sums: Table, solid: int):
 
 @wp.func
 def clear_rigid(sums: Table, solids: int, p: int):
-    """Set a part's forces and moments on all solids to zero."""
+    """Set the forces and moments that a part of the cells exerts on all solids to zero."""
     for k in range(6 * solids):
         sums[RIGID + k, p] = wp.float64(0.0)
 
@@ -190,7 +194,7 @@ def add_rigid(sums: Table, solid: int, p: int, force: wp.vec3d, turn: wp.vec3d):
 
 @wp.func
 def rotation_of(mobility: Table, solid: int, turn: wp.vec3d):
-    """Return the angular velocity of a solid for a moment."""
+    """Return the angular velocity that a moment causes in a solid."""
     w = wp.vec3d()
     for a in range(3):
         for b in range(3):
@@ -200,7 +204,7 @@ def rotation_of(mobility: Table, solid: int, turn: wp.vec3d):
 
 @wp.func
 def respond(sums: Table, mobility: Table, p: int, responses: wp.array2d(dtype=wp.vec3d)):
-    """Write each solid's response to a vector: velocity and angular velocity.
+    """Write the velocity and angular velocity with which each solid responds to a vector.
 
     Returns the product of all responses with their forces and moments.
     """
@@ -380,7 +384,7 @@ def improve(
     z_out: Doubles,
     sums_out: Table,
 ):
-    """Step along the direction to the smallest error, and precondition the residual."""
+    """Step along the direction to the smallest error, then precondition the residual."""
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
     steep = total(sums_out, STEEP)

@@ -1,4 +1,4 @@
-"""Cells of a window of the staggered grid: their numbers, sums, and the extent of the particles.
+"""Cells of a window of the staggered grid: their indices and sums, and the particles' extent.
 
 A vector for each cell holds the values of its three low faces and of its centre.
 """
@@ -11,20 +11,20 @@ from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 
 FILL = 3
-"""Component of the volume with quadratic weights at the cell's centre [m^3]."""
+"""Index of the sum of volumes with quadratic weights at the cell's centre [m^3]."""
 HAT = 7
-"""Component of the volume with linear weights at the cell's centre [m^3]."""
+"""Index of the sum of volumes with linear weights at the cell's centre [m^3]."""
 
 
 @build_once
 def sums(real: Any):
-    """Return the type of a cell's sums: momentum of faces, fill, mass of faces, linear weight."""
+    """Return the type of a cell's sums: three faces' momentum, `FILL`, their mass, `HAT`."""
     return wp.types.vector(8, real)
 
 
 @wp.func
 def cell_at(s: Any):
-    """Return the cell that contains a point, in cells from the window's corner."""
+    """Return the cell that contains a point, given in cells from the window's corner."""
     return wp.vec3i(int(wp.floor(s[0])), int(wp.floor(s[1])), int(wp.floor(s[2])))
 
 
@@ -36,7 +36,7 @@ def number(cell: wp.vec3i, size: wp.vec3i):
 
 @wp.func
 def cell_of(n: int, size: wp.vec3i):
-    """Return the cell with an index."""
+    """Return the cell (i, j, k) that has the index n."""
     row = n // size[2]
     i = row // size[1]
     return wp.vec3i(i, row - i * size[1], n - row * size[2])
@@ -89,7 +89,7 @@ def entry(active: wp.array(dtype=int), ends: wp.array(dtype=int), worker: int, k
 
 @build_once
 def make_sum_copies(real: Any, width: int):
-    """Kernel over active cells: adds vectors of all other copies of the cells to the first copy.
+    """Kernel over active cells: adds the vectors of all other copies to the first copy.
 
     Copies are added in their order, so that the result depends only on their number.
     """

@@ -21,7 +21,8 @@ from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
 Sums = wp.array3d(dtype=wp.float64)
 vec7d = wp.types.vector(7, wp.float64)
 COLUMNS = 7
-"""Numbers for each wall: impulse on the liquid, its moment about the origin, and its work."""
+"""Number of sums for each wall: impulse on the liquid, its moment about the origin, and its work.
+"""
 
 
 @wp.func
@@ -55,7 +56,7 @@ def way_to_wall(
 
 @wp.func
 def take_row(sums: Sums, wall: int):
-    """Return a wall's sums of all workers, and clear them."""
+    """Return the total of all workers' sums for a wall, and clear these sums."""
     row = vec7d()
     for worker in range(sums.shape[0]):
         for k in range(7):
@@ -143,7 +144,7 @@ def settle(
     totals_out: wp.array2d(dtype=wp.float64),
     all_out: wp.array2d(dtype=wp.float64),
 ):
-    """Add a step's sums of all workers to the totals of each wall, and to those of all walls.
+    """Add all workers' sums of a step to the totals of each wall, and to the totals of all walls.
 
     A single thread clears the step's sums [workers,walls,7]. Totals hold impulse and moment of each
     wall; `all_out` has one row, in the order of `phy124.kernels.work`.

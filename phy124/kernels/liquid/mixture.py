@@ -13,7 +13,7 @@ from phy124.kernels.build import kernel
 from phy124.kernels.liquid.faces import FILL, entry, stride, sums
 
 CENTRE = wp.constant(3)
-"""Component of the value at a cell's centre; 0 to 2 are those at the low faces."""
+"""Index of the value at a cell's centre; 0 to 2 are the values at the low faces."""
 
 
 @wp.func
@@ -30,7 +30,7 @@ def between(a: Any, b: Any):
 
 @cache
 def make_mix(real: Any):
-    """Kernel over cells: the mean of a property over the volume at the low faces and the centre.
+    """Kernel over cells: computes a property's mean over the volume at low faces and centre.
 
     `fills` has the sums of volume times property, `cells` those of the volume. Without any liquid
     the mean is 1.

@@ -1,4 +1,4 @@
-"""Compute displacements from crowded cells into empty ones, which restore the rest density.
+"""Computes displacements out of crowded cells into empty ones, to restore the rest density.
 
 The displacements are the gradient of the solution of a linear system. Its matrix is that of the
 pressure equation, and its right-hand side is the error of the density (Kugelstadt et al. 2019,
@@ -17,9 +17,9 @@ from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.surface import opening
 
 RATE = wp.constant(0.75)
-"""Share of the error that a step removes."""
+"""Fraction of the density's error that a step removes."""
 MOST = 0.5
-"""Largest error of a cell that a step considers, and largest displacement [cells]."""
+"""Upper limit applied to a cell's relative density error, and to a displacement [cells]."""
 
 
 @wp.func
@@ -32,7 +32,7 @@ def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size
 
 @build_once
 def make_excess(real: Any):
-    """Kernel over cells: computes the part of the density's error that a step removes.
+    """Kernel over cells: computes how much of the density's error a step removes.
 
     Cells inside a wall have no unknown, so the density that is missing in them is added to the
     cells in front of the wall; at an edge or corner between walls, to the cell in front of all of

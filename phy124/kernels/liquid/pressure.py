@@ -1,4 +1,4 @@
-"""The pressure equation, and the velocities that the pressure leaves free of divergence.
+"""The pressure equation, and the divergence-free velocities after the pressure has acted.
 
 The unknown is q = p dt / (rho dx) [m/s] with a reference density rho, so that the velocity of a
 face changes by the difference of q across it, divided by the face's density relative to rho. Walls
@@ -21,7 +21,7 @@ NEAREST = wp.constant(0.02)
 """Smallest distance of the surface from a cell's centre [cells]; closer, a pressure would be
 unbounded."""
 COMPRESSIBLE = wp.constant(1.0e-6)
-"""Share of the diagonal that a cell's compressibility adds."""
+"""Compressibility of a cell, as a fraction of its diagonal entry to which it is added."""
 
 
 @wp.func
@@ -151,7 +151,7 @@ def rise_to(
     liquid: wp.array(dtype=int),
     pressure: wp.array(dtype=wp.float64),
 ):
-    """Return the difference of q from cell m to the next cell n; one of them holds liquid."""
+    """Return how much q increases from cell m to the next cell n; one of them holds liquid."""
     rise = type(phi[n])(pressure[n] - pressure[m])
     if liquid[n] == 0:
         rise = -type(phi[n])(pressure[m]) / beyond(phi[m], phi[n])
@@ -162,7 +162,7 @@ def rise_to(
 
 @build_once
 def make_anticipate(real: Any):
-    """Kernel over cells: adds `factor` times the differences of the last q to the low faces.
+    """Kernel over cells: adds `factor` times the last differences of q to low faces' velocities.
 
     Viscosity then acts on velocities that the pressure has changed, as in a steady flow (the
     incremental projection of Goda 1979); the same differences are removed before the next solution.
@@ -202,7 +202,7 @@ def make_anticipate(real: Any):
 
 @build_once
 def make_gradient(real: Any):
-    """Kernel over cells: adds minus the differences of q to the velocities of the low faces.
+    """Kernel over cells: subtracts the differences of q from the velocities of the low faces.
 
     With `shifts` above 0 it writes minus the differences alone, as displacements of at most that
     many cells [m]. `known_out` gets a bit for each open face that touches liquid; other faces

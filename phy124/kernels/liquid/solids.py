@@ -80,7 +80,7 @@ def put_motion(motions: wp.array2d(dtype=Any), wall: int, V: wp.vec3d, w: wp.vec
 
 @build_once
 def make_jumps(real: Any):
-    """Kernel over cells: computes the rows of J, for the velocity and for the angular velocity.
+    """Kernel over cells: computes the rows of J for a solid's velocity and angular velocity.
 
     `wall` is the number of the wall that is the first solid; all later walls are solids, too.
     """
@@ -138,7 +138,7 @@ def make_jumps(real: Any):
 
 @build_once
 def make_lift(real: Any):
-    """Kernel over parts: sums the weight of liquid between cells' centres and solids' surfaces.
+    """Kernel over parts: sums the weight of liquid between cell centres and solids' surfaces.
 
     The sums are the impulse on each solid and the moment of this impulse about the solid's centre,
     both divided by rho dx^3.
@@ -221,7 +221,7 @@ def make_kick(real: Any):
 
 @build_once
 def make_predict(real: Any):
-    """Kernel over solids: writes the motion of a solid before the pressure of the solution acts.
+    """Kernel over solids: writes each solid's motion before the solved pressure acts.
 
     It is the planned motion, plus the response to the sums of `make_lift`.
     """

@@ -15,7 +15,7 @@ from phy124.kernels.liquid.faces import FILL, HAT, cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import SHUT, point
 
 LONE = wp.constant(0.3)
-"""Fill below which a particle is a drop in flight, which no pressure of its own cell moves."""
+"""Fill of a cell below which its particles are drops in flight: the cell has no pressure."""
 
 
 @wp.func
@@ -52,7 +52,7 @@ def opening(open: wp.array(dtype=Any), n: int, size: wp.vec3i):
 
 @wp.func
 def filled_share(volume: Any, solid: Any, dx: Any):
-    """Return the filled share of a B-spline's open part; `solid` is its share inside walls."""
+    """Return the filled share of a B-spline's part outside walls; the part inside is `solid`."""
     open = wp.max(type(dx)(1.0) - solid, type(dx)(0.1))
     return wp.min(volume / (dx * dx * dx) / open, type(dx)(1.0))
 
@@ -67,7 +67,7 @@ def thickness(
     size: wp.vec3i,
     most: Any,
 ):
-    """Return the thickness of a layer on the wall in a cell [m^3 for each cell]; 0 without a layer.
+    """Return the volume of a layer per cell of the wall below it [m^3]; 0 without a layer.
 
     The next cell away from the wall has less than the volume `most`.
     """
@@ -101,9 +101,9 @@ def level(
 ):
     """Return the fill of a cell, its centre's distance from the surface, and 1 if it is liquid.
 
-    A layer on a wall is liquid even if its surface is below the centre of its cells, and counts as
-    full, unless it is so thin that its particles are drops. The spline of a cell inside a wall
-    reaches the liquid only with its rim, so its fill has half the weight.
+    A layer on a wall is liquid, and counts as full, even if its surface is below the centre of its
+    cells. The exception is a layer so thin that its particles count as drops. The spline of a cell
+    inside a wall reaches the liquid only with its rim, so its fill has half the weight.
 
     Args:
         cells: Sums over the particles, of which `component` is the volume.

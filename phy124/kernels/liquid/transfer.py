@@ -87,7 +87,7 @@ def scatter(
     column_y: Any,
     column_z: Any,
 ):
-    """Add w (base + i X + j Y + k Z) and the masses of faces to 64 cells from the first one on.
+    """Add w (base + i X + j Y + k Z) and the faces' masses to the 64 cells around a particle.
 
     The offset t is that in the second cell. The fourth component of `base` is the volume, which is
     also added with linear weights.
@@ -133,7 +133,7 @@ def scatter_volume(fills: wp.array(dtype=Any), size: wp.vec3i, first: int, t: An
 
 @wp.func
 def gather(velocity: wp.array(dtype=Any), size: wp.vec3i, first: int, t: Any):
-    """Return rows sum w v, sum w i v, sum w j v, sum w k v over 64 cells from the first one on."""
+    """Return rows sum w v, sum w i v, sum w j v, sum w k v over the 64 cells around a particle."""
     wx = weights(t[0], 0)
     wy = weights(t[1], 1)
     wz = weights(t[2], 2)

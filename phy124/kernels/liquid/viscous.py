@@ -1,4 +1,4 @@
-"""Viscosity of a liquid: implicit diffusion of the velocities of faces, by Jacobi's method.
+"""Viscosity of a liquid: implicit diffusion of the faces' velocities, solved by Jacobi's method.
 
 The velocity u of a face follows from that before, u0: (1 + k sum g) u = u0 + k sum g u', over the
 neighbouring faces, with k = eta dt / (rho dx^2) and g = 1. Between two liquids, eta is the harmonic
@@ -20,7 +20,8 @@ from phy124.kernels.liquid.spread import normal_at
 from phy124.kernels.liquid.walls import centre_of, point, speed_of
 
 CLOSEST = wp.constant(0.1)
-"""Smallest distance of a face from a wall [cells]; closer, the wall would take all in one step."""
+"""Smallest distance of a face from a wall [cells]; closer walls would take all momentum in a step.
+"""
 
 
 @wp.func
@@ -72,7 +73,7 @@ def wall_link(
 
 @build_once
 def make_diffuse(real: Any):
-    """Kernel over cells: takes a step of Jacobi's method from one array of velocities to another.
+    """Kernel over cells: does one step of Jacobi's method, from one array of velocities to another.
 
     `known` has a bit for each face with mass. `viscosity` is eta / (rho dx^2) [1/s] for a relative
     density and viscosity of 1.
@@ -133,7 +134,7 @@ def make_diffuse(real: Any):
 
 @build_once
 def make_drag(real: Any):
-    """Kernel over cells: takes over the diffused velocities, and sums the drag of walls.
+    """Kernel over cells: copies the diffused velocities, and sums the drag of walls.
 
     The impulse of a wall on a face with mass m is m k (sum g u_wall - sum g u).
     """

@@ -20,9 +20,9 @@ from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number, 
 SHUT = wp.constant(1.0e-3)
 """Open share below which a face is closed."""
 GAP = wp.constant(0.02)
-"""Distance from a wall to which particles are moved back [cells]."""
+"""Particles inside a wall are moved out, to this distance in front of the wall [cells]."""
 NEAR = wp.constant(1.5)
-"""Distance from a wall within which particles may be behind it after a step [cells]."""
+"""Particles closer to a wall than this may be behind the wall after a step [cells]."""
 
 
 @wp.func
@@ -56,7 +56,7 @@ def triangle(a: Any, b: Any, c: Any):
 
 @wp.func
 def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
-    """Return the part of a square with positive values, from those at corners and centre."""
+    """Return the positive fraction of a square with given values at its corners and centre."""
     return type(a)(0.25) * (
         triangle(a, b, middle)
         + triangle(b, c, middle)
@@ -95,7 +95,7 @@ def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
 
 @build_once
 def make_wall_distance(shape: str, real: Any):
-    """Kernel over points at half the spacing: stores distances from some walls if they are smaller.
+    """Kernel over points at half the spacing: stores distances from some walls where smaller.
 
     `walls` has the walls' numbers, which are stored in the points nearest to them, and `geometries`
     their shapes. `slots` has the index of the displacement of every wall, or 0 for those that never
@@ -165,7 +165,7 @@ def centre_of(cell: wp.vec3i, lattice: Any, low: wp.vec3i):
 
 @wp.func
 def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
-    """Return the point in the middle of a cell's face that is less open than the opposite one."""
+    """Return the midpoint of that one of two opposite faces of a cell that is less open."""
     at = wp.vec3i(1, 1, 1)
     at[axis] = 0
     if jump < type(jump)(0.0):
@@ -426,7 +426,7 @@ def make_push_out(shape: str, real: Any):
 
     @wp.func
     def stop(v: t.vec3, u: t.vec3, normal: t.vec3, friction: real):
-        """Return velocity v after a wall of velocity u has stopped the motion into the wall."""
+        """Return what is left of v after a wall of velocity u has stopped motion into the wall."""
         along = wp.dot(v - u, normal)
         if along >= real(0.0):
             return v

@@ -24,7 +24,7 @@ FOLDER = Path(__file__).parent
 
 
 def code(*pieces: str) -> str:
-    """Return the C++ text of the pieces, joined in order.
+    """Return the C++ text of the named pieces, joined in order.
 
     Args:
         pieces: "tile:store" is the piece `store` of tile.h, "tile" the text before its first piece.
@@ -66,7 +66,7 @@ def native_func(body: str, like: Callable[..., Any], name: str, *, returns: Any 
 def native_kernel(
     module: str, body: str, *, name: str = "", seconds: float = 0.0
 ) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that makes a kernel of a Warp module which only calls C++.
+    """Return a decorator that adds a kernel to a Warp module; the kernel only calls C++.
 
     The decorated function declares the parameters. It is a stub, or the function of the kernel that
     is the plain form (`plain.func`).
@@ -89,7 +89,7 @@ def native_kernel(
 
 
 def _declare(like: Callable[..., Any]) -> str:
-    """Return a function's parameters as source text that takes their types from `types`."""
+    """Return a function's parameters as source text; the text takes their types from `types`."""
     return ", ".join(f"{name}: types[{name!r}]" for name in inspect.signature(like).parameters)
 
 

@@ -14,16 +14,16 @@ AMONG = wp.constant(1)
 BEHIND = wp.constant(2)
 """Rank of glass that is behind all Gaussians."""
 THIN = wp.constant(0.2)
-"""Thickness, as a fraction of the width, below which a box is a plate."""
+"""A box whose thickness is below this fraction of its width is a plate."""
 GIVE = wp.constant(0.3)
-"""Depth, as a fraction of half a plate's thickness, to which an object may penetrate the plate and
-still count as outside.
+"""An object counts as outside a plate if it penetrates the plate by less than this fraction of half
+the plate's thickness.
 """
 
 
 @wp.func
 def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
-    """Return whether a solid, seen from `eye`, is in front of, among or behind a box's contents.
+    """Return the rank of a solid seen from `eye`: in front of, among or behind a box's contents.
 
     The rank is BEFORE or BEHIND if the plane of one of the solid's faces separates the solid from
     the box. If the eye is on the box's side, no ray to the box meets the solid before the box; else

@@ -36,7 +36,7 @@ def blend_pixels(
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
-    """Blend with one thread per pixel, 256 consecutive threads for each tile from `first` on."""
+    """Blend with one thread per pixel; 256 consecutive threads share a tile, from `first` on."""
     thread = wp.tid()
     tile = first + thread / PIXELS
     x = (tile % view.columns) * TILE + thread % TILE
@@ -144,7 +144,7 @@ def gather_pixels(
     sums_out: wp.array(dtype=wp.vec3),
     weights_out: wp.array(dtype=float),
 ):
-    """Add each pixel's value and 1, weighted as in `blend.blend_pixels`; one thread per pixel."""
+    """Add each pixel's weighted value, and the weight, to its splats; one thread per pixel."""
     thread = wp.tid()
     tile = first + thread / PIXELS
     x = (tile % view.columns) * TILE + thread % TILE

@@ -16,8 +16,9 @@ RIM = wp.constant(0.50)
 WIDTH = wp.constant(1.5)
 """Width of an edge, and of the soft outline of a face [px]."""
 NEARLY = wp.constant(0.9999)
-"""Fraction of a ray's length up to the surface behind the glass; a face beyond this fraction is
-taken as lying on that surface and is not drawn."""
+"""Fraction of a ray's length up to the surface behind the glass. A face beyond this fraction counts
+as lying on that surface, so it is not drawn.
+"""
 TINT = wp.constant(wp.vec3(0.36, 0.44, 0.52))
 """Colour of the glass."""
 
@@ -44,7 +45,7 @@ class Outline:
 
 @wp.struct
 class Hit:
-    """The part of a ray inside a solid, and the opacities of the faces at its two ends."""
+    """The segment of a ray inside a solid, and the opacities of the faces at the segment's ends."""
 
     enters: float
     leaves: float  # smaller than `enters` if the ray misses
@@ -54,7 +55,7 @@ class Hit:
 
 @wp.func
 def edge(solid: Solid, at: wp.vec3, pixel: float) -> float:
-    """Return the opacity of a box's face at a point in the box's axes, higher at the edges.
+    """Return the opacity of a box's face at a point in the box's axes; it is higher at edges.
 
     A point on a face has one coordinate at its limit. Of the other two coordinates, the one that is
     closer to its limit determines the nearest edge.
@@ -98,7 +99,7 @@ def rim(towards: wp.vec3, ray: wp.vec3) -> float:
 
 @wp.func
 def from_axis(solid: Solid, point: wp.vec3) -> wp.vec3:
-    """Return the vector to a point from the nearest point on a capsule's axis."""
+    """Return the vector from the nearest point of a capsule's axis to a point."""
     axis = solid.axes[0]
     away = point - solid.centre
     return away - wp.clamp(wp.dot(away, axis), -solid.half[0], solid.half[0]) * axis
@@ -106,7 +107,7 @@ def from_axis(solid: Solid, point: wp.vec3) -> wp.vec3:
 
 @wp.func
 def ball_hit(centre: wp.vec3, radius: float, origin: wp.vec3, ray: wp.vec3) -> wp.vec2:
-    """Return where a ray enters and leaves a ball; the exit is first if the ray misses."""
+    """Return where a ray enters and leaves a ball; if it misses, the exit is before the entry."""
     o = origin - centre
     a = wp.dot(ray, ray)
     b = wp.dot(o, ray)

@@ -136,7 +136,7 @@ def project(
     order_out: wp.array(dtype=int),
     corners_out: wp.array2d(dtype=int),
 ):
-    """Project one Gaussian per thread; `corners_out` gets each tile rectangle as four +-1 steps."""
+    """Project one Gaussian per thread; `corners_out` has +-1 at the corners of tile rectangles."""
     i = wp.tid()
     p = view.rotation * means[i] + view.translation
     splat = splat_of(p, quats[i], scales[i], opacities[i], view)
@@ -230,7 +230,7 @@ def bin_serial(
     ends_out: wp.array(dtype=int),
     pairs_out: wp.array(dtype=int),
 ):
-    """Fill the tiles' lists in a single thread, for CPUs; `order` keeps lists in depth order."""
+    """Fill the tiles' lists in a single thread, for CPUs, in the depth order given by `order`."""
     ...
 
 
@@ -261,7 +261,7 @@ def start_lists(
     starts_out: wp.array(dtype=int),
     ends_out: wp.array(dtype=int),
 ):
-    """Start each tile's list after the entries of all tiles before it, as an empty list.
+    """Start an empty list for each tile, after the entries of all tiles before it.
 
     The lists have `room` entries in all; starts beyond it are moved to its end.
     """
@@ -285,7 +285,7 @@ def bin_parallel(
     ranks_out: wp.array(dtype=int),
     pairs_out: wp.array(dtype=int),
 ):
-    """Fill the tiles' lists, one thread per splat, for GPUs; lists must then be sorted by rank.
+    """Fill the tiles' lists, one thread per splat, for GPUs; the caller then sorts them by rank.
 
     If the `total` number of entries exceeds the `room`, the lists stay empty.
     """

@@ -7,8 +7,8 @@ from phy124.kernels.native import code, constants, native_kernel
 from phy124.kernels.reduction import finite
 
 NARROW = wp.constant(0.9)
-"""Width [cells] below which a Gaussian is treated as a point between four cells; such a point is
-dropped if not all four cells are on the map.
+"""Width [cells] below which a Gaussian is treated as a point between four cells. The point is
+dropped unless all four cells are on the map.
 """
 REACH = wp.constant(3.0)
 """Distance up to which a wider Gaussian is evaluated [standard deviations]."""
@@ -26,7 +26,7 @@ def thickness(opacity: float) -> float:
 
 @wp.func
 def put(layers: wp.array3d(dtype=float), i: int, j: int, layer: int, upper: float, amount: float):
-    """Add to a cell of two neighbouring layers."""
+    """Add a value to one cell in two neighbouring layers."""
     if i >= 0 and j >= 0 and i < layers.shape[1] and j < layers.shape[2]:
         wp.atomic_add(layers, layer, i, j, (1.0 - upper) * amount)
         wp.atomic_add(layers, layer + 1, i, j, upper * amount)
