@@ -21,7 +21,7 @@ BETWEEN_LINES = 10.0
 LEFT = "{l_bar}{bar}| {n_fmt}/{total_fmt}{postfix}"
 """Format of a bar with the predicted time left."""
 TITLES = {"compile": "compile kernels, once"}
-"""Stage -> the title that users see, where it differs."""
+"""Stage -> the title that users see, if it differs from the stage's name."""
 
 
 @contextmanager
@@ -95,8 +95,8 @@ class Bars:
 
     @contextmanager
     def keeping(self) -> Iterator[None]:
-        """End the work at an error or Ctrl-C within this context, without an exception.
-        The caller can then save the results so far, and `status` reports the error.
+        """Within this context, an error or Ctrl-C ends the work without an exception. The caller
+        can then save the results so far, and `status` reports the error.
         """
         try:
             yield

@@ -220,8 +220,8 @@ def _note_far(content: Content) -> list[str]:
         return []
     place = ", ".join(f"{x:.10g}" for x in content.origin)
     return [
-        f"It is so far from the origin that float32 positions would be inexact: {place} was "
-        "subtracted from them."
+        f"The object is so far from the origin that float32 positions would be inexact, so {place} "
+        "was subtracted from all positions."
     ]
 
 

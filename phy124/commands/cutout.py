@@ -123,7 +123,8 @@ class PictureOptions:
     )
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None
-    """Approximate number of Gaussians from relief (default 50,000), otherwise the maximum."""
+    """Number of Gaussians: approximate for relief (default 50,000), the largest for other
+    generators."""
     cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
     depth: Annotated[DepthMap, tyro.conf.arg(name="")] = field(default_factory=DepthMap)
     views: Annotated[OtherViews, tyro.conf.arg(name="")] = field(default_factory=OtherViews)

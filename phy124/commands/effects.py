@@ -42,7 +42,7 @@ class ShowEffects:
 
 @dataclass(frozen=True)
 class Warm:
-    """Compile the kernels of presets ahead of time, so that later runs need not wait for it."""
+    """Compile the kernels of presets ahead of time, so that later runs need not compile them."""
 
     scenes: tyro.conf.Positional[tuple[str, ...]] = ()
     """Presets or .toml files; none: all presets."""

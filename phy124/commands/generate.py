@@ -133,7 +133,9 @@ class Generate:
         return replace(result, files=files, report=report)
 
     def _refuse_compose(self) -> None:
-        """Refuse --compose where the run has no cut-out of a picture that can be read again."""
+        """Refuse --compose if the run uses no picture, or if its picture cannot be read a second
+        time.
+        """
         if not self.compose:
             return
         refuse_missing_encoder()

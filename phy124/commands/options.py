@@ -57,7 +57,7 @@ class CameraOptions:
     azimuth: Annotated[Listed, help_of(View, "azimuths")] = None
     elevation: Annotated[float | None, help_of(View, "elevation")] = None
     cameras: Path | None = None
-    """TOML file with [[view.cameras]] as in a scene; without --views only its cameras film."""
+    """TOML file with [[view.cameras]] as in a scene; without --views, only these cameras film."""
     size: Annotated[str | None, help_of(View, "size", example="512 or 1920x1080")] = None
     follow: tyro.conf.FlagCreatePairsOff[Annotated[bool, help_of(View, "follow")]] = False
     no_follow: tyro.conf.FlagCreatePairsOff[bool] = False

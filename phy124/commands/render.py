@@ -40,7 +40,8 @@ class Render:
     """Any other value of the view, as KEY=VALUE: elevation=30, background=[0,0,0]; or, as in a
     scene, view.elevation=30."""
     compose: Path | None = None
-    """The photograph from which the clip was made, to also film the object in it (composed.mp4)."""
+    """The photograph from which the clip was made; the object is also filmed in it
+    (composed.mp4)."""
     out: Path | None = None
     """Folder of the files; default: that of the clip."""
     device: Device = "auto"

@@ -148,8 +148,8 @@ def _summary(done: Sequence[Outcome]) -> str:
     seconds = sum(outcome.seconds for outcome in done)
     narrow = sum(each.by_its_error for outcome in done for each in outcome.estimates)
     return (
-        f"{inside} of {total} values are in their bands, {narrow} of these only within the error "
-        f"of the value itself; {held} of {len(done)} control runs are outside the bands, as "
+        f"{inside} of {total} values are in their bands, {narrow} of these only because of the "
+        f"value's own error; {held} of {len(done)} control runs are outside the bands, as "
         f"required; {seconds:.0f} s of CPU time"
     )
 

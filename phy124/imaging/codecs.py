@@ -47,7 +47,7 @@ class PlainTiff(TiffImageFile):
     """A TIFF in its stored orientation; Pillow would rotate it and fail if its EXIF is damaged."""
 
     def load_end(self) -> None:
-        """Replace Pillow's rotation after decoding by no operation."""
+        """Do nothing after decoding; Pillow would rotate the image here."""
 
 
 def open_tiff(data: bytes) -> TiffImageFile:

@@ -38,21 +38,23 @@ MINIMUM, MAXIMUM = 0.003, 0.97
 TINY, MUCH = 0.02, 0.85
 """Fractions of the image below and above which the segmentation probably missed the object."""
 SIDES = 3
-"""Number of touched image edges that is suspicious: a table in the foreground touches three."""
+"""From this number of touched image edges on, a cut-out is suspicious; a table in the foreground
+touches three."""
 PIECES = 4
-"""Number of separate pieces that is suspicious."""
+"""From this number of separate pieces on, a cut-out is suspicious."""
 UNSEEN = 0.12
-"""Fraction of the outline without an image edge that is suspicious; correct cut-outs have 0.05."""
+"""If more than this fraction of the outline has no image edge, a cut-out is suspicious; correct
+cut-outs have 0.05."""
 ALIKE = 0.1
-"""Fraction of the surroundings in the object's colours that is suspicious; correct cut-outs have
-0.09."""
+"""If more than this fraction of the surroundings has the object's colours, a cut-out is suspicious;
+correct cut-outs have 0.09."""
 UNDECIDED = 0.02
-"""Half-transparent area away from the outline, relative to the object, that is suspicious for a
-network."""
+"""If more than this area is half transparent away from the outline, relative to the object, a
+network's cut-out is suspicious."""
 FAINT = "Nothing in the picture is opaque; its most opaque part is treated as opaque."
 REMEDY = (
-    "Use a picture with one object on a plain background, all of it visible, give a mask (white "
-    "where the object is), or save the cut-out object as PNG with transparency."
+    "Use a picture that shows one whole object on a plain background, give a mask (white where "
+    "the object is), or save the cut-out object as PNG with transparency."
 )
 
 
@@ -409,6 +411,6 @@ METHODS: dict[str, Method] = {
 NETWORKS = (*salient.NETWORKS, "u2net", "u2netp")
 """Methods that are neural networks."""
 TAKEN_WHOLE = ("alpha", "mask")
-"""Methods whose result is kept in all its pieces, since a person made it."""
+"""Methods whose result keeps all its pieces, because a person made it."""
 PAINTED = {"mask": "the mask", "brush": "brush strokes"}
 """Names, in sentences, of the inputs that a person paints."""

@@ -27,7 +27,7 @@ MAX_SCANS = 100
 each of which takes 18 ms to decode."""
 SCAN, END = b"\xda", b"\xd9"
 SIXTEEN = ("I;16", "I;16B", "I;16L", "I;16N", "I")
-"""Modes of 16-bit grey images, which Pillow would clip and not scale."""
+"""Modes of 16-bit grey images, whose values Pillow would clip instead of scaling them."""
 ORIENTATION = 0x0112
 TURNS = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,

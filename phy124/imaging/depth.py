@@ -37,8 +37,8 @@ MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 DETAIL = 256
 """Longest side of the grid on which depth and normals are combined [pixels]."""
 TRUST = 0.02
-"""Weight of the depth relative to its gradient from the normals; features larger than
-1/sqrt(TRUST) pixels follow the depth, smaller ones the normals."""
+"""Weight of the network's depth, relative to the weight of the slopes from its normals. Features
+larger than 1/sqrt(TRUST) pixels follow the depth, smaller ones the normals."""
 STEEPEST = 4.0
 """Largest slope that is taken from a normal."""
 

@@ -100,7 +100,7 @@ def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
 
 
 def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
-    """Return the distance (CIE Lab) of colours from the border's colours [H,W], as 0..1."""
+    """Return the distance (CIE Lab) of colours from the border's colours [H,W], scaled to 0..1."""
     lab = to_lab(rgb)
     # Lightness has less weight, since shadows change the lightness of the background.
     lab[..., 0] *= 0.6

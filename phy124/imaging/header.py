@@ -15,15 +15,15 @@ HEVC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs")
 AV1 = (b"avif", b"avis")
 """File-type brands of AVIF."""
 GENERAL = (b"mif1", b"msf1")
-"""Brands that both HEIC and AVIF use; the compatible brands that follow decide."""
+"""Brands that both HEIC and AVIF use; the compatible brands listed after them tell which it is."""
 MOST_BRANDS = 64
 HEAD = 16 + 4 * MOST_BRANDS
 """Number of leading bytes that suffice to recognise the format."""
 MOST_SEGMENTS = 100_000
 """Largest number of JPEG segments before the size; photographs have up to a few hundred."""
 SEGMENT = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
-"""Start of a JPEG segment; 00 and D0 to D7 belong to the image data. Further FF bytes may precede
-it, but the pattern must not include them: FF+ would be matched again from each FF."""
+"""Start of a JPEG segment; 00 and D0 to D7 belong to the image data. Further FF bytes may precede a
+segment, but the pattern must not include them, because FF+ would be matched again from each FF."""
 SIZES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
 """Markers of the JPEG segments that contain the size."""
 EXTENT = re.compile(rb"ispe\0{4}(.{8})", re.DOTALL)

@@ -38,8 +38,8 @@ EDGE = 2.0
 ACROSS = np.linspace(-0.85, 0.85, 41)
 """Sample positions across a rim, in half widths, without its tips."""
 NEARER = (0.9, 1.0, 1.1, 1.2)
-"""Ratios of the front half's height to the back half's that are compared; perspective enlarges the
-front half."""
+"""Ratios to try of the front half's height to the back half's; perspective enlarges the front
+half."""
 
 
 def find_hollow(rgb: NDArray[np.uint8], solid: Solid) -> Iterator[str]:

@@ -37,7 +37,7 @@ MIN_SIDE = 8
 LOOK_SIDE = 320
 """Longest side at which an image is segmented without a network [pixels]."""
 FAINT = 3
-"""Range of levels below which an image counts as blank."""
+"""An image whose levels have a range below this counts as blank."""
 WORK_SIDE = 2048
 """Longest side to which images are reduced [pixels]; no generator uses more detail."""
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF")

@@ -14,12 +14,13 @@ REACH = 5
 SMOOTH = 1e-4
 """Regularisation: variance of colours (0..1) below which an edge is ignored."""
 DECIDED, SHARP = 2.0, 1.5
-"""Factors that raise the contrast around 1/2, of the coarse mask and of the fitted alpha."""
+"""Factors by which the contrast around 1/2 is raised, in the coarse mask and in the fitted
+alpha."""
 OPAQUE = 243
 """Alpha, 0..255, from which a pixel counts as free of background colour."""
 INSET = 1.0
-"""Smallest distance of an opaque pixel from all others at which its colour is trusted [pixels at
-`SIDE`]."""
+"""An opaque pixel's colour is trusted if no pixel within this distance has an alpha below `OPAQUE`
+[pixels at `SIDE`]."""
 
 
 def fit_edge(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:

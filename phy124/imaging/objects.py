@@ -22,9 +22,10 @@ GAP = 0.01
 COUNTED = 0.05
 """Smallest area of an object that is counted, relative to the largest object."""
 NEAR = 0.02
-"""Largest distance of a point from the object that it selects, over the object's longest side."""
+"""Largest distance of a point from the object that it selects, relative to the object's longest
+side."""
 WINDOWS = (0.7, 0.45, 0.3)
-"""Sides of the windows around a point that are segmented, in longest sides."""
+"""Sides of the windows around a point that are segmented, relative to the image's longest side."""
 MINIMUM = 0.02
 """Smallest fraction of a window that an object must cover."""
 

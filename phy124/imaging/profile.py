@@ -11,9 +11,9 @@ from typing import Any
 from PIL import Image
 
 DESCRIBED = {"RGB ": ("RGBA", "L", "LA"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
-"""Modes of the images to which a profile applies, by its colour space."""
+"""Colour space of a profile -> modes of the images to which the profile applies."""
 READ = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
-"""Mode in which an image is converted, without its alpha, by the profile's colour space."""
+"""Colour space of a profile -> mode in which an image is converted, without its alpha."""
 
 
 def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:

@@ -55,7 +55,7 @@ def resize_smoothly(rgb: Pixels, size: int) -> Pixels:
 
 
 def resize_sharply(rgb: Pixels, size: int) -> Pixels:
-    """Resize to a square by linear interpolation of the nearest pixels, rounded down."""
+    """Resize to a square by bilinear interpolation of the nearest pixels; round the values down."""
     fine = cv2.resize(rgb.astype(np.float32), (size, size), interpolation=cv2.INTER_LINEAR)
     return np.floor(np.asarray(fine) + 1e-3).astype(np.uint8)
 
@@ -66,7 +66,7 @@ def finish_logits(logits: Mask, size: tuple[int, int]) -> Mask:
 
 
 def finish_stretched(values: Mask, size: tuple[int, int]) -> Mask:
-    """Resize, then scale to 0..1; equal values, which mean that nothing is salient, give 0."""
+    """Resize, then scale to 0..1. If all values are equal, nothing is salient: return zeros."""
     values = _resize(values, size)
     low, high = float(values.min()), float(values.max())
     return (values - low) / (high - low) if high > low else np.zeros_like(values)

@@ -14,9 +14,10 @@ Solid = NDArray[np.bool_]
 SMALLEST_PIECE = 0.01
 """Smallest area of a piece that is counted, as a fraction of the object."""
 NEAR = 0.035
-"""Distance at which an edge counts as touched, in shorter sides; GrabCut keeps 0.03 clear."""
+"""Within this distance, an image edge counts as touched, in shorter sides; GrabCut keeps 0.03
+clear."""
 REACH = 0.02
-"""Smallest fraction of an edge that is near the object if the edge counts as touched."""
+"""An image edge counts as touched if at least this fraction of it is near the object."""
 SIDE = 320
 """Longest side at which the outline is examined [pixels]."""
 FAINT = 2.0

@@ -22,7 +22,8 @@ SIDE = 200
 NECK = 0.4
 """Largest width of a neck, relative to the thinner part."""
 UNLIKE = 0.8
-"""Smallest fraction of the colour histograms that the parts do not share."""
+"""Two parts are separate objects if they do not share at least this fraction of their colour
+histograms."""
 MOST = 4
 """Largest number of objects into which a cut-out is split."""
 SMALLEST = 0.25

@@ -17,7 +17,7 @@ from phy124.properties.stiffness import MINIMUM
 COLUMNS = ("E", "nu", "density", "damping")
 """Numeric columns, which are fields of a material [Pa, 1, kg/m^3, Pa s]."""
 FRACTION = "fraction"
-"""Column with a factor on E, whether E is in the file or not; an .npy file has only this column."""
+"""Column with a factor on E; the file may have E or not. An .npy file has only this column."""
 EVERY = (*COLUMNS, FRACTION, "law")
 """All columns."""
 NAMES = {
@@ -39,7 +39,8 @@ LAWS = {
     5: "snow",
     6: "rigid",
 }
-"""Laws by their numbers in PhysGaussian and Pixie; 6 is immovable in those, but rigid in phy124."""
+"""Laws by their numbers in PhysGaussian and Pixie; number 6 means immovable there, but rigid
+here."""
 MAX_POINTS = 5_000_000
 FORMS = "Give .ply with columns, or .npz with arrays of E, nu, density, damping, law or fraction."
 
@@ -116,7 +117,9 @@ def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64]
     else:
         return None
     if points.ndim != 2 or points.shape[1] != 3:
-        raise _refusal(path, f"its points are an array {points.shape}.", "Give points [K,3].")
+        raise _refusal(
+            path, f"its points are an array of shape {points.shape}.", "Give points [K,3]."
+        )
     return _numbers(path, "points", points)
 
 

@@ -29,10 +29,10 @@ SIZE = 320
 """Width and height of the network's input [pixels]."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 CLOSER, AROUND = 1.4, 0.15
-"""Smallest enlargement for which an object is segmented again, and the width of the surroundings,
-in longest sides of the object."""
+"""An object is segmented again if it and its surroundings can be enlarged by at least this factor;
+and the width of the surroundings, in longest sides of the object."""
 AGREED = 0.85
-"""Smallest overlap (IoU) of both masks of an object for which the second one is used."""
+"""An object's second mask is used if it overlaps with the first by at least this much (IoU)."""
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """Function from a normalised image [1,3,320,320] to the saliency [1,1,320,320] in 0..1."""
 Style = Literal["rembg", "original"]
