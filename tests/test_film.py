@@ -228,7 +228,7 @@ def test_seamless_film_ends_as_it_begins(tmp_path, clip, returns):
     steps = [np.abs(a - b).mean() for a, b in zip(shown, [*shown[1:], shown[0]], strict=True)]
     assert steps[-1] <= 1.1 * max(steps[:-1])
     (note,) = film_notes(moved, chosen)
-    assert ("fade into" if returns else "forth and back") in note
+    assert ("fade into" if returns else "forwards and backwards") in note
     assert describe_playback(moved, chosen)["seconds"] == pytest.approx(
         len(shown) / describe_playback(moved, chosen)["fps"]
     )

@@ -1,1 +1,3 @@
-"""Reads and writes files of Gaussians, clips, videos and paused runs, each atomically."""
+"""Reads and writes files of Gaussians, clips, videos and paused runs; every file is written
+atomically.
+"""

@@ -27,7 +27,7 @@ DIALECTS = {
     "dreamgaussian": ("y", "z"),
     "sam3d": ("z", "-y"),
 }
-"""Directions that point up and to the object's front in a file, by the program that wrote it.
+"""Up and front directions in a file, by the program that wrote the file.
 
 TRELLIS rotates its z-up world to y down when it saves; SAM 3D Objects saves z up.
 """

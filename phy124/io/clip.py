@@ -28,13 +28,14 @@ from phy124.motion.recorded import Computed, Motion, frames_of, make_arrays
 
 FORMAT = "phy124-clip"
 VERSION, MOTION = "1", "2"
-"""Versions of clips with the values of every frame, and with the motion that they follow from."""
+"""Format versions: version 1 stores the values of every frame, version 2 a motion from which they
+are computed."""
 SPARE = " " * 8192
-"""Space in the header for a longer report."""
+"""Spare space in the header, so that a longer report can replace the first one."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
 OPTIONAL = ("rotations", "velocities", "contacts")
 DESCRIBED = ("means", "quats", "scales", "rotations", "opacities", "sh", "object_id")
-"""Arrays that the file of a clip can have as a motion."""
+"""Arrays that the file of a clip can replace by a motion from which they are computed."""
 WALLS = "wrenches"
 OBJECT = "object_id"
 MADE = "Give a clip.safetensors made by `phy124 generate`."
@@ -57,8 +58,8 @@ class Clip:
     times: NDArray[np.float64]
     """Times of the frames [T], s."""
     rotations: Array | None = None
-    """Rotations of the material since rest [T,N,4], wxyz, from the polar decomposition of F;
-    present only if `sh` has a degree > 0."""
+    """Rotations of the material relative to its state at rest [T,N,4], wxyz, from the polar
+    decomposition of F; present only if `sh` has a degree > 0."""
     velocities: Array | None = None
     """Velocities of the centres [T,N,3], m/s, if the scene requested them."""
     scene: dict[str, Any] = field(default_factory=dict)
@@ -66,11 +67,11 @@ class Clip:
     report: dict[str, Any] = field(default_factory=dict)
     """The report of the run; its entry `complete` is False if the run stopped early."""
     contacts: Array | None = None
-    """Mean forces [newton] of the walls on the Gaussians since the previous frame [T,N,3], if
-    requested."""
+    """Mean force [newton] of the walls on each Gaussian since the previous frame [T,N,3], if the
+    scene requested it."""
     wrenches: NDArray[np.float64] | None = None
-    """Mean wrench that the object exerts on each of W walls since the previous frame [T,W,2,3]:
-    the force [N], and the torque about the object's centre of mass [N m]; if requested."""
+    """Mean wrench that the object exerts on each of W walls since the previous frame [T,W,2,3]: the
+    force [N], and the torque about the object's centre of mass [N m]; None unless requested."""
     walls: tuple[str, ...] = ()
     """Names of the walls [W]."""
     object_id: NDArray[np.int32] | None = None
@@ -78,8 +79,9 @@ class Clip:
     objects: tuple[str, ...] = ()
     """Names of the objects, if there is more than one."""
     motion: Motion | None = None
-    """What moves the Gaussians, if the clip's file is to have it in place of their values; None if
-    an array that it describes has been replaced."""
+    """A motion from which the Gaussians can be computed; the clip's file stores it in place of
+    their values. None if the file stores the values, or if an array that the motion describes was
+    replaced."""
 
     def __post_init__(self) -> None:
         if self.motion is not None:
@@ -219,7 +221,7 @@ class Clip:
         return (self.means[after] - self.means[before]) / seconds
 
     def flaws(self) -> list[str]:
-        """Return a sentence for each frame in which Gaussians have NaN or infinite values."""
+        """Return one sentence for each frame in which Gaussians have NaN or infinite values."""
         sentences = []
         for index in range(len(self)):
             arrays = (self.means[index], self.quats[index], self.scales[index])
@@ -233,7 +235,9 @@ class Clip:
         return sentences
 
     def with_motion(self, motion: Motion) -> Clip:
-        """Return a copy of the clip whose file has a motion in place of the arrays it describes."""
+        """Return a copy of the clip whose file stores a motion in place of the arrays that the
+        motion describes.
+        """
         return replace(self, motion=replace(motion, describes=self._arrays_of_motion()))
 
     def _arrays_of_motion(self) -> tuple[Any, ...]:
@@ -328,7 +332,7 @@ class Clip:
 
 
 def stack_arrays(rows: Sequence[NDArray]) -> NDArray:
-    """Stack arrays of the same shape, without a copy if they are adjacent in memory."""
+    """Stack arrays of the same shape; nothing is copied if they are adjacent in memory."""
     first = rows[0]
     owner, start, step = _owner(first), first.ctypes.data, first.nbytes
     follow = (
@@ -349,7 +353,8 @@ def _owner(array: NDArray) -> Any:
 
 
 def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Return the number of frames and of Gaussians of a saved clip from its file's header.
+    """Return the number of frames and the number of Gaussians of a saved clip, from its file's
+    header.
 
     Raises:
         InputError: If the file is missing, cut short, or not a clip of a known version.
@@ -367,7 +372,7 @@ def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
 
 
 def read_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the scene of a saved clip as plain data from its file's header.
+    """Return the scene of a saved clip as plain data, from its file's header.
 
     Raises:
         InputError: If the file is missing, cut short, or not a clip of a known version.
@@ -400,7 +405,8 @@ def _read_metadata(path: Path) -> dict[str, str]:
 
 
 def restate(path: Path, clip: Clip) -> bool:
-    """Replace the report in a written clip; return False if its header has too little space.
+    """Replace the report in a clip's file; return False if the new report does not fit into the
+    header.
 
     Raises:
         OSError: If the file cannot be written.
@@ -412,7 +418,9 @@ def restate(path: Path, clip: Clip) -> bool:
 
 
 def _write_metadata(path: Path, metadata: Mapping[str, str]) -> bool:
-    """Write the metadata of a safetensors file in order; equal clips then have equal files."""
+    """Write the metadata of a safetensors file in a fixed order, so that equal clips have equal
+    files.
+    """
     with open(path, "r+b") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))

@@ -23,20 +23,22 @@ MAX_GAUSSIANS = 50_000_000
 READING = 250
 """Memory of a Gaussian of degree 0 while a binary file is read [bytes]."""
 RUNNING = 600
-"""Memory of a Gaussian in a run, from reading to films [bytes]; docs/results/scale.md has it."""
+"""Memory of a Gaussian in a run, from reading to films [bytes]; measured in
+docs/results/scale.md."""
 MOST_KEPT = 5_000_000
 """Largest value of --gaussians."""
 DENSEST = 100
-"""Largest ratio of unpacked to compressed bytes: files of real objects reach 10, zip bombs 1000."""
+"""Largest ratio of unpacked to compressed size. Files of real objects reach 10, zip bombs 1000."""
 SMALL = 1 << 22
-"""Unpacked size allowed for any file [bytes]: small objects of one colour may exceed `DENSEST`."""
+"""Unpacked size up to which a file may exceed the ratio `DENSEST` [bytes], as small objects of one
+colour may."""
 OBJECT = "object_id"
 """Name of the column with the index of the object to which a Gaussian belongs."""
 LARGEST_SH = SH_COEFFICIENTS[-1]
 """Largest number of harmonics kept per colour; harmonics of degree 4 are left out."""
 DEGREE_4 = "Harmonics of degree 4 are left out."
 MOST_ID = 1e6
-"""Largest object number; larger ones, which float32 resolves badly, are clipped to it."""
+"""Largest object number. Larger numbers are clipped to it, because float32 resolves them badly."""
 Y_DOWN = ("-y", "-z")
 """Up and front directions in files of 3DGS and related programs."""
 Y_UP = ("y", "z")
@@ -56,18 +58,21 @@ class Content(NamedTuple):
     axes: tuple[str, str | None] = Y_DOWN
     """Up and front directions of the file; if front is None, `axes.FRONTS` gives it."""
     antialiased: bool = False
-    """Whether the Gaussians were trained with Mip-Splatting's filter and must be drawn with it."""
+    """Whether the Gaussians were trained with Mip-Splatting's filter, and so must be drawn with
+    it."""
     notes: tuple[str, ...] = ()
     """Sentences about columns that are ignored or read in an unusual way."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin of the coordinates of `gaussians`, in the file's axes. It is nonzero only if the
     positions in the file are so far from 0 that float32 could not resolve them."""
     step: float = 0.0
-    """Smallest distance that the file's number format resolves; 0 if it is negligible."""
+    """Smallest distance that the file's number format resolves; 0 if this is negligible."""
 
     @property
     def in_place(self) -> Content:
-        """The content with absolute positions; if float32 cannot resolve them, the same content."""
+        """The content with absolute positions, or the unchanged content if float32 cannot resolve
+        them.
+        """
         means = move_back(self.gaussians.means, np.array(self.origin)) if any(self.origin) else None
         if means is None:
             return self
@@ -75,7 +80,7 @@ class Content(NamedTuple):
         return self._replace(gaussians=moved, origin=(0.0, 0.0, 0.0))
 
     def remarks(self, chosen: Gaussians | None = None) -> list[str]:
-        """Return the notes, and a warning if the file's positions have too little precision.
+        """Return the notes on the file, and a warning if its positions have too little precision.
 
         Args:
             chosen: The Gaussians that are used; None: all.
@@ -138,7 +143,7 @@ def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
         raise refusal(kind, path, "it holds no Gaussians.", "Export it again with Gaussians.")
     check_size(kind, path, count)
     if count * row > SMALL + DENSEST * size:
-        limit = f"its header states {count:,} Gaussians, more than fit in {size:,} bytes."
+        limit = f"its header states {count:,} Gaussians, more than {size:,} bytes can hold."
         raise refusal(kind, path, limit)
 
 
@@ -157,7 +162,7 @@ def for_run(most: float = math.inf) -> Iterator[None]:
 
 
 def check_size(kind: str, path: Path, count: int, *, more: float = 0.0) -> None:
-    """Refuse more Gaussians than a file may have, or than fit into the free memory.
+    """Refuse more Gaussians than a file may have, or more than fit into the free memory.
 
     Args:
         kind: Name of the format.
@@ -261,7 +266,8 @@ def content_of(
 def assign_objects(
     ids: NDArray | None, means: NDArray[np.float32]
 ) -> tuple[dict[str, NDArray[np.int32]], list[str]]:
-    """Return the object index of each Gaussian, if the file has any, and notes about them.
+    """Return the object index of each Gaussian if the file assigns objects, and notes about the
+    indices.
 
     A Gaussian without an object is assigned to the object of its nearest neighbour with an object.
 
@@ -289,10 +295,11 @@ def assign_objects(
 
 
 FAR = 4
-"""Distance from the origin divided by the object's size. Beyond this ratio, centres in double
-precision are stored relative to an origin of their own, since float32 would be too coarse."""
+"""Ratio of the distance from the origin to the object's size. Beyond this ratio, float32 would be
+too coarse, so centres in double precision are stored relative to a separate origin."""
 FINE = 20_000
-"""Smallest number of float32 steps across an object whose centres need no separate origin."""
+"""Number of float32 steps across an object that is fine enough; below it, the centres get a
+separate origin."""
 COARSE = 4000
 """Number of steps across an object below which a note calls the file's positions too coarse."""
 ENOUGH = 100_000
@@ -300,7 +307,7 @@ ENOUGH = 100_000
 LARGEST = 1e38
 """Largest coordinate that is used, about the largest value of float32."""
 ENDS = (1, 99)
-"""Percentiles of the coordinates that bound an object; this ignores single outliers."""
+"""Percentiles of the coordinates between which an object extends; single outliers are ignored."""
 
 
 def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
@@ -336,7 +343,9 @@ def move_back(
 
 
 def step_of(means: NDArray) -> float:
-    """Return the spacing of float32 numbers at the centres [N,3]; 0 if they are more precise."""
+    """Return the spacing of float32 numbers at the centres [N,3]; 0 for centres in double
+    precision.
+    """
     some = _some(means)
     if not len(some) or not np.array_equal(some, some.astype(np.float32)):
         return 0.0
@@ -344,7 +353,8 @@ def step_of(means: NDArray) -> float:
 
 
 def describe_coarseness(means: NDArray, step: float) -> str | None:
-    """Return a sentence if the file's positions are too coarse for its object, else None.
+    """Return a sentence if the file's positions are too coarse for its object; otherwise return
+    None.
 
     Args:
         means: Centres [N,3], relative to any origin.
@@ -375,6 +385,6 @@ def _middle(means: NDArray) -> tuple[NDArray[np.float64], float]:
 
 
 def _some(means: NDArray) -> NDArray[np.float64]:
-    """Sample centres evenly from the whole file, leaving out any that overflow float32."""
+    """Sample centres evenly from the whole file, without those that overflow float32."""
     some = means[:: max(1, len(means) // ENOUGH)].astype(np.float64)
     return some[(np.abs(some) < LARGEST).all(axis=1)]

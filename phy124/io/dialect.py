@@ -1,4 +1,5 @@
-"""Guesses which program wrote a PLY file, and thereby its axes, from columns and positions.
+"""Guesses which program wrote a PLY file from its columns and positions; the program determines the
+axes.
 
 Few programs name themselves in their files. The guess therefore relies on the known output of each
 program (docs/guide/plugins.md). It is reported to the user and applied only if the user agrees.
@@ -19,11 +20,12 @@ from phy124.io.ply import CENTRE, DC, QUATS, SCALES, VERTICAL
 from phy124.io.plyheader import Header, read_header
 
 ENOUGH, BLOCKS = 10_000, 20
-"""Number of sampled rows, and number of blocks of adjacent rows, spread over the file."""
+"""Number of rows that are sampled, and number of blocks of adjacent rows, which are spread over the
+file."""
 LGM = (*CENTRE, *DC, "opacity", *SCALES, *QUATS)
 """Columns of a file that LGM wrote, in order."""
 SIGNED = ("phy124", "SuperSplat")
-"""Programs that name themselves in a comment and use the usual axes."""
+"""Programs that state their name in a comment and use the usual axes."""
 UNIT = 1e-3
 """Largest deviation of a unit quaternion's length from 1."""
 
@@ -61,7 +63,7 @@ def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
 
 
 def _names_its_axes(header: Header) -> bool:
-    """Whether a comment states the up axis; "y" alone is ambiguous."""
+    """Whether a comment states the up axis; the letter "y" alone is ambiguous."""
     matches = filter(None, map(VERTICAL.fullmatch, header.comments))
     return _is_signed(header) or any(match[1].lower() != "y" for match in matches)
 

@@ -1,4 +1,4 @@
-"""Writes output files, which appear whole or not at all and replace older files atomically.
+"""Writes output files atomically: a file appears whole or not at all, and replaces an older file.
 
 An output path may be a link, which is followed, or a device or pipe, which is written into. The
 operating system releases a lock when its process ends in any way. An unlocked temporary file is
@@ -59,11 +59,12 @@ def locking(path: Path) -> Iterator[None]:
 
 
 DESCRIPTORS = ("/dev/fd/", "/proc/", "/dev/stdout", "/dev/stderr")
-"""Prefixes of paths that name an open file descriptor of any kind."""
+"""Beginnings of paths that name an open file descriptor of any kind."""
 PARTS = ".*-????????.part*"
 """Pattern of the names of files that are still being written."""
 LONGEST = 40
-"""Largest number of characters of a file's name that its temporary file's name repeats."""
+"""Largest number of characters of a file's name that are repeated in the name of its temporary
+file."""
 
 
 def is_stream(path: Path) -> bool:
@@ -103,7 +104,7 @@ def create_temporary(path: Path) -> Path:
 
 
 def move_to(source: Path, path: Path) -> None:
-    """Move a finished file or folder to a path, replacing an existing file or folder.
+    """Move a finished file or folder to a path, and replace any file or folder there.
 
     Links are followed; devices and pipes are written into. If the path is on another file system,
     the content is copied.
@@ -195,7 +196,9 @@ def staging(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
 
 
 def deliver(folder: Path) -> list[str]:
-    """Move the complete files of a `staging` folder to its output folder; return their names."""
+    """Move the complete files of a `staging` folder to its output folder, and return their
+    names.
+    """
     out, names = folder.parent, sorted(path.name for path in folder.glob("[!.]*"))
     for name in names:
         move_to(folder / name, out / name)
@@ -214,7 +217,7 @@ def write_whole(path: PathLike, text: str) -> None:
 
 
 def _sweep(out: Path) -> None:
-    """Remove the temporary folders and files of ended processes from an output folder."""
+    """Remove temporary folders and files that ended processes left in an output folder."""
     for folder in out.glob(f"{MAKING}*"):
         held = lock(folder)
         if held is not None:
@@ -224,7 +227,7 @@ def _sweep(out: Path) -> None:
 
 
 def sweep_parts(folder: Path) -> None:
-    """Remove the temporary files of ended processes from a folder."""
+    """Remove temporary files that ended processes left in a folder."""
     for path in folder.glob(PARTS):
         held = lock(path)
         if held is not None:
@@ -233,7 +236,7 @@ def sweep_parts(folder: Path) -> None:
 
 
 def writable(folder: Path) -> bool:
-    """Whether files can be written into a folder that exists or can be created."""
+    """Whether files can be written into a folder, which may have to be created first."""
     for path in (folder, *folder.parents):
         if os.path.lexists(path):
             return path.is_dir() and os.access(path, os.W_OK | os.X_OK)
@@ -241,14 +244,16 @@ def writable(folder: Path) -> bool:
 
 
 def _remove_empty(folders: list[Path]) -> None:
-    """Remove folders, innermost first, up to the first that is not empty."""
+    """Remove empty folders, innermost first; stop at the first that is not empty."""
     with suppress(OSError):
         for folder in folders:
             folder.rmdir()
 
 
 def refuse_unwritable(path: PathLike) -> None:
-    """Raise InputError if `replacing` cannot write to this path; an existing file is unchanged."""
+    """Raise InputError if `replacing` cannot write to this path; an existing file is left
+    unchanged.
+    """
     _create(Path(path)).unlink()
 
 

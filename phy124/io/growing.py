@@ -60,7 +60,7 @@ class Tensor(NamedTuple):
 
 
 class Unlike(ValueError):
-    """Raised if the arrays of a frame or clip differ from those of the file."""
+    """Raised if the arrays of a frame or clip differ from those of the file in type or shape."""
 
 
 class Growing:
@@ -95,7 +95,7 @@ class Growing:
             for name, array in self.tensors.items()
             if array.size
         }
-        """Each array by name, memory-mapped; rows of frames not yet written are zero."""
+        """Memory-mapped arrays by name; the rows of frames that are not yet written are zero."""
 
     @classmethod
     def like(
@@ -154,7 +154,7 @@ class Growing:
         return kept, self._row("rotations", index)
 
     def finish(self, clip: Clip, path: Path) -> bool:
-        """Complete the file and link it as `path`; False if the clip has other arrays.
+        """Complete the file and link it as `path`; return False if the clip has other arrays.
 
         Raises:
             OSError: If the disk is full or the file system has no hard links.
@@ -196,7 +196,7 @@ class Growing:
         return True
 
     def place(self) -> dict[str, Any]:
-        """Return, as plain data, the description that `there` needs to reopen the file."""
+        """Return, as plain data, the description from which `there` reopens the file."""
         return {"file": self.path.name, "tensors": self.tensors}
 
     @classmethod

@@ -54,10 +54,11 @@ BLOCK = 3 << 20
 LOOSE = 0.5
 """Largest error of the Gaussians' shapes at which the page contains a P4D file."""
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
-"""A stage as plain data, and its shadow maps [T,C,C] (phy124/rendering/stage/build.py)."""
+"""A stage as plain data, and its shadow maps [T,C,C]; made by phy124/rendering/stage/build.py."""
 Glossy = dict[str, Any]
-"""The reflective Gaussians and their reflectance as plain data, and with liquids the colours and
-opacities of all frames, `hues` [T,N,4] uint8 (phy124/rendering/shine.py)."""
+"""Plain data that lists the reflective Gaussians and their reflectance. If there are liquids, it
+also has `hues` [T,N,4] uint8, the colours and opacities of all frames
+(phy124/rendering/shine.py)."""
 
 
 def pack(
@@ -187,7 +188,9 @@ def _pack_smallest(
     stage: Staged | None,
     shine: Glossy | None,
 ) -> bytes:
-    """Return a P4D file of all Gaussians, or a pack if the P4D file would be inexact or larger."""
+    """Return all Gaussians as a P4D file, or as a pack if the P4D file would be inexact or
+    larger.
+    """
     packed = pack(clip, camera, background=background, stage=stage, shine=shine)
     finite = all(np.isfinite(means).all() for means in clip.means)
     if not finite or (shine and "hues" in shine):
@@ -206,7 +209,7 @@ def _describe(
     stage: Staged | None,
     shine: Glossy | None,
 ) -> dict[str, Any]:
-    """Return how the player shows a clip at first, as plain data."""
+    """Return the settings with which the player first shows a clip, as plain data."""
     shown: dict[str, Any] = {"background": list(background), "view": _view(camera)}
     shown |= {} if stage is None else {"stage": stage[0]}
     until = (clip.report.get("error") or {}).get("until")
@@ -276,7 +279,7 @@ def _colours(clip: Clip) -> NDArray[np.uint8]:
 
 
 def _centres(means: NDArray, low: NDArray, high: NDArray) -> NDArray[np.uint16]:
-    """Quantise positions to 16 bits over the box."""
+    """Quantise positions in the box to 16 bits."""
     return np.rint((means - low) / np.maximum(high - low, 1e-12) * 65535).astype("<u2")
 
 

@@ -12,16 +12,16 @@ RECORDED = (
     "`python -m bridge info {}` describes it, and `ros2 bag play {}` plays it.",
 )
 NOT_ALONE = "meta.json"
-"""A file that cannot be used without the other files of its folder."""
+"""Message about a file that cannot be used without the other files of its folder."""
 IN_FOLDERS = {
     NOT_ALONE: (
-        "it is the folder of an unpacked SOG.",
+        "it is a folder with the files of an unpacked SOG.",
         "Zip its files: `cd {} && zip -0 ../packed.sog *`, and give packed.sog.",
     ),
     "metadata.yaml": RECORDED,
     "clip.safetensors": ("it is the folder of a run.", "Give {}/clip.safetensors."),
 }
-"""Description of a folder, and the remedy, by the name of a file that identifies the folder."""
+"""Name of a file that identifies a folder -> description of the folder, and the remedy."""
 RECORDING = b"\x89MCAP"
 """First bytes of an MCAP file, a recording of messages as written by the bridge."""
 PAGE = (
@@ -36,7 +36,7 @@ STAND_INS = {
     b"<!doctype html": PAGE,
     b"<html": PAGE,
 }
-"""First bytes, in lower case, of texts that are often saved by mistake in place of a file."""
+"""Beginnings, in lower case, of texts that are often saved by mistake in place of a file."""
 HEAD = max(map(len, STAND_INS))
 """Number of leading bytes that are examined."""
 
@@ -73,7 +73,7 @@ def stand_in(head: bytes) -> tuple[str, str] | None:
 
 
 def _of_folder(path: Path) -> tuple[str, str]:
-    """Return a folder's kind, and the remedy: the file to use instead."""
+    """Return the kind of a folder, and the remedy: the name of the file to use instead."""
     for name, words in IN_FOLDERS.items():
         if (path / name).is_file():
             return _about(path, *words)

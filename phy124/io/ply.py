@@ -49,8 +49,8 @@ from phy124.io.plyheader import Header, read_header, refusal
 BLOCK = 1 << 16
 """Number of Gaussians that are written at a time."""
 PLAIN, WIDER, TEXT = 68, 3, 70
-"""Size of a row of degree 0 [bytes]; memory per further byte of a row, and per value of an ascii
-row [bytes], while a file is read."""
+"""Size of a row of degree 0 [bytes]. Memory [bytes] that reading a file needs per further byte of a
+row, and per value of an ascii row."""
 FILTER = "filter_3D"
 """Column with the standard deviation of Mip-Splatting's filter, in the file's unit of length
 (Yu et al. 2023, eq. 7)."""
@@ -61,12 +61,13 @@ SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 SPLATS = (*SCALES, *QUATS, "opacity")
 KNOWN = {*CENTRE, *DC, *RGB, *SPLATS, OBJECT, FILTER, "nx", "ny", "nz"}
-"""Columns that are read, duplicate others (red, green, blue), or are not needed (normals)."""
+"""Columns without a note: columns that are read, that repeat others (red, green, blue), or that are
+not needed (normals)."""
 ANCHORS = ("f_anchor_feat_0", "f_offset_0")
 FLAT = 0.01
-"""Thickness of a Gaussian without scale_2, as a fraction of its shorter side."""
+"""Thickness of a Gaussian without scale_2, relative to its shorter side."""
 MOST_NAMED = 12
-"""Largest number of unknown columns named in a note; a numbered group counts once."""
+"""Largest number of unknown columns that a note names; a group of numbered columns counts once."""
 COEFFICIENTS = (*SH_COEFFICIENTS, 25)
 """Numbers of spherical-harmonic coefficients of degree 0 to 4."""
 STANDARD = "Export it in the standard 3DGS layout."
@@ -148,8 +149,8 @@ def _activate(table: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.floa
     opacities = table["opacity"].astype(np.float64)
     if _are_activated(scales, opacities):
         notes.append(
-            "Its scales are read as lengths, not logarithms, and its opacities as 0..1, not "
-            "logits: every scale is above 0 and every opacity within 0..1."
+            "Its scales are read as lengths, not logarithms, and its opacities as fractions, "
+            "not logits: every scale is above 0 and every opacity within 0..1."
         )
     else:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -165,7 +166,7 @@ def _activate(table: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def _are_activated(scales: NDArray[np.float64], opacities: NDArray[np.float64]) -> bool:
-    """Whether a file stores lengths and opacities in place of the usual logarithms and logits.
+    """Whether a file stores lengths and opacities instead of the usual logarithms and logits.
 
     Scales alone cannot decide this: in a capture in millimetres, all logarithms may be positive.
     """
@@ -178,7 +179,7 @@ def _are_activated(scales: NDArray[np.float64], opacities: NDArray[np.float64]) 
 def _apply_filter(
     scales: NDArray[np.float64], opacities: NDArray[np.float64], widths: NDArray[Any]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Convolve Gaussians with an isotropic Gaussian each, as the renderer of Mip-Splatting does.
+    """Convolve each Gaussian with an isotropic Gaussian, as the renderer of Mip-Splatting does.
 
     Variances add up; opacities are multiplied by sqrt(det before / det after) of the covariances.
     """
@@ -191,7 +192,7 @@ def _apply_filter(
 
 
 def _harmonics(path: Path, table: NDArray[Any]) -> tuple[NDArray[np.float32], list[str]]:
-    """Return colours [N,K,3] up to degree 3, and notes about them."""
+    """Return colours [N,K,3] up to degree 3, and notes about the colours."""
     names = table.dtype.names or ()
     first = _group(table, DC) if set(DC) <= set(names) else _first_of_rgb(table)
     rest = sum(name.startswith("f_rest_") for name in names)
@@ -237,15 +238,16 @@ def _printable(name: str) -> str:
 SCALE_FLOOR = 1e-12
 """Smallest scale that is written [m]: the scale 0 of a flat Gaussian has no logarithm."""
 OPACITY_MARGIN = 1e-7
-"""Opacities are clipped to this distance from 0 and 1, whose logits are infinite."""
+"""Opacities stay this far from 0 and 1, whose logits are infinite."""
 COMMENT = "phy124: x right, y down, z into the picture; the world's (x, y, z) is (-z, x, -y) here"
 VERTICAL = re.compile(r"vertical axis:\s*(-?[xyz])\s*", re.IGNORECASE)
 """Pattern of the comment with which Nerfstudio and Brush name the vertical axis."""
 MIP = ("SplatRenderMode: mip", "antialiased 1")
-"""Comments with which Brush and Postshot mark files trained with Mip-Splatting's filter."""
+"""Comments with which Brush and Postshot mark files that were trained with Mip-Splatting's
+filter."""
 NOT_MIP = ("SplatRenderMode: default", "antialiased 0")
 NO_NUMBER = re.compile(rb"[-+]?(nan\([^)]*\)|1\.#\w+)", re.IGNORECASE)
-"""Spellings of NaN and infinity by programs on Windows: -nan(ind), 1.#QNAN, -1.#INF00."""
+"""How programs on Windows write NaN and infinity: -nan(ind), 1.#QNAN, -1.#INF00."""
 
 
 class Ply(NamedTuple):
@@ -253,7 +255,7 @@ class Ply(NamedTuple):
 
     gaussians: Gaussians
     """The Gaussians in the axes of phy124, in the file's unit of length (assumed to be the metre).
-    They are moved to the origin if they are so far from it that float32 could not resolve them."""
+    If they are so far from the origin that float32 could not resolve them, they are moved to it."""
     dropped: int
     """Number of rows left out because a value was NaN or infinite."""
 
@@ -329,7 +331,9 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def _header(table: NDArray[Any], count: int, *, antialiased: bool) -> bytes:
-    """Return the header of a PLY file with a number of rows like those of a table."""
+    """Return the header of a PLY file with a given number of rows that have the columns of a
+    table.
+    """
     names = table.dtype.names or ()
     tags = [COMMENT, "Vertical axis: -y", *(MIP if antialiased else NOT_MIP)]
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {tag}" for tag in tags)]

@@ -1,4 +1,4 @@
-"""Parses the header of a PLY file (Turk 1994): its elements, and the data type of their rows."""
+"""Parses the header of a PLY file (Turk 1994): the elements, and the data type of their rows."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 MOST_DIGITS = 30
 """Largest number of digits in a row count."""
 LINE_ENDS = rb"\r\n|\n|\r"
-"""Byte sequences that end a line. `str.splitlines` would also split at other characters."""
-SPLATS = "Keep it as it is: `phy124 convert`, `phy124 simulate` and the others read it."
+"""Byte sequences that end a line; `str.splitlines` is not used because it splits at others, too."""
+SPLATS = "Keep the file unchanged: `phy124 convert`, `phy124 simulate` and other commands read it."
 CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give OUT.ply."
 
 

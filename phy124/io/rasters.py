@@ -23,14 +23,15 @@ PNG_EFFORT = 3
 
 
 def step_of(largest: float, *, signed: bool) -> float:
-    """Return the quantisation step with which 16 bits cover values up to `largest`."""
+    """Return the quantisation step with which 16-bit numbers represent values up to `largest`."""
     return max(largest, 1e-30) / (LARGEST - MIDDLE if signed else LARGEST)
 
 
 def sixteen_bits(
     raster: Raster, covered: NDArray[np.bool_], step: float, *, signed: bool
 ) -> NDArray[np.uint16]:
-    """Quantise to integers: raw = value / step, plus `MIDDLE` if signed; 0 where not covered.
+    """Quantise values to integers: raw = value / step, plus `MIDDLE` if signed; raw is 0 where not
+    covered.
 
     Args:
         raster: Values [H,W,C].
@@ -58,7 +59,7 @@ def write_png16(path: str | os.PathLike[str], raw: NDArray[np.uint16]) -> None:
 
 
 def write_exr(path: str | os.PathLike[str], raster: Raster, channels: tuple[str, ...]) -> None:
-    """Write [H,W,C] as an EXR of 32-bit floats with C channels of the names in `channels`.
+    """Write [H,W,C] as an EXR file of 32-bit floats; `channels` names its C channels.
 
     Raises:
         InputError: If OpenEXR is not installed or the file cannot be written.

@@ -1,5 +1,5 @@
 """Writes videos: H.264 in MP4 for players, VP9 in WebM and ProRes 4444 in MOV for editing with
-transparency, GIF or animated WebP for chats, PNGs for film tools.
+transparency, GIF or animated WebP for chats, and PNGs for film tools.
 
 Frames are streamed into the encoder while they are rendered. MP4s are yuv420p. They are converted
 to ITU-R BT.709 limited range and tagged as such: without tags, players assume BT.709 only for HD
@@ -52,9 +52,9 @@ FILMS = {
 """Ending of a film that may be transparent -> pixel format by number of channels, and encoder."""
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
-"""Smallest alpha at which a pixel of a GIF is drawn; GIF pixels cannot be half transparent."""
+"""Smallest alpha at which a pixel of a GIF is drawn; GIF has no partly transparent pixels."""
 SMALLEST = 16
-"""Smallest width or height of an animation that is reduced to a size of its file."""
+"""Smallest width or height to which an animation is reduced so that its file is small enough."""
 CLEAR = 255
 """Index of the transparent colour of a GIF."""
 PNG_EFFORT = 3
@@ -239,7 +239,7 @@ def _gif_frame(picture: Picture) -> Image.Image:
 def _encode(
     temporary: Path, path: object, pictures: Iterator[Picture], fps: float, codec: list[str]
 ) -> int:
-    """Stream the frames into ffmpeg and wait for its end, even if an error occurs.
+    """Stream the frames into ffmpeg, and wait until ffmpeg ends, even if an error occurs.
 
     imageio's writer is not used because it reports neither ffmpeg's exit code nor its messages.
     """
@@ -282,7 +282,9 @@ def list_source_options(width: int, height: int, rate: Fraction, channels: int =
 
 
 def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
-    """Send all frames to the encoder, wait for its end, and return how many it accepted."""
+    """Send all frames to the encoder, wait until it ends, and return the number of accepted
+    frames.
+    """
     sent = 0
     for picture in pictures:
         try:
@@ -327,7 +329,7 @@ def _encoder_error(path: object, sent: int, message: str) -> Exception:
 
 @contextmanager
 def _closing(frames: Iterable[Picture]) -> Iterator[None]:
-    """Close a generator of frames after the block, so that its threads end with the file."""
+    """Close a generator of frames after the block, so that its threads end, too."""
     try:
         yield
     finally:

@@ -1,1 +1,1 @@
-"""Cameras, the renderer, and the framing and filming of clips."""
+"""The cameras, the renderer, and the functions that frame and film clips."""

@@ -1,4 +1,4 @@
-"""Copies of a device's arrays in the host's memory, made while the device goes on working."""
+"""Copies a device's arrays to the host's memory while the device goes on working."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ class HostCopies:
     """
 
     def __init__(self, device: Any) -> None:
-        """Allocate nothing yet; the arrays determine the device."""
+        """Start without memory; the arrays determine the device and the memory that is
+        allocated.
+        """
         self._device = device
         self._memory: dict[str, wp.array] = {}
         self._started: dict[str, wp.array] = {}

@@ -1,4 +1,4 @@
-"""Film a clip from a view: write videos, pictures, and files for other programs."""
+"""Films a clip from a view: writes videos, pictures, and files for other programs."""
 
 from __future__ import annotations
 
@@ -48,11 +48,13 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 MOST_PIXELS = 1 << 23
-"""Number of pixels of all pictures that are encoded at the same time, about four in full HD."""
+"""Largest number of pixels that are encoded at the same time, about those of four pictures in full
+HD."""
 WAITING = 4
 """Largest number of pictures that wait for an encoder."""
 NEAR = 0.05
-"""Largest RMS distance of the last pose from the first one, in object sizes, that is faded."""
+"""Largest RMS distance between the last and the first pose, in object sizes, at which a film
+fades."""
 
 
 def film(
@@ -62,7 +64,7 @@ def film(
     context: RunContext | None = None,
     **fields: Unpack[ContextOptions],
 ) -> list[Path]:
-    """Write every format and output of a view, from each of its sides.
+    """Write every format and output of a view from each side.
 
     Each frame is drawn from all sides before the next, and each film has an encoder that receives
     its pictures as they are drawn. Large pictures are drawn from fewer sides at a time
@@ -123,7 +125,7 @@ def _encode_sides(
     images: Iterator[Picture],
     context: RunContext,
 ) -> dict[tuple[str, str], Path]:
-    """Encode pictures, ordered by frame and then by side, in every format at once.
+    """Encode pictures in every format at once; the pictures are ordered by frame and then by side.
 
     If an encoder fails, the other films are completed before its exception is raised.
 
@@ -173,7 +175,9 @@ class Loop:
 
     @classmethod
     def of(cls, clip: Clip, view: View) -> Loop:
-        """Choose the loop of a view: fading if object and cameras nearly return, else reversal."""
+        """Choose how a view's film repeats: it fades if the cameras stand still and the object
+        nearly returns to its first pose; otherwise it also runs backwards.
+        """
         count = len(clip)
         if not view.seamless or count < 3:
             return cls(range(count))
@@ -190,17 +194,17 @@ class Loop:
         return len(self.order) - self.fading
 
     def note(self, view: View) -> list[str]:
-        """Return a note that names the kind of a seamless loop."""
+        """Return a note that states how a seamless film repeats."""
         if not view.seamless:
             return []
         if self.fading:
             how = f"the last {self.fading} fade into the first"
         else:
-            how = "the motion runs forth and back"
+            how = "the motion runs forwards and backwards"
         return [f"Seamless videos of {self.pictures} pictures: {how}."]
 
     def fade_ends(self, images: Iterator[Picture]) -> Iterator[Picture]:
-        """Yield pictures, with the last ones faded into the first ones, which are not repeated."""
+        """Yield pictures; the last ones fade into the first ones, which are not repeated."""
         first = list(islice(images, self.fading))
         for index, image in enumerate(islice(images, len(self.order) - self.fading)):
             done = index - (len(self.order) - 2 * self.fading)
@@ -222,7 +226,9 @@ class Feed(Iterator[Picture]):
         self._room = Semaphore(WAITING)
 
     def put(self, picture: Picture) -> None:
-        """Pass on a picture once fewer than `WAITING` are waiting, unless the encoder has ended."""
+        """Pass on a picture as soon as fewer than `WAITING` pictures wait, unless the encoder has
+        ended.
+        """
         while not self._room.acquire(timeout=0.2):
             if self.task.done():
                 return
@@ -290,7 +296,8 @@ def _html(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
 
 
 def write_player(path: PathLike, clip: Clip, view: View, side: str) -> None:
-    """Write one HTML file that plays a clip on the stage of a view, seen first from a side.
+    """Write one HTML file that plays a clip on the stage of a view; the player starts from one
+    side.
 
     Args:
         path: The file.
@@ -330,7 +337,7 @@ ENCODERS: dict[str, Encoder] = {
 }
 """Formats made from the pictures of a side; each function returns its file or folder."""
 PLAYED = {"mp4", "webm", "mov", "webp", "gif"}
-"""Formats with a playback rate."""
+"""Formats that have a playback rate."""
 SMOOTH = 12.0
 """Frame rate below which slow motion looks choppy [1/s]."""
 EXPORTS: dict[str, Callable[[Clip, View, Path, Progress], Path]] = {
@@ -342,7 +349,7 @@ EXPORTS: dict[str, Callable[[Clip, View, Path, Progress], Path]] = {
 
 
 def playback(fps: float, view: View) -> float:
-    """Return the frame rate [1/s] of the video of a clip with `fps` frames per second."""
+    """Return the frame rate [1/s] of the video of a clip that has `fps` frames per second."""
     return view.fps or fps * view.speed
 
 
@@ -355,7 +362,7 @@ def describe_playback(clip: Clip, view: View) -> dict[str, Any]:
 
 
 def film_notes(clip: Clip, view: View) -> list[str]:
-    """Return notes on seamless videos, and on slow motion with too few frames per second."""
+    """Return notes on seamless videos, and on slow motion that has too few frames per second."""
     real = rate(clip)
     shown, notes = playback(real, view), Loop.of(clip, view).note(view)
     if view.speed >= 1 or shown >= SMOOTH:

@@ -1,4 +1,4 @@
-"""Render frames with several threads, and yield the images in order."""
+"""Renders frames with several threads, and yields the images in order."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ from phy124.runtime.cores import cores
 SHADOWS = 4
 """Number of threads that compute the shadows of frames that a GPU draws one after the other."""
 MOST_SPLATS = 1 << 24
-"""Largest number of splats of all threads, each of which takes about a hundred bytes; two threads
-may have more."""
+"""Largest number of splats that all threads hold, about a hundred bytes each; two threads may hold
+more."""
 LOOK_AHEAD = 4
-"""Largest number of frames per thread that `render_frames` renders ahead of its reader."""
+"""Largest number of frames that each thread of `render_frames` renders before the reader needs
+them."""
 
 
 def render_frames(
@@ -109,7 +110,7 @@ def render_frames(
 
 
 def _in_order(tasks: Iterator[Future], ahead: int) -> Iterator[Any]:
-    """Yield the results of tasks in order; at most `ahead` later tasks are already started."""
+    """Yield the results of tasks in order, while at most `ahead` later tasks have been started."""
     waiting = deque(itertools.islice(tasks, ahead))
     while waiting:
         result = waiting.popleft().result()

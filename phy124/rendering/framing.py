@@ -1,4 +1,4 @@
-"""Place the cameras of a clip, and check whether they show the whole motion."""
+"""Places the cameras of a clip, and checks whether they show the whole motion."""
 
 from __future__ import annotations
 
@@ -22,21 +22,26 @@ from phy124.scene import View
 from phy124.scene.cameras import Poses
 
 STEP = 0.1
-"""Recommended distances are multiples of this, in object sizes."""
+"""Step to which recommended distances are rounded, in object sizes."""
 LARGEST = 5.0
-"""Largest extent of a motion for a fixed camera, in object sizes; above it, the camera follows."""
+"""Largest extent of a motion that a fixed camera shows, in object sizes; otherwise the camera
+follows."""
 WINDOW = 0.3
-"""A camera that moves in and out shows the motion of this time before and after a frame [s]."""
+"""A camera that moves in and out shows the motion from this time before a frame to this time after
+it [s]."""
 NEARER = 1.1
-"""The camera moves in and out if this usually enlarges several objects by at least this factor."""
+"""With several objects, the camera moves in and out if this usually enlarges them by at least this
+factor."""
 MORE = 1.5
-"""A container is shown as a whole if it moves the camera away by at most this factor."""
+"""A container is shown as a whole if this increases the camera's distance by at most this
+factor."""
 FARTHEST = 100.0
 """Largest allowed distance of a view, in object sizes."""
 
 
 def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
-    """Return the camera of each frame from one side: fixed, circling, moving, or following.
+    """Return the camera of each frame from one side: fixed, circling, moving, or following the
+    object.
 
     Unless the distance is set (`View.fits`), the camera is as near as possible while it shows the
     whole motion; if the motion would then look too small, the camera follows the object. With
@@ -49,7 +54,7 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
 
 
 _placed: WeakKeyDictionary[Clip, dict[tuple[View, str], list[Camera]]] = WeakKeyDictionary()
-"""The cameras of each clip in use: its films and the report of its run need the same ones."""
+"""The cameras of each clip in use; its films and the report of its run need the same cameras."""
 
 
 def _place(clip: Clip, view: View, side: str) -> list[Camera]:
@@ -73,7 +78,9 @@ def still_camera(clip: Clip, view: View, side: str) -> Camera:
 
 
 def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
-    """Place cameras as near as the motion allows, seeing at most `LARGEST` object sizes of it."""
+    """Place cameras as near as the motion allows; they show at most `LARGEST` object sizes of the
+    motion.
+    """
     low, high = _box(clip, view)
     size = float((high - low).max())
     sample, count = Sample.of(clip), len(clip)
@@ -103,7 +110,7 @@ def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
 
 
 def _containers(clip: Clip, view: View) -> Iterator[NDArray]:
-    """Yield the corners [8,3] m of each container that is shown and at rest."""
+    """Yield the corners [8,3] m of each container that is visible and does not move."""
     corners = Sample.of(clip).corners
     if view.stage != "studio" or corners is None:
         return
@@ -114,7 +121,7 @@ def _containers(clip: Clip, view: View) -> Iterator[NDArray]:
 
 
 def _make_cameras(view: View, poses: Poses, radii: Values, targets: Values) -> list[Camera]:
-    """Create cameras that look at targets [T,3] m from distances [T] m."""
+    """Create cameras that look at targets [T,3] m from distances [T] m away."""
     lists = (poses.azimuth, poses.elevation, radii, targets, poses.fov)
     return [
         Camera.orbit(azimuth, elevation, radius, view.size, (x, y, z), fov)
@@ -144,13 +151,13 @@ def _length(clip: Clip) -> float:
 
 @dataclass(frozen=True)
 class Departure:
-    """A view in which the object leaves the picture, and the frames in which it does."""
+    """A view in which the object leaves the picture, and the frames in which this happens."""
 
     view: str
     frame: int
-    """Index of the first frame with part of the object outside the picture."""
+    """Index of the first frame in which part of the object is outside the picture."""
     worst_frame: int
-    """Index of the frame with the largest part outside."""
+    """Index of the frame in which the largest part of the object is outside."""
     outside: float
     """Fraction of the object that is outside in that frame."""
     distance: float
@@ -207,7 +214,7 @@ def _note_departures(clip: Clip, view: View, left: list[Departure]) -> str | Non
 
 
 def _find_departure(clip: Clip, view: View, side: str) -> Departure | None:
-    """Return the departure of the object from the picture of a side, or None."""
+    """Return how the object leaves the picture of a side, or None if it stays inside."""
     sample, seen = Sample.of(clip), cameras(clip, view, side)
     points = sample.means[:, sample.moving]
     needed = _radii(points, seen)
@@ -236,7 +243,9 @@ def _radii(points: NDArray[np.floating], cameras: list[Camera]) -> Values:
 
 
 def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
-    """Return the corners of the resting object's box, down to the ground if it can fall."""
+    """Return the corners of the box around the resting object; the box reaches the ground if the
+    object can fall.
+    """
     corners = Sample.of(clip).corners
     if corners is None:
         limit = "all Gaussians of its first frame have NaN or infinite values."

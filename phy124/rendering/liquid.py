@@ -1,4 +1,4 @@
-"""Shape the Gaussians of a liquid: discs on its surface, drops where it tears, nothing inside.
+"""Shapes the Gaussians of a liquid: discs on its surface, drops where it tears, and nothing inside.
 
 Each Gaussian stands for a volume. These volumes, smoothed over `BLUR` cells, are the fraction of
 space phi that the liquid fills; its surface is phi = `LEVEL`. Gaussians near the surface move onto
@@ -21,52 +21,55 @@ from numpy.typing import NDArray
 from phy124.gaussians import SH_C0, Gaussians
 
 BLUR, WHOLE = 0.85, 0.945
-"""Standard deviation of the smoothing, in cells of the simulation's grid: of the filter, and of the
-filter together with the spread of each point to the eight cells around it."""
+"""Standard deviations of the smoothing, in cells of the simulation's grid: of the filter alone, and
+of the filter together with the spread of each point to the eight cells around it."""
 LEVEL = 0.45
-"""Fraction of space that the liquid fills at its surface."""
+"""Fraction of space that is filled with liquid at the liquid's surface."""
 MOST = 4_000_000
-"""Largest number of cells; the cells of a more scattered liquid are larger."""
+"""Largest number of cells; if the liquid is too scattered for them, the cells are larger."""
 SAMPLE = 8192
 """Number of points that determine the extent of the grid."""
 AHEAD, FILLED = 1.2, (0.22, 0.42)
-"""Distance outwards, in cells, and phi there at which discs begin and cease to fade."""
+"""Distance from a disc outwards, in cells; and the values of phi there at which the disc begins to
+fade and has vanished."""
 STEEP = (0.2, 0.35)
-"""Gradient of phi relative to phi, per cell, at which discs cease and begin to fade."""
+"""Gradient of phi relative to phi, per cell: below the first value discs are invisible, above the
+second they do not fade."""
 MOVES = (-0.35, 0.9)
 """Largest displacements onto the surface, inwards and outwards, in cells."""
 OVERLAP, NARROW, BROAD, WIDEST, FLAT = 0.95, 0.4, 0.55, 0.7, 0.3
-"""Radius of a disc relative to the distance between discs; its lower bound, also for a film on a
-wall, and its upper bound, in cells; its thickness relative to its radius."""
+"""Radius of a disc relative to the distance between discs; lower bound of the radius, also for a
+film on a wall, and its upper bound, in cells; thickness of a disc relative to its radius."""
 TOUCH, FILM, EDGE = 0.75, (1.5, 2.5), 0.5
-"""Largest distance of Gaussians from a wall at which they are drawn on it; thicknesses of a film on
-a wall between which its face on the wall fades in; smallest depth below the free surface of
-Gaussians that are drawn on a wall, in cells."""
+"""All in cells. Largest distance from a wall at which Gaussians are drawn on the wall. Thicknesses
+of a film on a wall between which the film's face on the wall fades in. Smallest depth below the
+free surface at which Gaussians are drawn on a wall."""
 WETTED = 0.6
-"""Smallest phi at a wall that a liquid touches."""
+"""Smallest phi at which a liquid touches a wall."""
 LONG = 3.0
-"""Largest length through which one sees a liquid, relative to its smallest thickness there."""
+"""Largest length of liquid along a line of sight, relative to the liquid's smallest thickness
+there."""
 RIM = 0.3
-"""Length of the normals of discs at the rim of a liquid on a wall, whose gloss is weak because they
-differ from disc to disc."""
+"""Length of the normals of discs at the rim of a liquid on a wall. Their gloss is weak, because
+these normals differ from disc to disc."""
 LITTLE = 0.02
-"""Smallest fraction of space before walls by which means are divided."""
+"""Lower bound of the fraction of space before walls, by which means are divided."""
 ALONE, DROP = 0.4, 0.42
-"""Drops: largest phi at a drop's centre relative to its volume in cells; standard deviation
-relative to the edge of a cube of its volume."""
+"""Drops: largest phi at a drop's centre, relative to the drop's volume in cells; standard deviation
+of a drop, relative to the edge of a cube of the same volume."""
 TORN, THINNER, KEPT = 0.62, 0.85, 0.6
-"""Jets: largest spread of a jet, also relative to the spread at rest, and the fraction of its
-Gaussians that are not drawn."""
+"""Jets: largest spread of a jet, and largest ratio of that spread to the spread at rest; fraction
+of a jet's Gaussians that are not drawn."""
 OPAQUE, LEAST = 6.0, 0.35
 """Largest optical depth of a surface, and its smallest opacity."""
 PALE = np.array([0.9, 0.97, 1.0], np.float32)
 """Colour of thin liquid and of spray."""
 THIN, SPRAY = 0.5, 0.6
-"""Largest fractions of that colour, in a thin layer and in a drop."""
+"""Largest fractions of the pale colour, in a thin layer and in a drop."""
 
 
 class Planes(NamedTuple):
-    """Flat walls of a liquid."""
+    """The flat walls that a liquid may touch."""
 
     normals: NDArray
     """Unit normals out of the walls [W,3]."""
@@ -75,11 +78,11 @@ class Planes(NamedTuple):
 
 
 NOWHERE = Planes(np.zeros((0, 3)), np.zeros(0))
-"""No walls."""
+"""Planes of a liquid without walls."""
 
 
 class Surface(NamedTuple):
-    """A liquid's Gaussians as they are drawn."""
+    """The Gaussians of a liquid in the form in which they are drawn."""
 
     means: NDArray
     """Centres [N,3], m."""
@@ -113,7 +116,7 @@ class Field:
         self.open, self._room = self._before(planes, low - spare)
 
     def _before(self, planes: Planes, corner: NDArray) -> tuple[NDArray | float, NDArray | float]:
-        """Return the fraction of each cell before all walls, and the same smoothed.
+        """Return the fraction of each cell that lies before all walls, and this fraction smoothed.
 
         Args:
             planes: The walls.
@@ -131,30 +134,34 @@ class Field:
         return shares[0], np.maximum(shares[1], LITTLE)
 
     def sum(self, values: NDArray | None, chosen: NDArray | slice = slice(None)) -> NDArray:
-        """Return the sum of the values of chosen points in each cell, or their number."""
+        """Return the sum of the values of chosen points in each cell; without values, the number of
+        points.
+        """
         cells = int(np.prod(self._size))
         return np.bincount(self._flat[chosen], values, minlength=cells).reshape(self._size)
 
     def blur(self, values: NDArray) -> NDArray[np.float32]:
-        """Return the smoothed values of the cells."""
+        """Return the values of the cells after smoothing."""
         smooth: Any = scipy.ndimage.gaussian_filter(
             values.astype(np.float32), BLUR, mode="constant", truncate=3
         )
         return smooth
 
     def smooth(self, values: NDArray) -> NDArray[np.float32]:
-        """Return the smoothed values of the cells, as means over the space before all walls."""
+        """Return the smoothed values of the cells, averaged over the space before all walls."""
         return np.asarray(self.blur(values) / self._room, np.float32)
 
     def fill(self, volume: float) -> NDArray[np.float32]:
-        """Return the smoothed fraction phi that points of a volume [m^3] fill of each cell.
+        """Return the smoothed fraction phi of each cell that is filled by points of a volume [m^3].
 
         It is at most 1: at rest, the points on an object's surface lie closer together.
         """
         return self.smooth(np.minimum(volume / self.cell**3 * self._spread(), 1))
 
     def _spread(self) -> NDArray[np.float64]:
-        """Return the number of points of each cell; a point counts in eight cells, linearly."""
+        """Return the number of points of each cell; each point is divided linearly among eight
+        cells.
+        """
         first = np.clip(np.floor(self._at).astype(int), 0, np.array(self._size)[:, None] - 2)
         upper = np.clip(self._at - first, 0, 1)
         flat: Any = np.ravel_multi_index(tuple(first), self._size)
@@ -179,7 +186,9 @@ class Field:
 
 
 def _touch(x: NDArray, planes: Planes, cell: float) -> tuple[NDArray, NDArray]:
-    """Return the distances of points [N,3] m from the nearest wall, in cells, and its normals."""
+    """Return the distances of points [N,3] m from the nearest wall, in cells, and that wall's
+    normals.
+    """
     gap, facing = np.full(len(x), np.inf, np.float32), np.zeros((len(x), 3), np.float32)
     for normal, offset in zip(*planes, strict=True):
         away = ((x @ normal - offset) / cell).astype(np.float32)
@@ -194,7 +203,7 @@ class Liquid:
     def __init__(
         self, x: NDArray, cell: float, visibility: float | None, planes: Planes = NOWHERE
     ) -> None:
-        """Measure the liquid at rest.
+        """Measure the liquid while it is at rest.
 
         Args:
             x: Centres of its Gaussians at rest [N,3], m.
@@ -208,7 +217,7 @@ class Liquid:
         self._spread = _measure_spread(field, field.fill(self._volume))
 
     def shape(self, part: Gaussians, planes: Planes = NOWHERE) -> Surface:
-        """Return the liquid's Gaussians as they are drawn next to flat walls."""
+        """Return the liquid's Gaussians in the form in which they are drawn next to flat walls."""
         field = Field(part.means.astype(np.float64), self._cell, planes)
         phi = field.fill(self._volume)
         spread = _measure_spread(field, phi)
@@ -217,7 +226,9 @@ class Liquid:
 
 
 def _measure_spread(field: Field, phi: NDArray) -> NDArray[np.float32]:
-    """Return the factor by which smoothing lowers phi at points [N]: 1/2 in jets, 0.7 in sheets."""
+    """Return the factor by which smoothing lowers phi at points [N]: about 1/2 in jets and 0.7 in
+    sheets.
+    """
     return field.nearest(field.smooth(phi * field.open) / np.maximum(phi, 1e-6))
 
 
@@ -229,7 +240,7 @@ def _shape(
     torn: NDArray,
     visibility: float | None,
 ) -> Surface:
-    """Return a liquid's Gaussians as they are drawn.
+    """Return a liquid's Gaussians in the form in which they are drawn.
 
     Args:
         part: The liquid's Gaussians.
@@ -300,7 +311,7 @@ def _shape(
 def _balls(
     volume: float, phi: NDArray, drop: NDArray, chance: NDArray, per_cell: float
 ) -> tuple[NDArray, NDArray]:
-    """Return standard deviations [n], in cells, and opacities [n] of drops and of balls in spray.
+    """Return standard deviations [n], in cells, and opacities [n] of drops, and of balls in spray.
 
     Balls overlap in spray that is not thin enough for drops, and absorb what their volume does.
     """
@@ -312,7 +323,7 @@ def _balls(
 
 
 def _touches(field: Field, phi: NDArray, close: NDArray) -> NDArray[np.bool_]:
-    """Return the mask of points that are `close` to a wall and in liquid that touches it."""
+    """Return the mask of the points `close` to a wall whose liquid touches that wall."""
     mask, which = close.copy(), np.flatnonzero(close)
     onto = -field.gap[which] * field.facing[which].T
     mask[which] = field.sample(phi, which, onto) > WETTED
@@ -340,7 +351,9 @@ def _thickness(phi: NDArray, field: Field, on: NDArray, normals: NDArray) -> NDA
 
 
 def _rotations(normals: NDArray) -> NDArray:
-    """Return the shortest rotations [N,4] from the z axis to normals; about x if opposite."""
+    """Return the shortest rotations [N,4] from the z axis to normals; about x if a normal is
+    opposite.
+    """
     x, y, z = normals.T
     quats = np.stack([1 + z, np.where(z > -0.9999, -y, 1), x, 0 * z], axis=1)
     return quats / np.linalg.norm(quats, axis=1, keepdims=True)

@@ -1,4 +1,5 @@
-"""Find the nearest camera position that shows the whole motion, and the camera's target.
+"""Finds the camera position that is nearest while the whole motion is visible, and the camera's
+target.
 
 A point is in the picture if it lies between four planes through the camera. Consider the planes
 that touch the outermost Gaussians: the two vertical planes intersect in one line, and the two
@@ -25,30 +26,32 @@ from phy124.io.clip import Clip
 Values = NDArray[np.float64]
 
 SAMPLE = 2048
-"""Largest number of Gaussians, picked at even intervals, that represent the object."""
+"""Largest number of Gaussians that represent the object; they are picked at even intervals."""
 MOST_VALUES, FEWEST = 1 << 20, 128
-"""Largest number of Gaussians of the sample times frames, and the smallest number of Gaussians that
-a longer clip is reduced to."""
+"""Largest product of the sample's Gaussians and the frames; for longer clips the sample is reduced,
+but to no fewer Gaussians than the second number."""
 BLOCK = 64
-"""Number of frames whose edges are computed at a time."""
+"""Number of frames whose distances from the picture's edges are computed at a time."""
 VISIBLE = 0.1
 """Smallest opacity of a Gaussian that counts as part of the object."""
 OUTSIDE = 0.01
 """Fraction of the object that may be outside the picture without a warning."""
 LEFT_OUT = 5e-4
-"""Fraction of the sample that may lie outside each edge, so that single drops do not matter."""
+"""Fraction of the sample that may lie outside each edge, so that single drops have no effect."""
 DEPTHS = 1.5
-"""Smallest distance from a motion, in units of its depth along the view."""
+"""Smallest distance of the camera from a motion, in units of the motion's depth along the view."""
 CLOSE, TRIES = 0.98, 8
-"""Fraction of this distance that suffices, and the largest number of zooms tried."""
+"""Fraction of the smallest distance at which the search for a zoom ends, and largest number of
+zooms tried."""
 ZOOM = 40.0
 """Largest factor by which the field of view is narrowed."""
 ROOM = 1.08
-"""Width (or height) of the picture divided by that of the whole motion."""
+"""Width (or height) of the picture divided by the width (or height) of the whole motion."""
 MOST = 0.8
-"""Fraction of frames that define a motion's usual extent; the others are rare moments."""
+"""Fraction of frames that define a motion's usual extent; the other frames are rare moments."""
 RARE = 1.5
-"""The camera follows a motion if its rare moments enlarge its extent by at least this factor."""
+"""Smallest factor by which rare moments enlarge a motion's extent if the camera is to follow the
+motion."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ class Sample:
 
     @cached_property
     def path(self) -> Values:
-        """Displacement of the moving Gaussians' mean since the first frame [T,3], m."""
+        """Displacement of the mean of the moving Gaussians since the first frame [T,3], m."""
         middle = self.means[:, self.moving].mean(axis=1, dtype=np.float64)
         return middle - middle[0]
 
@@ -109,7 +112,7 @@ class Sample:
         return (low.min(axis=0) + high.max(axis=0)) / 2
 
     def with_fixed(self, points: NDArray) -> Sample:
-        """Return the sample with points [K,3] m that stay where they are, as part of the object."""
+        """Return the sample with fixed points [K,3] m that count as part of the object."""
         # Repeated, they are not among the few that may lie outside the picture.
         times, still = len(self.means), np.repeat(points, 1 + len(self.means[0]) // 256, axis=0)
         means = np.broadcast_to(still.astype(np.float32), (times, *still.shape))
@@ -118,7 +121,7 @@ class Sample:
         return Sample(whole, np.concatenate([self.covariances, shapes], axis=1), self.corners)
 
     def follow(self) -> Sample:
-        """Return the sample relative to its path, as a camera that follows it sees it."""
+        """Return the sample relative to its path, as seen by a camera that follows it."""
         return Sample(self.means - self.path[:, None], self.covariances)
 
     def has_rare_moment(self, largest: float) -> bool:
@@ -133,7 +136,9 @@ class Sample:
         return far and whole > RARE * _extent(*self._boxes(self.follow().means))
 
     def _boxes(self, means: NDArray[np.floating]) -> tuple[Values, Values]:
-        """Return the object's corners in each frame [T,3], [T,3], without outermost Gaussians."""
+        """Return the object's lowest and highest corner in each frame [T,3], [T,3], without
+        outermost Gaussians.
+        """
         ends = [OUTSIDE / 2, 1 - OUTSIDE / 2]
         parts = (means[part].astype(np.float64) for part in _blocks(len(means)))
         low, high = np.concatenate([np.quantile(part, ends, axis=1) for part in parts], axis=1)
@@ -141,12 +146,12 @@ class Sample:
 
 
 _samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
-"""The sample of each clip in use: all sides of a view place their cameras by it."""
+"""The sample of each clip in use; the cameras of all sides of a view are placed by it."""
 
 
 @dataclass(frozen=True)
 class Standing:
-    """Camera distance, target and zoom that show a whole motion."""
+    """Camera distance, target and zoom at which a whole motion is visible."""
 
     distance: float
     """Distance of the cameras from their targets [m]."""
@@ -220,14 +225,14 @@ def place_along(
 
 @dataclass(frozen=True)
 class _Seen:
-    """A sample of Gaussians in camera axes."""
+    """A sample of Gaussians in the axes of the cameras."""
 
     points: NDArray[np.floating]
-    """Positions right, down and ahead of the target [T,3,S], m."""
+    """Positions to the right of, below and beyond the target [T,3,S], m."""
     reach: NDArray[np.floating]
-    """Standard deviations right and down [T,2,S], m."""
+    """Standard deviations to the right and downwards [T,2,S], m."""
     axes: Values
-    """Unit vectors right, down and ahead of each camera [T,3,3]."""
+    """Unit vectors of each camera: right, down and ahead [T,3,3]."""
 
     @classmethod
     def by(cls, sample: Sample, cameras: list[Camera]) -> _Seen:
@@ -246,7 +251,9 @@ class _Seen:
 
     @property
     def depth(self) -> float:
-        """Extent of the motion along the view [m]; if cameras turn, the largest of any frame."""
+        """Extent of the motion along the view [m]; if cameras turn, its largest value in any
+        frame.
+        """
         ahead = np.quantile(self.points[:, 2], [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         if self.turning:
             return float((ahead[1] - ahead[0]).max())
@@ -258,7 +265,9 @@ class _Seen:
         return not np.allclose(self.axes, self.axes[0])
 
     def standing(self, halves: Values, zoom: float) -> Standing:
-        """Return the nearest positions at a zoom; `halves` as in `Camera.halves` [2]."""
+        """Return the nearest camera positions at a zoom; `halves` [2] is defined as in
+        `Camera.halves`.
+        """
         halves = halves / zoom
         edges = self._edges(halves)
         across, along = halves * (edges[:, 0] - edges[:, 1]) / 2
@@ -274,7 +283,9 @@ class _Seen:
         return Standing(float(edges.max()), np.zeros(3), zoom)
 
     def _edges(self, halves: Values) -> Values:
-        """Return distances that keep the sample inside right, left; bottom, top edge [2,2], m."""
+        """Return the distances that keep the sample inside the edges right, left; bottom, top
+        [2,2], m.
+        """
         few, most = int(LEFT_OUT * self.points.shape[2]), np.full((2, 2), -np.inf)
         for part in _blocks(len(self.points)):
             points, reach = self.points[part], self.reach[part]
@@ -291,5 +302,5 @@ def _blocks(count: int) -> list[slice]:
 
 
 def _extent(low: Values, high: Values) -> float:
-    """Return the longest side of the box around boxes [T,3], m."""
+    """Return the longest side of the box that contains the boxes of all frames [T,3], m."""
     return float((high.max(axis=0) - low.min(axis=0)).max())

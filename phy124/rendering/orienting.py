@@ -1,4 +1,4 @@
-"""Render Gaussians from a file with unknown axes in each possible orientation."""
+"""Renders Gaussians from a file with unknown axes in each possible orientation."""
 
 from __future__ import annotations
 
@@ -15,21 +15,24 @@ from phy124.rendering.render import Renderer
 ENOUGH = 30_000
 """Number of Gaussians that suffices for these pictures."""
 UPS = ("-y", "y", "z", "-z", "x", "-x")
-"""The six possible up axes, the most common first."""
+"""The six possible up axes; the most common comes first."""
 TURNS = ("x", "y", "z", "-x", "-y", "-z")
 UNTURNED = Reading(up="z", front="x")
-"""Reading that does not rotate a file: these are phy124's axes."""
+"""Axes of a file that needs no rotation, since they are phy124's axes."""
 
 
 def candidates(up: str | None) -> list[Reading]:
-    """Return a reading per up axis, with its usual front; for a known up axis, one per front."""
+    """Return one reading per up axis, with its usual front; if the up axis is known, one per
+    front.
+    """
     if up is None:
         return [Reading(up=axis, front=FRONTS[axis]) for axis in UPS]
     return [Reading(up=up, front=axis) for axis in TURNS if axis[-1] != up[-1]]
 
 
 def samples(path: str) -> tuple[Gaussians, tuple[str, ...]]:
-    """Read a file's Gaussians, at most `ENOUGH`, in the file's axes; also return notes on the file.
+    """Read at most `ENOUGH` of a file's Gaussians, in the file's axes; return them and notes on the
+    file.
 
     Raises:
         InputError: The file cannot be read (see `PlyFile.open`), or all centres coincide.
@@ -42,7 +45,7 @@ def samples(path: str) -> tuple[Gaussians, tuple[str, ...]]:
 def draw_oriented(
     renderer: Renderer, gaussians: Gaussians, reading: Reading, size: int
 ) -> NDArray[np.uint8]:
-    """Render the object from its front, slightly from the left and above [size,size,3].
+    """Render the object [size,size,3] from its front, slightly from the left and from above.
 
     Args:
         renderer: The renderer.

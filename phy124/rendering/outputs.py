@@ -1,4 +1,4 @@
-"""Write depth, normals, flow, force and other quantities per pixel, as training data.
+"""Writes depth, normals, flow, force and other quantities per pixel, as training data.
 
 The renderer blends values instead of colours. A pixel therefore has the mean value of the Gaussians
 that it shows, weighted by their contributions to the pixel,
@@ -42,10 +42,10 @@ from phy124.scene.view import Output
 
 Values = NDArray[np.float64]
 FARTHEST_FLOW = 4
-"""Largest flow, in picture sizes; a Gaussian that passes through the camera would exceed this."""
+"""Largest flow, in picture sizes; only Gaussians that pass through the camera would exceed it."""
 
 SHARP = 0.3
-"""Largest standard deviation of a blur that is left out as negligible, px."""
+"""Largest standard deviation of a blur that is negligible and therefore left out, px."""
 
 
 class Quantity(NamedTuple):
@@ -94,7 +94,7 @@ QUANTITIES: dict[Output, Quantity] = {
 
 
 def refuse_outputs(view: View, frames: int) -> None:
-    """Refuse outputs of a view that cannot be made from this number of frames.
+    """Refuse a view's outputs if they cannot be made from this number of frames.
 
     Raises:
         InputError: Motion is requested of a single frame, or a package is missing.
@@ -108,7 +108,7 @@ def refuse_outputs(view: View, frames: int) -> None:
 
 
 def refuse_unkept(clip: Clip, view: View) -> None:
-    """Refuse outputs of a view that need data which the clip lacks.
+    """Refuse a view's outputs if they need data that the clip lacks.
 
     Raises:
         InputError: The clip lacks the data, or `refuse_outputs` refuses the outputs.
@@ -161,14 +161,14 @@ def write_outputs(
 
 
 class Seen:
-    """Computes, for each frame of a clip, the outputs' values of Gaussians and pixels."""
+    """Computes the values of the outputs for the Gaussians and pixels of each frame of a clip."""
 
     def __init__(self, clip: Clip, cameras: Sequence[Camera], outputs: Sequence[Output]) -> None:
         """Store the clip, a camera for each frame, and the names of the outputs."""
         self.clip, self.cameras, self.outputs = clip, cameras, outputs
 
     def values(self, frame: Frame) -> dict[Output, Values]:
-        """Return the Gaussians' values [N,C] in a frame, per output except alpha and force."""
+        """Return the values of a frame's Gaussians [N,C], by output; alpha and force have none."""
         camera, means = self.cameras[frame.index], frame.gaussians.means
         values: dict[Output, Values] = {}
         if "depth" in self.outputs:
@@ -185,7 +185,9 @@ class Seen:
     def rasters(
         self, renderer: Renderer, index: int
     ) -> tuple[dict[Output, Array], NDArray[np.bool_]]:
-        """Render the outputs of a frame [H,W,C], 0 where nothing is visible, and the mask [H,W]."""
+        """Render the outputs of a frame [H,W,C], with 0 where nothing is visible, and the mask
+        [H,W].
+        """
         frame = self._frame(index)
         values = self.values(frame)
         camera = self.cameras[index]
@@ -201,7 +203,9 @@ class Seen:
         return {name: rasters[name] for name in self.outputs if name in rasters}, alpha > 0
 
     def steps(self) -> dict[Output, float]:
-        """Return the quantisation step of each output's 16-bit values, the same for all frames."""
+        """Return the quantisation step of the 16-bit values of each output; it is the same for all
+        frames.
+        """
         largest = dict.fromkeys(self.outputs, 0.0) | {"alpha": 1.0, "normals": 1.0}
         if set(self.outputs) & {"depth", "flow", "velocity"}:
             for index, camera in enumerate(self.cameras):
@@ -231,7 +235,7 @@ class Seen:
 def means_seen(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, values: Sequence[Values]
 ) -> tuple[list[Array], Array]:
-    """Render the mean values [H,W,C] of each pixel, 0 where nothing is visible, and alpha [H,W].
+    """Render each pixel's mean values [H,W,C], with 0 where nothing is visible, and alpha [H,W].
 
     Args:
         renderer: Renders three columns at a time.
@@ -273,7 +277,9 @@ def _draw_means(
 
 
 def normals(gaussians: Gaussians, camera: Camera) -> Values:
-    """Return the shortest axis of each Gaussian, turned to the camera: world unit vectors [N,3]."""
+    """Return the shortest axis of each Gaussian, directed towards the camera: unit vectors [N,3] in
+    the world's axes.
+    """
     axes = rotation_matrices(gaussians.quats)
     shortest = axes[np.arange(len(gaussians)), :, gaussians.scales.argmin(axis=1)]
     towards = np.asarray(camera.eye) - gaussians.means
@@ -281,7 +287,7 @@ def normals(gaussians: Gaussians, camera: Camera) -> Values:
 
 
 def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Values:
-    """Return the displacement of points in the picture to the next frame [N,2], right and down, px.
+    """Return by how much points move in the picture until the next frame [N,2], right and down, px.
 
     Args:
         before: The points in this frame, m.
@@ -296,7 +302,7 @@ def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Valu
 
 
 def spread(values: Array, points: Array, camera: Camera, blur: float) -> Array:
-    """Distribute values over pixels [H,W,C]; their sum is that of all points inside the picture.
+    """Distribute values over pixels [H,W,C]; their sum is that over all points inside the picture.
 
     Args:
         values: Value of each point [N,C].
@@ -380,7 +386,7 @@ def _description(
         "world": "right-handed, metres, z up, the object faces +x",
         "camera": "OpenCV: x right, y down, z forward; the centre of pixel (i, j) is "
         "(i + 0.5, j + 0.5)",
-        "walls": "force [N] that the object exerts on each wall, and torque about the object's "
+        "walls": "force [N] of the object on each wall, and torque about the object's "
         "centre of mass [N m], in the world's axes; their sum is the opposite of force",
         "uncovered": "0 in all channels (a force is covered everywhere)",
         "outputs": outputs,

@@ -1,4 +1,4 @@
-"""How a camera projects Gaussians onto the screen, as the kernels read it."""
+"""Describes to the kernels how a camera projects Gaussians onto the screen."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
 to compensate. 3D Gaussian Splatting does not reduce it, which thickens thin objects seen from far
 away; Mip-Splatting does (Yu et al. 2024, section 4.2)."""
 NEAR = 0.01
-"""Smallest distance from the camera at which a Gaussian's centre is drawn, m."""
+"""Smallest distance from the camera at which a Gaussian is drawn, measured to its centre, m."""
 FRUSTUM_MARGIN = 1.3
 """Largest offset from the image centre at which the projection is linearised, in half images
 (Kerbl et al. 2023)."""

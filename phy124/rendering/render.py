@@ -1,4 +1,4 @@
-"""Render Gaussians from a camera, with kernels that run on CPU and CUDA alike.
+"""Renders Gaussians from a camera, with kernels that run on CPU and CUDA alike.
 
 EWA splatting (Zwicker et al. 2001) with the conventions of 3D Gaussian Splatting (Kerbl et al.
 2023): screen covariance plus 0.3 px^2 (or the filter of Mip-Splatting), front-to-back blending in
@@ -32,7 +32,7 @@ Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
 MAX_PAIRS = 1 << 24
-"""Largest number of tile entries at once; larger scenes are blended in several runs of tiles."""
+"""Largest number of tile entries at once; larger scenes are blended in several groups of tiles."""
 TILES_PER_SPLAT = 4
 """Expected number of tiles that a splat touches, for the memory of a renderer's first picture."""
 BLENDS = {
@@ -40,10 +40,10 @@ BLENDS = {
     "plain": blend.blend_tiles,
     "pixel": blend.blend_pixels,
 }
-"""Variants of the blending stage: a tile per thread in vectorised C++ (CPU only), the same in Warp,
-and a pixel per thread (used on CUDA)."""
+"""Variants of the blending stage. `simd`: one tile per thread in vectorised C++ (CPU only);
+`plain`: the same in Warp; `pixel`: one pixel per thread (used on CUDA)."""
 BLEND_STAGED = stage.blend_staged_simd
-"""The variant `simd` with a stage behind the Gaussians."""
+"""The kernel of the variant `simd` for pictures with a stage behind the Gaussians."""
 
 
 class Renderer:
@@ -86,11 +86,11 @@ class Renderer:
         compile_missing((self._projection[1], binned, self._blend), str(self.device))
         self._around = Surroundings(self.device, simd=simd)
         self._room = 0
-        """Number of entries of all tiles' lists for which there is memory, if it is on the device
-        that the lists are counted.
+        """Number of entries for which the lists of all tiles have memory, if the lists are counted
+        on the device.
         """
         self._free: list[HostCopies] = []
-        """Host memory of pictures that no caller waits for."""
+        """Host memory of pictures that no caller is waiting for."""
         self._seen: tuple[Camera, Any] | None = None
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
@@ -158,7 +158,8 @@ class Renderer:
         *,
         stage: StageFrame | None = None,
     ) -> Callable[[], NDArray[np.uint8]]:
-        """Start to render one image as bytes; return the function that waits for it, as `picture`.
+        """Start to render one image as bytes; return a function that waits for the image, as
+        `picture` does.
 
         A GPU draws while the caller prepares the next picture. The function is called once.
 
@@ -190,7 +191,7 @@ class Renderer:
         stage: StageFrame | None,
         names: tuple[str, ...],
     ) -> Callable[[], dict[str, NDArray[Any]]]:
-        """Start to render an image; return the function that waits for the named arrays.
+        """Start to render an image; return a function that waits for the named arrays.
 
         Colours `image` [H*W,3], `coverage` [H*W], and with a thread per pixel `bytes` [H*W*3]. On a
         CPU without a thread per pixel they alias the renderer's buffers.
@@ -224,7 +225,9 @@ class Renderer:
     def _finish(
         self, copies: HostCopies, draw: Callable[[], int], room: int
     ) -> dict[str, NDArray[Any]]:
-        """Wait for a picture; draw it again if the tiles' lists did not fit into their `room`."""
+        """Wait for a picture; draw it again if the tiles' lists were too long for the memory
+        `room`.
+        """
         drawn = copies.wait()
         while (total := int(drawn["total"][0])) > room:
             enough = total if total > MAX_PAIRS else min(total + total // 5, MAX_PAIRS)
@@ -263,7 +266,7 @@ class Renderer:
             around.draw(image, coverage)
 
     def _lists(self, n: int, view: Any) -> Iterator[tuple[int, int, tuple[Any, Any, Any]]]:
-        """Yield runs of tiles, first and last, with the splats of each tile; see `_bin`."""
+        """Yield runs of tiles (first and last tile), with the splats of each tile; see `_bin`."""
         if self._per_pixel:
             self._room = self._room or min(TILES_PER_SPLAT * n, MAX_PAIRS)
             if self._room <= MAX_PAIRS:
@@ -286,7 +289,9 @@ class Renderer:
         return self._seen[1]
 
     def _project(self, gaussians: Gaussians, view: Any) -> None:
-        """Compute `splats`, their `order` by depth, and the marks from which tiles are counted."""
+        """Compute `splats`, their `order` by depth, and the marks from which `_counts` counts
+        splats per tile.
+        """
         n = len(gaussians)
         splats, tiles = self._buffer("splats", n, screen.Splat), self._buffer("tiles", n, wp.vec4i)
         # Sorting needs buffers of twice the size.
@@ -317,7 +322,7 @@ class Renderer:
             self._count_on_device(corners.reshape(shape), view)
 
     def _count_on_device(self, corners: wp.array, view: Any) -> None:
-        """Compute, for each tile, the number of splats in all tiles `before` it, and in all tiles.
+        """Compute the number of splats in all tiles `before` each tile, in each tile, and in total.
 
         The projection marks the four corners of each splat's rectangle of tiles; cumulative sums
         along both axes turn the marks into counts.
@@ -341,7 +346,7 @@ class Renderer:
         return corners.cumsum(0, np.int64).cumsum(1)[:-1, :-1].ravel()
 
     def _bin_on_device(self, n: int, view: Any) -> tuple[Any, Any, Any]:
-        """Return the splats of all tiles, as `_bin`, without reading their number.
+        """Return the splats of all tiles, as `_bin` does, without copying their number to the host.
 
         The lists are empty if there are more than `_room` entries.
         """
@@ -376,7 +381,9 @@ class Renderer:
     def _sort_lists(
         self, n: int, view: Any, run: tuple[int, int], room: int, total: Any, starts: Any, ends: Any
     ) -> wp.array:
-        """Return the lists of a run of tiles by depth; `room` and `total` as in `bin_parallel`."""
+        """Return the lists of a run of tiles, sorted by depth; `room` and `total` as in
+        `bin_parallel`.
+        """
         first, last = run
         ranks = self._buffer("ranks", 2 * room, wp.int32)
         lists = self._buffer("lists", 2 * room, wp.int32)
@@ -389,7 +396,9 @@ class Renderer:
         return lists
 
     def _buffer(self, name: str, size: int, dtype: Any) -> wp.array:
-        """Return the named buffer with room for at least `size` items; its content may be lost."""
+        """Return the named buffer, enlarged to at least `size` items if needed; its content may be
+        lost.
+        """
         buffer = self._buffers.get(name)
         if buffer is None or buffer.size < size:
             # A fifth more than requested: a moving scene needs slightly more space in later frames.
@@ -418,7 +427,9 @@ class Renderer:
         return buffer
 
     def _constant(self, name: str, array: Array, dtype: Any) -> wp.array:
-        """Upload an array that is constant within a clip; later calls reuse the uploaded copy."""
+        """Upload an array that is constant within a clip; later calls reuse the copy on the
+        device.
+        """
         where = (array.ctypes.data, array.shape)
         known = self._constants.get(name)
         if known is None or known[0] != where:

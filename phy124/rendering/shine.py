@@ -1,4 +1,4 @@
-"""Add highlights and reflections to fluids and metal, from their surface normals.
+"""Adds highlights and reflections to fluids and metal, computed from their surface normals.
 
 Colours of Gaussians contain no gloss. For each frame and camera, the Gaussians of glossy laws
 get new colours: with the highlight (Blinn 1977) of a lamp above, and reflections of a bright sky
@@ -28,7 +28,7 @@ from phy124.rendering.stage.solids import place_walls
 from phy124.scene import View
 
 KEPT = 256 * 2**20
-"""Memory for the surfaces that are reused in further views [bytes]."""
+"""Memory for liquid surfaces that are reused in further views [bytes]."""
 LAMP = np.array([0.434, -0.338, 0.835], np.float32)
 """Direction towards the lamp (unit vector)."""
 REFRACTION = 1.33
@@ -62,10 +62,10 @@ GLOSSES = {
 
 
 class Shine:
-    """Gloss of a clip, and the surfaces of its liquids; both are reused in further views."""
+    """The gloss of a clip, and the surfaces of its liquids; further views reuse both."""
 
     def __init__(self, clip: Clip) -> None:
-        """Read from the clip's report which Gaussians are glossy."""
+        """Determine from the clip's report which Gaussians are glossy."""
         laws = clip.report.get("shine") or {}
         self._parts = {law: _indices(laws[law]) for law in laws if law in GLOSSES and laws[law]}
         self._cell = float(clip.report.get("grid", {}).get("dx", 0.0))
@@ -79,7 +79,7 @@ class Shine:
             if "fluid" in self._parts and self._cell > 0 and len(which := _indices(liquid["runs"]))
         ]
         self.seconds = 0.0
-        """Time spent on gloss so far [s]."""
+        """Time spent on gloss since the start [s]."""
 
     @property
     def any(self) -> bool:
@@ -87,7 +87,7 @@ class Shine:
         return bool(self._parts) and self._cell > 0
 
     def illuminate(self, frame: Frame, camera: Camera) -> Frame:
-        """Return the frame with the colours of glossy Gaussians as a camera sees them."""
+        """Return the frame; the colours of its glossy Gaussians are those that a camera sees."""
         start = time.perf_counter()
         gaussians, normals = self._surface(frame)
         sh = gaussians.sh.copy()
@@ -108,11 +108,14 @@ class Shine:
         return replace(frame, gaussians=replace(gaussians, sh=sh))
 
     def shape(self, frame: Frame) -> Frame:
-        """Return the frame with its liquids as they are drawn, without reflections."""
+        """Return the frame with its liquids in the form in which they are drawn, without
+        reflections.
+        """
         return replace(frame, gaussians=self._surface(frame)[0])
 
     def pack(self, clip: Clip) -> tuple[Clip, dict[str, Any]]:
-        """Return the clip with its liquids as they are drawn, and its gloss, for the player.
+        """Return, for the player, the clip with its liquids in the form in which they are drawn,
+        and its gloss.
 
         The gloss is plain data, except the colours and opacities of all frames, `hues` [T,N,4].
         """
@@ -171,19 +174,21 @@ def make_shine(clip: Clip, view: View) -> Shine | None:
 
 
 def add_gloss(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
-    """Return the clip and its gloss for the player; the unchanged clip if nothing is glossy."""
+    """Return the clip and its gloss for the player; if nothing is glossy, the clip is unchanged."""
     shine = make_shine(clip, view)
     return (clip, None) if shine is None else shine.pack(clip)
 
 
 def drawn_frames(clip: Clip, view: View) -> Iterator[Frame]:
-    """Yield the frames of a clip with its liquids as they are drawn, without reflections."""
+    """Yield the frames of a clip with liquids in the form in which they are drawn, without
+    reflections.
+    """
     shine = make_shine(clip, view)
     return clip.frames() if shine is None else map(shine.shape, clip.frames())
 
 
 def runs_of(which: NDArray) -> list[list[int]]:
-    """Split ascending integers into runs [first, last + 1]."""
+    """Split ascending integers into runs of consecutive integers [first, last + 1]."""
     runs = np.split(which, np.flatnonzero(np.diff(which) > 1) + 1)
     return [[int(run[0]), int(run[-1]) + 1] for run in runs]
 
@@ -250,12 +255,12 @@ def _planes(clip: Clip) -> list[Planes]:
 
 
 def _indices(runs: Any) -> NDArray[np.int64]:
-    """Return the integers of runs [first, last + 1]."""
+    """Return the integers in runs [first, last + 1]."""
     return np.concatenate([np.arange(*run) for run in runs or [(0, 0)]])
 
 
 def _finite(x: NDArray) -> NDArray:
-    """Return the points; those that are not finite are replaced by the median of the others."""
+    """Return the points; the median of the finite points replaces all others."""
     if np.isfinite(x.sum()):
         return x
     good = np.atleast_1d(np.isfinite(x).all(axis=1))

@@ -1,4 +1,4 @@
-"""Declares the formats of files of Gaussians that are read or written.
+"""Declares the formats in which files of Gaussians are read or written.
 
 `FORMATS` declares each format of phy124 once; the command line and the web page list its entries.
 To add a format for single frames, write a module with `read(path) -> Content` and
@@ -70,13 +70,13 @@ class Format:
     opens_in: str
     """Programs that read the format."""
     bytes_each: float
-    """Bytes per frame and Gaussian of degree 0, measured with the example of a duck."""
+    """Bytes per frame and Gaussian of degree 0, measured with the example picture of a duck."""
     bytes_fixed: float = 0.0
-    """Bytes per frame in addition, whatever the number of Gaussians."""
+    """Further bytes per frame, independent of the number of Gaussians."""
     degree: int = 3
     """Highest degree of the spherical harmonics."""
     objects: str = ""
-    """Name of the field with the object of each Gaussian; empty if there is no such field."""
+    """Name of the field with the object index of each Gaussian; empty if there is no such field."""
     axes: tuple[str, str] = Y_DOWN
     """Up and front directions of the format."""
     read: Callable[[Path], Content] | None = None
@@ -86,9 +86,10 @@ class Format:
     package: str | None = None
     """Package, other than phy124, that must be installed to write the format."""
     signs: tuple[bytes, ...] = ()
-    """Possible first bytes of a file; empty if only the file name's extension shows the format."""
+    """Possible first bytes of a file; empty if only the file name's extension identifies the
+    format."""
     other_suffixes: tuple[str, ...] = ()
-    """Further extensions with which the format can be written."""
+    """Further file name extensions with which the format can be written."""
 
     @property
     def installed(self) -> bool:
@@ -183,7 +184,7 @@ FORMATS = {
         ),
         Format(
             "p4d", "P4D", ".p4d", "first frame as SOG, and motion to 0.1 % of the size",
-            "programs with the readers of 100 lines in the guide", 0.6, bytes_fixed=2_000,
+            "programs with one of the guide's readers, each of 100 lines", 0.6, bytes_fixed=2_000,
             degree=0, write_clip=write_lattice4d,
         ),
         Format(
@@ -215,9 +216,10 @@ FORMATS = {
         ),
     )
 }  # fmt: skip
-"""Formats by name. For writing, a shared suffix selects the first format that has it."""
+"""Formats by name. If formats share a suffix, it selects the first of them for writing."""
 MESH_ENDINGS = (".gltf", ".obj", ".stl")
-"""Extensions of files that can only be meshes; .glb and .ply may be meshes or Gaussians."""
+"""Extensions of files that can only be meshes. Files in .glb and .ply may be meshes or
+Gaussians."""
 GZIP = b"\x1f\x8b\x08"
 """First bytes of a file compressed with gzip."""
 HEAD = 4096
@@ -341,7 +343,7 @@ def write_gaussians(
 def find_written_format(
     path: Path, name: str | None = None, *, others: Sequence[str] = ()
 ) -> Format:
-    """Return the format of a name, or the format for the extension of a path.
+    """Return the format with a given name, or the format for the extension of a path.
 
     Args:
         path: File to write.
@@ -402,13 +404,17 @@ def recognise(path: Path) -> Format:
 
 
 def _match_signature(known: Iterable[Format], head: bytes, ending: str) -> Format | None:
-    """Return the format whose first bytes a file has; the extension decides among several."""
+    """Return the format whose first bytes match a file's; the extension decides among several
+    formats.
+    """
     signed = [f for f in known if f.signs and head.startswith(f.signs)]
     return next((f for f in signed if f.suffix == ending), signed[0] if signed else None)
 
 
 def is_file_of_gaussians(name: str | os.PathLike[str]) -> bool:
-    """Whether a file contains Gaussians or a mesh, judged by its extension or else its content."""
+    """Whether a file contains Gaussians or a mesh, judged by its extension, or otherwise by its
+    content.
+    """
     path = Path(name)
     if path.suffix.lower() in object_endings():
         return True

@@ -1,4 +1,4 @@
-"""Reads compressed PLY (SuperSplat): a PLY of packed integers, in chunks of 256 Gaussians.
+"""Reads compressed PLY files (SuperSplat), which hold packed integers in chunks of 256 Gaussians.
 
     element  property                    meaning
     chunk    min_x ... max_z             float32, bounding box of the centres of 256 Gaussians
@@ -128,7 +128,7 @@ def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
 def _within(
     fractions: NDArray, chunk: NDArray[Any], which: NDArray, axes: str | tuple[str, ...]
 ) -> NDArray[np.float64]:
-    """Map fractions 0..1 to the range of each Gaussian's chunk, in double precision."""
+    """Map fractions 0..1 to the value range of each Gaussian's chunk, in double precision."""
     out = np.empty(fractions.shape)
     for i, axis in enumerate(axes):
         low, high = (chunk[f"{end}_{axis}"].astype(np.float64)[which] for end in ("min", "max"))
@@ -142,7 +142,7 @@ def _rotations(packed: NDArray) -> NDArray[np.float32]:
 
 
 def _harmonics(first: NDArray, table: NDArray[Any] | None) -> NDArray[np.float32]:
-    """Return colours [N,K,3]: degree 0, and the higher degrees if the file has them."""
+    """Return colours [N,K,3] of degree 0, and of the higher degrees if the file has them."""
     if table is None or not table.dtype.names:
         return first[:, None].astype(np.float32)
     count = len(table.dtype.names)

@@ -31,15 +31,15 @@ from phy124.runtime.installation import install_command
 PROFILE = "fine"
 """The library's profile with the smallest error bounds."""
 KEYFRAME = 8
-"""Frames per keyframe, which is the largest number of frames read to show any frame."""
+"""Frames per keyframe, and so the largest number of frames that must be read to show any frame."""
 STILL = 1 / 24
 """Duration of a clip with one frame [s]."""
 CUTOFF = 0.05
-"""Opacity below which a reader may leave out a Gaussian that fades; none does."""
+"""Opacity below which a reader may leave out a fading Gaussian; no Gaussian fades."""
 CODEC, LEVEL = 0, 6
 """Compression of the records: deflate, at zlib's usual level."""
 Bins = dict[int, NDArray[np.int64]]
-"""Whole numbers [N,C] by the library's number of their attribute."""
+"""Quantised values [N,C], by the number that the library gives to each attribute."""
 FOREVER = 1e6
 """Temporal standard deviation of a Gaussian that does not fade [s]; it must be finite."""
 
@@ -101,10 +101,10 @@ def _turn(gaussians: Gaussians) -> Gaussians:
 
 
 class _Sequence:
-    """A file of Gaussians that exist in all frames, to which frame after frame is appended."""
+    """A file of Gaussians that exist in all frames; the frames are appended one after the other."""
 
     def __init__(self, library: Any, file: IO[bytes], clip: Clip, times: list[float]) -> None:
-        """Write the head of the file.
+        """Write the header of the file.
 
         Args:
             library: The modules of fourdgs.
@@ -132,13 +132,13 @@ class _Sequence:
         self._write_head()
 
     def append(self, index: int, gaussians: Gaussians) -> None:
-        """Write a frame: all values, or their changes since the frame before."""
+        """Write a frame: either all values, or the changes since the previous frame."""
         bins = self._quantise(gaussians, self._times[index])
         whole = self._library.writer.is_keyframe(index, self._cadence)
         self._index.append(self._write_keyframe(bins) if whole else self._write_changes(bins))
 
     def finish(self) -> None:
-        """Write the index, by which readers seek, and the end of the file."""
+        """Write the end of the file, and the index with which readers find a frame."""
         records, start = self._library.records, self._file.tell()
         statistics = records.Statistics(
             gaussian_count=self._count,
@@ -174,7 +174,7 @@ class _Sequence:
         self._file.write(b"".join([self._library.coding.MAGIC, *head]))
 
     def _quantise_still(self, gaussians: Gaussians) -> Bins:
-        """Return the whole numbers of the values that are the same in all frames."""
+        """Return the quantised values of the properties that are constant in time."""
         op, steps, quantization = self._library.op, self._grids.steps, self._library.quantization
         zeros = np.zeros((self._count, 1), np.int64)
         return {
@@ -187,7 +187,7 @@ class _Sequence:
         }
 
     def _quantise(self, gaussians: Gaussians, time: float) -> Bins:
-        """Return the whole numbers of all values of a frame at its time [s]."""
+        """Return the quantised values of all properties of a frame at its time [s]."""
         op, grids, quantization = self._library.op, self._grids, self._library.quantization
         quats = np.roll(gaussians.quats, -1, axis=1)
         largest, rest = quantization.quantize_rotation(quats, grids.steps.rot)
@@ -202,7 +202,7 @@ class _Sequence:
         }
 
     def _write_keyframe(self, bins: Bins) -> Any:
-        """Write all values of a frame, and return the frame's entry of the index."""
+        """Write all values of a frame, and return the frame's entry in the index."""
         encode = partial(self._library.coding.encode_stream, codec=CODEC, level=LEVEL)
         op, every = self._library.op, np.arange(self._count)
         streams = [encode(op.A_GAUSSIAN_ID, every.reshape(-1, 1))]
@@ -215,7 +215,7 @@ class _Sequence:
         return self._note(blob, self._count, kind=0)
 
     def _write_changes(self, bins: Bins) -> Any:
-        """Write the changes since the frame before, and return the frame's entry of the index."""
+        """Write the changes since the previous frame, and return the frame's entry in the index."""
         op, writer, records = self._library.op, self._library.writer, self._library.records
         ids, last = np.arange(self._count), self._last
         # A Gaussian that does not change keeps the time of its last change.
@@ -249,7 +249,7 @@ class _Sequence:
         return start, end
 
     def _note(self, blob: bytes, count: int, **place: Any) -> Any:
-        """Write a frame's bytes, and return its entry of the index."""
+        """Write a frame's bytes, and return the frame's entry in the index."""
         start, end = self._span()
         entry = self._library.records.ChunkIndexEntry(
             t0=start,

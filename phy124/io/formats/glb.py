@@ -1,4 +1,5 @@
-"""Reads and writes GLB (glTF 2.0) with the ratified KHR_gaussian_splatting: scales are linear.
+"""Reads and writes GLB (glTF 2.0) with the ratified KHR_gaussian_splatting, which stores scales as
+lengths.
 
     header      "glTF", 2, length (uint32 each)
     chunk JSON  one primitive of mode 0 (points) with the extension
@@ -56,18 +57,20 @@ LONGEST = 1 << 20
 """Largest JSON description that is read [bytes]; a usual description has 4,000 bytes."""
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
 EVEN = 1e-3
-"""Largest relative difference between a node's scales along its axes that counts as uniform."""
+"""Largest relative difference between the scales of a node along its axes that counts as
+uniform."""
 EXTENSIONS = (EXTENSION, "KHR_mesh_quantization")
 """glTF extensions that are supported."""
 MAX_NODES = 2000
 OBJECT = "_OBJECT_ID"
 """Application-specific attribute with the object index, which other readers ignore."""
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
-"""Programs that convert a PLY to y up by half a turn about z, which keeps its front at -z."""
+"""Programs that convert a PLY to y up by half a turn about z, so that the front stays at -z."""
 READ = {"POSITION", "COLOR_0", OBJECT}
 READ |= {f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")}
 READ |= {f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(7)}
-"""Attributes that are read, and COLOR_0, which serves readers without the extension."""
+"""Attributes that are read, and COLOR_0, which is ignored: it serves readers without the
+extension."""
 
 
 class Primitive(NamedTuple):
@@ -110,7 +113,7 @@ def read(path: Path) -> Content:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a GLB file; the extension cannot store `antialiased`."""
+    """Return the bytes of a GLB file; the extension has no field for `antialiased`."""
     del antialiased
     arrays = _attributes(gaussians)
     body, views, accessors = bytearray(), [], []
@@ -162,7 +165,9 @@ def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
 
 
 def _names(count: int) -> list[str]:
-    """Return the attribute names of the first `count` harmonics, in the order of `Gaussians.sh`."""
+    """Return the names of the attributes of the first `count` harmonics, in the order of
+    `Gaussians.sh`.
+    """
     pairs = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
     return [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree, n in pairs[:count]]
 
@@ -217,7 +222,9 @@ def _chunks(path: Path, data: bytes) -> Scene:
 
 
 def _axes(scene: Scene) -> tuple[str, str]:
-    """Return the up and front directions: those of glTF, or front -z by `LEAVES_THE_FRONT`."""
+    """Return the up and front directions: those of glTF, or front -z if a program in
+    `LEAVES_THE_FRONT` wrote the file.
+    """
     generator = str(scene.tree.get("asset", {}).get("generator", ""))
     return ("y", "-z") if generator.startswith(LEAVES_THE_FRONT) else Y_UP
 
@@ -262,7 +269,7 @@ def _passed_over(scene: Scene, primitives: list[Primitive]) -> list[str]:
         wanted |= dict.fromkeys(node.get("extensions", {}) if "mesh" in node else [])
     unread = ", ".join(name[:60] for name in wanted if name not in EXTENSIONS)
     extensions = (
-        [f"The file has extensions that phy124 ignores, so it may look different: {unread[:300]}."]
+        [f"phy124 ignores some extensions of this file, so it may look different: {unread[:300]}."]
         if unread
         else []
     )
@@ -270,7 +277,7 @@ def _passed_over(scene: Scene, primitives: list[Primitive]) -> list[str]:
 
 
 def _list_meshes(scene: Scene) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Yield each mesh of the scene with the world transform [4,4] of its node."""
+    """Yield each mesh of the scene, and the world transform [4,4] of its node."""
     tree, here = scene.tree, np.eye(4)
     shown = item(scene, "scenes", tree.get("scene", 0)) if "scenes" in tree else {}
     roots = shown.get("nodes", [])
@@ -349,7 +356,7 @@ def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArra
 
 
 def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Convert linear colours [N,K,3] to sRGB; degrees above 0 to first order about degree 0."""
+    """Convert linear colours [N,K,3] to sRGB; degrees above 0 are linearised about degree 0."""
     linear = np.clip(0.5 + SH_C0 * sh[:, :1].astype(np.float64), 0, 1)
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
     slope = np.where(linear <= 0.0031308, 12.92, (bright + 0.055) / 2.4 / np.maximum(linear, 1e-9))
@@ -359,7 +366,9 @@ def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> dict[str, Any]:
-    """Transform columns by their node's matrix, and add the file's resolution as `step`."""
+    """Transform columns by their node's matrix, and add `step`, the resolution of the file's
+    positions.
+    """
     step = step_of(raw["means"])
     if np.array_equal(matrix, np.eye(4)):
         return {**raw, "step": step}
@@ -378,7 +387,7 @@ def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]
 
 
 def _alike(parts: list[dict[str, NDArray]]) -> list[dict[str, NDArray]]:
-    """Pad all parts with zeros to the same number of harmonics."""
+    """Pad all parts with zeros, so that they have the same number of harmonics."""
     most = max(part["sh"].shape[1] for part in parts)
     rows = [(0, most - part["sh"].shape[1]) for part in parts]
     padded = [np.pad(p["sh"], ((0, 0), row, (0, 0))) for p, row in zip(parts, rows, strict=True)]

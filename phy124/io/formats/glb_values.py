@@ -123,18 +123,20 @@ def _apply_sparse(scene: Scene, sparse: dict[str, Any], raw: NDArray[Any]) -> ND
 
 PLAYCANVAS = re.compile(r"splat-transform (\d+)\.(\d+)")
 LENGTHS_SINCE = (2, 7)
-"""First version of splat-transform that wrote lengths."""
+"""First version of splat-transform that wrote scales as lengths."""
 FEW = 0.01
-"""Largest fraction of negative scales that is ignored, since a mirrored length is negative, too."""
+"""Largest fraction of negative scales that is ignored: in a mirrored object, lengths are negative,
+too."""
 NEIGHBOURS = 4
 SOME = 2000
 """Approximate number of Gaussians that are sampled."""
 BARE = 0.55
-"""Ratio of width to spacing below which Gaussians would leave the object full of holes."""
+"""Ratio of a Gaussian's width to the spacing below which the object would be full of holes."""
 SHORT = 1.0
-"""Smallest median scale that can be a logarithm if all scales are positive."""
+"""Smallest median at which scales can be logarithms although all are positive."""
 COVERING = (0.6, 6.0)
-"""Ratios of width to spacing for Gaussians that cover an object; measured: 1.2 to 3.5."""
+"""Ratios of width to spacing with which Gaussians cover an object; measured ratios are 1.2 to
+3.5."""
 NOTE = "Its scales are read as logarithms: {}."
 
 

@@ -1,4 +1,5 @@
-"""Writes a clip as one small file: the first frame as SOG, and the motion of a coarse lattice.
+"""Writes a clip as one small file: the first frame as SOG, and the motion as that of a coarse
+lattice.
 
 The lattice covers the first frame; a Gaussian moves with the eight nodes around it, whose
 displacements are interpolated trilinearly. The displacements of a frame are fitted to those of the
@@ -53,29 +54,32 @@ MAGIC = b"PHY4D\0\1\0"
 TOLERANCE = 1e-3
 """Largest error of a Gaussian's centre relative to the object's size."""
 NODES = (12, 17, 24, 34)
-"""Nodes along the longest side of the lattices that are tried; the smallest file is kept."""
+"""Numbers of nodes along the longest side of the lattices that are tried; the smallest file is
+kept."""
 STIFF = 1e-4
-"""Weight of the differences between neighbouring nodes, which determines nodes that move little."""
+"""Weight of the differences between neighbouring nodes; they determine nodes that move few
+Gaussians."""
 STEP = TOLERANCE / 8
-"""Step of the displacements relative to the object's size."""
+"""Quantisation step of the displacements, relative to the object's size."""
 LARGEST = 2**15 - 1
 TALLEST = 4.0
-"""Largest absolute log ratio of scales that is stored: exp(4) = 55 times; more is clipped."""
+"""Largest absolute logarithm of a ratio of scales that is stored: exp(4) = 55 times; more is
+clipped."""
 STRETCHES = 1 << 22
 """Largest number of values from which the range of the stretch is determined."""
 PERCENTILES = (1, 99)
-"""Percentiles of the stretch at the ends of its colour ramp; this ignores single outliers."""
+"""Percentiles of the stretch at the ends of its colour ramp; single outliers are ignored."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Nodes that move Gaussians, and the Gaussians' weights."""
+    """Nodes that move Gaussians, and the weights with which they do."""
 
     origin: NDArray[np.float64]
     spacing: float
     shape: NDArray[np.int64]
     indices: NDArray[np.int64]
-    """Index of each node in the whole lattice [M], increasing."""
+    """Index of each node in the complete lattice [M], increasing."""
     weights: Any
     """Trilinear weights, a sparse matrix [N,M]."""
 
@@ -114,7 +118,9 @@ class Lattice:
         return slopes
 
     def solver(self) -> Any:
-        """Return the factors of the least-squares fit of node displacements."""
+        """Return a factorisation of the least-squares problem from which node displacements are
+        fitted.
+        """
         from scipy import sparse
         from scipy.sparse.linalg import splu
 
@@ -158,7 +164,7 @@ def encode(
     shades: bytes = b"",
     progress: Progress = silent,
 ) -> tuple[list[bytes], float]:
-    """Return the bytes of a file, in parts, and the error of the Gaussians' shapes.
+    """Return the bytes of a file, in pieces, and the error of the Gaussians' shapes.
 
     The error is the 99th percentile, over Gaussians, of the largest relative error of the
     covariances that follow from the deformation gradient of the lattice.
@@ -221,7 +227,7 @@ def measure_size(points: NDArray[np.float64]) -> float:
 
 
 def measure(clip: Clip) -> dict[str, Any]:
-    """Return the ranges of all frames that the player needs at its start.
+    """Measure the ranges over all frames that the player needs when it starts.
 
     These are the bounding box, the range of the log ratios of scales, clipped to +-`TALLEST`, the
     largest speed, and the ends of the colour ramp for stretch, which are symmetric about 1. Stretch
@@ -273,7 +279,7 @@ def measure_speeds(clip: Clip) -> Iterator[NDArray]:
 def _shape_errors(
     clip: Clip, mask: NDArray[np.bool_], motion: _Motion, rest: NDArray, turn: NDArray
 ) -> NDArray[np.float64]:
-    """Return the largest relative error of the covariance of each Gaussian [N], in a few frames."""
+    """Return the largest relative error of each Gaussian's covariance [N] in a few frames."""
     first = _covariances(clip, 0, mask, turn)
     slopes = motion.lattice.slopes(rest)
     errors = np.zeros(len(first))
@@ -293,7 +299,7 @@ def _covariances(clip: Clip, index: int, mask: NDArray[np.bool_], turn: NDArray)
 
 
 def _centres(still: bytes) -> NDArray[np.float64]:
-    """Return the centres after quantisation in a SOG file [N,3], m."""
+    """Return the centres as they are after quantisation in a SOG file [N,3], m."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "still.sog"
         path.write_bytes(still)
@@ -302,16 +308,18 @@ def _centres(still: bytes) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """The motion of a clip by a lattice, and shifts of the Gaussians with too large an error."""
+    """The motion of a clip: displacements of a lattice, and extra shifts of Gaussians with too
+    large an error.
+    """
 
     lattice: Lattice
     exceptions: NDArray[np.int64]
-    """Gaussians that have shifts of their own [E]."""
+    """Indices of the Gaussians that have extra shifts [E]."""
     frames: list[bytes]
     errors: NDArray[np.float64]
     """Largest error of each Gaussian [N], m."""
     moved: dict[int, NDArray[np.float64]]
-    """Displacements of the nodes [M,3], m, in the frames whose shapes are compared."""
+    """Displacements of the nodes [M,3], m, in each frame in which shapes are compared."""
 
     @property
     def size(self) -> int:
@@ -355,7 +363,9 @@ def _compared(count: int) -> set[int]:
 
 
 def _pack(about: dict[str, Any], parts: list[bytes]) -> list[bytes]:
-    """Return a file's parts; the JSON is padded, so its length does not depend on the offsets."""
+    """Return a file's pieces; the JSON is padded, so that its length does not depend on the
+    offsets.
+    """
     start = 12 + len(json.dumps(about)) + 200 + 32 * len(parts)
     offsets = start + np.cumsum([0, *map(len, parts[:-1])])
     sections = [[int(at), len(part)] for at, part in zip(offsets, parts, strict=True)]

@@ -31,9 +31,9 @@ BLUR = 0.3
 REACH = 2.5
 """Distance from a Gaussian beyond which its density is neglected, in standard deviations."""
 WIDEST = 12
-"""Largest distance in cells to which a Gaussian reaches along an axis."""
+"""Largest reach of a Gaussian along an axis, in cells."""
 NEAREST = 4
-"""Number of Gaussians whose mean colour a vertex has."""
+"""Number of nearest Gaussians whose mean colour a vertex gets."""
 BATCH = 4_000_000
 """Largest number of density values that are computed at once."""
 
@@ -146,7 +146,7 @@ def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.
 
 
 def _fill_cavities(density: NDArray[np.float32]) -> None:
-    """Raise the density of nodes that the surface encloses above its level."""
+    """Raise the density above the surface's level at all nodes that the surface encloses."""
     from scipy import ndimage
 
     labels: Any = ndimage.label(density <= LEVEL)

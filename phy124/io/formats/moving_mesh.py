@@ -1,4 +1,4 @@
-"""Writes a clip as one animated GLB: a mesh, and its position in each frame as a morph target.
+"""Writes a clip as one animated GLB: a mesh with one morph target per frame.
 
 The mesh is the surface of the first frame, or a mesh of the user with its texture, such as the file
 from which the object was made. Each vertex follows the Gaussians near it, by the rigid motion that
@@ -139,7 +139,7 @@ def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float
 
 
 def _fit_rotations(correlation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotations [V,3,3] that fit sum(w a b^T) [V,3,3] best: b = R a."""
+    """Return the rotations [V,3,3] b = R a that fit the sums of w a b^T [V,3,3] best."""
     u, _, vt = np.linalg.svd(correlation)
     sign = np.linalg.det(u) * np.linalg.det(vt)
     u[:, :, 2] *= sign[:, None]
@@ -155,14 +155,14 @@ def _name(index: int) -> str:
 
 
 def _split(data: bytes, buffer: BinaryIO) -> dict[str, Any]:
-    """Return the JSON of a GLB, and write its buffer to a file."""
+    """Return the JSON of a GLB file, and write its buffer to another file."""
     size = int.from_bytes(data[12:16], "little")
     buffer.write(data[28 + size :])
     return json.loads(data[20 : 20 + size])
 
 
 def _join(document: dict[str, Any], buffer: BinaryIO, file: BinaryIO) -> None:
-    """Write the GLB of a JSON and a buffer to a file."""
+    """Write a GLB file from a JSON and a buffer."""
     length = _pad(buffer)
     document["buffers"] = [{"byteLength": length}]
     text = json.dumps(document, separators=(",", ":")).encode()
@@ -202,7 +202,7 @@ def _append(
 
 
 def _add_targets(mesh: dict[str, Any], targets: list[dict[str, int]]) -> None:
-    """Add a morph target for each frame but the first."""
+    """Add a morph target for each frame except the first."""
     if targets:
         mesh["weights"] = [0.0] * len(targets)
         for primitive in mesh["primitives"]:
@@ -210,7 +210,7 @@ def _add_targets(mesh: dict[str, Any], targets: list[dict[str, int]]) -> None:
 
 
 def _animate(document: dict[str, Any], buffer: BinaryIO, times: NDArray[np.float64]) -> None:
-    """Add an animation that gives weight 1 to target k - 1 in frame k, and 0 to all others."""
+    """Add an animation: in frame k, target k - 1 has weight 1 and all others have weight 0."""
     if len(times) < 2:
         return
     at = _append(document, buffer, times)
@@ -228,7 +228,7 @@ def _animate(document: dict[str, Any], buffer: BinaryIO, times: NDArray[np.float
 
 
 def _unlit(document: dict[str, Any]) -> None:
-    """Show vertex colours, which contain the light of the picture, without further light."""
+    """Show vertex colours without lights, because the colours contain the light of the picture."""
     bare = [
         primitive
         for mesh in document["meshes"]

@@ -1,4 +1,5 @@
-"""Quantises numbers to codebooks of 256 codes, vectors to palettes, and quaternions to 3 numbers.
+"""Quantises numbers to 256 codes, vectors to the entries of a palette, and quaternions to 3
+numbers.
 
 The largest component of a unit quaternion is not stored. Since q and -q are the same rotation, that
 component can be made positive; it then follows from the length 1. The other components are at most
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 SIZE = 256
 ROUNDS = 20
-"""Rounds of Lloyd's algorithm; those after the tenth reduce the error by less than 1 %."""
+"""Rounds of Lloyd's algorithm; the rounds after the tenth reduce the error by less than 1 %."""
 
 COMPONENTS = 8
 """Number of principal components used to divide vectors into cells."""

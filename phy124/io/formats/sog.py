@@ -1,4 +1,5 @@
-"""Reads and writes SOG version 2 (PlayCanvas): lossless WebP images in a zip, a pixel per Gaussian.
+"""Reads and writes SOG version 2 (PlayCanvas): a zip of lossless WebP images with one pixel per
+Gaussian.
 
     meta.json                     {version: 2, count, antialias, and an entry for each below}
     means: mins, maxs, files      two images: low and high byte of 16 bits between mins and maxs;
@@ -244,7 +245,7 @@ def _harmonics(
 
 
 def _objects(meta: dict[str, Any], pixels: Any) -> dict[str, NDArray[np.int32]]:
-    """Return the object of each Gaussian, if `extras` has an entry that phy124 wrote."""
+    """Return the object index of each Gaussian, if `extras` has the entry that phy124 writes."""
     extras = meta.get("extras")
     ours = extras.get("phy124") if isinstance(extras, dict) else None
     if ours is None:

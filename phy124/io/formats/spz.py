@@ -1,4 +1,4 @@
-"""Reads and writes SPZ (Niantic), versions 1 to 4: 16 to 64 bytes per Gaussian, then compressed.
+"""Reads and writes SPZ (Niantic), versions 1 to 4: 16 to 64 bytes per Gaussian before compression.
 
     header, 16 bytes        magic "NGSP", version, count (uint32 each), degree of the harmonics,
                             fractional bits of the centres, flags (1: antialiased,
@@ -53,7 +53,7 @@ SYSTEMS = (
     *(x + y + z for z in "BF" for y in "DU" for x in "LR"),
     *(x + y + z for y in "FB" for z in "DU" for x in "LR"),
 )
-"""Names of the coordinate systems 1 to 16, as letters for the directions of x, y and z."""
+"""Names of the coordinate systems 1 to 16; the letters are the directions of x, y and z."""
 USUAL = "RUB"
 """The coordinate system of a file that does not state one."""
 DIRECTIONS = {"R": (1, 0, 0), "U": (0, 1, 0), "B": (0, 0, 1)}
@@ -75,12 +75,12 @@ class Extensions(NamedTuple):
 
     @property
     def left_handed(self) -> bool:
-        """Whether the axes are left-handed, which means that the file must be mirrored."""
+        """Whether the axes are left-handed, so that the file must be mirrored."""
         return bool(np.linalg.det([DIRECTIONS[letter] for letter in self.system]) < 0)
 
 
 def read_extensions(data: bytes) -> Extensions:
-    """Read the records of the extensions; a damaged record is ignored, with a note."""
+    """Read the records of the extensions; a damaged record is ignored and reported in a note."""
     system, notes, unknown, at = None, [], [], 0
     while at < len(data):
         kind, size = RECORD.unpack_from(data, at) if at + RECORD.size <= len(data) else (0, 1 << 32)
@@ -107,7 +107,9 @@ def read_extensions(data: bytes) -> Extensions:
 
 
 def _axis(system: str, letters: str) -> str:
-    """Return the signed axis of the first of two opposite directions, such as `U` of `UD`."""
+    """Return the signed axis that points in the first of two opposite directions, such as `U` of
+    `UD`.
+    """
     (at,) = (i for i, letter in enumerate(system) if letter in letters)
     return "xyz"[at] if system[at] == letters[0] else f"-{'xyz'[at]}"
 
@@ -125,7 +127,7 @@ MOST_RECORDS = 1 << 20
 """Largest number of bytes of the extensions that are read."""
 COLOUR = 0.15
 MOST_BITS = 16
-"""Fractional bits that are written; fewer if a coordinate exceeds 128 units."""
+"""Number of fractional bits that are written; it is smaller if a coordinate exceeds 128 units."""
 REACH = (1 << 23) - 1
 GZIP_LEVEL = 4
 """gzip level; level 6 takes twice as long and saves 1 %."""
@@ -266,7 +268,9 @@ def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
 
 
 def _unpack(path: Path, stream: bytes, wanted: int) -> bytes:
-    """Decompress a Zstandard stream whose size must agree with the file's table."""
+    """Decompress a Zstandard stream, and refuse one whose size differs from that in the file's
+    table.
+    """
     try:
         announced = zstandard.frame_content_size(stream)
         if announced in (-1, wanted):

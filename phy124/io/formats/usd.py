@@ -25,7 +25,7 @@ SCHEMA = "ParticleField3DGaussianSplat"
 SAVED = 32
 """Number of frames after which a binary file is saved."""
 REACH = 3.0
-"""Extent of a Gaussian in the prim's bounding box, in standard deviations."""
+"""Number of standard deviations by which a Gaussian extends the prim's bounding box."""
 
 
 def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
@@ -57,7 +57,7 @@ def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = 
 
 
 def refuse_missing_usd() -> None:
-    """Raise an error if usd-core, the package that writes USD files, is missing or too old.
+    """Raise an error if usd-core, the package that writes USD files, is not installed or too old.
 
     Raises:
         InputError: If the package is missing or too old.
@@ -97,7 +97,7 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
 
 
 def save_at_times(stage: Any, index: int) -> None:
-    """Save a stage after every `SAVED` frames, which frees the memory of their values.
+    """Save a stage after every `SAVED` frames, to free the memory of their values.
 
     A text file is not saved, because each time it would be written as a whole.
     """

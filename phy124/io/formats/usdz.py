@@ -1,4 +1,4 @@
-"""Writes a clip as USDZ: the surface of the first frame with colours, and its motion.
+"""Writes a clip as USDZ: the coloured surface of the first frame, and its motion.
 
 The file is an archive with one .usdc: a mesh whose points are sampled in time, one time code per
 frame. Its material shows the colours of the vertices without further light. The axes are y up and

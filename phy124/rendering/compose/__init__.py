@@ -1,4 +1,4 @@
-"""Film the moving object inside the photograph from which it was made.
+"""Films the moving object inside the photograph from which it was made.
 
 Generators assume a camera straight in front of the object. Zoom and shift of this camera are
 matched to the photograph. The object is removed from the photograph by inpainting; the moving

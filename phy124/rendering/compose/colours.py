@@ -1,4 +1,4 @@
-"""Fit the colours and sizes of Gaussians to the photograph."""
+"""Fits the colours and sizes of Gaussians to the photograph."""
 
 from __future__ import annotations
 
@@ -19,16 +19,18 @@ from phy124.rendering.render import BLACK, MAX_PAIRS, Renderer, runs
 ROUNDS = 12
 """Number of corrections."""
 SIZES = (1.0, 0.8)
-"""Relative sizes of splats to try: generators let splats overlap more than necessary."""
+"""Relative sizes of splats to try; smaller ones help because generators let splats overlap too
+much."""
 AROUND = 9
-"""Width of the square of pixels whose colours bound a Gaussian's colour [px]."""
+"""Width of the square around a Gaussian whose pixels' colours bound the Gaussian's colour [px]."""
 BEHIND = 0.03
-"""Distance behind the visible surface within which Gaussians count as visible, in object depths."""
+"""Largest distance behind the visible surface at which Gaussians count as visible, in object
+depths."""
 
 
 @dataclass(frozen=True, eq=False)
 class ColourMatch:
-    """Colours and sizes of Gaussians that match a photograph best."""
+    """Colours and sizes of Gaussians with which they match a photograph best."""
 
     psnr: float
     """PSNR of the rendered picture inside the object [dB]."""
@@ -46,7 +48,8 @@ def match_colours(
     device: str = "cpu",
     each: Callable[[], object] = lambda: None,
 ) -> ColourMatch:
-    """Fit colours and sizes to the photograph; Gaussians hidden from the camera are unchanged.
+    """Fit colours and sizes to the photograph; Gaussians that the camera does not see are
+    unchanged.
 
     Args:
         gaussians: The object as the photograph shows it.
@@ -76,7 +79,7 @@ def _fit_colours(
     photograph: Photograph,
     each: Callable[[], object],
 ) -> Gaussians:
-    """Fit colours by least squares, within bounds from nearby pixels of the photograph.
+    """Fit colours by least squares; the colours of nearby pixels of the photograph are the bounds.
 
     Let W map colours to pixels. Each step adds a Gaussian's mean residual, W^T r / W^T 1, to its
     colour (SIRT), with Nesterov's momentum.
@@ -107,7 +110,7 @@ def _recolour(gaussians: Gaussians, seen: NDArray[np.bool_], colours: NDArray) -
 def _seen(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph
 ) -> NDArray[np.bool_]:
-    """Return a mask of the Gaussians that the camera sees on the object's surface [N]."""
+    """Return the mask of the Gaussians on the object's surface that the camera sees [N]."""
     pixels, depths = camera.project(gaussians.means.astype(float))
     depths = (depths - depths.min()) / max(float(np.ptp(depths)), 1e-9)
     g, grey = gaussians, np.repeat(depths[:, None], 3, axis=1)

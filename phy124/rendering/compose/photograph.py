@@ -20,19 +20,23 @@ from phy124.imaging.image import open_image
 from phy124.rendering.render import BLACK, Renderer
 
 CUTOUT = "cutout.png"
-"""File in a run's folder; its alpha shows the position of the object in the photograph."""
+"""Name of the file in a run's folder whose alpha shows the object's position in the photograph."""
 LARGEST = 1024
-"""Longest side of a photograph [pixels]; larger ones are reduced."""
+"""Largest side of a photograph [pixels]; larger photographs are reduced to it."""
 MARGIN = 0.015
-"""Width of the rim that is inpainted with the object, relative to the photograph's longest side."""
+"""Width of the rim around the object that is inpainted, too, relative to the photograph's longest
+side."""
 HOLE = 320
-"""Longest side at which holes are inpainted [pixels]; larger is slower and no better."""
+"""Longest side of the picture in which holes are inpainted [pixels]; larger is slower and no
+better."""
 DISTANCES = (2.0, 1.6, 3.0)
-"""Camera distances to try, in sizes of the silhouette: relief's, LGM's, and a longer lens's."""
+"""Camera distances to try, in sizes of the silhouette: those of relief, of LGM, and of a longer
+lens."""
 RIM = 0.008
-"""Width of the rim compared with the object, relative to the photograph's longest side."""
+"""Width of the rim around the object that is also compared, relative to the photograph's longest
+side."""
 ROUNDS = (False, False, False, True, True)
-"""For each correction of the camera: whether it compares only the object and its rim."""
+"""For each correction of the camera: whether only the object and its rim are compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +193,9 @@ def _correct_camera(
 
 
 def _near(photograph: Photograph) -> NDArray[np.uint8]:
-    """Return a mask of the object and a thin rim [H,W]; flat ends may be rendered beyond it."""
+    """Return the mask of the object and a thin rim [H,W]; the rim allows for flat ends that are
+    rendered too long.
+    """
     import cv2
 
     reach = max(1, round(RIM * max(photograph.alpha.shape)))

@@ -1,4 +1,4 @@
-"""Build the stage of a clip: the surroundings of the object in each frame."""
+"""Builds the stage of a clip: the surroundings of the object in each frame."""
 
 from __future__ import annotations
 
@@ -24,22 +24,24 @@ from phy124.rendering.stage.solids import floor_heights, place_walls
 from phy124.scene import Scene, View
 
 RECENT = 64
-"""Number of frames whose surroundings are kept for the frames' other sides."""
+"""Number of frames whose surroundings are stored, because the frames' other sides need them,
+too."""
 SAMPLE = 1024
-"""Number of Gaussians whose paths determine the extent of the shadow map."""
+"""Number of Gaussians whose paths determine how large the shadow map is."""
 OUTLIERS = (0.5, 99.5)
-"""Percentiles of these Gaussians' positions in each frame that the map covers."""
+"""Percentiles of the positions of these Gaussians in each frame; the map covers the range between
+them."""
 ROOM = 0.9
 """Margin of the map around these positions, in heights of the object."""
 LARGEST = 4.0
-"""Half of the map's largest side, in object sizes."""
+"""Half the side of the largest map, in object sizes."""
 PICTURE_SIDE = 1280
 """Longest side of the backdrop picture in a player [pixels]."""
 
 
 @dataclass(eq=False)
 class Stage:
-    """The surroundings of the object in each frame; those of recent frames are reused."""
+    """The surroundings of the object in each frame; recent frames are stored for reuse."""
 
     backdrop: Backdrop
     heights: NDArray[np.float64]
@@ -53,7 +55,7 @@ class Stage:
     pool: float = POOL
     """Additional brightness in the middle of the floor."""
     frames: dict[int, StageFrame] = field(default_factory=dict)
-    """The surroundings in the last `RECENT` frames that were asked for, by index."""
+    """The surroundings in the last `RECENT` frames that were requested, by index."""
     lock: Any = field(default_factory=Lock)
 
     def at(self, frame: Frame) -> StageFrame:
@@ -126,7 +128,7 @@ def _finite(points: NDArray) -> NDArray[np.bool_]:
 
 
 def boundaries_of(clip: Clip) -> Sequence[Boundary]:
-    """Return the boundaries of a clip's scene, without plug-ins that this program does not know.
+    """Return the boundaries of a clip's scene, except those from plug-ins that are not installed.
 
     Known plug-ins are those that are registered, and those whose class this program defines.
     """
@@ -150,7 +152,7 @@ def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
 
 
 def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
-    """Place a shadow map that covers the floor around the object in all frames."""
+    """Return a shadow map that covers the floor around the object in all frames."""
     chosen = np.flatnonzero(clip.object_mask & _finite(clip.means[0]))
     chosen = chosen[:: 1 + len(chosen) // SAMPLE]
     first = clip.means[0][chosen].astype(np.float64)
@@ -190,7 +192,9 @@ def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Gla
 
 
 def _capsule_mask(solid: Solid, x: Array, y: Array) -> Array:
-    """Return 1 under a capsule, else 0, for positions relative to the capsule's centre."""
+    """Return 1 for positions under a capsule and 0 elsewhere; positions are relative to its
+    centre.
+    """
     ax, ay = solid.axes[0, :2]
     along = x * ax + y * ay
     near = np.clip(along / max(ax * ax + ay * ay, 1e-12), -solid.half[0], solid.half[0])

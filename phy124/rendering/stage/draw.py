@@ -1,4 +1,4 @@
-"""Upload a stage for the kernels, and render it."""
+"""Uploads a stage for the kernels, and renders it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NO_SHADE = np.zeros((2, 2), np.uint16)
 
 
 class Uploaded:
-    """A stage frame on a device, independent of the camera."""
+    """A frame's stage on a device, independent of the camera."""
 
     def __init__(self, shown: StageFrame, device: Any) -> None:
         """Upload a stage frame."""
@@ -38,13 +38,14 @@ class Uploaded:
 
 
 class Surroundings:
-    """The stage on a device; a renderer reuses it for all pictures."""
+    """The stage on a device; a renderer uses the same one for all pictures."""
 
     among: int
-    """Number of solids between Gaussians, neither behind nor in front of all."""
+    """Number of solids that are drawn among the Gaussians, neither behind nor in front of all of
+    them."""
 
     def __init__(self, device: Any, *, simd: bool) -> None:
-        """Start empty on a Warp device; `simd` draws 16 pixels at a time on a CPU."""
+        """Start empty on a Warp device; with `simd`, a CPU draws 16 pixels at a time."""
         self.device, self.simd = device, simd
         self._uploaded: WeakKeyDictionary[StageFrame, Uploaded] = WeakKeyDictionary()
         self._picture: tuple[Any, wp.array] | None = None
@@ -77,7 +78,7 @@ class Surroundings:
                     wp.copy(array, source)
 
     def tint(self, means: wp.array, splats: wp.array) -> None:
-        """Tint splats that are seen through a glass solid."""
+        """Tint the splats that are seen through a glass solid."""
         kernel = stage.tint_splats_simd if self.simd else stage.tint_splats
         threads = math.ceil(len(means) / 16) if self.simd else len(means)
         inputs = [self._view, self._before, self._before + self.among, *self._solids, means]
@@ -99,7 +100,9 @@ class Surroundings:
         wp.launch(stage.draw_setting, threads, inputs=inputs, outputs=[image], device=self.device)
 
     def _allocate(self, count: int, device: Any) -> tuple[Any, Any]:
-        """Return arrays for the sorted solids and their outlines, reused for equal counts."""
+        """Return arrays for the sorted solids and their outlines; they are reused if the counts are
+        equal.
+        """
         key = count, str(device)
         if key not in self._arrays:
             kinds: tuple[Any, Any] = glass.Solid, glass.Outline
@@ -109,7 +112,7 @@ class Surroundings:
 
 
 def setting(shown: StageFrame) -> Any:
-    """Return backdrop and floor as a `stage.Setting`."""
+    """Return the backdrop and the floor as a `stage.Setting`."""
     packed, floor = stage.Setting(), shown.floor
     packed.top, packed.bottom = wp.vec3(*shown.backdrop.top), wp.vec3(*shown.backdrop.bottom)
     packed.floor, packed.reach, packed.cells = int(floor is not None), 1.0, 0
@@ -121,7 +124,7 @@ def setting(shown: StageFrame) -> Any:
 
 
 def picture(backdrop: Backdrop, width: int, height: int) -> NDArray[np.float32]:
-    """Return the backdrop's picture, cropped and scaled to fill the frame [H*W,3], 0..1.
+    """Return the backdrop's picture [H*W,3], 0..1, cropped and scaled to fill the frame.
 
     The array is empty if the backdrop has no picture.
     """

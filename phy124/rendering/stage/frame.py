@@ -1,4 +1,4 @@
-"""The stage of a frame, as plain data that both renderer and player draw."""
+"""Describes the stage of a frame as plain data that both the renderer and the player draw."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Colour = tuple[float, float, float]
 Box = tuple[Array, Array]
 """Lowest and highest corner [3], m."""
 TOGETHER = 64
-"""Points per row in the computation of minimum and maximum: wide rows are faster."""
+"""Number of points per row in the computation of minimum and maximum; wide rows are faster."""
 POOL = 0.5
 """Brightness added in the middle of a studio's floor whose grey is 1/2."""
 
@@ -42,18 +42,19 @@ class Floor:
     reach: float
     """Half the side of that square, m."""
     shade: Array
-    """Fraction of the light that the shadow removes [cells along x, cells along y]."""
+    """Fraction of the light that the shadow removes from each cell [cells along x, cells along
+    y]."""
     pool: float = POOL
     """Additional brightness in the middle of the floor, for a grey of 1/2."""
 
     @cached_property
     def levels(self) -> NDArray[np.uint16]:
-        """`shade` as kernels read it; 65535 means no light."""
+        """`shade` as 16-bit integers for the kernels; 65535 means no light."""
         return (self.shade * 65535 + 0.5).astype(np.uint16)
 
     @cached_property
     def shaded(self) -> tuple[int, int, int, int]:
-        """First and last shaded cell along x, then along y."""
+        """First and last cell along x, then along y, that are in shade."""
         along_x, along_y = (np.flatnonzero(self.shade.any(axis=axis)) for axis in (1, 0))
         if not len(along_x):
             return 0, 0, 0, 0
@@ -82,7 +83,8 @@ class StageFrame:
     floor: Floor | None = None
     solids: tuple[Solid, ...] = ()
     box: Box | None = None
-    """A box around all Gaussians, if known; it determines the drawing order of solids."""
+    """A box around all Gaussians, if known; from it the drawing order of the solids is
+    determined."""
 
     @cached_property
     def table(self) -> Array:

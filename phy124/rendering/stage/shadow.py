@@ -1,4 +1,4 @@
-"""The shadow of Gaussians on the floor, computed by projecting them along the light.
+"""Computes the shadow of Gaussians on the floor by projecting them along the light.
 
 The floor is lit by a soft lamp above and by the sky of a room. Gaussians are projected along the
 lamp's direction, as splats are (Zwicker et al. 2001), into layers by height; seen from the floor, a
@@ -35,7 +35,8 @@ CELLS = 128
 LAYERS = 7
 """Number of layers; the height of layer i is proportional to i^2."""
 SLOPE = (-0.30, 0.22)
-"""Displacement of the lamp's rays along x and y per metre of descent: from the front, left, above.
+"""Displacement of the lamp's rays along x and y per metre of descent; the lamp is in front, on the
+left, above.
 """
 SOFTNESS = 0.25
 """Standard deviation of the penumbra of the lamp, per metre of height."""
@@ -46,19 +47,19 @@ SAMPLE = 65536
 GLASS = 0.25
 """Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255
-"""Shade that is halved; fainter shade vanishes, because the sky's shadow has no limit."""
+"""Shade that is halved. Fainter shade almost vanishes; otherwise the sky's shadow had no limit."""
 UNSEEN = 0.1 / 255
-"""Smallest shade that is not set to zero."""
+"""Smallest shade that is visible; less is set to zero."""
 FAINTEST = 1e-4
-"""Smallest frequency response of a layer that is not left out."""
+"""Smallest frequency response of a layer that is taken into account."""
 EDGE = 0.1
-"""Fraction of the map at each border over which the shadow fades."""
+"""Fraction of the map, at each border, over which the shadow fades."""
 Glass = tuple[tuple[int, slice, slice], Array | float]
-"""Cells of a layer, and the optical depth that is added to them."""
+"""A part of a layer as (layer, rows, columns), and the optical depth that is added there."""
 
 
 def covering(device: str) -> tuple[Any, int]:
-    """Return the kernel that projects Gaussians, and its number of Gaussians per thread."""
+    """Return the kernel that projects Gaussians, and the number of Gaussians per thread."""
     return (cover_simd, 16) if wp.get_device(device).is_cpu else (cover, 1)
 
 
@@ -85,7 +86,9 @@ class Caster:
         return self.tallest * np.linspace(0, 1, LAYERS) ** 2
 
     def layer(self, height: float) -> tuple[int, float]:
-        """Return the layer below a height, and the fraction assigned to the layer above."""
+        """Return the index of the layer below a height, and the fraction that the layer above
+        receives.
+        """
         level = (LAYERS - 1) * min(height / self.tallest, 1.0) ** 0.5
         layer = min(int(level), LAYERS - 2)
         return layer, level - layer
@@ -162,7 +165,7 @@ class Caster:
 
     @cached_property
     def _window(self) -> Array:
-        """Window that is 1 inside the map and falls to 0 at its borders [CELLS,CELLS]."""
+        """Window [CELLS,CELLS] that is 1 inside the map and falls to 0 at the borders."""
         inwards = (np.arange(CELLS) + 0.5) / CELLS
         side = np.clip(np.minimum(inwards, 1 - inwards) / EDGE, 0, 1)
         side = side * side * (3 - 2 * side)

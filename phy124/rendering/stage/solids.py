@@ -1,4 +1,6 @@
-"""The scene's boundaries as visible solids: plates, walls, boxes and balls at their positions."""
+"""Converts the scene's boundaries to visible solids: plates, walls, boxes and balls at their
+positions.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +24,13 @@ THICK = 0.04
 WIDE = 1.1
 """Rendered width of a wall or plate, in object widths; the boundary itself is infinite."""
 MARGIN = 0.02
-"""Margin of a rendered clamp around the clamped material, in object sizes."""
+"""Distance by which a rendered clamp extends beyond the clamped material, in object sizes."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedWall:
-    """A simple wall of the scene, with its motion."""
+    """One wall of the scene with a simple shape, and its motion."""
 
     outline: str
     """Name of the wall's distance function."""
@@ -36,7 +38,7 @@ class PlacedWall:
     """The three parameter vectors of the distance function [3,3], m."""
     track: Track | None
     holds: bool
-    """Whether the wall is a clamp, which holds the object instead of obstructing it."""
+    """Whether the wall is a clamp: a clamp holds the object and does not obstruct it."""
     span: Corners
     """Box within which an infinite wall is rendered, m."""
 
@@ -55,7 +57,7 @@ class PlacedWall:
         return np.zeros((len(times), 3)) if self.track is None else self.track.values(times)
 
     def present(self, times: NDArray) -> NDArray[np.bool_]:
-        """Return whether the wall is present at each time [T]; a clamp may end."""
+        """Return whether the wall is present at each time [T]; a clamp may end during the clip."""
         if self.track is None:
             return np.ones(len(times), bool)
         return (times >= self.track.start) & (times < self.track.end)
@@ -84,7 +86,7 @@ def _walls(boundary: Boundary, rest: NDArray) -> Iterator[PlacedWall]:
 
 
 def span_container(container: Container, low: NDArray, high: NDArray) -> Corners:
-    """Return the box of a rendered container around an object at rest between two corners [m].
+    """Return the box that shows a container, around an object at rest between two corners [m].
 
     Its walls end a little above the object; open sides end at 2 object sizes.
     """
@@ -109,7 +111,7 @@ def _shape(part: Boundary, body: AtRest) -> tuple[str, NDArray[np.float64] | Non
 
 
 def _around(low: NDArray, high: NDArray) -> Corners:
-    """Return a box with a square base, slightly wider than the object."""
+    """Return a box that has a square base and is slightly wider than the object."""
     middle, half = (low + high) / 2, (high - low) / 2
     half[:2] = WIDE * half[:2].max()
     half[2] *= 1.1
@@ -130,12 +132,12 @@ def _clamped_span(wall: PlacedWall, rest: NDArray) -> Corners:
 
 
 def _around_cylinder(axis: NDArray, sizes: NDArray) -> NDArray[np.float64]:
-    """Return the half sizes of the box around a cylinder of (radius, half length)."""
+    """Return the half sizes of the box around a cylinder with a (radius, half length)."""
     return np.where(np.abs(axis) > 0.5, sizes[1], sizes[0])
 
 
 def _panel(wall: PlacedWall) -> Solid:
-    """Return an infinite wall as a slab behind its face, as wide as the wall's box."""
+    """Return an infinite wall as a slab behind the wall's face, as wide as the box of the wall."""
     point, normal, _ = wall.shape
     low, high = wall.span
     if wall.holds:
@@ -149,7 +151,9 @@ def _panel(wall: PlacedWall) -> Solid:
 
 
 def _frame_of(normal: NDArray) -> NDArray[np.float64]:
-    """Return three axes [3,3]: the normal, a second that is horizontal if possible, and a third."""
+    """Return three unit axes [3,3]: the normal, then one that is horizontal if possible, then the
+    third.
+    """
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < LEVEL else np.array([1.0, 0.0, 0.0])
     second = np.cross(up, normal)
     second /= np.linalg.norm(second)
@@ -194,7 +198,7 @@ SHAPES: dict[str, Any] = {
     "sphere": _ball,
     "capsule": _capsule,
 }
-"""Distance function of a boundary -> function that returns the solid to render."""
+"""Name of a boundary's distance function -> function that returns the solid to render."""
 
 
 def floor_heights(
