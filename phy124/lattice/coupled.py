@@ -1,4 +1,4 @@
-"""CoupledSolver: bodies on their lattices together with bodies of the material point method.
+"""CoupledSolver: bodies on lattices together with bodies of the material point method.
 
 Both take the same substeps. After the particles' grids are updated, the lattices' nodes are kicked;
 then all contact acts, and walls act on the grids; then particles and lattices move.
@@ -23,11 +23,11 @@ from phy124.mpm.pairs import fill_of
 from phy124.mpm.timestep import Substep
 
 STATE = ("x", "v", "C", "F")
-"""Arrays of the state that the points of a lattice have."""
+"""Names of the arrays of `State` that the points of a lattice have."""
 
 
 class CoupledClock(Clock):
-    """The clock of the particles, whose substeps are stable for the lattices, too."""
+    """The clock of the particles; its substeps are also stable for the lattices."""
 
     lattice: Clock | None = None
     """The clock of the lattices."""
@@ -130,7 +130,7 @@ class CoupledSolver(Solver):
 
     @property
     def guest(self) -> CoupledSolver:
-        """Launch that acts between the update of the grids and the walls."""
+        """This solver, whose `launch` runs between the update of the grids and the walls."""
         return self
 
     @property
@@ -173,14 +173,14 @@ class CoupledSolver(Solver):
             self.rejection.keep(_Undo(self))
 
     def stages(self) -> list[list[Any]]:
-        """Return the launches of contact between lattices and particles, for the lattices' side."""
+        """Return the lattices' launches for contact between lattices and particles."""
         return [
             [("pairs", material.stage(number)) for material in self.materials]
             for number in range(3)
         ]
 
     def launch(self) -> None:
-        """Kick the lattices' nodes, and let all contact of the lattices act."""
+        """Kick the lattices' nodes, then apply all contact of the lattices."""
         if self._lattice is not None:
             self._lattice.start_step(*self._kick)
 
@@ -268,7 +268,7 @@ class CoupledSolver(Solver):
 
 
 class _Undo:
-    """The parts of the state that a rejected substep has changed on the lattices."""
+    """What a rejected substep has changed on the lattices, to be restored."""
 
     def __init__(self, solver: CoupledSolver) -> None:
         self._solver = solver
@@ -279,14 +279,14 @@ class _Undo:
         return {"lattice": self._solver.lattice.snapshot(), "materials": materials}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         self._solver.lattice.restore(snapshot["lattice"])
         for number, material in enumerate(self._solver.materials):
             material.restore(snapshot["materials"][str(number)])
 
 
 def _part_of(model: Model, bodies: Sequence[int], still: Sequence[int]) -> Model:
-    """Return the model of some bodies, numbered in their order."""
+    """Return a model of only some bodies, numbered in the given order."""
     groups, runs, start = [], [], 0
     for place, body in enumerate(bodies):
         for group in model.groups:

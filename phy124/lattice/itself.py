@@ -29,12 +29,13 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 MOVED, BETWEEN = 0.6, 0.15
-"""Half of the relative displacement after which two parts or bodies are compared again [cells].
+"""Half of the relative displacement [cells] after which two parts of a body (`MOVED`) or two bodies
+(`BETWEEN`) are compared again.
 """
 SLID = 0.4
-"""Displacement of a point along the other surface after which pairs are listed again [cells]."""
+"""Pairs are listed again after a point has moved this far along the other surface [cells]."""
 FRICTION = 0.5
-"""Coefficient of friction of a body with itself, the default of pairs of objects."""
+"""Coefficient of friction of a body with itself; it is also the default for pairs of objects."""
 
 
 class Meeting:
@@ -90,11 +91,11 @@ class Meeting:
         self._points: NDArray[np.int64] = np.zeros(0, np.int64)
         """Points that have a partner [K]."""
         self.most = 0
-        """Largest number of pairs."""
+        """Largest number of pairs so far."""
         self._reserve(0)
         self._seen: NDArray[np.float64] = surface.x[sample]
         self._flagged: NDArray[np.bool_] = np.zeros(len(sample), bool)
-        """Sampled points near which pairs were listed."""
+        """Whether pairs were listed near each sampled point."""
         self._away = self._between
         """Whether the bodies are far from each other."""
 
@@ -148,7 +149,7 @@ class Meeting:
             self._launches.append((model.launch(make_exchange(real), 1, inputs, [self._sums]), 0))
 
     def record(self) -> list[Named]:
-        """Return the stages that apply the previous impulses, correct them, and sum them."""
+        """Return the stages that apply the previous impulses, correct them and sum them."""
 
         def stage(number: int) -> Named:
             def act() -> None:
@@ -196,7 +197,7 @@ class Meeting:
             self._list(self._mine[flagged[self._nearest]])
 
     def _list(self, points: NDArray[np.int64]) -> None:
-        """List the pairs of some points; those that already had a partner keep their forces."""
+        """List the pairs of some points; points that already had a partner keep their forces."""
         surface = self._surface
         partners = self._partners.find(points, between=self._between)
         a, b = partners.pop("a"), partners.pop("b")
@@ -231,7 +232,7 @@ class Meeting:
         return {"points": self._points.copy(), **places, **pairs}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         self._seen, self._flagged = (np.array(snapshot[name]) for name in ("seen", "flagged"))
         self._away, self.reach = bool(snapshot["away"]), float(snapshot["reach"])
         self._fill(np.array(snapshot["points"]), snapshot)

@@ -71,7 +71,7 @@ class Material:
         self.due = True
         """Whether the points near the particles must be listed in the next substep."""
         self.most = 0
-        """Largest number of points near the particles."""
+        """Largest number of points near the particles so far."""
 
     def record(self, grid: Grid, clock: wp.array, recovery: float) -> None:
         """Record the launches for the current window of the particles' grid.
@@ -113,7 +113,7 @@ class Material:
         return act
 
     def _list_near(self) -> None:
-        """List the points around which there is material."""
+        """List the points that have material around them."""
         self.due = False
         if self._look is None:
             return
@@ -135,7 +135,7 @@ class Material:
         return {"force": self.force.numpy().copy(), "sums": self.sums.numpy().copy(), "near": near}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         self.force.assign(snapshot["force"])
         self.sums.assign(snapshot["sums"])
         self._near = np.array(snapshot["near"], np.int32)

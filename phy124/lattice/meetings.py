@@ -24,11 +24,11 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 SAMPLED = 1.5
-"""Distance of sampled points [cells]."""
+"""Distance between sampled points [cells]."""
 
 
 class Meetings:
-    """All pairs of bodies that may touch, and all bodies that may touch themselves."""
+    """Contact in all pairs of bodies that may touch, and of bodies that may touch themselves."""
 
     def __init__(
         self,
@@ -85,11 +85,11 @@ class Meetings:
             )
             for index, pair in enumerate(pairs.all)
         ]
-        """Contact of bodies with each other."""
+        """Contact of pairs of bodies."""
 
     @property
     def every(self) -> list[Meeting]:
-        """All meetings, bodies with themselves first."""
+        """All meetings; those of bodies with themselves come first."""
         return [*self.of_bodies, *self.of_pairs]
 
     def stages(self) -> list[list[Named]]:
@@ -127,6 +127,6 @@ class Meetings:
         return {str(number): meeting.snapshot() for number, meeting in enumerate(self.every)}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         for number, meeting in enumerate(self.every):
             meeting.restore(snapshot[str(number)])

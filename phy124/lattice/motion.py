@@ -1,4 +1,4 @@
-"""The nodes of a lattice at the start of a run: at rest, with the motion of the points."""
+"""The nodes of a lattice at the start of a run: positions at rest, and the points' motion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from phy124.mpm.model import Model, State
 
 
 def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: bool) -> Nodes:
-    """Return the nodes at rest with the motion of the points, which is exact if it is affine.
+    """Return nodes at rest with the points' motion; this is exact if the motion is affine.
 
     Args:
         model: The constants of the run; nodes of its held bodies do not move.
@@ -38,7 +38,7 @@ def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: boo
 
 
 def _motion(model: Model, lattice: RestLattice, state: State) -> NDArray[np.float64]:
-    """Return velocities of the nodes [N,3]: means over the cells around, extrapolated by C."""
+    """Return velocities of the nodes [N,3]: means over neighbouring cells, extrapolated by C."""
     v, C = (np.asarray(a.numpy(), np.float64) for a in (state.v, state.C))
     if not v.any() and not C.any():
         return np.zeros((len(lattice), 3))

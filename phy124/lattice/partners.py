@@ -1,4 +1,4 @@
-"""Search for surface points that may touch, and for the position opposite to each of them."""
+"""Searches for surface points that may touch, and for the position opposite to each."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Model
 
 FAR = 3.0
-"""Distance of sampled points within which their surroundings may touch [cells]."""
+"""The surroundings of two sampled points may touch if the points are closer than this [cells]."""
 REACH, NEAR = 1.4, 1.0
-"""Distances within which points of one body, and of two bodies, may touch [cells]."""
+"""Largest distance of points that may touch [cells]: in one body, and between two bodies."""
 LEAST = 0.05
 """Smallest volume ratio used to map displacements on the surface to the body at rest."""
 BUCKETS = 32
@@ -41,7 +41,7 @@ class Partners:
     def flag(
         self, sample: NDArray[np.int64], x: NDArray[np.float64], *, between: bool
     ) -> NDArray[np.bool_]:
-        """Return which sampled points may touch another part [K].
+        """Return the indices of the sampled points that may touch another part [K].
 
         Args:
             sample: Indices of the sampled points [K].

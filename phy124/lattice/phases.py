@@ -9,7 +9,7 @@ from phy124.mpm.threads import Team
 from phy124.mpm.workers import run_timed
 
 MEASURE, TRIAL = -1, -2
-"""Tasks in addition to phases: measure the motion, compute forces of a trial."""
+"""Two tasks in addition to the phases: measure the motion, and compute the forces of a trial."""
 
 
 class Phases:
@@ -20,7 +20,7 @@ class Phases:
         self.team = Team[int](len(workers), self._run_member)
 
     def run(self, phase: int) -> None:
-        """Run a phase; threads wait for each other before the phase."""
+        """Run a phase after all threads have reached it."""
         first = self._workers[0]
         if self.team.alive:
             run_timed(first.timings, "wait", lambda: self.team.put(phase))

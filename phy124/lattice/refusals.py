@@ -1,4 +1,4 @@
-"""Decides which scenes the lattice solver supports; an error names the field that it does not.
+"""Decides which scenes the lattice solver supports; errors name a field that it does not support.
 
 An argument `scene` is a `phy124.scene.Scene`, whose module imports this one.
 """
@@ -13,7 +13,7 @@ from phy124.materials import LAWS, Material
 from phy124.materials.elastic import Elastic
 
 TRANSFERS = ("transfer", "gradient", "rpic_damping")
-"""Settings of the accuracy that belong to transfers, which the lattice solver does not have."""
+"""Settings of the accuracy for transfers; the lattice solver has no transfers."""
 REMEDY = 'Use accuracy.solver = "mpm", or leave {field} out.'
 
 
@@ -27,7 +27,7 @@ class Refusal(NamedTuple):
 
 
 def reason_for_particles(scene: Any) -> str:
-    """Return why the elastic objects of a scene cannot move on lattices; empty if they can.
+    """Return the reason why a scene's elastic objects cannot use lattices; empty if they can.
 
     The answer does not depend on `accuracy.solver`, and needs no Gaussians. With a file of
     properties, the laws in this file are read.
@@ -92,7 +92,7 @@ def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
 
 
 def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
-    """Yield laws that yield or flow, of an object that the scene declares as elastic."""
+    """Yield refusals of plastic or fluid laws of an object that the scene declares as elastic."""
     remedy = 'Use accuracy.solver = "mpm", or an elastic law.'
     for section in materials:
         if not is_elastic(section) and not scene.couples:
@@ -107,7 +107,7 @@ def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterato
 
 
 def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
-    """Yield the features that scenes with bodies on lattices and bodies of particles lack."""
+    """Yield the features that scenes cannot have if they mix lattices and particles."""
     limit = "elastic and other objects together cannot have it on lattices."
     for number, force in enumerate(scene.acting):
         if not force.uniform:
@@ -123,5 +123,5 @@ def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
 
 
 def is_elastic(section: Material) -> bool:
-    """Return whether a material's law can run on its lattice: elastic, and one of phy124's."""
+    """Return whether a material's law can run on a lattice: it is elastic, and phy124's."""
     return isinstance(section, Elastic) and section.device_law.project is None

@@ -28,16 +28,16 @@ LIGHTEST = 1e-3
 plates of 0.3 cells are 4 to 14 % too stiff.
 """
 CORNER = 0.01
-"""The same for a node that belongs to a single cell. Large forces would turn it inside out: its
-cell's points have small strain even if it is displaced by many cells.
+"""Like `LIGHTEST`, for a node that belongs to a single cell. Large forces would turn that cell
+inside out, because its points have small strain even if the node is displaced by many cells.
 """
 LIGHT, GIVING = 0.02, 0.2
-"""Mass that nodes which are not tied get from nodes of at least the second mass, as fractions of
-the mass of a node inside the body. Lighter nodes vibrate too fast where the body is squeezed.
+"""Nodes that are not tied get at least the mass `LIGHT`, taken from nodes of at least the mass
+`GIVING`. Both are fractions of the mass of a node inside the body. Lighter nodes vibrate too fast
+where the body is squeezed.
 """
 DONORS, NEAR = 27, 3.0
-"""Largest number of nodes from which a tied node is extrapolated, and their largest distance
-[cells].
+"""A tied node is extrapolated from at most `DONORS` nodes at a distance of at most `NEAR` [cells].
 """
 ROW = 9
 """Number of rows of three nodes along z that a cell touches."""
@@ -47,7 +47,7 @@ STEPS = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).r
 
 @dataclass(frozen=True, eq=False)
 class RestLattice:
-    """The nodes of bodies at rest, sorted by body, then x, y and z, and the weights of points."""
+    """The nodes of bodies at rest (sorted by body, then x, y, z), and the weights of points."""
 
     dx: float
     """Side of a cell [m]."""
@@ -63,11 +63,11 @@ class RestLattice:
     tied: NDArray[np.int64]
     """Indices of the tied nodes [T]."""
     ties: scipy.sparse.csr_matrix
-    """Weights of the other nodes in the motion of each tied node [T,N]."""
+    """Weights with which the other nodes' motions give the motion of each tied node [T,N]."""
     pushes: scipy.sparse.csr_matrix
-    """Weights of the pushes on all nodes that are added to the push on each node [N,N]: those of
-    tied nodes, and those of mass that another node gets. A uniform push then accelerates all nodes
-    equally.
+    """Weights with which pushes on other nodes are added to the push on each node [N,N]. They move
+    the pushes on tied nodes, and on mass that another node gets. A uniform push then accelerates
+    all nodes equally.
     """
     body: NDArray[np.int64]
     """Index of the body of each node [N]."""
@@ -81,7 +81,7 @@ class RestLattice:
         dx: float,
         spans: Sequence[slice] = (slice(None),),
     ) -> RestLattice:
-        """Return the lattices of the integration points of all bodies, which share no node.
+        """Return the lattices of all bodies' integration points; bodies share no node.
 
         Args:
             x: Positions of the points at rest [P,3], m; eight consecutive points form a cell.
@@ -172,7 +172,7 @@ class RestLattice:
         return sum(int(np.ptp(index, axis=0).max()) - 1 for index in bodies)
 
     def respond(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return accelerations [P], m/s^2, by forces on points in one direction [P], N.
+        """Return accelerations [P], m/s^2, that forces on points cause in one direction [P], N.
 
         They are computed in the cells on which forces act, and 0 elsewhere.
         """
@@ -191,7 +191,7 @@ class RestLattice:
         return result
 
     def find(self, index: NDArray, body: NDArray | int = 0) -> NDArray[np.int64]:
-        """Return the numbers of nodes, -1 where there is no node.
+        """Return the indices among all nodes of the nodes at these positions; -1 without a node.
 
         Args:
             index: Indices of nodes [...,3].
@@ -224,7 +224,7 @@ def _weights(offset: NDArray) -> NDArray[np.float64]:
 def _tie_light(
     index: NDArray[np.int64], mass: NDArray, least: float, corner: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, NDArray[np.float64]]:
-    """Return tied nodes, their ties, and the masses after those of tied nodes are distributed.
+    """Return tied nodes, their ties, and all masses after tied nodes have given theirs away.
 
     Args:
         index: Indices of the nodes [N,3].
@@ -248,7 +248,7 @@ def _tie_light(
 def _share(
     index: NDArray[np.int64], mass: NDArray[np.float64], least: float, giving: float
 ) -> tuple[NDArray[np.float64], scipy.sparse.csr_matrix]:
-    """Return masses of at least `least` [kg], moved from heavy to light nodes as far as possible.
+    """Return masses of at least `least` [kg] if heavy nodes can give light ones enough mass.
 
     The total mass and its centre are preserved. No node loses more than half of its mass. The
     matrix [N,N] moves forces with the mass: the moved mass has the light node's acceleration.
@@ -270,14 +270,14 @@ def _share(
 
 
 def _rows(chosen: NDArray[np.int64], count: int) -> scipy.sparse.csr_matrix:
-    """Return the chosen rows of the identity matrix of a size."""
+    """Return the chosen rows of the identity matrix of the given size."""
     return scipy.sparse.csr_matrix(scipy.sparse.eye_array(count, format="csr")[chosen])
 
 
 def _tie(
     index: NDArray[np.int64], mass: NDArray, least: float, giving: float
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix]:
-    """Return the nodes lighter than `least` [kg] and the weights from which they are extrapolated.
+    """Return the nodes lighter than `least` [kg], and the weights that extrapolate them.
 
     The weights reproduce every linear function that is determined by the nearby nodes with a mass
     of at least `giving` [kg]. A light node that has no such node nearby is not tied.

@@ -19,17 +19,18 @@ from phy124.mpm.stage import Named
 from phy124.mpm.timestep import Extremes, Substep, decay
 
 FAST = 0.25
-"""Closing rate above which the viscosity acts, relative to c / dx. With 0.6, points of an undamped
-block that is pressed to a fifth are up to 0.66 instead of 0.36 cells inside the walls.
+"""Closing rate above which the artificial viscosity acts, relative to c / dx. If an undamped block
+is pressed to a fifth, points enter walls by up to 0.36 cells; with 0.6, by up to 0.66 cells.
 """
 LEAST = 0.1
-"""Largest compression in a substep while it acts. The viscosity grows with the rate, so that its
-stable substep is a fixed compression; with 0.2, impacts at ten times the speed of sound invert.
+"""Largest compression in a substep while the artificial viscosity acts. The viscosity grows with
+the rate, so it is stable up to a fixed compression. With 0.2, cells invert in impacts at ten times
+the speed of sound.
 """
 IMPACT = 0.3
-"""Way in a substep above which a point that meets a wall may be squeezed too much [cells]."""
+"""A point that moves farther than this in a substep may be squeezed too much at a wall [cells]."""
 COLLAPSED = 1e-6
-"""Length of a substep, relative to that at rest, below which the motion is no longer sound."""
+"""The motion is no longer sound if substeps are shorter than this fraction of a substep at rest."""
 
 
 class LatticeClock(Clock):
@@ -40,12 +41,16 @@ class LatticeClock(Clock):
     shocked = 0
     """Number of substeps with artificial viscosity."""
     closing = lasting = 0.0
-    """Largest closing rate as last measured, and largest recent one, which decays slowly [1/s]."""
+    """Largest closing rate in the last measurement, and largest recent one, which decays slowly
+    [1/s].
+    """
 
     @property
     def _rate(self) -> float:
-        """Largest recent rate of compression [1/s]. It decays slowly after a measurement: substeps
-        whose length changes to and fro would feed vibrations.
+        """Largest recent rate of compression [1/s].
+
+        It decays slowly after a measurement, because substeps of alternating length would feed
+        vibrations.
         """
         return max(self.extremes.gradient, self.strain_rate)
 
@@ -55,7 +60,7 @@ class LatticeClock(Clock):
         return max(self.closing, self.lasting) > self.calm
 
     def limit_by(self, extremes: Extremes, *, complete: bool, acceleration: float = 0.0) -> None:
-        """Limit substeps by measured values, as in `Clock`; `closing` has been set before."""
+        """Use measured values as limits, as in `Clock`; `closing` has already been set."""
         self.lasting = max(self.closing, decay(self.lasting, self.since_measured))
         super().limit_by(extremes, complete=complete, acceleration=acceleration)
 
@@ -67,7 +72,7 @@ class LatticeClock(Clock):
         return limit
 
     def may_crush(self, speed: float, drift: float) -> bool:
-        """Return whether a substep must be measured before anything moves.
+        """Return whether a substep needs a measurement before anything moves.
 
         Args:
             speed: Largest speed relative to a wall [m/s].
@@ -76,11 +81,11 @@ class LatticeClock(Clock):
         return self.in_shock or speed * drift > IMPACT * self.dx
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state to continue from, as plain data."""
+        """Return the state from which to continue, as plain data."""
         return {**super().snapshot(), "closing": self.closing, "lasting": self.lasting}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         super().restore(snapshot)
         self.closing, self.lasting = (snapshot.get(name, 0.0) for name in ("closing", "lasting"))
 
@@ -101,7 +106,7 @@ def largest_calm_rate(materials: Sequence[Material], dx: float) -> float:
 
 
 def in_shock_only(clock: LatticeClock, recorded: Sequence[Named]) -> list[Named]:
-    """Return launches that are left out unless the artificial viscosity acts."""
+    """Return launches that run only while the artificial viscosity acts."""
 
     def launch() -> None:
         if clock.in_shock:

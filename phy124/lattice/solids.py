@@ -27,9 +27,9 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 
 DEEPEST = 0.5
-"""Depth in a box, along a point's own normal, up to which this normal counts [cells]."""
+"""A point's own normal counts up to this depth in a box, measured along the normal [cells]."""
 LISTED = 1.0
-"""Distance from a solid up to which points are listed, in addition to that of contact [cells]."""
+"""Points are listed up to this distance beyond the distance of contact with a solid [cells]."""
 
 
 class Solids(FreeBodies):
@@ -56,7 +56,7 @@ class Solids(FreeBodies):
         self._impulses: list[wp.array] = []
         super().__init__(model, solids)
         self.recovery = 0.0
-        """Gain by which points come out of a solid [1/s]."""
+        """Speed at which points come out of a solid, per depth [1/s]."""
         self._points = [
             wp.array(surface.nodes, dtype=int, device=model.device),
             model.array(surface.weights, model.real),
@@ -67,13 +67,13 @@ class Solids(FreeBodies):
         """Distance within which points touch solids until the next measurement [m]."""
 
     def _total(self) -> NDArray[np.float64]:
-        """Return the sums that each solid has transferred to each body [F,bodies,GIVEN]."""
+        """Return the sums of what each solid has transferred to each body [F,bodies,GIVEN]."""
         sums = np.asarray(self._sums.numpy(), np.float64)
         moment, rest = sums[..., MOMENT : MOMENT + 3], sums[..., IMPULSE + 3 : GIVEN]
         return np.concatenate([sums[..., :3], moment, rest], axis=-1)
 
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
-        """Let the solids collide with other flat walls, and keep the impulses of the last substep.
+        """Set new flat walls for the solids, and keep the impulses of the last substep.
 
         Args:
             planes: The walls.
@@ -102,7 +102,7 @@ class Solids(FreeBodies):
         self._put_sides(sides)
 
     def stages(self) -> list[list[Named]]:
-        """Return the launches of a substep: apply impulses, correct them, and sum them."""
+        """Return the launches of a substep that apply impulses, correct them and sum them."""
         model, tracks = self._model, getattr(self, "_tracks", None)
         if tracks is None:
             return [[], [], []]
@@ -136,7 +136,7 @@ class Solids(FreeBodies):
             touch.list_near(self._reach_points, LISTED * self._model.dx)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state to continue from; empty if there are no solids."""
+        """Return the state from which to continue; empty if there are no solids."""
         if not self.all:
             return {}
         return {
@@ -150,7 +150,7 @@ class Solids(FreeBodies):
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         if not self.all:
             return
         for body, kept in zip(self._bodies, snapshot["bodies"], strict=True):
@@ -176,7 +176,7 @@ class Solids(FreeBodies):
         return {str(i): touch.side.numpy().copy() for i, touch in enumerate(self._touches)}
 
     def _put_sides(self, sides: dict[str, NDArray]) -> None:
-        """Set the normals of flat points, which are updated only when limits are measured."""
+        """Set the normals of flat points; they are updated only when limits are measured."""
         for number, touch in enumerate(self._touches):
             if str(number) in sides:
                 touch.side.assign(sides[str(number)])

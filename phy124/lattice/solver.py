@@ -43,16 +43,16 @@ from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_work
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN, WAY = 0.25, 0.25
-"""Largest strain between two measurements of the frequency, and largest displacement of a point
-[cells] between two measurements of its distance from walls.
+"""`STRAIN`: largest strain between two measurements of the frequency. `WAY`: largest displacement
+of a point [cells] between two measurements of its distance from walls.
 """
 TRAVEL = 3.0
-"""How far points may approach walls before all distances are measured again [cells]."""
+"""Points may approach walls by this much before all distances are measured again [cells]."""
 VIOLENT = 0.35
-"""Product of rate of strain and substep above which limits are measured before every substep."""
+"""Limits are measured before every substep if rate of strain times substep is above this."""
 FORGET = 4
-"""Rate of decay of an earlier frequency, relative to the default solver: the fastest
-vibration of a body is that of a few points which are squeezed for a short time.
+"""An earlier frequency decays this many times as fast as in the default solver, because the fastest
+vibration belongs to a few points that are squeezed for a short time.
 """
 
 
@@ -132,11 +132,11 @@ class LatticeSolver:
         self._probing = False
         """Whether the next substep measures the largest frequency."""
         self._strain, self._probed = math.inf, 0
-        """Bound of the strain since the last measurement of the frequency, and the substep of that
-        measurement.
+        """Bound of the strain since the frequency was last measured, and the number of the substep
+        in which it was measured.
         """
         self._travel, self._measured = 0.0, 0.0
-        """Bound of the displacement of a point or wall since points near walls were listed [m]; and
+        """Bound of any point's or wall's displacement since points near walls were listed [m], and
         the time of the last measurement [s].
         """
         self.bind(forces, boundaries, accumulators, planes)
@@ -202,10 +202,10 @@ class LatticeSolver:
         last += self.free.drift()
         self.workers[0].phases[-1] += launches(last)
         self._summed = 2 if pushed else 0
-        """Phase after which the forces on all nodes are known."""
+        """Index of the phase after which the forces on all nodes are known."""
 
     def _contact(self) -> list[Named]:
-        """Return the launches of all contact: all impulses are applied before any is corrected."""
+        """Return the launches of all contact; they apply all impulses before they correct any."""
         everything = [
             part.stages() for part in (self.walls, self.meetings, self.free, *self.guests)
         ]
@@ -214,7 +214,7 @@ class LatticeSolver:
         ]
 
     def _push(self, worker: int) -> list[Any]:
-        """Return a worker's pushes; the first worker has all, unless all can be divided."""
+        """Return a worker's pushes; the first worker has all pushes unless all can be divided."""
 
         def record(stages: Sequence[Stage]) -> list[Any]:
             return launches([(stage.name, stage.record(self.grid)) for stage in stages])
@@ -231,7 +231,7 @@ class LatticeSolver:
 
     @property
     def boundaries(self) -> Sequence[Stage]:
-        """Stages of boundaries on a grid: none, since walls act on surface points."""
+        """Stages of boundaries on a grid; there are none, because walls act on surface points."""
         return ()
 
     @property
@@ -274,7 +274,7 @@ class LatticeSolver:
     def carry_nodes(
         self, carry: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]], body: int = 0
     ) -> None:
-        """Set positions and velocities of a body's nodes, which walls then touch with no force.
+        """Set positions and velocities of a body's nodes, and reset the forces of walls to zero.
 
         Args:
             carry: Returns new positions and velocities [N,3] of the nodes from the present ones.
@@ -295,7 +295,7 @@ class LatticeSolver:
         self.follow()
 
     def _stable_step(self, until: float) -> None:
-        """Take one substep, of a stable length that divides the remaining time evenly."""
+        """Take one substep; its stable length divides the remaining time evenly."""
         self.measure_if_due()
         clock = self.clock
         limit = run_timed(self.timings, SCHEDULE, clock.stable)
@@ -324,7 +324,7 @@ class LatticeSolver:
         return drift
 
     def _shorten(self, drift: float) -> float:
-        """Return a time over which no point is squeezed too much, at most `drift` [s]."""
+        """Return a time of at most `drift` [s] in which no point is squeezed too much."""
         self.phases.join()
         self.phases.run_task(MEASURE)
         # They are not reset: where the stress measures, the end of the substep reads them, too.
@@ -338,7 +338,7 @@ class LatticeSolver:
         return max(self.clock.extremes.speed, self.rejection.wall, self.free.fastest())
 
     def start_step(self, kick: float, drift: float) -> None:
-        """Kick the nodes, and let contact act: all of a substep but the drift."""
+        """Kick the nodes and apply contact, which is all of a substep except the drift."""
         self.measure_if_due()
         self.clock.begin(kick, drift)
         self.clock.shocked += self.clock.in_shock
@@ -369,7 +369,7 @@ class LatticeSolver:
             yield
 
     def measure_if_due(self) -> bool:
-        """Measure the limits of the substep if necessary; return whether they were measured."""
+        """Measure the limits of the substep if necessary; return whether this was necessary."""
         due = self.clock.due
         if due:
             self._measure()
@@ -426,7 +426,7 @@ class LatticeSolver:
             raise Unstable(f"the body was squeezed so fast that it turned inside out{points}")
 
     def _measure_frequency(self) -> None:
-        """Measure the largest frequency, after forces are summed and before they act."""
+        """Measure the largest frequency; call this after forces are summed and before they act."""
         self._probing, self._strain, self._probed = False, 0.0, self.clock.substeps
         self.phases.join()
         run_timed(self.timings, "frequency", self._spectrum.follow)
@@ -441,7 +441,7 @@ class LatticeSolver:
         self._list_near()
 
     def _list_near(self) -> None:
-        """List the surface points that walls may touch until the next measurement."""
+        """List the surface points that walls may touch before the next measurement."""
         self.walls.list_near(self._travel + 2 * WAY * self.model.dx, self._step())
 
     def _step(self) -> float:
@@ -482,7 +482,7 @@ class LatticeSolver:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         self.state.restore(snapshot["state"])
         for name, array in snapshot["nodes"].items():
             getattr(self.nodes_state, name).assign(array)

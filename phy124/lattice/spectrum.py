@@ -22,20 +22,22 @@ from phy124.lattice.workers import Crew
 from phy124.mpm.model import Model
 
 ROUNDS, DAMPED, TRIAL = 60, 8, 1e-3
-"""Power iterations for the largest frequency at rest, and from its shape for the largest rate of
-damping; size of trial displacements [cells]. The parts of the fastest vibration and of the largest
-damping may be of different materials: then the latter is also found from any shape.
+"""`ROUNDS`: power iterations for the largest frequency at rest. `DAMPED`: further iterations for
+the largest rate of damping, from the shape of the fastest vibration or, if materials differ, also
+from any shape. `TRIAL`: size of trial displacements [cells].
 """
 FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
-"""Iterations of a measurement if the squared frequency exceeds its value at rest by the second
-factor, and the damping ratio of the fastest vibration is below the third number; otherwise one
-iteration. The fastest vibration then moves from one part of the body to another faster than single
-iterations follow, and grows without viscosity.
+"""A measurement takes one iteration. It takes `FOLLOWED` if the squared frequency exceeds its value
+at rest by the factor `SQUEEZED`, and the damping ratio of the fastest vibration is below
+`UNDAMPED`. The fastest vibration then moves through the body faster than single iterations follow,
+and without viscosity it grows.
 """
 MIXED = 0.1
-"""Size of the accelerations with which an iteration starts, relative to the last shape."""
+"""An iteration starts from the last shape plus the accelerations, scaled to this relative size."""
 MISSED = 1.1
-"""Factor on the rise of the squared frequency since rest, which the iterations underestimate."""
+"""Factor on the rise of the squared frequency since rest, because iterations underestimate the
+rise.
+"""
 
 
 class Spectrum:
@@ -73,7 +75,7 @@ class Spectrum:
         crew.a.assign(crew.trial_a)
         self._least = self._iterate(0.0, ROUNDS)
         self._delay = 0.0
-        """Ratio of viscosity to stiffness of the fastest vibrations [s]."""
+        """Ratio of viscosity to stiffness in the fastest vibrations [s]."""
         if any(math.isfinite(section.viscous_limit(model.dx)) for section in model.materials):
             self._size *= math.sqrt(self._least)
             rate = self._iterate(0.0, DAMPED, velocities=nodes.v)
@@ -88,10 +90,10 @@ class Spectrum:
         self.square = self._least
         """Square of the largest angular frequency, as last measured [1/s^2]."""
         self._stiffened = 1.0
-        """Factor, at least 1, by which all stiffnesses exceed those at the start."""
+        """Ratio of all stiffnesses to those at the start, at least 1."""
 
     def stiffen(self, factor: float) -> float:
-        """Follow a factor on the stiffnesses at the start; return `stiffness`.
+        """Set the factor on the stiffnesses at the start; return `stiffness`.
 
         A larger factor acts at once, since the frequency is measured only after a substep. A factor
         below 1 is not followed: substeps at rest are then shorter than necessary.
@@ -122,7 +124,7 @@ class Spectrum:
         return 2 / math.sqrt(self._least) / (math.sqrt(1 + z * z) + z)
 
     def follow(self) -> None:
-        """Measure the current state, in which the forces of all points have been summed."""
+        """Measure the current state; the forces of all points must have been summed."""
         self._crew.accelerate()
         largest = float(np.abs(self._crew.a.numpy()).max())
         share = MIXED / largest if largest > 0 else 0.0
@@ -173,7 +175,7 @@ class Spectrum:
         return {"shape": shape, "square": self.square, "stiffened": factor}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         self._shape.assign(np.array(snapshot["shape"]))
         self.stiffen(snapshot.get("stiffened", 1.0))
         self.square = snapshot["square"]

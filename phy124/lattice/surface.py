@@ -22,11 +22,11 @@ from phy124.lattice.rest import STEPS, RestLattice, splines
 from phy124.particles.lattice import APART
 
 INSIDE = 0.25
-"""Depth at which weights are taken [cells]."""
+"""Depth below the surface at which a point's weights are computed [cells]."""
 SUPPORTED = 0.5
-"""Smallest sum of weights of free nodes; points with less are dropped."""
+"""Smallest sum of a point's weights on free nodes; points with a smaller sum are dropped."""
 FLAT = 0.9
-"""Shortest mean of the normals within a cell of a point that is not at an edge."""
+"""A point is at an edge if the mean of the normals within a cell is shorter than this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Surface:
     weights: NDArray[np.float64]
     """Weights of the nodes [S,27], with sum 1."""
     of_nodes: NDArray[np.float64]
-    """Positions of all nodes at rest [N,3], m."""
+    """Positions at rest of all nodes [N,3], m."""
     dx: float
     """Side of a cell [m]."""
 
@@ -80,7 +80,7 @@ class Surface:
 
     @cached_property
     def flat(self) -> NDArray[np.bool_]:
-        """Whether each point's normal agrees with those around it: no edge, no tip [S]."""
+        """Whether each point's normal agrees with its neighbours', away from edges and tips [S]."""
         near = KDTree(self.x).query_pairs(self.dx, output_type="ndarray")
         a, b = np.concatenate([near, near[:, ::-1]]).T
         # The other side of a thin part does not count.
@@ -127,10 +127,10 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
 def _consecutive(
     nodes: NDArray[np.int64], weights: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Return nodes and weights [S,27] in rows whose three nodes are consecutive in memory.
+    """Return nodes and weights [S,27] in nine groups of three nodes consecutive in memory.
 
-    The nodes of a lattice are sorted along z, so those of a row that exist are consecutive. A row
-    of fewer than three has neighbours in memory with weight 0.
+    The nodes of a lattice are sorted along z, so the existing nodes of a group are consecutive. A
+    group of fewer than three is filled up with neighbours in memory, which have weight 0.
 
     Args:
         nodes: Nodes of the points [S,27].

@@ -42,20 +42,20 @@ from phy124.mpm.tracks import Track, Tracks
 REACH = 0.6
 """Largest distance from a wall within which contact is computed [cells]."""
 AHEAD, CLOSE = 2.0, 0.1
-"""Distance within which contact is computed: in ways of a substep, and added to them [cells]."""
+"""Contact is computed within `AHEAD` times a substep's displacement plus `CLOSE` [cells]."""
 STEP = 0.5
-"""Step by which the distance grows within which points are listed [cells]."""
+"""The distance up to which points are listed grows in steps of this size [cells]."""
 HELD = 0.5
 """Distance from a clamp's surface [cells] up to which a node moves in the opposite direction to its
 free neighbour, so that the motion vanishes at the surface; nodes farther inside do not move.
 """
 INSET = 0.2
-"""Depth inside a clamp at which the motion is made to vanish [cells]. A B-spline that vanishes at a
-surface is also flat there, so that a plate held at the surface is too short by about as much.
+"""Depth inside a clamp at which the motion is set to zero [cells]. A B-spline that vanishes at a
+surface is also flat there, so a plate held at the surface would be too short by about this depth.
 """
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
-"""Part of their depth by which points come out of a wall in a substep as long as at rest, compared
-with the square of the slowest angular frequency of a body that stands on the wall, pi c / 2 H.
+"""Gain by which points come out of a wall, in units of (pi / 2 H)^2 / dt, for a body of H cells and
+substeps dt at rest. The slowest angular frequency of a body that stands on the wall is pi c / 2 H.
 Bodies that a wall holds also rock and shear, more slowly.
 """
 STILL = Track(((0.0, (0.0, 0.0, 0.0)),))
@@ -63,10 +63,10 @@ STILL = Track(((0.0, (0.0, 0.0, 0.0)),))
 
 
 class Boundary(Protocol):
-    """The members of a boundary (phy124.boundaries) that contact reads."""
+    """The members of a boundary (phy124.boundaries) that the lattice's contact reads."""
 
     holds: ClassVar[bool]
-    """Whether the boundary holds material in place, instead of blocking it."""
+    """Whether the boundary holds material in place instead of blocking its way."""
 
     def parts(self) -> list[Any]:
         """Return the simple walls of which the boundary consists."""
@@ -82,7 +82,9 @@ class Nodes:
     u: wp.array
     """Displacements [N,3], m."""
     residue: wp.array
-    """Rounding errors of the displacements, which the next substep adds [N,3], m."""
+    """Rounding errors of the displacements [N,3], m; the next substep adds them to the
+    displacements.
+    """
     v: wp.array
     """Velocities [N,3], m/s, half a substep behind the displacements."""
     before: wp.array
@@ -129,7 +131,7 @@ class Walls:
         self._dx, self._listed = model.dx, 0
         points = _Points.of(surface, lattice, model, substep)
         self.recovery = RESTORE["separate"] * points.slowest
-        """Gain by which points come out of a wall [1/s]."""
+        """Speed at which points come out of a wall, per depth [1/s]."""
         self._clamps, self._contacts = [], []
         for number, (holds, part) in enumerate(simple):
             sums = cast("wp.array", self.sums[number])
@@ -145,7 +147,7 @@ class Walls:
         return bool(self._clamps or self._contacts)
 
     def stages(self) -> list[list[Named]]:
-        """Return the launches of a substep: apply earlier impulses, correct them, and sum them.
+        """Return the launches of a substep that apply earlier impulses, correct and sum them.
 
         Clamps act before the impulses.
         """
@@ -186,11 +188,11 @@ class Walls:
             contact.force.zero_()
 
     def forces(self) -> dict[str, wp.array]:
-        """Return the contact forces of the last substep, by the number of the wall."""
+        """Return the contact forces of the last substep by the index of the wall."""
         return {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}
 
     def put_forces(self, forces: dict[str, wp.array]) -> None:
-        """Set the contact forces of the last substep, unless they are of another set of walls."""
+        """Set the contact forces of the last substep unless they belong to another set of walls."""
         if len(forces) == len(self._contacts):
             for i, contact in enumerate(self._contacts):
                 contact.force.assign(forces[str(i)])
@@ -200,7 +202,7 @@ class Walls:
         return {"sums": wp.clone(self.sums), "forces": self.forces()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         self.sums.assign(snapshot["sums"])
         self.put_forces(snapshot["forces"])
 
@@ -228,7 +230,7 @@ class _Points:
 
 
 class _Clamp:
-    """The nodes that a clamp holds, and the launch that gives them its velocity."""
+    """The nodes that a clamp holds, and the launch that sets their velocity to the clamp's."""
 
     def __init__(
         self,
@@ -273,7 +275,7 @@ class _Clamp:
 def _pins(
     lattice: RestLattice, far: NDArray[np.float64], affected: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return pairs of the last held node and the first free node of a column, and their ratios.
+    """Return pairs of last held and first free node of a column, and the ratios in the pairs.
 
     Args:
         lattice: The lattice at rest.
@@ -320,7 +322,7 @@ class _Contact:
         self.separates = part.response() == "separate"
         """Whether points may leave the wall."""
         self.clamped = False
-        """Whether clamps may hold nodes, so that the points yield differently in each substep."""
+        """Whether clamps may hold nodes; the points' response then differs between substeps."""
         count, device = points.count, model.device
         self._list = wp.zeros(count, dtype=int, device=device)
         self._gaps = wp.zeros(count, dtype=model.real, device=device)
@@ -339,7 +341,7 @@ class _Contact:
         wp.launch(kernel, points.count, inputs, [self._gaps], device=model.device)
 
     def list_near(self, approach: float) -> None:
-        """List the points that were within `REACH` and `approach` [m] of the wall."""
+        """List the points that were within `REACH` cells plus `approach` [m] of the wall."""
         close = self._gaps.numpy() < REACH * self._model.dx + approach
         near = np.flatnonzero(close & self._affected)
         if not np.array_equal(near, self._near):
@@ -349,7 +351,7 @@ class _Contact:
             self._count()
 
     def record(self) -> list[Callable[[], None]]:
-        """Return the stages that find touching points, correct impulses, and sum them."""
+        """Return the stages that find touching points, correct impulses and sum these."""
 
         def repeat(launch: wp.Launch) -> Callable[[], None]:
             return lambda: launch.launch() if len(self._near) else None
@@ -367,7 +369,7 @@ class _Contact:
         return [touch, *(repeat(launch) for launch in others)]
 
     def _count(self) -> None:
-        """Pass the number of listed points to the launches, and compute how these yield."""
+        """Pass the number of listed points to the launches, and compute the points' response."""
         yields, *passes, account = self._launches
         for launch in passes:
             launch.set_param_at_index(1, len(self._near))
@@ -376,7 +378,7 @@ class _Contact:
         yields.launch()
 
     def _yield(self) -> wp.Launch:
-        """Record the launch that computes how the points yield to impulses."""
+        """Record the launch that computes how impulses change the points' velocities."""
         points, nodes = self._points, self._nodes
         inputs = [self._list, points.nodes, points.weights, nodes.movable, nodes.inverse]
         kernel = make_yields(self._model.real, nodes.rows)
@@ -423,7 +425,7 @@ def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool
 
 
 def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
-    """Return the normals of a simple wall at points [N,3], and their distances from it [N,4], m."""
+    """Return normals of a simple wall, and signed distances from it, at points [N,3], as [N,4]."""
     t = types(model.real)
     shape, points = t.mat33(*np.ravel(part.geometry(model))), model.array(x, t.vec3)
     out = wp.zeros(len(x), dtype=t.vec4, device=model.device)

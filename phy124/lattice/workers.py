@@ -30,15 +30,15 @@ from phy124.mpm.workers import Timings
 from phy124.particles.lattice import PER_CELL
 
 LINE = 16
-"""Numbers per cache line: no two workers write to the same line."""
+"""Numbers per cache line; no two workers write to the same line."""
 
 
 @dataclass
 class Worker:
-    """The points and nodes of one thread, and its launches."""
+    """The points and nodes of one thread, and the thread's launches."""
 
     points: slice
-    """Span of its points, a whole number of cells."""
+    """Span of the worker's points, which fill a whole number of cells."""
     nodes: slice
     """Span of the nodes that it moves."""
     touched: slice
@@ -50,12 +50,12 @@ class Worker:
     maxima: wp.array
     """Largest speed and rate of strain of its points."""
     trial: wp.array
-    """The same for trial displacements, from which the largest frequency is found."""
+    """Like `forces`, for the trial displacements from which the largest frequency is found."""
     phases: list[list[Named]] = field(default_factory=list)
     """Launches of a substep by phase; threads wait for each other between phases."""
     measures: list[Named] = field(default_factory=list)
-    """Launches that measure the largest speed and rate of strain; viscous stress on vector units
-    measures them, too.
+    """Launches that measure the largest speed and rate of strain. Kernels of viscous stress on
+    vector units measure both as well.
     """
     trials: list[Named] = field(default_factory=list)
     """Launches that compute `trial`."""
@@ -64,7 +64,7 @@ class Worker:
     timings: Timings = field(default_factory=dict)
 
     def run(self, named: Sequence[Named]) -> None:
-        """Run launches; time between two launches counts for the second launch."""
+        """Run launches; time between two launches is added to the second's time."""
         before = time.perf_counter()
         for name, launch in named:
             launch()
@@ -138,11 +138,13 @@ class Crew:
         self.a, self.trial_a, self.trial_u = (
             wp.zeros(len(lattice), dtype=t.vec3, device=device) for _ in range(3)
         )
-        """Accelerations, those of trial displacements, and the latter [N,3]."""
+        """Accelerations of the nodes, their accelerations after trial displacements, and these
+        displacements [N,3].
+        """
         self._still = wp.zeros(1, dtype=t.vec4, device=device)
         """A uniform acceleration of zero."""
         self._middle = wp.zeros_like(self.a)
-        """Velocities after pushes and before all other forces, which nothing reads [N,3]."""
+        """An unused output [N,3]: velocities after pushes and before all other forces."""
         self._unread = wp.zeros(MAXIMA, dtype=model.real, device=device)
         self.measuring = all(self.vectors(g) and is_viscous(g, model) for g in model.groups)
         """Whether the stress measures the largest speed and rate of strain in every substep."""
@@ -152,7 +154,7 @@ class Crew:
             worker.trials = self.force(worker, trial=True)
 
     def _sparse(self, lattice: RestLattice, ties: Any) -> list[wp.array]:
-        """Return rows, node numbers and weights of the ties on the device, a row per node."""
+        """Return the ties on the device: a row per node, with indices of nodes and weights."""
         model, count = self._model, len(lattice)
         starts, columns = ties.indptr, ties.indices
         if ties.shape[0] != count:  # A row per tied node: the other nodes get empty rows.
@@ -214,7 +216,7 @@ class Crew:
         return "push", launch
 
     def _block(self, span: slice) -> tuple[int, list[wp.array]]:
-        """Return the number of blocks of full cells of a span of points, and all its blocks."""
+        """Return the number of blocks of full cells in a span of points, and all its blocks."""
         key = span.start, span.stop
         if key not in self._blocks:
             device = self._model.device
@@ -277,7 +279,7 @@ class Crew:
     def _over_nodes(
         self, span: slice, plain: Any, make_simd: Callable[[], Any], inputs: list[Any]
     ) -> list[Named]:
-        """Return a launch over a span of nodes, of a plain kernel or of its SIMD form."""
+        """Return a launch of a plain kernel, or of its SIMD form, over a span of nodes."""
         count, kernel = span.stop - span.start, plain
         if self._vectors:
             count, kernel = -(-count // simd.NODES), make_simd()
@@ -321,14 +323,14 @@ class Crew:
             launch()
 
     def _record_accelerate(self, *, trial: bool) -> list[Named]:
-        """Return launches that kick resting nodes for one second, without uniform acceleration."""
+        """Return launches that kick resting nodes for one second without uniform acceleration."""
         model, pool = self._model, self._trial_pool if trial else self._pool
         clock, out = model.array([1.0, 1.0, 0.0], model.real), self.trial_a if trial else self.a
         every = slice(0, len(out))
         return self._kick(every, pool, self._donors, clock, self._still, out, self._middle)
 
     def compare(self, shape: wp.array, mixed: wp.array) -> tuple[wp.Launch, wp.Launch]:
-        """Record the launches that displace the nodes by a shape, and that find the next shape."""
+        """Record the launch that displaces the nodes by a shape, and the one for the next shape."""
         model, shift = self._model, [0.0, 0.0, 0.0, *self._tied, self._nodes.u, self.a, shape]
         trying, comparing = (
             make(model.real) for make in (node_kernels.make_try, node_kernels.make_compare)
@@ -369,7 +371,7 @@ def is_viscous(group: Group, model: Model) -> bool:
 
 
 def kernels(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -> Iterator[Any]:
-    """Yield the kernels of a run; `model_laws` are laws, and whether each is viscous."""
+    """Yield the kernels of a run; `model_laws` has pairs of a law and whether it is viscous."""
     vectors = simd.usable(real, device)
     if vectors:
         yield from (simd.make_kick_simd(), simd.make_drift_simd(), simd.make_follow_simd())

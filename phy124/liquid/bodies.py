@@ -1,4 +1,4 @@
-"""Bodies: other materials in a liquid, which another solver moves between two steps of the liquid.
+"""Bodies of other materials in a liquid; another solver moves them between steps of the liquid.
 
 For the liquid, a body is a wall whose shape follows from its particles. Pressures act on the
 particles at its surface during the substeps that follow. Momentum is exchanged exactly.
@@ -29,8 +29,8 @@ from phy124.mpm.tracks import Tracks
 STAGE = "bodies"
 """Name of the stages in reports."""
 FIRST, MOST = 8, 0.7
-"""Steps towards the volume of a body when it is first described, and largest shift of its surface
-[cells].
+"""`FIRST`: steps by which a body's surface is first shifted until its volume is right. `MOST`:
+largest shift [cells].
 """
 
 
@@ -50,7 +50,7 @@ class Motion(NamedTuple):
 
     @classmethod
     def of(cls, row: NDArray[np.float64], dx: float) -> Motion:
-        """Return the motion with sums of `phy124.kernels.liquid.bodies`."""
+        """Return the motion that has the given sums of `phy124.kernels.liquid.bodies`."""
         mass, first, momentum, angular, second = np.split(row, [1, 4, 7, 10])
         m = float(mass[0])
         x = first / m
@@ -89,10 +89,10 @@ class Bodies:
         self._stiffness = wp.array(stiff, dtype=wp.float64, device=device)
         self._before: list[tuple[NDArray, NDArray]] = []
         self._films = np.zeros((count, 2, 3))
-        """Impulses and moments of films in the last step, which are part of `impulses`."""
+        """Impulses and moments of films in the last step; `impulses` includes them."""
         self._centres, self._forces = np.zeros((count, 3)), np.zeros((count, 2, 3))
-        """Centre of mass of each body [m]; force [N] and torque [N m] in the last step, of causes
-        other than the liquid and the weight.
+        """Centre of mass of each body [m]; force [N] and torque [N m] that causes other than the
+        liquid and the weight exerted in the last step.
         """
         self.impulses = np.zeros((count, 2, 3))
         """Impulse of the liquid on each body in the last step, and its moment about the origin."""
@@ -104,10 +104,10 @@ class Bodies:
         return [called[body] for body in self.numbers]
 
     def join(self, solids: Solids, mobility: wp.array) -> None:
-        """Connect the bodies with the arrays of all solids, of which they are the last."""
+        """Connect the bodies with the arrays of all solids, in which the bodies come last."""
         self._solids, self._mobility = solids, mobility
         self.first = len(mobility) - len(self.numbers)
-        """Number of free solids, which come before the bodies."""
+        """Number of free solids; they come before the bodies."""
         device, shape = self._model.device, (len(mobility), 2)
         self._present = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self._exchanged = wp.zeros(shape, dtype=wp.vec3d, device=device)
@@ -190,7 +190,7 @@ class Bodies:
             self._shifts[body] = min(max(shift, -MOST), MOST)
 
     def plan(self, kick: float, pull: NDArray[np.float64]) -> None:
-        """Predict the motion of each body in a step, without the liquid.
+        """Predict each body's motion in a step as if there were no liquid.
 
         Args:
             kick: Duration of the step [s].
@@ -235,7 +235,7 @@ class Bodies:
     def _other(
         self, index: int, motion: Motion, kick: float, pull: NDArray[np.float64]
     ) -> tuple[NDArray, NDArray]:
-        """Return the impulse of all causes other than the liquid [N s], and its moment.
+        """Return the impulse [N s], and its moment, of all causes other than the liquid.
 
         Forces other than the weight are included to the extent to which they acted in both of the
         last two steps, so that an impact is not assumed to continue in the next step.
@@ -275,14 +275,14 @@ class Bodies:
         return model.launch(kernel, count, inputs, [cells.diagonal, cells.right])
 
     def answer(self, walls: Walls, step: wp.array, model: Model) -> wp.Launch | None:
-        """Return the launch that writes the bodies' motions after the pressure."""
+        """Return the launch that writes the bodies' motions after the pressure has acted."""
         inputs = [self._solids.first(walls), self.first, self._solids.scale, self._solids.plans]
         inputs += [self._solids.centres, self._mobility]
         outputs = [step, walls.motions, self._exchanged]
         return model.launch(kernels.make_answer(model.real), len(self.numbers), inputs, outputs)
 
     def receive(self, cells: Cells, tracks: Tracks, sums: wp.array, drift: float) -> None:
-        """Compute the accelerations of the particles by the pressure of a step.
+        """Compute the particles' accelerations by the pressure of a step.
 
         Args:
             cells: The cells.
@@ -315,7 +315,7 @@ class Bodies:
         self._limit = float(self._most.numpy()[0])
 
     def _press_film(self, cells: Cells, tracks: Tracks, sums: wp.array, index: int) -> None:
-        """Add the pressure of the film between a body and walls that never move."""
+        """Add the pressure of the film between a body and fixed walls."""
         real, solid = self._model.real, self.first + index
         region = self._region(cells, self.numbers[index])
         count, box = int(np.prod(region.size)), region.box
@@ -370,7 +370,7 @@ class Bodies:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         self._before = [(np.array(p), np.array(L)) for p, L in snapshot["before"]]
         self.impulses, self._kick = np.array(snapshot["impulses"]), snapshot["kick"]
         self._shifts, self._centres = np.array(snapshot["shifts"]), np.array(snapshot["centres"])
@@ -382,7 +382,7 @@ Advance = Callable[[float], None]
 
 
 def _stiffness(model: Model, body: int) -> float:
-    """Return the stiffness of a body per cell of its surface [N/m], by waves across the body."""
+    """Return a body's stiffness per cell of its surface [N/m], from waves across the body."""
     if body in model.held:
         return math.inf
     run = model.particles(body)

@@ -17,30 +17,30 @@ from phy124.mpm import Model, Unstable
 from phy124.mpm.grid import FARTHEST
 
 MARGIN = 10
-"""Cells between the particles and the border of a new window."""
+"""Number of cells between the particles and the border of a new window."""
 LEAST = 5
-"""Cells between particles and border below which a window is renewed: a step moves particles by up
-to two cells, and each particle reaches cells two further away.
+"""A window is renewed if fewer cells than this are between particles and border. A step moves
+particles by up to two cells, and each particle reaches cells two further away.
 """
 LARGEST = 32
-"""Cells between particles and border above which a window is renewed."""
+"""A window is renewed if more cells than this are between particles and border."""
 FAR = 1e3
-"""Distance of the nearest wall [cells] where there is none."""
+"""Distance to the nearest wall [cells] that is stored where no wall is near."""
 
 
 ROOM = 4
-"""Cells around a solid in which it changes distances or shares."""
+"""Number of cells around a solid in which the solid changes distances or shares."""
 
 
 class Region:
-    """A box of cells in a window, which may move but never changes its size."""
+    """A box of cells in a window; the box may move, but its size never changes."""
 
     def __init__(self, cells: Cells, size: NDArray) -> None:
         self._cells, self.size = cells, size
         """Number of cells along each axis."""
         corners = np.stack([np.zeros(3, int), size]).astype(np.int32)
         self.box = wp.array(corners, dtype=wp.vec3i, device=cells.window.device)
-        """First cell of the window, and size."""
+        """First cell of the box in the window, and the box's size."""
 
     def centre(self, x: NDArray[np.float64]) -> None:
         """Move the box so that a position [3], m, is in its middle."""
@@ -56,7 +56,7 @@ class Cells:
     """The arrays of a window: sums, velocities, walls, and the pressure equation."""
 
     def __init__(self, model: Model, copies: int) -> None:
-        """Start without any cells.
+        """Prepare an empty window without any cells.
 
         Args:
             model: The particles, whose origin and spacing the grid has.
@@ -88,7 +88,7 @@ class Cells:
         return int(np.prod(2 * self.size + 1))
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
-        """Cover the particles and a margin; return whether the window changed.
+        """Fit the window to the particles and a margin; return whether the window changed.
 
         Args:
             lower: Lowest corner of the particles [3], m.
@@ -109,7 +109,7 @@ class Cells:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Cover `size` [3] cells from cell `low` [3] on; keep the pressure where both overlap."""
+        """Set the window to `size` [3] cells from `low` [3] on; keep pressures in the overlap."""
         kept = self.pressure.numpy().reshape(self.size) if self.count else np.zeros((0, 0, 0))
         before = self.low
         self.low, self.size = np.array(low, int), np.array(size, int)
@@ -133,11 +133,11 @@ class Cells:
         self.fills = self._zeros(self._copies * count, t.vec2)
         """Volumes at each cell with quadratic and linear weights, in a copy for each worker."""
         self.velocity, self.other, self.smooth = (self._zeros(count, t.vec4) for _ in range(3))
-        """Velocities of the low faces [m/s], and how full the cell is."""
+        """Velocities of the low faces [m/s], and the fill of the cell."""
         self.known, self.also = (self._zeros(count, int) for _ in range(2))
-        """Bit for each face that has a velocity."""
+        """Bits that mark the low faces with a velocity."""
         self.open, self.shares = self._zeros(count, t.vec4), self._zeros(count, t.vec2)
-        """Open shares of the low faces, and solid shares of the kernels."""
+        """Open shares of the low faces, and shares of the two B-splines inside walls."""
         self.hats, self.phi = self._zeros(count, real), self._zeros(count, real)
         self.phi.fill_(float(EMPTY))
         self.liquid = self._zeros(count, int)
@@ -147,13 +147,13 @@ class Cells:
         self.diagonal, self.inverse, self.right = (self._zeros(count, wp.float64) for _ in range(3))
         self.links = self._zeros(count, wp.vec3d)
         self.pressure, self.packing = (self._zeros(count, wp.float64) for _ in range(2))
-        """Solutions: p dt / (rho dx) [m/s], and the potential of displacements."""
+        """Two solutions: p dt / (rho dx) [m/s], and the potential of displacements."""
         self.residual, self.z, self.product = (self._zeros(count, wp.float64) for _ in range(3))
         self.directions = [self._zeros(count, wp.float64) for _ in range(2)]
         self.which = self._zeros(count, int)
         """Index of the solid whose surface is in each cell; -1 if there is none."""
         self.jumps, self.turns = (self._zeros(count, wp.vec3d) for _ in range(2))
-        """Flux out of each cell per velocity and angular velocity of this solid."""
+        """Flux out of each cell per velocity, and per angular velocity, of the solid in `which`."""
         self.active, self.listed = (self._zeros(count, int) for _ in range(2))
         """Indices of the active cells, and of the cells of liquid."""
         self.ends = self._zeros(self._copies + 1, int)
@@ -174,7 +174,7 @@ class Cells:
         return self._regions[wall]
 
     def clear_walls(self) -> None:
-        """Describe cells without walls."""
+        """Reset the cells to a description without walls."""
         self.distances.fill_(FAR * self.dx)
         self.owners.fill_(-1)
         self.eighths.fill_(1.0)
@@ -183,15 +183,15 @@ class Cells:
 
     @property
     def still(self) -> tuple[wp.array, wp.array]:
-        """Open fractions of faces, and nearest walls of cells, for walls that never move."""
+        """Open fractions of faces, and nearest walls of cells, from fixed walls alone."""
         return self._kept[3], self._kept[1]
 
     def keep_walls(self) -> None:
-        """Store the description of all walls that never move."""
+        """Store the cells' description of all fixed walls."""
         self._kept = [wp.clone(array) for array in self._walls]
 
     def restore_walls(self) -> None:
-        """Return to the description of the walls that never move."""
+        """Restore the stored description of the fixed walls."""
         for array, kept in zip(self._walls, self._kept, strict=True):
             wp.copy(array, kept)
 
@@ -203,12 +203,12 @@ class Cells:
         return wp.zeros(count, dtype=dtype, device=self._model.device)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the window and the pressure, from which the next solution starts."""
+        """Return the window, and the pressure from which the next solution starts."""
         window = [self.low.tolist(), self.size.tolist()]
         return {"window": window, "pressure": wp.clone(self.pressure)}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         low, size = (np.array(corner) for corner in snapshot["window"])
         if not (np.array_equal(low, self.low) and np.array_equal(size, self.size)):
             self.rebase(low, size)

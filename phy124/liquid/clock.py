@@ -22,13 +22,13 @@ WAVES = 0.75
 """Length of a step in units of sqrt(dx / a), with the acceleration a of the liquid."""
 
 DIFFUSED = 5.0
-"""Largest part of a velocity that diffuses to a neighbouring face, which limits the number of
-iterations for viscosity to about 200.
+"""Largest share of a velocity that diffuses to a neighbouring face in a step. It limits the number
+of iterations for viscosity to about 200.
 """
 
 
 class LiquidClock(Clock):
-    """A clock whose steps have the limits of an incompressible liquid."""
+    """A clock that limits steps as an incompressible liquid needs."""
 
     acceleration = 0.0
     """Upper bound of the acceleration by forces [m/s^2]."""
@@ -42,7 +42,7 @@ class LiquidClock(Clock):
     """Largest speed of bodies of other materials [m/s]."""
 
     def diffuse(self, rate: float) -> None:
-        """Limit steps by a viscosity, as the rate at which velocities diffuse to a face [1/s]."""
+        """Limit steps by a viscosity: the rate at which velocities diffuse to a face [1/s]."""
         self.viscosity, self.viscous = rate, DIFFUSED / rate if rate > 0 else math.inf
 
     def stable(self) -> Substep:
@@ -75,7 +75,7 @@ class LiquidClock(Clock):
         return self.last_dt / 2 * float(self.pull @ momentum)
 
     def sweeps(self, kick: float) -> int:
-        """Return the number of pairs of Jacobi's steps that reduce the error to a thousandth."""
+        """Return the number of pairs of Jacobi steps after which the error is a thousandth."""
         k = 6 * self.viscosity * kick
         if k == 0:  # the first kick of a probe has no duration
             return 1

@@ -12,11 +12,11 @@ from phy124.kernels.liquid.impulses import COLUMNS, settle
 from phy124.kernels.work import GIVEN
 
 MEASURED = 6
-"""Numbers of a wall's total: impulse [N s], and moment about the origin [N m s]."""
+"""Length of a wall's total: impulse [N s], and moment about the origin [N m s]."""
 
 
 class WallImpulses:
-    """Sums of a step for each worker and wall, and their totals."""
+    """Sums of a step for each worker and wall, and the totals of all steps."""
 
     def __init__(self, names: Sequence[str], count: int, workers: int, device: str) -> None:
         """Start all sums at zero.
@@ -40,7 +40,7 @@ class WallImpulses:
             settle, 1, inputs=[len(names)], outputs=outputs, device=device, record_cmd=True
         )
         self.settle: Callable[[], Any] = launch.launch
-        """Adds the sums of a step to the totals, and clears them."""
+        """Adds the sums of a step to the totals, and clears the sums."""
 
     def rows(self, worker: int) -> wp.array:
         """Return a worker's sums of the current step [walls,7]."""
@@ -56,7 +56,7 @@ class WallImpulses:
         return {"names": names, "totals": totals, "all": self.total.numpy().tolist()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the totals from a snapshot."""
         self.step.zero_()
         self.total.assign(np.array(snapshot["all"]))
         if list(snapshot["names"]) == list(self.names):

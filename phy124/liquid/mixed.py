@@ -1,4 +1,4 @@
-"""MixedSolver: a liquid by projection, with bodies of other materials that move by substeps.
+"""MixedSolver: a liquid by projection, and bodies of other materials that take substeps.
 
 In each step of the liquid, its pressure acts on the bodies, whose rigid motions are part of the
 pressure equation; the bodies then take substeps up to the end of the step.
@@ -23,16 +23,16 @@ from phy124.mpm.model import part_of
 
 
 class MixedClock(Clock):
-    """The clock of the bodies' substeps; it keeps the lag of the liquid's velocities."""
+    """The clock of the bodies' substeps; it also includes the lag of the liquid's velocities."""
 
     liquid: LiquidClock
     """The clock of the liquid."""
     share = 0.0
-    """The liquid's fraction of all mass."""
+    """Fraction of the total mass that is liquid."""
 
     @property
     def behind(self) -> float:
-        """Time by which velocities are behind positions, as a mean over the mass [s]."""
+        """Time by which velocities lag behind positions, averaged over the mass [s]."""
         return (1 - self.share) * super().behind + self.share * self.liquid.behind
 
     def lag(self, power: float, momentum: NDArray) -> float:
@@ -115,7 +115,7 @@ class MixedSolver(Solver):
 
     @property
     def crowding(self) -> float:
-        """Largest mean excess of the liquid's density over that at rest, as a fraction."""
+        """Largest mean excess of the liquid's density over its rest density, as a fraction."""
         return self.liquid.crowding
 
     @property
@@ -154,7 +154,7 @@ class MixedSolver(Solver):
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take steps of the liquid, each followed by substeps of the bodies.
+        """Take steps of the liquid; the bodies' substeps follow each step.
 
         Args:
             until: The time at which to stop [s].
@@ -174,7 +174,7 @@ class MixedSolver(Solver):
         self.clock.time = until
 
     def _advance_bodies(self, until: float) -> None:
-        """Let the bodies take substeps under the pressure of the liquid."""
+        """Advance the bodies by substeps under the pressure of the liquid."""
         assert self._bodies is not None
         wet = min(self.model.wet)
         for body, (impulse, moment) in zip(
@@ -185,7 +185,7 @@ class MixedSolver(Solver):
         self.liquid.clock.bodies = self.clock.extremes.speed
 
     def renew(self) -> None:
-        """Measure everything again, because the state was set from outside."""
+        """Measure everything again; call this after setting the state from outside."""
         super().renew()
         self.liquid.renew()
 
@@ -208,7 +208,7 @@ def _span(model: Model) -> slice:
 
 
 def _liquid_model(model: Model, span: slice) -> Model:
-    """Return the model of the particles of a span alone, as one body."""
+    """Return a model of only the particles in a span, as one body."""
     groups = [
         replace(group, start=group.start - span.start, stop=group.stop - span.start, body=0)
         for group in model.groups

@@ -14,7 +14,7 @@ VISCOSITY = 2
 
 
 class Mixture:
-    """Properties of the liquids of a run, relative to those that the equations are scaled with."""
+    """Properties of a run's liquids, relative to the values by which the equations are scaled."""
 
     def __init__(self, model: Model) -> None:
         """Compare the particles' densities and viscosities.
@@ -26,20 +26,22 @@ class Mixture:
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         viscosities = _viscosities(model)
         self.density = float(mass.sum() / volume.sum())
-        """Mean density, to which densities are relative [kg/m^3]."""
+        """Mean density, the unit of relative densities [kg/m^3]."""
         self.viscosity = float(viscosities.max())
-        """Largest viscosity, to which viscosities are relative [Pa s]."""
+        """Largest viscosity, the unit of relative viscosities [Pa s]."""
         self.lightest = float((mass / volume).min())
         """Smallest density [kg/m^3]."""
         self.differ = [_differ(mass / volume), _differ(viscosities)]
-        """Whether the liquids differ in their density, and in their viscosity."""
+        """Whether the liquids differ in density, and whether they differ in viscosity."""
         each = mass / self.density, volume * viscosities / max(self.viscosity, 1e-300)
         self.weights = [
             model.array(values, model.real)
             for values, differ in zip(each, self.differ, strict=True)
             if differ
         ]
-        """Volume times relative density, and times relative viscosity, where these differ [P]."""
+        """Volume times relative density, and volume times relative viscosity [P]; only of
+        properties that differ.
+        """
 
     def fit(self, count: int) -> None:
         """Allocate the arrays of a window.

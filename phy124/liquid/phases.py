@@ -40,11 +40,12 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Worker
 
 LAYERS, LAYERS_SHIFT = 4, 2
-"""Layers of faces outside the liquid that get velocities, and displacements; even numbers, so that
-the last layer's flags are in `Cells.known`.
+"""Number of layers of faces outside the liquid to which velocities (`LAYERS`) and displacements
+(`LAYERS_SHIFT`) are extrapolated. Both are even, so that the last layer's flags are in
+`Cells.known`.
 """
 EXTENT = 7
-"""Numbers of the particles' extent: minus the lowest corner, the highest corner, speed squared."""
+"""Length of the particles' extent: minus the lowest corner, the highest corner, speed squared."""
 
 
 class Phases:
@@ -91,7 +92,8 @@ class Phases:
         if bodies is not None:
             bodies.join(self._solids, projection.mobility)
         self.viscosity = self._mixture.viscosity / (density * model.dx**2)
-        """Rate at which velocities diffuse to a neighbouring face [1/s], at the mean density."""
+        """Rate at which velocities diffuse to a neighbouring face [1/s] if the density is the mean.
+        """
         self.fastest_diffusion = self._mixture.viscosity / (self._mixture.lightest * model.dx**2)
         """Upper bound of this rate [1/s]."""
 
@@ -123,7 +125,7 @@ class Phases:
         self._last = {name: place + 1 for place, name in enumerate(names)}
 
     def group(self, name: str) -> range:
-        """Return the indices of the phases of a group."""
+        """Return the indices of the phases that belong to a group."""
         return range(self._first[name], self._last[name])
 
     def extent(self, worker: int) -> list[Named]:
@@ -167,7 +169,7 @@ class Phases:
             yield "displace", launches(records)
 
     def _before_pressure(self, worker: int) -> Iterator[tuple[str, list[Named]]]:
-        """Yield a worker's phases from the scatter to the pressure, with the names of groups."""
+        """Yield a worker's phases from scatter to pressure, with the names of their groups."""
         for records in self._activate(worker):
             yield "scatter", launches(records)
         yield "scatter", launches([self._sum_copies(worker)])
@@ -227,14 +229,14 @@ class Phases:
         return slice(first, first + count)
 
     def _over_cells(self, worker: int, name: str, kernel: Any, inputs: list, outputs: list) -> Any:
-        """Record a worker's launch over its active cells, whose list precedes the inputs."""
+        """Record a worker's launch over its active cells; their list precedes the inputs."""
         cells = self._cells
         count = -(-cells.count // len(self._workers))
         inputs = [worker, cells.active, cells.ends, *inputs]
         return name, self._model.launch(kernel, count, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return a worker's pushes; the first worker has all, unless all can be divided."""
+        """Return a worker's pushes; the first worker has all pushes unless all can be divided."""
         if all(stage.by_run for stage in stages):
             with grid.only(None, worker, len(self._workers)):
                 return launches([(stage.name, stage.record(grid)) for stage in stages])
@@ -243,12 +245,12 @@ class Phases:
         return launches([(stage.name, stage.record(grid)) for stage in stages])
 
     def _copy(self, sums: wp.array, worker: int) -> wp.array:
-        """Return a worker's copy of sums over cells or columns."""
+        """Return the copy of cells' or columns' sums in which a worker adds up."""
         count = len(sums) // len(self._workers)
         return cast("wp.array", sums[worker * count : (worker + 1) * count])
 
     def _activate(self, worker: int) -> list[list[Recorded]]:
-        """Return a worker's launches that count, and then list, the active cells."""
+        """Return a worker's launches that first count the active cells and then list them."""
         cells, launch, (part, parts) = (
             self._cells,
             self._model.launch,
@@ -297,7 +299,7 @@ class Phases:
         return self._over_cells(worker, "levels", kernel, inputs, outputs)
 
     def _near_walls(self) -> list:
-        """Return the arguments that describe walls, and the number of the first solid."""
+        """Return the arguments that describe walls, and the index of the first solid wall."""
         cells = self._cells
         first = self._solids.first(self._walls)
         return [cells.open, cells.shares, cells.distances, cells.owners, first]

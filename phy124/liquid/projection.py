@@ -17,11 +17,11 @@ from phy124.mpm.stage import Recorded
 STAGE = "pressure"
 """Name of the stages in reports."""
 PARTS = 512
-"""Number of parts of the cells on a GPU; on the CPU each worker has one."""
+"""Number of parts into which cells are divided on a GPU; on the CPU each worker has one part."""
 MOST = 400
 """Largest number of iterations of a solution."""
 CHECK = 8
-"""Iterations between two checks of the residual on a GPU, where a check waits for the device."""
+"""Iterations between two checks of the residual on a GPU, because a check waits for the device."""
 
 
 class Projection:
@@ -43,17 +43,19 @@ class Projection:
         """Number of cells of liquid in each part of all cells."""
         self.sums = wp.zeros((ROWS + 6 * solids, self._parts), dtype=wp.float64, device=device)
         self.mobility = wp.zeros((solids, 10), dtype=wp.float64, device=device)
-        """Mobility of each solid, per impulse of q."""
+        """Mobility of each solid, per unit impulse in terms of q."""
         shape = (self._parts, 2 * solids)
         self._responses = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        """Velocity and angular velocity of each solid that a vector causes: shares of the parts."""
+        """Velocity and angular velocity that a vector causes in each solid, for each part of the
+        cells.
+        """
 
     def part(self, worker: int) -> tuple[int, int]:
-        """Return a worker's first part, and how many parts the worker has."""
+        """Return the index of a worker's first part, and the worker's number of parts."""
         return (worker, 1) if self._parts == self._workers else (0, self._parts)
 
     def list_cells(self, cells: Cells, worker: int) -> tuple[list[Recorded], list[Recorded]]:
-        """Return a worker's launches that count the cells of liquid, and that list them."""
+        """Return a worker's launches that count the cells of liquid and then list them."""
         launch, (part, parts) = self._model.launch, self.part(worker)
         inputs = [part, cells.active, cells.ends, cells.liquid]
         count = launch(conjugate.count_liquid, parts, inputs, [self.counts])
@@ -118,7 +120,7 @@ class Projection:
         return [(STAGE, self._model.launch(conjugate.project, parts, inputs, [self.sums]))]
 
     def solve(self, run: Callable[[int], None], begin: int, tolerance: float) -> int:
-        """Run a recorded solution until the residual is small; return the iterations.
+        """Run a recorded solution until the residual is small; return the number of iterations.
 
         Args:
             run: Runs a phase of all workers.

@@ -21,7 +21,7 @@ STAGE = "free"
 
 
 class Solids:
-    """Records the launches of the solids of a scene, which are the last of its walls."""
+    """Records the launches of a scene's solids, which come last among the walls."""
 
     def __init__(
         self, model: Model, bodies: FreeBodies, density: float, projection: Projection
@@ -49,7 +49,7 @@ class Solids:
         return self._projection.solids > 0
 
     def first(self, walls: Walls) -> int:
-        """Return the number of the wall that is the first solid."""
+        """Return the index of the first wall that is a solid."""
         return len(walls.all) - self._projection.solids
 
     def kick(self, tracks: Tracks) -> list[Recorded]:
@@ -68,7 +68,7 @@ class Solids:
     def couple(
         self, cells: Cells, densities: wp.array, walls: Walls, tracks: Tracks, worker: int
     ) -> list[list[Recorded]]:
-        """Return a worker's launches before the divergence of the velocities is computed.
+        """Return a worker's launches that precede the divergence of the velocities.
 
         Args:
             cells: The cells.
@@ -110,7 +110,7 @@ class Solids:
         return STAGE, model.launch(kernels.make_jumps(model.real), count, inputs, outputs)
 
     def respond(self, walls: Walls, impulses: WallImpulses) -> list[Recorded]:
-        """Return the launches that give free solids the opposite of the liquid's impulses."""
+        """Return the launches that apply the liquid's opposite impulses to free solids."""
         records = []
         for index, solid in enumerate(self.bodies.all):
             wall = self.first(walls) + index

@@ -1,4 +1,4 @@
-"""Solver of a liquid, which removes the divergence of the velocities in each step.
+"""Solver of a liquid; each step removes the divergence of the velocities.
 
 It has the interface of `phy124.mpm.Solver`, so that a run, its observers, pauses and live changes
 treat both alike. All particles of the run are one liquid.
@@ -65,13 +65,14 @@ from phy124.mpm.workers import (
 )
 
 EXTENT = -1
-"""Task of the workers that is not a phase: measure the particles' extent."""
+"""A task of the workers in addition to the phases: measure the particles' extent."""
 TOLERANCE, LOOSE = 1e-4, 1e-2
-"""Largest residual of the pressure and of the density, relative to the right-hand side."""
+"""Largest residual, relative to the right-hand side, of the equations of pressure and of density.
+"""
 MOST_CELLS = 2**22
 """Largest number of cells of a window; particles outside it fly on parabolas."""
 BULK = 0.01
-"""Fraction of the particles on each side that such a window may leave out."""
+"""Fraction of the particles that a window of `MOST_CELLS` may leave out on each side."""
 
 
 class LiquidSolver:
@@ -117,7 +118,7 @@ class LiquidSolver:
         self.state = State.of(model) if state is None else state
         self.clock = LiquidClock(model, ceiling=ceiling)
         self.grids = grids_of(model)
-        """Grids without nodes, which forces and reports expect."""
+        """Grids without nodes, because forces and reports expect grids."""
         count = usable_workers(len(model), model.device, threads)
         self.workers = [Worker(numbers(0, model), numbers(0, model)) for _ in range(count)]
         self.slabs, self.softened = None, 1.0
@@ -144,7 +145,7 @@ class LiquidSolver:
         """Duration over which the current pressure acted [s]."""
         self._fitted = False
         self.crowding = 0.0
-        """Largest mean excess of the liquid's density over that at rest, as a fraction."""
+        """Largest mean excess of the liquid's density over its rest density, as a fraction."""
         self.impulses = WallImpulses((), 0, count, model.device)
         """Impulses of the walls."""
         self.bind(forces, boundaries, accumulators, planes)
@@ -275,7 +276,7 @@ class LiquidSolver:
         self._measure()
 
     def renew(self) -> None:
-        """Measure everything again, because the state was set from outside."""
+        """Measure everything again; call this after setting the state from outside."""
         self._fit()
         self._measure()
 
@@ -316,14 +317,14 @@ class LiquidSolver:
         return sum(seconds for seconds, _ in self.timings.values())
 
     def _begin(self, until: float) -> None:
-        """Bound forces and walls until a time [s]."""
+        """Compute bounds of forces and of walls' speeds up to a time [s]."""
         clock, rejection = self.clock, self.rejection
         rejection.begin(clock.time, until)
         clock.acceleration = rejection.acceleration
         clock.wall = max(rejection.wall, self.free.fastest())
 
     def _stable_step(self, until: float) -> None:
-        """Take one step, of a stable length that divides the remaining time evenly."""
+        """Take one step; its stable length divides the remaining time evenly."""
         self._fit()
         clock = self.clock
         limit, rest = clock.stable(), until - clock.time
@@ -372,7 +373,7 @@ class LiquidSolver:
             self._run(phase)
 
     def _run(self, phase: int) -> None:
-        """Run a phase; threads wait for each other before the phase."""
+        """Run a phase after all threads have reached it."""
         if self.team.alive:
             run_timed(self.timings, "wait", lambda: self.team.put(phase))
             self.workers[0].run(phase)
@@ -404,7 +405,7 @@ class LiquidSolver:
             yield
 
     def _fit(self) -> None:
-        """Measure the particles before the first step, and cover them with cells."""
+        """Measure the particles before the first step, and fit the window to them."""
         if not self._fitted:
             self._extents = [self._phases.extent(index) for index in range(len(self.workers))]
             self._fitted = True
@@ -435,7 +436,7 @@ class LiquidSolver:
                 _launch_all(extent)
 
     def _bound(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the corners of the particles [m], or of their bulk if they are too far apart."""
+        """Return the corners of all particles [m], or of most of them if a few are too far away."""
         if np.prod((upper - lower) / self.model.dx + 20) <= MOST_CELLS:
             return lower, upper
         x = self.state.x.numpy().astype(np.float64)

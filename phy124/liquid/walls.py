@@ -34,25 +34,25 @@ class Wall:
     geometry: Any
     """The three vectors that the distance function reads [m]."""
     slot: int
-    """Slot of the wall's displacement; 0 if it never moves."""
+    """Slot of the track of the wall's displacement; 0 if the wall never moves."""
     friction: float
     """Coefficient of Coulomb friction."""
     sticky: bool
-    """Whether the liquid sticks to it."""
+    """Whether the liquid sticks to the wall."""
     frame: wp.array
     """The numbers of a free solid (phy124/kernels/free/numbers.py); empty for other walls."""
     reach: float = math.inf
-    """Distance from a solid's centre up to which it may be [m]; infinite for other walls."""
+    """Largest distance of a solid's surface from its centre [m]; infinite for other walls."""
 
     @property
     def moves(self) -> bool:
-        """Whether the wall moves or ends."""
+        """Whether the wall moves or disappears."""
         return self.slot > 0 or len(self.frame) > 0 or not self.shape
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Walls of one shape that all move or all stay, or a free solid."""
+    """Walls of one shape that all move or are all fixed; or a single free solid."""
 
     shape: str
     moves: bool
@@ -71,7 +71,7 @@ class Group:
 def walls_of(
     boundaries: Iterable[tuple[str, Boundary]], model: Model, tracks: Tracks
 ) -> Iterator[Wall]:
-    """Yield the walls of named boundaries, whose motions are added to the tracks."""
+    """Yield the walls of named boundaries, and add the boundaries' motions to the tracks."""
     t = types(model.real)
     for name, boundary in boundaries:
         parts = boundary.parts()
@@ -90,7 +90,7 @@ def walls_of(
 
 
 def walls_of_solids(bodies: FreeBodies, model: Model) -> Iterator[Wall]:
-    """Yield the surfaces of free solids, on which the liquid has no friction."""
+    """Yield the surfaces of free solids as walls without friction."""
     t = types(model.real)
     for solid, frame in zip(bodies.all, bodies.numbers, strict=True):
         geometry = t.mat33(*np.ravel(solid.geometry()))
@@ -99,7 +99,7 @@ def walls_of_solids(bodies: FreeBodies, model: Model) -> Iterator[Wall]:
 
 
 def walls_of_bodies(names: Iterable[str], model: Model) -> Iterator[Wall]:
-    """Yield the surfaces of bodies of particles, on which the liquid has no friction."""
+    """Yield the surfaces of bodies of particles as walls without friction."""
     none = wp.zeros(0, dtype=wp.float64, device=model.device)
     for name in names:
         yield Wall(name, "", None, 0, 0.0, False, none)
@@ -122,7 +122,7 @@ class Walls:
         self.still = wp.zeros_like(self.motions)
         """Motions of walls at rest."""
         self.move = any(wall.moves for wall in walls)
-        """Whether any wall moves or ends."""
+        """Whether any wall moves or disappears."""
         self._groups = list(self._group_walls())
         self.rub = any(wall.friction > 0 or wall.sticky for wall in walls)
         """Whether any wall has friction."""
@@ -154,7 +154,7 @@ class Walls:
     def _describe_group(
         self, cells: Cells, group: Group, worker: int, workers: int
     ) -> Iterator[Recorded]:
-        """Yield a worker's launches that combine walls with those described before them."""
+        """Yield a worker's launches that add a group of walls to the walls described before."""
         model, region = self._model, self._region(cells, group)
         shape = [group.numbers, group.geometries, self.slots, cells.lattice, cells.window]
         shape += [self._tracks.values, group.frame, region.box]
@@ -174,7 +174,7 @@ class Walls:
         return cells.region(group.reach, group.first)
 
     def share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
-        """Return a worker's launch for the B-splines in a region.
+        """Return a worker's launch that computes the solid shares of the B-splines in a region.
 
         For each B-spline, it computes the fraction that is inside walls.
 
@@ -196,7 +196,7 @@ class Walls:
         return [(STAGE, self._model.launch(kernel, count, [rates, self.slots], [self.motions]))]
 
     def centre(self, cells: Cells) -> None:
-        """Move the region of a free solid to its current place."""
+        """Move the region of a free solid to the solid's current position."""
         for number, wall in enumerate(self.all):
             if len(wall.frame):
                 cells.region(wall.reach, number).centre(
@@ -230,7 +230,7 @@ class Walls:
         return launches
 
     def _group_walls(self) -> Iterator[Group]:
-        """Yield the walls in groups that one launch treats."""
+        """Yield groups of walls; one launch treats a group."""
         t, device = types(self._model.real), self._model.device
         # Each free solid is a group, since it has a frame.
         keys = [

@@ -50,7 +50,7 @@ LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeWatchdog,
     Sleep,
 )
-"""Observers of bodies on their lattices, which cannot tear."""
+"""Observers of bodies on their lattices; there are none of tearing, since lattices cannot tear."""
 COUPLED_OBSERVERS: tuple[type[Observer], ...] = (
     CoupledPairs,
     LatticeSelfContact,
@@ -59,7 +59,7 @@ COUPLED_OBSERVERS: tuple[type[Observer], ...] = (
     CoupledWork,
     CoupledWatchdog,
 )
-"""Observers of bodies on their lattices that move together with bodies of particles."""
+"""Observers of runs with both bodies on lattices and bodies of particles."""
 
 
 def observers_for(scene: Scene) -> tuple[type[Observer], ...]:

@@ -57,7 +57,7 @@ class Contacts(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row for contact forces."""
+        """Return the row of the effects report for contact forces."""
         walls = len(subject.scene.boundaries)
         asked, why = (
             subject.scene.keeps_contacts and walls > 0,
@@ -75,7 +75,7 @@ class Contacts(Observer):
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> list[Attachable]:
-        """Return the walls, with stages that measure each wall before and after it acts."""
+        """Return the walls with stages that measure before and after each wall acts."""
         pairs = zip(walls, walls if inner is None else inner, strict=True)
         return [Measured([wrapped], partial(self._measure, wall)) for wall, wrapped in pairs]
 
@@ -112,7 +112,7 @@ class Contacts(Observer):
         return {str(worker): wp.clone(sums) for worker, sums in self._impulses.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the sums from a snapshot."""
         for worker, sums in self._impulses.items():
             copy = snapshot.get(str(worker))
             sums.zero_() if copy is None else sums.assign(copy)

@@ -1,4 +1,4 @@
-"""Observers of bodies on lattices that move together with bodies of particles.
+"""Observers of runs with both bodies on lattices and bodies of particles.
 
 Walls keep their sums for the lattices (phy124/monitor/lattice.py) and are measured on the grids of
 the particles.
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class CoupledTotals(Totals):
-    """Sums over all particles, with those over nodes for bodies on lattices."""
+    """Sums over all particles; for bodies on lattices they are sums over nodes."""
 
     def __init__(self, solver: CoupledSolver) -> None:
         """Record the launches."""
@@ -65,19 +65,19 @@ class CoupledWork(ExternalWork):
     """External impulse and work on lattices and particles."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, to read also the sums of the walls of lattices."""
+        """Bind to the solver, so that the sums of the lattices' walls are also read."""
         self._solver = solver
         super().bind(solver, observers)
 
     def _read_impulses(self) -> None:
-        """Keep the sums of earlier walls, and read those of the lattices' walls."""
+        """Keep the sums of earlier walls, and read the sums of the lattices' walls."""
         if LIQUID in self._device:
             self._closed[LIQUID] = self._closed[LIQUID] + self._open(LIQUID)
         self._device[LIQUID] = self._solver.lattice.walls.sums
 
 
 class CoupledWrenches(Wrenches):
-    """Wrenches on walls, from lattices and particles, and between bodies."""
+    """Wrenches that lattices and particles exert on walls, and wrenches between bodies."""
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
@@ -91,7 +91,7 @@ class CoupledWrenches(Wrenches):
         return super().wrap_walls(walls, inner)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, whose lattices' walls keep sums."""
+        """Bind to the solver; the walls of its lattices keep their own sums."""
         super().bind(solver, observers)
         self._before = self._now()
 
@@ -118,7 +118,7 @@ class CoupledWrenches(Wrenches):
 
 
 class CoupledPairs(LatticePairs):
-    """The row of the effects report for lattices that move together with particles."""
+    """The row of the effects report that names the bodies on lattices and on particles."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:

@@ -34,7 +34,7 @@ LIMITS = {
     "user": "time.substep",
     "wave": "the waves on its surface",
 }
-"""Phrase for messages by limit of the substep."""
+"""Maps each limit of the substep to a phrase for messages."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,8 @@ class Diagnostics:
     angular: NDArray[np.float64]
     """Angular momentum about the origin [3], kg m^2/s."""
     kinetic: float
-    """Kinetic energy [J] after the last kick, half a substep before the time of the positions."""
+    """Kinetic energy [J] after the last kick, which is half a substep before the positions' time.
+    """
     elastic: float
     """Elastic energy [J]."""
     lag: float
@@ -139,7 +140,7 @@ class Totals:
 
 
 def _split(array: wp.array, count: int) -> tuple[wp.array, wp.array]:
-    """Return the first elements of an array, and the others."""
+    """Split an array into its first elements and the others."""
     return cast("wp.array", array[:count]), cast("wp.array", array[count:])
 
 

@@ -27,18 +27,18 @@ from phy124.mpm.workers import Part
 STAGE = "dissipation"
 """Name of the stages that sum the work of the stress."""
 STRIDE = 16
-"""Numbers per worker: no two workers write to the same cache line."""
+"""Length of a worker's row of sums; with it, no two workers write to the same cache line."""
 
 
 class Loss(NamedTuple):
     """Energy [J] lost since the start to each cause."""
 
     material: float
-    """Viscosity, plastic flow and fluid flow."""
+    """Energy lost to viscosity, plastic flow and fluid flow."""
     contact: float
-    """Friction at walls."""
+    """Energy lost to friction at walls."""
     numerical: float
-    """Numerical loss by grid and substep; negative if energy was gained."""
+    """Energy lost numerically by grid and substep; negative if energy was gained."""
 
     @property
     def total(self) -> float:
@@ -66,7 +66,7 @@ class Dissipation(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row for the work of the stress."""
+        """Return the row of the effects report for the work of the stress."""
         why = "checks.energy is off: the lost energy is not divided by cause"
         return Effect("work of the stress", subject.scene.checks.energy, why)
 
@@ -119,7 +119,7 @@ class Dissipation(Observer):
         return {"sums": self._sums.numpy().tolist(), "stress": wp.clone(self._stress)}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot; if the number of workers differs, all sums go to the first one."""
+        """Restore the sums; if the number of workers differs, the first worker gets all sums."""
         assert self._sums is not None
         rows = np.array(snapshot["sums"])
         if rows.shape != self._sums.shape:

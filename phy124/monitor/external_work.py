@@ -34,15 +34,16 @@ if TYPE_CHECKING:
 STAGE = "external work"
 """Name of the stages that sum external work."""
 PUSH, WALL, UNIFORM, LIQUID = "push", "wall", "uniform", "liquid"
-"""Causes of external work: forces on particles, walls, a varying uniform acceleration, and walls
-on a liquid by projection.
+"""Names of the causes of external work: forces on particles, walls, a varying uniform acceleration,
+and the walls of a liquid by projection.
 """
 SOURCES = (PUSH, WALL, UNIFORM, LIQUID)
 ROOM = 16
-"""Numbers reserved for the sums of a worker, so that no two workers write to the same cache line.
+"""Length of a worker's array of sums; with this length, no two workers write to the same cache
+line.
 """
 IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
-"""Slice of the impulse among the sums."""
+"""Slice of the sums that holds the impulse."""
 Sums = NDArray[np.float64]
 
 
@@ -59,7 +60,7 @@ class Exchange(NamedTuple):
     """Sum of the absolute values of all work [J]."""
 
     def plus(self, sums: Sums) -> Exchange:
-        """Return the sum of this exchange and that of rigid solids (phy124/kernels/free)."""
+        """Return this exchange plus that of rigid solids (phy124/kernels/free)."""
         work, moved, turned = sums[free.WORK :]
         return Exchange(
             self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned
@@ -87,7 +88,7 @@ class ExternalWork(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row for the balance, which sums nothing for uniform, steady forces alone."""
+        """Return the row for the balance; uniform, steady forces alone need no sums."""
         scene, why = (
             subject.scene,
             "checks.balance is off: an unstable run is detected only when values become NaN",
@@ -111,11 +112,13 @@ class ExternalWork(Observer):
         """
         self._changes = changes
         self._device: dict[str, wp.array] = {}
-        """Sums of each worker since its launches were last recorded, not collected yet [W,ROOM]."""
+        """Sums of each worker since its launches were last recorded [W,ROOM]; they are not yet
+        collected.
+        """
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.GIVEN) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
-        """Momentum of the object at the start of the frame, without the open sums [kg m/s]; and the
-        time to which velocities had advanced when counting began [s].
+        """Momentum of the object at the start of the frame [kg m/s], without the open sums. Time
+        that velocities had reached when counting began [s].
         """
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
@@ -141,7 +144,7 @@ class ExternalWork(Observer):
         return [Stage(STAGE, self._record_uniform)] if self._varies else []
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; a liquid by projection sums the work of its walls by itself."""
+        """Bind to the solver; a solver of liquids by projection sums its walls' work itself."""
         self._liquid: Any = solver if solver.projects else None
         self._read_impulses()
 
@@ -167,12 +170,12 @@ class ExternalWork(Observer):
         self._opened = clock.time - clock.behind
 
     def store(self, energy: float) -> None:
-        """Add energy [J] that is stored in the object without motion, for example by stiffening."""
+        """Add energy [J] that the object receives without motion, for example by stiffening."""
         self._closed[PUSH] = self._closed[PUSH].copy()
         self._closed[PUSH][[kernels.WORK, kernels.TURNED]] += energy, abs(energy)
 
     def begin(self, momentum: Sums) -> None:
-        """Start a frame with a momentum [kg m/s], on which the work of varying forces depends."""
+        """Start a frame with a momentum [kg m/s]; the work of varying forces depends on it."""
         if self._varies:
             self._momentum = momentum - self._sum()[IMPULSES]
             self._set_base()
@@ -214,7 +217,7 @@ class ExternalWork(Observer):
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the sums from a snapshot."""
         self._closed = {name: np.array(sums) for name, sums in snapshot["closed"].items()}
         for name, sums in snapshot["open"].items():
             open_sums = np.array(sums) if sums else np.zeros((0, ROOM))
@@ -241,7 +244,7 @@ class ExternalWork(Observer):
         return rows[:, : kernels.GIVEN].sum(axis=0)
 
     def _accumulator(self, name: str, grid: Grid) -> wp.array:
-        """Return the sums of a single launch, so that no two threads add to the same numbers."""
+        """Return an array of sums for one launch; no two threads then add to the same array."""
         if grid.worker == 0:
             if name in self._device:
                 self._closed[name] = self._closed[name] + self._open(name)
@@ -262,7 +265,7 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum without the open sums, which include the walls' last impulse."""
+        """Store the momentum less the open sums, because these include the walls' last impulse."""
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         walls = [self._open(name)[IMPULSES] for name in (WALL, LIQUID) if name in self._device]
         self._walls_before.assign(sum(walls, np.zeros(3)))
@@ -315,7 +318,7 @@ class ExternalWork(Observer):
 
 
 def push_kernels(real: Any, keeps_C: bool) -> tuple[Any, Any]:
-    """Return the kernels before and after forces on particles; `keeps_C` if no force changes C."""
+    """Return the kernels before and after forces on particles; `keeps_C`: no force changes C."""
     sums = kernels.make_push_sums_v(real) if keeps_C else kernels.make_push_sums(real)
     return kernels.make_push_copy(real, keeps_C), sums
 

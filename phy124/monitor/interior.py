@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 NEIGHBOURS = 7
-"""Number of neighbours at rest: six in a lattice, and the particle itself."""
+"""Number of nearest particles at rest: six neighbours in a lattice, and the particle itself."""
 Opened = dict[str, NDArray]
 
 
@@ -52,7 +52,7 @@ class Interior(Observer):
         dx: float,
         keep: bool = True,
     ) -> None:
-        """Store the object at rest; nothing is computed until material is torn.
+        """Store the object at rest; nothing else is computed before material is torn.
 
         Args:
             shown: All N other visible Gaussians.
@@ -72,12 +72,12 @@ class Interior(Observer):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether grains are shown and some material can be torn."""
+        """Return whether grains are shown and whether any material can be torn."""
         return subject.scene.grains and subject.elastic
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row for the interior."""
+        """Return the row of the effects report for the interior."""
         grains = subject.scene.grains
         why = "no elastic material could be torn" if grains else "grains is off"
         return Effect("inside of torn material", subject.elastic and grains, why)
@@ -95,7 +95,7 @@ class Interior(Observer):
         self._real = solver.model.real
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Find exposed particles if material is likely torn; return the frame unchanged."""
+        """If material is likely torn, find the exposed particles; return the frame unchanged."""
         if self._keep and self._tearing is not None and self._tearing.likely:
             self.look(frame.index, self._state.x)
         return frame
@@ -119,7 +119,7 @@ class Interior(Observer):
         self._opened[index] = {"ids": ids, "x": here.astype(np.float32)}
 
     def _find_lost(self, x: wp.array) -> NDArray[np.bool_]:
-        """Return the mask of the inner particles that have lost a neighbour at rest.
+        """Return a mask of the inner particles that are far from a particle next to them at rest.
 
         The kernel is compiled only now, because most runs need none.
         """
@@ -177,11 +177,11 @@ class Interior(Observer):
         return {str(index): dict(opened) for index, opened in self._opened.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the exposed particles from a snapshot."""
         self._opened = {int(index): opened for index, opened in snapshot.items()}
 
     def _prepare(self) -> None:
-        """Find the elastic particles without a Gaussian, their neighbours, and their grains."""
+        """Find the elastic particles that have no Gaussian, with their neighbours and grains."""
         rest = self._rest
         elastic = np.array([s.device_law.project is None for s in self._materials])[rest.material]
         free = elastic & (rest.gaussian < 0)
@@ -216,7 +216,7 @@ class Interior(Observer):
         return particles[inside], particles[near]
 
     def _make_grains(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], Gaussians]:
-        """Return the Gaussians above exposed particles, and the particles' grains."""
+        """Return the surface Gaussians nearest to exposed particles, and the particles' grains."""
         above, grains, first = [], [], 0
         for gaussians, inside, _ in self._objects:
             chosen = ids[(ids >= first) & (ids < first + len(inside))] - first

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class LatticeTotals(Totals):
-    """Sums over the nodes for momentum and kinetic energy, and over the points for the rest."""
+    """Sums for a body on a lattice: of momentum and kinetic energy over nodes, else over points."""
 
     def __init__(self, solver: LatticeSolver) -> None:
         """Record the launches."""
@@ -44,7 +44,7 @@ class LatticeTotals(Totals):
         self._launch = model.launch(kernel, len(nodes.u), inputs, [self._of_nodes])
 
     def read(self, clock: Clock) -> Diagnostics:
-        """Return the diagnostics of the current state, which the points must have followed."""
+        """Return the diagnostics of the current state; the points must already follow the nodes."""
         points = super().read(clock)
         self._of_nodes.zero_()
         if self._launch is not None:
@@ -74,11 +74,11 @@ class LatticeWatchdog(Watchdog):
 
 
 class LatticeWork(ExternalWork):
-    """External impulse and work, for which walls keep their own sums."""
+    """External impulse and work; walls keep their own sums of both."""
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield nothing: walls need no measuring kernels."""
+        """Yield nothing, because walls need no kernels that measure them."""
         del subject, real
         yield from ()
 
@@ -96,7 +96,7 @@ class LatticeWork(ExternalWork):
         solver.record()
 
     def change(self, scene: Scene) -> None:
-        """Keep the sums of the earlier walls, and read those of the new walls."""
+        """Keep the sums of the earlier walls, and read the sums of the new walls."""
         self._closed[WALL] = self._closed[WALL] + self._open(WALL)
         self._device[WALL] = self._solver.walls.sums
         self._solver.record()
@@ -107,7 +107,7 @@ class LatticeWrenches(Wrenches):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield nothing: walls need no measuring kernels."""
+        """Yield nothing, because walls need no kernels that measure them."""
         del subject, real
         yield from ()
 
@@ -128,7 +128,7 @@ class LatticeWrenches(Wrenches):
         return walls if inner is None else inner
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, whose walls keep the sums."""
+        """Bind to the solver; its walls keep the sums."""
         self._solver = solver
         self._before = self._now()
 
@@ -143,7 +143,7 @@ class LatticeWrenches(Wrenches):
         return Wrench(fps * impulse, fps * (moment - np.cross(centre, impulse)))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return an empty snapshot, as the solver keeps the sums."""
+        """Return an empty snapshot, because the solver keeps the sums."""
         return {}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -155,7 +155,7 @@ class LatticeWrenches(Wrenches):
 
 
 class LatticeMethod(Observer):
-    """The row of the effects report that names the solver and the effects that it leaves out."""
+    """The row of the effects report that names the solver and the effects it leaves out."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
@@ -178,7 +178,7 @@ class LatticeShock(Observer):
         return Effect(f"{cls.NAME}, if material is compressed nearly as fast as sound")
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the clock of the lattices, which counts the substeps."""
+        """Bind to the clock of the lattices, which counts substeps with artificial viscosity."""
         self._clock = getattr(solver.lattice, "clock", solver.clock)
 
     def finished_effect(self, subject: Subject) -> Effect:
@@ -203,7 +203,7 @@ class LatticePairs(Observer):
         return Effect("contact of surface points between objects")
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, whose pairs are reported."""
+        """Bind to the solver, in order to report its pairs."""
         self._solver = solver
 
     def finished_effect(self, subject: Subject) -> Effect:
@@ -217,7 +217,7 @@ class LatticeSelfContact(Observer):
     """The row of the effects report for contact of a body with itself."""
 
     LOOKING = Cost(fixed=40e3)
-    """Cost of looking for parts near each other, on an object of 50,000 points."""
+    """Cost of the search for parts near each other, for an object of 50,000 points."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
@@ -226,7 +226,7 @@ class LatticeSelfContact(Observer):
         return Effect("self-contact, if parts come near each other", cost=cls.LOOKING)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, whose pairs are reported."""
+        """Bind to the solver, in order to report its pairs."""
         self._solver = solver
 
     def finished_effect(self, subject: Subject) -> Effect:

@@ -1,4 +1,4 @@
-"""Forces and boundaries surrounded by stages that measure them.
+"""Forces and boundaries, with stages before and after them that measure their effect.
 
 Velocities are copied before a force or wall acts, and compared with the velocities afterwards.
 """
@@ -19,7 +19,7 @@ from phy124.mpm.tracks import Tracks
 
 
 class Measured:
-    """Combines forces or boundaries, with stages before and after their own stages, if any."""
+    """Combines forces or boundaries; if these have stages, others measure before and after."""
 
     def __init__(
         self,
@@ -29,7 +29,7 @@ class Measured:
         self._inner, self._measure = inner, measure
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the inner stages, after the first measuring stage and before the others."""
+        """Return the inner stages between the first measuring stage and the others."""
         stages = [stage for item in self._inner for stage in item.attach(model, state, tracks)]
         if not stages:
             return []
@@ -43,9 +43,9 @@ class NodesNear:
     def __init__(self, walls: Sequence[Boundary], model: Model) -> None:
         self._corners, self._device = _reach(walls, model), model.device
         self.threads: tuple[int, ...] = ()
-        """Number of threads of a kernel over segments of rows of these nodes."""
+        """Shape of the launch of a kernel over segments of rows of these nodes."""
         self.read: list[Any] = []
-        """Inputs of such a kernel: length of a segment, box, window, and the grid's nodes."""
+        """First inputs of such a kernel: length of a segment, box, window, and the grid's nodes."""
         self.copy: wp.array | None = None
         """Memory for a copy of the nodes."""
 

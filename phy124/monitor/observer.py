@@ -40,7 +40,7 @@ class Cost(NamedTuple):
     """Cost per node of the window."""
 
     def of(self, particles: int, nodes: int) -> float:
-        """Return the cost of one substep [ns]."""
+        """Return the cost of the effect per substep [ns]."""
         return self.fixed + self.particle * particles + self.node * nodes
 
 
@@ -48,7 +48,7 @@ UNKNOWN = Cost()
 
 
 class Effect(NamedTuple):
-    """A row of the effects report: an effect, and whether the scene requires it."""
+    """A row of the effects report: an effect, and whether the scene includes it."""
 
     name: str
     called_for: bool = True
@@ -64,7 +64,9 @@ class Violation(NamedTuple):
     what: str
     """Description of the problem, as a clause."""
     causes: tuple[str, ...]
-    """Possible causes, for `phy124.budget.remedies`, the likeliest first."""
+    """Possible causes, from which `phy124.budget.remedies` suggests remedies; the likeliest is
+    first.
+    """
 
 
 class Subject(NamedTuple):
@@ -107,7 +109,7 @@ class Observed(Protocol):
 
     @property
     def scenery(self) -> Scenery:
-        """All Gaussians at rest, with a mask of the moving ones."""
+        """All Gaussians at rest, and a mask of those that move."""
         ...
 
     @property
@@ -127,9 +129,10 @@ class Observer:
     absent: ClassVar[dict[str, Any]] = {}
     """Report section of a run without this observer."""
     in_substeps: ClassVar[bool] = False
-    """Whether this is an accumulator, restored after a rejected substep or frame."""
+    """Whether the observer sums in every substep, so that rejected substeps restore its sums."""
     in_gathers: ClassVar[bool] = False
-    """Whether this records a launch after each gather; restored after a rejected frame."""
+    """Whether the observer records a launch after each gather; a rejected frame restores its sums.
+    """
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -151,7 +154,7 @@ class Observer:
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Return the observer of a run, before the run's solver exists."""
+        """Return the observer of a run; the run's solver does not exist yet."""
         del setup
         return cls()
 
@@ -207,17 +210,17 @@ class Observer:
         """Prepare the frame that starts at `time` [s]."""
 
     def before_attempt(self, *, closely: bool) -> None:
-        """Prepare an attempt at a frame; a failed attempt is repeated with half the substep.
+        """Prepare an attempt at a frame; after a failed attempt the next one has half the substep.
 
         Args:
             closely: Whether this is the second attempt, which is checked after every substep.
         """
 
     def after_substep(self) -> None:
-        """Read the state after a substep, or after several substeps of a CUDA graph."""
+        """Read the state after a substep, or after several substeps in a CUDA graph."""
 
     def after_attempt(self) -> Violation | None:
-        """Check the state at the end of a frame; a violation ends the attempt."""
+        """Check the state at the end of a frame; return a violation to end the attempt."""
 
     def after_frame(self, frame: Frame) -> Frame:
         """Return the frame of the moving Gaussians, with this observer's results added."""
@@ -249,7 +252,7 @@ class Observer:
         return {}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
 
 
 Kind = TypeVar("Kind", bound=Observer)

@@ -1,4 +1,4 @@
-"""Sleep: substeps are skipped while everything rests and no force or boundary changes.
+"""Sleep: skips substeps while everything rests and no force or boundary changes.
 
 Zero speed at one time is not rest: a thrown body has zero speed at the top of its path. At rest
 means that for Q frames of T seconds no particle moved further than D from its starting point. Under
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 STILL = 3e-4
-"""Largest error by sleeping, in object sizes: a tenth of a pixel for an object of 300 pixels."""
+"""Largest error by sleep, in object sizes: a tenth of a pixel for an object of 300 pixels."""
 CALM = 1 / 6
-"""Fraction of `STILL` by which particles may move and still count as resting."""
+"""Particles count as resting if they move by less than this fraction of `STILL`."""
 HELD = 0.1
-"""Fraction of a free body's displacement by which a body may move and still count as held."""
+"""A body counts as held if it moves by less than this fraction of a free body's displacement."""
 
 
 class Sleep(Observer):
@@ -58,7 +58,7 @@ class Sleep(Observer):
         self._stiffness_changes = False
         self._far = STILL * size
         self.anchor: NDArray[np.float64] | None = None
-        """Positions of the particles [P,3], m, relative to which the drift is measured."""
+        """Positions of the particles [P,3], m, from which the drift is measured."""
         self.drift = 0.0
         """Largest distance of a particle from its anchor [m]."""
         self.speeds: list[float] = []
@@ -76,7 +76,7 @@ class Sleep(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row for sleep."""
+        """Return the row of the effects report for sleep."""
         sleeps = subject.scene.time.sleep
         why = "the object was never at rest long enough" if sleeps else "time.sleep is off"
         return Effect("sleep while all objects rest", sleeps, why)
@@ -90,7 +90,7 @@ class Sleep(Observer):
         return sleep
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, whose tracks give the times at which forces and boundaries change."""
+        """Bind to the solver; its tracks give the times at which forces and boundaries change."""
         self._solver, self._state, self._clock = solver, solver.state, solver.clock
 
     def change(self, scene: Scene) -> None:
@@ -98,7 +98,7 @@ class Sleep(Observer):
         self._stiffness_changes = scene.stiffness_profile is not None
 
     def skip_to(self, index: int) -> float | None:
-        """Return the time [s] of a frame that needs no substeps and count the frame; else None."""
+        """If a frame needs no substeps, count it and return its time [s]; otherwise return None."""
         flying = self._solver.outliers.count or self._solver.free.all
         if index == 0 or self._stiffness_changes or flying or not self._rests(index):
             return None
@@ -123,7 +123,7 @@ class Sleep(Observer):
         return frame
 
     def observe(self, index: int, substeps: int) -> None:
-        """Measure the displacement of the particles after a frame with a number of substeps."""
+        """Measure the particles' displacement after a frame that took `substeps` substeps."""
         self.after_substep()
         speed, self._fastest, self._last = self._fastest, 0.0, substeps
         changed = self._quiet_until((index - 1) / self._fps) < index / self._fps
@@ -138,7 +138,7 @@ class Sleep(Observer):
             self.anchor, self.drift, self.speeds = x, 0.0, []
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state to continue from: arrays and plain data."""
+        """Return the state from which to continue: arrays and plain data."""
         return {
             "anchor": self.anchor,
             "drift": self.drift,
@@ -150,7 +150,7 @@ class Sleep(Observer):
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         self.anchor, self.drift = snapshot["anchor"], snapshot["drift"]
         self.speeds, self.since = list(snapshot["speeds"]), snapshot["since"]
         self.skipped, self.saved = snapshot["skipped"], snapshot["saved"]
@@ -165,7 +165,7 @@ class Sleep(Observer):
         return {"sleep": sleep}
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row for sleep, with the first frame and the duration of sleep."""
+        """Return the row of the effects report, with the first frame and the duration of sleep."""
         row = self.effect(subject)
         if self.since is None:
             return row._replace(called_for=False)
@@ -173,7 +173,7 @@ class Sleep(Observer):
         return row._replace(name=f"{row.name}: asleep from frame {self.since}, {saved}")
 
     def _rests(self, index: int) -> bool:
-        """Return whether the picture would stay still from a frame until the scene's next event."""
+        """Return whether pictures would not change from a frame until the scene's next event."""
         if not self.speeds:
             return False
         until = self._quiet_until((index - 1) / self._fps)
@@ -187,11 +187,11 @@ class Sleep(Observer):
         return reach + self._hidden(max(self.speeds)) <= self._far
 
     def _hidden(self, speed: float) -> float:
-        """Return the amplitude [m] of a vibration with a speed [m/s] that frames do not show."""
+        """Return the amplitude [m] of a vibration at this speed [m/s] with one period per frame."""
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:
-        """Return whether accelerated material stays in place (free, it moves a t^2 / 8)."""
+        """Return whether accelerated material stays in place (if free, it would move a t^2 / 8)."""
         pull: NDArray[Any] = self._solver.tracks.values.numpy()
         way = float(np.linalg.norm(pull[0, :3])) * (len(self.speeds) / self._fps) ** 2 / 8
         return way == 0 or self.drift <= HELD * way
@@ -207,7 +207,7 @@ class Sleep(Observer):
 
 
 def next_change(track: Track, time: float) -> float:
-    """Return the next time at which a track changes [s]; `time` if it is changing at `time`.
+    """Return the next time at which a track changes [s], or `time` if it is already changing.
 
     The result is infinity if the track never changes again.
     """

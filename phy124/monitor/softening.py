@@ -1,4 +1,4 @@
-"""Softening: Young's modulus that changes in time, frame by frame.
+"""Softening: changes Young's modulus in time, frame by frame.
 
 The parameters of a law that are proportional to E (`Material.scaled`) are multiplied in the arrays
 that the solver reads. The resulting change of the elastic energy is external work: stiffening a
@@ -95,7 +95,7 @@ class Softening(Observer):
         return {"factor": self.factor}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the factor without counting its work, which the restored state already contains."""
+        """Set the factor without counting its work; the restored state includes the work."""
         self._multiply(snapshot["factor"])
 
     def _multiply(self, factor: float) -> None:

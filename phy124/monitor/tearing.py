@@ -32,8 +32,9 @@ if TYPE_CHECKING:
 APART = 1.2
 """Spacing of particles [cells] above which they may separate."""
 MANY, FEW = 5e-3, 3
-"""Number of such particles that make a tear likely: a fraction of P^(2/3), the number of particles
-in a cross-section, and a smallest number, since a few particles separate at any corner.
+"""A tear is likely if more than `MANY` P^(2/3) particles, and more than `FEW`, lie farther apart
+than `APART`. P^(2/3) is about the number of particles in a cross-section; a few particles separate
+at any corner.
 
 Of the pressed, dropped and bounced ducks examined, those below 5.2e-3 were whole; one at 6.7e-3
 lost its head, another at 7.9e-3 did not.
@@ -41,14 +42,16 @@ lost its head, another at 7.9e-3 did not.
 REACH = 1.5
 """Reach of a particle's spline [cells]; a wider empty layer separates two pieces."""
 LOOSE, FLAKE = 2e-3, 8
-"""Smallest fraction of the elastic particles, and smallest number, that a separated piece has."""
+"""A separated piece has at least the fraction `LOOSE` of the elastic particles, and at least
+`FLAKE` particles.
+"""
 ALONE, STURDY = 1.0, 1e9
 """`ALONE`: spacing at rest [cells] above which a particle has no neighbours. `STURDY`: a stretch
 that is never reached."""
 FAR = 4096
-"""Number of cubes along an axis above which empty space is removed before labelling."""
+"""Empty space is removed before labelling if there are more cubes than this along an axis."""
 MOST = 50_000_000
-"""Largest number of cubes to label; for particles more scattered than this, no pieces are found."""
+"""Largest number of cubes to label; no pieces are found if particles are scattered over more."""
 REMEDY = (
     "A larger accuracy.particles_per_axis, binding = particles, a stiffer material, more "
     "material.damping or a gentler motion helps; a finer grid does not."
@@ -68,8 +71,8 @@ class Tearing(Observer):
 
     def __init__(self) -> None:
         self.count, self.first, self.stretch = 0, 0, 1.0
-        """Largest number of particles beyond `APART` in a frame, the first of them, and the largest
-        stretch.
+        """Largest number of particles beyond `APART` in any frame, lowest index of such a particle,
+        and largest stretch.
         """
         self.loose = 0
         """Largest number of particles in a frame that were separated from their piece."""
@@ -87,7 +90,7 @@ class Tearing(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row for the detection of tears."""
+        """Return the row of the effects report for the detection of tears."""
         why = "all moving materials flow, so they separate and merge as they should"
         name = "search for torn material and separate pieces in each frame"
         return Effect(name, subject.elastic, why)
@@ -104,7 +107,7 @@ class Tearing(Observer):
         # A particle that has a cell to itself at rest has no neighbours to be torn from.
         stretch = np.where(spacing < ALONE, APART / spacing, STURDY)
         self._most = wp.array(stretch**2, dtype=model.real, device=model.device)
-        """Square of the stretch above which each particle is beyond `APART` [P]."""
+        """Square of the stretch above which a particle is beyond `APART`, for each particle [P]."""
         self._counts = wp.zeros(2, dtype=int, device=model.device)
         self._max_stretch = wp.zeros(1, dtype=model.real, device=model.device)
         self._launches = []
@@ -132,17 +135,18 @@ class Tearing(Observer):
 
     @property
     def likely(self) -> bool:
-        """Whether a piece has separated, or may have: many particles have lost neighbours."""
+        """Whether a piece has or may have separated: torn, or many particles are stretched apart.
+        """
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state to continue from, as plain data."""
+        """Return the state from which to continue, as plain data."""
         return {
             "count": self.count, "first": self.first, "stretch": self.stretch, "loose": self.loose
         }  # fmt: skip
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         self.count, self.first = snapshot["count"], snapshot["first"]
         self.stretch, self.loose = snapshot["stretch"], snapshot["loose"]
 
@@ -215,7 +219,7 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """Return the number of particles outside the largest remainder of their piece at rest.
+        """Return the number of particles that are not in the largest remainder of their piece.
 
         Args:
             x: Current positions [P,3], m.

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 INSIDE_OUT = 0.01
 """Largest fraction of inverted particles for which the result is still accepted."""
 FEW = 2
-"""Number of inverted particles that is always accepted; they are reset before the next frame, and
-counted.
+"""Number of inverted particles that is always accepted. They are counted, and reset before the next
+frame.
 """
 ENERGY_GAIN = 0.25
 """Tolerated spurious energy, as a fraction of the largest energy supplied.
@@ -49,22 +49,25 @@ velocity is set in every substep); an unstable run exceeds any limit within a fe
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, as a fraction of all momentum transferred."""
 PROJECTED = 0.2
-"""The same for a liquid by projection, whose layers of less than a cell press on walls with up to a
-quarter less than their weight.
+"""Tolerated spurious momentum in a liquid by projection, as a fraction of all momentum transferred.
+Layers thinner than a cell press on walls with up to a quarter less than their weight.
 """
 CROWDED = 0.1
-"""Mean excess of the density of a liquid by projection above which its walls leave it no room."""
+"""A liquid by projection has too little room between its walls if its density has a larger mean
+excess.
+"""
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
-"""Fraction of the sum of absolute work that rounding may lose."""
+"""Largest energy that rounding may lose, as a fraction of the sum of absolute work."""
 QUIET = 1e-9
-"""Fraction of volume times stiffness below which energies count as rounding errors."""
+"""Energies below this fraction of volume times stiffness count as rounding errors."""
 COLLAPSE = 0.8
-"""Impact speed, relative to the speed of sound, above which laws that may collapse approach J = 0.
+"""Impact speed, relative to the speed of sound, from which J of laws that may collapse comes close
+to 0.
 """
 UNSEEN = 3e-4
-"""Strain that is invisible in a frame: a tenth of a pixel in 300 pixels."""
+"""Largest strain that is invisible in a frame: a tenth of a pixel in 300 pixels."""
 FADING = {"float32": 2e-9, "float64": 4e-18}
-"""Strain that rounding of F may leave per substep.
+"""Strain that rounding errors of F may cause in a substep.
 
 F grows by dt C F. In a stiff body that rotates slowly, this growth is less than the last digit of
 F, and the part lost by rounding strains the body. Measured values are 3e-10 per substep in float32
@@ -85,7 +88,8 @@ class Balance:
     """The balance of energy and momentum of a run, updated frame by frame."""
 
     turnover: float = 0.0
-    """Largest energy that the object had or could have lost so far (`energy_supplied`) [J]."""
+    """Largest value so far of `energy_supplied` [J]: the energy that the object had or could lose.
+    """
     moved: float = 0.0
     """All momentum transferred [kg m/s]."""
     energy_gain: float = 0.0
@@ -93,11 +97,11 @@ class Balance:
     momentum_gain: float = 0.0
     """Spurious momentum, as a fraction of the momentum transferred."""
     trembles: float = 0.0
-    """Fraction of the energy created by rounding, if it exceeds the usual tolerance."""
+    """Fraction of the energy that rounding created, if this is more than the usual tolerance."""
 
 
 def energy_supplied(start: float, work: float, walls: float) -> float:
-    """Return the energy that an object had at the start or received [J], its largest possible loss.
+    """Return the energy [J] that an object had at the start or received, and so could lose.
 
     Args:
         start: Kinetic and elastic energy at the start [J].
@@ -108,7 +112,7 @@ def energy_supplied(start: float, work: float, walls: float) -> float:
 
 
 class Watchdog(Observer):
-    """Checks one run; the balance is checked if an `ExternalWork` also observes the run."""
+    """Checks one run; the balance is checked only if an `ExternalWork` observes the same run."""
 
     def __init__(self) -> None:
         self.balance = Balance()
@@ -120,7 +124,7 @@ class Watchdog(Observer):
         yield from (make_totals(law, real) for law in subject.laws)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver in the state from which the run starts."""
+        """Bind to the solver, which is in the state from which the run starts."""
         self._solver = solver
         self.model, self.state, self.clock = solver.model, solver.state, solver.clock
         self.external = find(observers, ExternalWork)
@@ -156,7 +160,7 @@ class Watchdog(Observer):
             self.external.begin(self.last.momentum)
 
     def restart(self) -> None:
-        """Start the balance again with the next frame, because the state was set from outside."""
+        """Start the balance again with the next frame; call this after changing the state."""
         self._begun = False
 
     def after_substep(self) -> None:
@@ -188,7 +192,7 @@ class Watchdog(Observer):
         return Violation(f"{problem}; the fastest is {self._who(index)}", FAST)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state to continue from, as plain data."""
+        """Return the state from which to continue, as plain data."""
         return {
             "begun": self._begun,
             "fastest": self._fastest,
@@ -202,7 +206,7 @@ class Watchdog(Observer):
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the state from a snapshot."""
         self._begun, self._fastest = snapshot["begun"], snapshot["fastest"]
         self._stopped, self._pushed = np.array(snapshot["stopped"]), np.array(snapshot["pushed"])
         self.min_J, self.max_J = snapshot["min_J"], snapshot["max_J"]
@@ -273,7 +277,7 @@ class Watchdog(Observer):
         return {"balance": balance, **self._energy()}
 
     def _energy(self) -> dict[str, Any]:
-        """Return the energy lost to each cause, and the largest energy supplied [J]."""
+        """Return the energy [J] lost to each cause, and the largest energy supplied [J]."""
         if self._dissipation is None or self.external is None:
             return {}
         turnover = self.balance.turnover
@@ -291,7 +295,7 @@ class Watchdog(Observer):
         return Violation(f"{what}, first {self._who(index)}", self._unstable()) if what else None
 
     def _check_balance(self, now: Diagnostics) -> Violation | None:
-        """Compare energy and momentum with their start values plus external work and impulse."""
+        """Compare energy and momentum with their initial values plus external work and impulse."""
         assert self.external is not None
         outside = self.external.total(self.clock, now.middle - self.first.middle, now.momentum)
         outside = outside.plus(self._solver.free.impulses() - self._pushed)
@@ -342,7 +346,7 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Return causes of an unstable run: the substep; for violent motion more."""
+        """Return causes of an unstable run: the substep, and more if the motion is violent."""
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("damping", "solver", "substep", "law", "push") if violent else ("substep",)
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 STAGE = "wrenches"
 """Name of the stages that sum wrenches."""
 LIQUID = -1
-"""Key, among the workers, of the sums that a liquid by projection keeps."""
+"""Key of the sums that a liquid by projection keeps; other keys are indices of workers."""
 Vector3 = NDArray[np.float64]
 
 
@@ -70,7 +70,7 @@ class Wrenches(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row for the wrenches on walls."""
+        """Return the row of the effects report for the wrenches on walls."""
         asked = subject.scene.keeps_wrenches and bool(subject.scene.boundaries)
         return Effect("force and torque per wall", asked, "not asked for, or nothing is solid")
 
@@ -94,7 +94,7 @@ class Wrenches(Observer):
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> Sequence[Attachable]:
-        """Return the boundaries, with stages that measure each wall before and after it acts."""
+        """Return the boundaries with stages that measure before and after each wall acts."""
         inner = walls if inner is None else inner
         if not self._of_walls:
             return inner
@@ -114,7 +114,7 @@ class Wrenches(Observer):
         self._read_impulses()
 
     def _read_impulses(self) -> None:
-        """Use the sums of impulses on walls that the liquid solver keeps."""
+        """Use the liquid solver's sums of the impulses on walls."""
         solver: Any = self._solver
         if self._of_walls and solver.projects:
             impulses = solver.impulses
@@ -162,7 +162,7 @@ class Wrenches(Observer):
         return {name: wp.clone(sums) for name, sums in self._arrays().items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot."""
+        """Restore the sums from a snapshot."""
         for name, sums in self._arrays().items():
             copy = snapshot.get(name)
             sums.zero_() if copy is None else sums.assign(copy)
@@ -186,7 +186,7 @@ class Wrenches(Observer):
         return Stage(STAGE, before), Stage(STAGE, after)
 
     def _worker_sums(self, name: str, grid: Grid, model: Model) -> wp.array:
-        """Return the sums of a wall and worker, so that no two threads add to the same array."""
+        """Return the array of sums for one wall and worker; each array has only one thread."""
         sums = self._sums[name]
         if grid.worker not in sums:
             sums[grid.worker] = wp.zeros(kernels.SUMS, dtype=wp.float64, device=model.device)
@@ -215,7 +215,7 @@ class _Separated:
         self._wrenches, self._name, self._wall, self._inner = wrenches, name, wall, inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the boundary's stages with measuring stages, per wall if they can be divided."""
+        """Return the boundary's stages with measuring stages around them, or around each wall."""
         wall = self._wall
         stages, parts = self._inner.attach(model, state, tracks), wall.parts()
         each, more = divmod(len(stages), len(parts))
@@ -246,7 +246,7 @@ def pair_names(solver: AnySolver) -> tuple[str, ...]:
 
 
 def wall_names(walls: Sequence[Boundary]) -> list[str]:
-    """Return a name for each boundary: its kind, with a number from the second of a kind on."""
+    """Return a name for each boundary: its kind, with a number unless it is the first one."""
     counts: Counter[str] = Counter()
     names = []
     for wall in walls:
