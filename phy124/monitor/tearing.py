@@ -135,8 +135,7 @@ class Tearing(Observer):
 
     @property
     def likely(self) -> bool:
-        """Whether a piece has or may have separated: torn, or many particles are stretched apart.
-        """
+        """Whether a piece has separated, or many particles are stretched so that one may have."""
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
     def snapshot(self) -> dict[str, Any]:
