@@ -1,4 +1,4 @@
-"""Boundaries of a scene: shapes that change the grid velocities at the nodes inside or near them.
+"""Boundaries of a scene: shapes that change the velocities of grid nodes inside or near them.
 
 Each boundary is a section of the scene file. A boundary becomes one stage of the substep (a
 container becomes one stage per wall, a gripper two stages), launched only over the nodes that its
@@ -17,7 +17,7 @@ from phy124.boundaries.solids import Box, Capsule, Gripper, Sphere
 from phy124.schema.plugins import Kinds
 
 Kind = Ground | HalfSpace | Press | Container | Box | Sphere | Capsule | Gripper | Held | Foot
-"""The list of phy124's boundaries, from which all other lists are derived."""
+"""The list of phy124's boundaries; all other lists are derived from it."""
 BOUNDARIES = Kinds(Boundary, "kind", "boundaries", Kind)
 """`BOUNDARIES.by_name` maps the name of a boundary to its class."""
 AnyBoundary = SerializeAsAny[Annotated[Kind, Field(discriminator="kind"), BOUNDARIES]]

@@ -1,4 +1,4 @@
-"""Base class of boundaries: a shape, and a response to material that touches the shape."""
+"""Base class of boundaries: each has a shape, and responds to material that touches the shape."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from phy124.schema.section import Section
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
-"""Signed distance [cells] below which a node responds to a wall individually.
+"""Nodes whose signed distance from a wall is below this respond one by one, not in columns [cells].
 
 A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. On average,
 this plane must therefore lie about 0.65 cells inside the wall for the body to touch the wall.
@@ -35,11 +35,12 @@ to nodes that belong to no column.
 MARGIN = 2.0
 """Distance in front of a wall [cells] up to which nodes may respond to the wall."""
 SWEEPS = 2
-"""Number of responses per substep of columns that cross: each response sees the changes that other
-columns made in the previous one.
+"""Number of responses per substep if columns cross. Each response sees the changes that other
+columns made in the response before.
 """
 THINNEST = 1.0
-"""Smallest half thickness of a solid [cells]: nodes must lie inside the solid to stop material."""
+"""Smallest half thickness of a solid [cells]; a solid must have nodes inside it to stop material.
+"""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 Recorder = Callable[[Grid], "wp.Launch | None"]
 
@@ -53,7 +54,7 @@ class Rest(Protocol):
         ...
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return positions at rest of a named object [Q,3], m; of all objects if None."""
+        """Return the positions at rest [Q,3], m, of a named object, or of all objects if None."""
         ...
 
 
@@ -65,19 +66,19 @@ class AtRest:
     """Positions at rest [P,3], m."""
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return all positions, since objects are not distinguished here."""
+        """Return all positions, because objects are not distinguished here."""
         return self.rest
 
 
 class Boundary(Section):
-    """Base class of all boundaries: their response to material that touches them."""
+    """Base class of all boundaries: how a boundary responds to material that touches it."""
 
     shape: ClassVar[str]
     thing: ClassVar[str] = "it"
-    """Name, in messages, of the part that may be too thin."""
+    """Name, in messages, of the part of the boundary that may be too thin."""
 
     holds: ClassVar[bool] = False
-    """Whether the boundary holds material in place, instead of blocking it."""
+    """Whether the boundary holds material in place instead of blocking its way."""
 
     contact: Contact = Field(
         default="separate", description="sticky, slip, or separate (may leave, with friction)."
@@ -108,11 +109,11 @@ class Boundary(Section):
         return low - margin, high + margin
 
     def at_surface(self, dx: float) -> bool:
-        """Return whether contact is enforced at the surface, between nodes, not node by node."""
+        """Return whether contact is enforced at the surface between nodes, not node by node."""
         return self.reach(dx) is None
 
     def columns_overlap(self, dx: float) -> bool:
-        """Return whether columns of nodes overlap, so that a node may be in several columns."""
+        """Return whether columns of nodes overlap: a node may then be in several columns."""
         return self.at_surface(dx) and self.outline() not in FLAT
 
     @property
@@ -122,7 +123,7 @@ class Boundary(Section):
 
     @property
     def tracked(self) -> bool:
-        """Whether the boundary has a track, because it moves or ends."""
+        """Whether the boundary has a track; it has one if it moves or ends."""
         return self.moves
 
     def kernels(self, real: Any, dx: float) -> list[Any]:
@@ -137,7 +138,7 @@ class Boundary(Section):
         return make(self.outline(), self.response(), moving, real)
 
     def gentler(self) -> dict[str, Any]:
-        """Return the fields that halve the boundary's strength, with their new values."""
+        """Return the fields to change, with new values, to halve the boundary's strength."""
         return {}
 
     def parts(self) -> list[Any]:
@@ -165,8 +166,7 @@ class Boundary(Section):
         return np.inf
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages of the boundary: its collider, and settling of nodes in crossing
-        columns.
+        """Return the boundary's stages: its collider, and settling of nodes in crossing columns.
 
         Args:
             model: The constants of the run.
@@ -190,7 +190,7 @@ class Boundary(Section):
         return [Stage(name, recorder, alone=alone, with_update=updating) for recorder in recorders]
 
     def _of_object(self, model: Model, recorder: Recorder) -> Recorder:
-        """Return a recorder that records nothing for objects that the wall does not affect."""
+        """Return a recorder that skips the grids of objects that the wall does not affect."""
         if self.object is None:
             return recorder
         particles = model.named(self.object)
@@ -204,7 +204,7 @@ class Boundary(Section):
         return self.outline() not in FLAT or abs(normal[0]) > 0.999 * max(map(abs, normal[1:]))
 
     def refuse_thin(self, model: Model) -> None:
-        """Check that the solid is thick enough that nothing can pass through it.
+        """Raise an error if the solid is so thin that something could pass through it.
 
         Raises:
             InputError: The solid is thinner than two cells.
@@ -225,7 +225,7 @@ class Boundary(Section):
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return the recorder of the launch that settles columns up to two cells out of bounds."""
+        """Return the recorder for settling columns, which reach two cells beyond the bounds."""
         low, high = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -241,7 +241,7 @@ class Boundary(Section):
         return bounds if track is None else swept(bounds, track)
 
     def _recorder(self, model: Model, tracks: Tracks, slot: int | None) -> Recorder:
-        """Return the recorder of the wall, whose track has the given slot."""
+        """Return the recorder of the wall; the wall's track has the given slot."""
         bounds, columns_overlap = self._swept_bounds(model), self.columns_overlap(model.dx)
         at_surface = self.at_surface(model.dx)
         kernel = self.kernel(model.real, model.dx, moving=slot is not None)
@@ -262,7 +262,7 @@ class Boundary(Section):
         return record
 
     def _updater(self, model: Model, tracks: Tracks, slot: int | None) -> Recorder:
-        """Return the recorder of a flat wall together with the grid update."""
+        """Return the recorder of a launch that combines a flat wall with the grid update."""
         moving, bounds = slot is not None, self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -297,7 +297,7 @@ class Movable(Boundary):
     """A boundary that may follow a path, or swing."""
 
     motion: AnyMotion | None = Field(
-        default=None, description="Its displacement over time: path or swing; absent: fixed."
+        default=None, description="Its displacement over time: path or swing. Absent: it is fixed."
     )
 
     @property
@@ -311,7 +311,7 @@ class Movable(Boundary):
 
 
 def lightest(model: Model) -> float:
-    """Return the mass of a node inside the lightest material [kg]; infinite for a single solid.
+    """Return the mass of a node inside the lightest material [kg]; infinite if it is not needed.
 
     A solid needs no such bound: a cell heavier than at rest is compressed. In a material that
     yields, cells may contain up to 1.6 times as many particles as at rest, without being
@@ -322,7 +322,7 @@ def lightest(model: Model) -> float:
 
 
 def contact_mass_fraction(model: Model) -> float:
-    """Return the contact threshold, as a fraction of the mass expected at a wall.
+    """Return the contact threshold as a fraction of the mass expected at a wall.
 
     A body touches the wall if its mass there exceeds the threshold.
 
@@ -335,7 +335,7 @@ def contact_mass_fraction(model: Model) -> float:
 
 
 def seep_distance(model: Model) -> float:
-    """Return the distance [m] below which nodes respond singly to a wall that does not push.
+    """Return the distance [m] below which nodes respond one by one to a wall that does not push.
 
     Material that separates into drops and grains would otherwise seep through a wall: drops and
     grains behind the wall would move on while the rest moves away. For cohesive material the
@@ -346,7 +346,7 @@ def seep_distance(model: Model) -> float:
 
 
 def yields(model: Model) -> bool:
-    """Return whether any material yields: a solid at its yield stress, sand, snow, a liquid."""
+    """Return whether any material has a return mapping: plastic solid, sand, snow or liquid."""
     return any(section.device_law.project is not None for section in model.materials)
 
 
@@ -363,7 +363,7 @@ def swept(corners: Corners, track: Track) -> Corners:
 
 
 def half_bounds(point: Vector, normal: Vector) -> Corners:
-    """Return corners around a plane's solid side [m] if its normal is an axis, else all space."""
+    """Return corners [m] around a plane's solid side if the normal is an axis, else all space."""
     lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
     across = np.flatnonzero(np.abs(normal) > 1e-9)
     if len(across) == 1:

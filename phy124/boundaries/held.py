@@ -1,4 +1,4 @@
-"""Regions in which material is held; their surface may lie between the nodes."""
+"""Regions in which material is held; a region's surface may lie between nodes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Clamp(Movable):
     )
 
     def track(self, model: Rest) -> Track | None:
-        """Return the displacement [m], active until release; None without motion or release."""
+        """Return the displacement [m], active until release; None if it never moves or releases."""
         track = super().track(model)
         if self.end is None:
             return track
@@ -43,11 +43,11 @@ class Clamp(Movable):
         return self.moves or self.end is not None
 
     def at_surface(self, dx: float) -> bool:
-        """Return True for sticky clamps, which end at their surface; other clamps act per node."""
+        """Return True for sticky clamps, which act up to their surface; others act node by node."""
         return self.contact == "sticky"
 
     def response(self) -> str:
-        """Return "held", up to the surface of the region, for sticky clamps; else the contact."""
+        """Return "held" for sticky clamps, which act up to their surface; otherwise `contact`."""
         return "held" if self.contact == "sticky" else self.contact
 
     def reach(self, dx: float) -> float | None:
@@ -96,7 +96,9 @@ class Foot(Clamp):
 
     shape: ClassVar[str] = "half_space"
     kind: Literal["foot"] = "foot"
-    fraction: float = Field(default=0.15, ge=1e-6, le=1, description="Held fraction of its height.")
+    fraction: float = Field(
+        default=0.15, ge=1e-6, le=1, description="Fraction of the object's height that is held."
+    )
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Return a point [m] and the normal of the plane below which material is held."""
@@ -105,6 +107,6 @@ class Foot(Clamp):
         return (0.0, 0.0, top), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
-        """Return the corners around everything below the plane [m]."""
+        """Return corners around all space below the plane [m]."""
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)

@@ -1,4 +1,4 @@
-"""Declares how boundaries move: on a path, in an oscillation (both without rotation), or freely."""
+"""Declares how boundaries move: on a path or in an oscillation, without rotation, or freely."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Motion(Section):
 
 
 class Path(Motion):
-    """A displacement from point to point."""
+    """A displacement that goes from point to point."""
 
     kind: Literal["path"] = "path"
     times: tuple[Instant, ...] = Field(
@@ -68,7 +68,7 @@ class Swing(Motion):
     frequency: float = Field(default=2.0, ge=1e-5, le=1e4, description="Swings per second [Hz].")
 
     def track(self) -> Track:
-        """Return one period, repeated; it begins at zero displacement and largest speed."""
+        """Return one period, repeated; it begins at zero displacement and the largest speed."""
         sine = Sine(frequency=self.frequency)
         times, factors = sine.table()
         return Track(
@@ -96,7 +96,7 @@ def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
 
 
 def ease(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and points with each leg divided into `EASE` pieces, at rest at both ends."""
+    """Return times and points with each leg cut into `EASE` pieces, at rest at both its ends."""
     parts = np.linspace(0, 1, EASE + 1)[1:]
     fractions = (1 - np.cos(math.pi * parts)) / 2
     new_times, new_points = [times[0]], [points[0]]

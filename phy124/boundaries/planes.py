@@ -22,7 +22,7 @@ class Plane(Boundary):
     shape: ClassVar[str] = "half_space"
 
     def extent(self, model: Model) -> Corners:
-        """Return the corners of a half space if the normal is an axis, else of all space [m]."""
+        """Return the corners [m] of a half-space if the normal is an axis, else of all space."""
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)
 
@@ -98,7 +98,7 @@ class Press(Plane):
         return True
 
     def gentler(self) -> dict[str, Any]:
-        """Return the fields for twice the time to come down."""
+        """Return the fields, with new values, that let the plate descend in twice the time."""
         return {"down": 2 * self.down}
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
@@ -107,7 +107,7 @@ class Press(Plane):
         return (0.0, 0.0, float(height)), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
 
     def track(self, model: Rest) -> Track:
-        """Return the displacement [m]: smoothly down, a rest, and up again."""
+        """Return the displacement [m]: a smooth descent, a rest, and a smooth ascent."""
         low = (0.0, 0.0, -self.depth * float(np.ptp(model.rest_of(self.object)[:, 2])))
         return there_and_back(low, self.start, self.down, self.hold, self.up)
 
@@ -121,7 +121,7 @@ class Container(Movable):
     kind: Literal["container"] = "container"
     inside: Region = Field(
         default=Region(lower=(-1.0, -1.0, 0.0), upper=(1.0, 1.0, 2.0)),
-        description="Space inside the container; sides without a number are open.",
+        description="Space inside the container; a side without a number is open.",
     )
 
     @model_validator(mode="after")
@@ -135,7 +135,7 @@ class Container(Movable):
         return self.sides()
 
     def part_names(self) -> list[str]:
-        """Return the axis across each wall and its end, low or high: `z_low` is a floor."""
+        """Return each wall's axis and end, low or high: `z_low` is a floor."""
         normals = [side.normal for side in self.sides()]
         axes = [int(np.argmax(np.abs(normal))) for normal in normals]
         return [
@@ -144,7 +144,7 @@ class Container(Movable):
         ]
 
     def sides(self) -> list[HalfSpace]:
-        """Return the walls; a side far outside any scene counts as open."""
+        """Return the walls; sides that are far outside any scene count as open."""
         walls = []
         for axis in range(3):
             for corner, sign in ((self.inside.lower, 1.0), (self.inside.upper, -1.0)):

@@ -71,7 +71,9 @@ class Capsule(Movable):
 
     shape: ClassVar[str] = "capsule"
     kind: Literal["capsule"] = "capsule"
-    start: Position = Field(default=(0.0, -0.5, 0.2), description="One end of its axis [m].")
+    start: Position = Field(
+        default=(0.0, -0.5, 0.2), description="Start of the capsule's axis [m]."
+    )
     end: Position = Field(default=(0.0, 0.5, 0.2), description="The other end [m].")
     radius: float = Field(default=0.1, ge=1e-9, le=1e5, description="Radius [m].")
 
@@ -96,7 +98,7 @@ class Capsule(Movable):
 
 
 class Gripper(Boundary):
-    """Two pads that close on the object from both sides, then lift it."""
+    """Two pads that close on the object from both sides and then lift it."""
 
     thing: ClassVar[str] = "each pad (thick, width)"
     kind: Literal["gripper"] = "gripper"
@@ -142,7 +144,7 @@ class Gripper(Boundary):
         return self.pads()
 
     def part_names(self) -> list[str]:
-        """Return the closing axis and the side of each pad: `y_low`, `y_high`."""
+        """Return names made of the closing axis and each pad's side: `y_low`, `y_high`."""
         return [f"{self.axis}_low", f"{self.axis}_high"]
 
     def pads(self) -> list[Box]:

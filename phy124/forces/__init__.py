@@ -1,4 +1,4 @@
-"""Forces of a scene, on particles or on the whole body.
+"""Forces of a scene; they act on some particles or on the whole body.
 
 Each force is a section of the scene file. `attach` adds the force to a run: a track with its
 strength over time and, if it acts on chosen particles, one stage of the substep.
@@ -29,7 +29,7 @@ Kind = (
     | Grab
     | WrenchForce
 )
-"""The list of phy124's forces, from which all other lists are derived."""
+"""The list of phy124's forces; all other lists are derived from it."""
 FORCES = Kinds(Force, "kind", "forces", Kind)
 """`FORCES.by_name` maps the name of a force to its class."""
 AnyForce = SerializeAsAny[Annotated[Kind, Field(discriminator="kind"), FORCES]]

@@ -29,17 +29,17 @@ class Force(Section):
     strengths: ClassVar[tuple[str, ...]] = ()
     """Names of the fields that set the strength."""
     joins: ClassVar[bool] = False
-    """Whether the force, without a region, is a uniform acceleration of the whole body."""
+    """Whether the force accelerates the whole body uniformly if it has no region."""
 
     start: float = Field(
-        default=0.0, ge=0, le=LONGEST, description="Time at which it starts to act [s]."
+        default=0.0, ge=0, le=LONGEST, description="Time at which the force starts to act [s]."
     )
     end: float | None = Field(
         default=None,
         gt=0,
         le=LONGEST,
         examples=[0.5],
-        description="Time at which it stops acting [s]; absent: never.",
+        description="Time at which the force stops acting [s]; absent: never.",
     )
     region: Region | None = Field(
         default=None,
@@ -53,7 +53,8 @@ class Force(Section):
         description="Name of the object on which it acts; absent: all objects.",
     )
     profile: AnyProfile = Field(
-        default=Constant(), description="Its strength over time: constant, ramp, sine, keyframes."
+        default=Constant(),
+        description="Strength of the force over time: constant, ramp, sine, keyframes.",
     )
 
     @model_validator(mode="after")
@@ -66,12 +67,12 @@ class Force(Section):
 
     @property
     def idle(self) -> bool:
-        """Whether the strength is zero; False for wind, which drags even at zero speed."""
+        """Whether the strength is zero; always False for wind, which drags even at zero speed."""
         strengths = [getattr(self, name) for name in self.strengths]
         return bool(strengths) and not np.any(strengths)
 
     def gentler(self) -> dict[str, Any]:
-        """Return the fields that halve the force's strength, with their new values."""
+        """Return the fields to change, with new values, to halve the force's strength."""
         values = {name: getattr(self, name) for name in self.strengths}
         return {
             name: [x / 2 for x in value] if isinstance(value, tuple) else value / 2
@@ -80,7 +81,7 @@ class Force(Section):
 
     @property
     def uniform(self) -> bool:
-        """Whether the force is added in the grid update, which costs no launch of its own."""
+        """Whether the grid update adds the force, so that no separate launch is needed."""
         return self.joins and self.region is None and self.object is None
 
     @property
@@ -89,7 +90,7 @@ class Force(Section):
         return self.start > 0 or self.end is not None or self.profile.kind != "constant"
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return a track of the value times the profile between start and end, zero outside.
+        """Return a track: the value times the profile between start and end, and zero outside.
 
         Args:
             value: The force at full strength, in the force's units.
@@ -109,7 +110,7 @@ class Force(Section):
         raise NotImplementedError
 
     def chosen(self, model: Model) -> wp.array:
-        """Return the indices of the force's particles: in its region, of bodies that may move.
+        """Return the indices of the particles in the force's region, of bodies that may move.
 
         Raises:
             InputError: The region holds no particle.
@@ -128,14 +129,14 @@ class Force(Section):
 
 
 def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
-    """Return a mask of the particles of a named object [P]; None: of all objects."""
+    """Return a mask [P] of the particles of a named object, or of all objects if None."""
     mask = np.zeros(len(model), bool)
     mask[model.named(name)] = True
     return mask
 
 
 def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """Return the stages of an acceleration: none if it is uniform and part of the grid update.
+    """Return the stages of an acceleration; a uniform one needs none, as the grid update adds it.
 
     Args:
         force: The force, with its region and its strength over time.
@@ -214,6 +215,6 @@ def stage(
 
 
 def within(chosen: wp.array, run: slice) -> wp.array:
-    """Return the part of a sorted list of particles that is in a range of indices."""
+    """Return those of a sorted list of particles whose indices are in a range."""
     first, last = np.searchsorted(chosen.numpy(), [run.start, run.stop]).tolist()
     return cast("wp.array", chosen[first:last])

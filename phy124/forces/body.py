@@ -23,12 +23,12 @@ class Gravity(Force):
     g: Push = Field(default=(0.0, 0.0, -9.81), description="Acceleration [m/s^2].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Add to the uniform acceleration, or accelerate chosen particles."""
+        """Add to the uniform acceleration, or accelerate only the chosen particles."""
         return accelerate(self, self.g, model, state, tracks)
 
 
 class Acceleration(Force):
-    """An acceleration, which does not depend on the particle count; used by the presets."""
+    """An acceleration; unlike a force per particle, it does not depend on the particle count."""
 
     kind: Literal["acceleration"] = "acceleration"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
@@ -36,7 +36,7 @@ class Acceleration(Force):
     a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Add to the uniform acceleration, or accelerate chosen particles."""
+        """Add to the uniform acceleration, or accelerate only the chosen particles."""
         return accelerate(self, self.a, model, state, tracks)
 
 
@@ -54,12 +54,14 @@ class TotalForce(Force):
 
 
 class Impulse(Force):
-    """An impact: gives a region a total momentum, independent of substeps and profile."""
+    """An impact: gives a region a total momentum that does not depend on substeps or profile."""
 
     kind: Literal["impulse"] = "impulse"
     strengths: ClassVar[tuple[str, ...]] = ("p",)
     joins: ClassVar[bool] = True
-    p: Push = Field(default=(0.0, 1.0, 0.0), description="Total momentum that it transfers [N s].")
+    p: Push = Field(
+        default=(0.0, 1.0, 0.0), description="Total momentum that the impulse transfers [N s]."
+    )
     duration: float = Field(default=0.01, ge=SHORTEST, le=10, description="Duration [s].")
 
     @model_validator(mode="after")
@@ -79,14 +81,14 @@ class Impulse(Force):
         return True
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return a track of the value times the profile over the duration, zero outside."""
+        """Return a track: the value times the profile over the duration, and zero outside."""
         end = self.start + self.duration
         track = Track.of_profile(value, self.profile, self.start, end, mean=mean)
         # A force that starts at time 0 is also active before; an impulse at time 0 is not.
         return Track(track.keys, self.start, end, track.origin, track.period, mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Accelerate the region by p divided by its mass and by the profile's integral."""
+        """Accelerate the region by p / (mass times the profile's integral)."""
         x, y, z = per_mass(self, self.p, model)
         time = self.duration * self._mean()
         return accelerate(self, (x / time, y / time, z / time), model, state, tracks)

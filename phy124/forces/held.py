@@ -1,4 +1,4 @@
-"""Forces on a group of particles as a whole; the group is a weighted ball about a rest point."""
+"""Forces on a group of particles as a whole: a ball about a point at rest, with weights."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.fl
 
 
 class Part(NamedTuple):
-    """The particles of a part on the device, and their means, computed in every substep."""
+    """The particles of a part on the device, and their means, which each substep computes."""
 
     chosen: wp.array
     share: wp.array
@@ -48,9 +48,11 @@ class Part(NamedTuple):
     mass: float
     """sum(w m) [kg]."""
     drawn: float
-    """Initial effective mass of the part: f / (acceleration of X) [kg]."""
+    """Effective mass of the part at the start [kg]: a force on the part divided by the acceleration
+    of X.
+    """
     reach: float
-    """Distance of the part's farthest particle from X at rest [m]."""
+    """Distance at rest between X and the part's farthest particle [m]."""
     inertia: float
     """Smallest moment of inertia of the part at rest [kg m^2]."""
 
@@ -113,7 +115,7 @@ class Part(NamedTuple):
     def track_centre(
         self, name: str, slot: int, model: Model, state: State, tracks: Tracks, *, turned: bool
     ) -> Iterator[Stage]:
-        """Yield the stages that compute the part's centre, and the second moments about it.
+        """Yield the stages that compute the part's centre and its second moments about the centre.
 
         Args:
             name: Name of the stages in reports, which list their time.
@@ -151,7 +153,8 @@ class Grab(Force):
     kind: Literal["grab"] = "grab"
     strengths: ClassVar[tuple[str, ...]] = ("strength",)
     point: Position = Field(
-        default=(0.0, 0.0, 0.5), description="Point of the object at rest that is held [m]."
+        default=(0.0, 0.0, 0.5),
+        description="Point of the object that is held, in the object's position at rest [m].",
     )
     radius: float = Field(
         default=0.15,
@@ -163,7 +166,7 @@ class Grab(Force):
     times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times of the targets [s].")
     targets: tuple[Position, ...] = Field(
         default=((0.0, 0.0, 0.5), (0.0, 0.0, 1.0)),
-        description="Positions to which the point is drawn at these times [m].",
+        description="Positions to which the point is pulled at these times [m].",
     )
     stiffness: float = Field(
         default=1e4, ge=0, le=1e12, description="Stiffness of the spring [N/m]."
@@ -218,7 +221,9 @@ class Grab(Force):
 
 
 MARGIN = 2.0
-"""Safety factor on the acceleration by a torque: deformation may reduce the moment of inertia."""
+"""Safety factor on the acceleration by a torque, because deformation may reduce the moment of
+inertia.
+"""
 
 
 class WrenchForce(Force):
@@ -231,7 +236,8 @@ class WrenchForce(Force):
     point: Position | None = Field(
         default=None,
         examples=[[0.0, 0.0, 0.5]],
-        description="Point of the object at rest at which it acts [m]; absent: the whole object.",
+        description="Point at which the wrench acts, in the object's position at rest [m]; "
+        "absent: the whole object.",
     )
     radius: float = Field(
         default=0.15,

@@ -43,7 +43,7 @@ class Wind(Force):
         default=1.0,
         ge=1e-6,
         le=1e6,
-        description="Fraction of the difference lost per second [1/s].",
+        description="Fraction of the relative velocity that is lost per second [1/s].",
     )
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
@@ -55,22 +55,32 @@ class Wind(Force):
         )
 
         def limit(start: float, end: float) -> float:
-            """Return the largest acceleration of a particle at rest by the stream [m/s^2]."""
+            """Return the largest acceleration by the stream of a particle at rest [m/s^2]."""
             return self.rate * track.largest(start, end)
 
         return [drag._replace(limit=limit, top_speed=track.largest)]
 
 
 class Attraction(Force):
-    """A point that attracts, or repels if negative: linear inside its radius, 1 / d^2 outside."""
+    """A point that attracts (or repels): linear in d inside its radius, 1 / d^2 outside."""
 
     kind: Literal["attraction"] = "attraction"
     strengths: ClassVar[tuple[str, ...]] = ("g",)
-    centre: Position = Field(default=(0.0, 0.0, 1.0), description="Position of the point [m].")
-    g: float = Field(
-        default=10.0, ge=-1e9, le=1e9, description="Acceleration at the radius [m/s^2]."
+    centre: Position = Field(
+        default=(0.0, 0.0, 1.0), description="Position of the attracting point [m]."
     )
-    radius: float = Field(default=0.5, ge=1e-6, le=1e5, description="Distance of the maximum [m].")
+    g: float = Field(
+        default=10.0,
+        ge=-1e9,
+        le=1e9,
+        description="Acceleration at the radius [m/s^2]; negative: repulsion.",
+    )
+    radius: float = Field(
+        default=0.5,
+        ge=1e-6,
+        le=1e5,
+        description="Distance from the point at which the acceleration is largest [m].",
+    )
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stage that pulls the chosen particles towards the point."""
@@ -81,11 +91,11 @@ class Attraction(Force):
 
 
 class ZoneForce(Force):
-    """A push in a zone of space, which acts on the material that is currently inside."""
+    """A push on all material that is inside a zone of space at the time."""
 
     kind: Literal["zone"] = "zone"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
-    place: Region = Field(default=Region(), description="Region of space in which it acts.")
+    place: Region = Field(default=Region(), description="Region of space in which the force acts.")
     a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
     @model_validator(mode="after")
@@ -121,7 +131,7 @@ class ZoneForce(Force):
 
 
 UNIT: Vector = (1.0, 0.0, 0.0)
-"""Value of a track that holds only the profile."""
+"""Value for a track that contains only the profile."""
 
 
 class SetVelocity(Force):
@@ -136,7 +146,7 @@ class SetVelocity(Force):
     )
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stage that overwrites v and C of the chosen particles while active."""
+        """Return the stage that, while active, overwrites v and C of the chosen particles."""
         t = types(model.real)
         slot = tracks.add(self.track(UNIT, mean=False), over="drift")
         chosen = self.chosen(model)

@@ -1,4 +1,4 @@
-"""A live run: inputs act while it is computed, and are recorded as a scene.
+"""A live run: inputs act while the run is computed, and are recorded as a scene.
 
     live = Live(gaussians, Scene.named("drop"))
     live.grab((0, 0, 1))

@@ -1,4 +1,4 @@
-"""Choose the finest grid that this machine can run live, by a trial of half a second."""
+"""Chooses the finest grid that this machine can run live; a trial takes half a second."""
 
 from __future__ import annotations
 
@@ -18,15 +18,17 @@ from phy124.scene import Scene
 from phy124.simulation.bodies import proportions_of
 
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32)
-"""Cells across the object that may be chosen."""
+"""Numbers of cells across the object from which to choose."""
 TRIED = 12
-"""Cells across the object in the trial, unless an error is requested."""
+"""Number of cells across the object in the trial, unless an error is requested."""
 SPARE = 0.8
-"""Fraction of the frame interval that computing a frame may take."""
+"""Largest fraction of the interval between frames that computing a frame may take."""
 WARM, FRAMES, SECONDS = 2, 6, 0.2
 """Warm-up frames of a trial, timed frames, and the time limit of the timed frames [s]."""
 COST_POWER = 4
-"""The time of substeps grows as this power of the cells: more particles, shorter substeps."""
+"""The time of substeps grows as this power of the number of cells, because there are more particles
+and shorter substeps.
+"""
 
 
 class Cost(NamedTuple):
@@ -35,7 +37,8 @@ class Cost(NamedTuple):
     cells: int
     substeps: float
     others: float
-    """Time that does not depend on the grid: shapes of the Gaussians, and showing them [s]."""
+    """Time that does not depend on the grid [s]: computing the Gaussians' shapes and showing them.
+    """
 
     def on(self, cells: int) -> float:
         """Estimate the time of a frame on another grid [s]."""
@@ -43,17 +46,17 @@ class Cost(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A scene on the finest grid that is fast enough here, or on the coarsest if none is."""
+    """A scene on the finest grid that is fast enough here; the coarsest if none is fast enough."""
 
     scene: Scene
     factor: float
-    """Simulated seconds per second that this machine reaches, from the trial."""
+    """Simulated seconds per second of real time on this machine, estimated from the trial."""
     promise: Promise
     """Error bound of this grid."""
 
     @property
     def sentence(self) -> str:
-        """Describe the choice in a sentence."""
+        """The choice, described in a sentence."""
         slow = "" if self.factor >= 1 else "; slower than real time"
         cells = f"{self.scene.resolution.cells} cells across the object"
         return f"{cells}, {self.factor:.1f}x real time{slow}. {self.promise.brief}"
@@ -69,7 +72,7 @@ def held_rate(
     shapes: bool = True,
     show: Callable[[Frame], object] = lambda frame: None,
 ) -> Choice:
-    """Find the finest grid on which this machine runs a scene at a frame rate (lattice binding).
+    """Find the finest grid on which this machine reaches a frame rate, with lattice binding.
 
     Args:
         gaussians: The object.
@@ -119,7 +122,7 @@ def _trial(
     shapes: bool,
     show: Callable[[Frame], object],
 ) -> Cost:
-    """Measure the time of frames while a hand swings the object by its top, the costliest input."""
+    """Measure the time of frames while a hand swings the object by its top, which costs most."""
     watch = Stopwatch()
     live = Live(gaussians, scene, replace(context, watch=watch), shapes=shapes)
     means = live.step().gaussians.means

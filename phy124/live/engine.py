@@ -1,4 +1,4 @@
-"""Run a scene frame by frame while inputs act on it.
+"""Runs a scene frame by frame while inputs act on it.
 
 If the watchdog rejects a frame, the run notes this, drops the inputs, and continues from the last
 valid frame. If it had to go back further and then fails again at the same frame, it ends.
@@ -42,7 +42,7 @@ FOREVER = 1e8
 KEPT_EVERY = 12
 """Frames between two stored states."""
 LOST = 50.0
-"""Distance from the middle of the scene [sizes of the object] at which the run starts again."""
+"""The run starts again when the object is this far from the middle of the scene [object sizes]."""
 NOTES = 20
 """Largest number of stored notes."""
 
@@ -82,12 +82,12 @@ class Live:
         self._gaussians, self._shapes, self._crop = gaussians, shapes, crop
         self._context = context or RunContext()
         self.notes: list[str] = []
-        """Sentences on inputs that were reduced and on frames that failed."""
+        """Sentences about inputs that were reduced and about frames that failed."""
         self.reset()
         self.limits = Limits.of(self._run.setup.particles, self._scene)
 
     def reset(self) -> None:
-        """Start again without inputs."""
+        """Start the run again without inputs."""
         self._inputs = Inputs(self._scene)
         options: dict[str, Any] = {"keep": False, "changes": True, "shapes": self._shapes}
         self._run = Simulation(self._prepare(self._scene, **options))
@@ -96,7 +96,8 @@ class Live:
         self._named: dict[str, WrenchForce] = {}
         self._changed = False
         self._failed = 0
-        """Number of the frame that failed even without inputs; 0 if the run has passed it."""
+        """Index of the frame that failed even without inputs; 0 once the run has passed this frame.
+        """
         self._kept: list[tuple[float, dict[str, Any]]] = []
 
     @property
@@ -181,7 +182,7 @@ class Live:
         stiffness: float | None = None,
         strength: float | None = None,
     ) -> None:
-        """Grab the object, and release an earlier grab.
+        """Grab the object, and release any earlier grab.
 
         Args:
             point: Position on or near the object as it is now [m].
@@ -225,7 +226,7 @@ class Live:
         self._target = self._note_change(*self.limits.place("move_to", target))
 
     def release(self) -> None:
-        """Release what is held."""
+        """Release the object that is held."""
         held = self._inputs.holding
         if held is not None:
             self._inputs.grabs.remove(held)
@@ -246,7 +247,7 @@ class Live:
         seconds: float = 0.1,
         name: str = "",
     ) -> None:
-        """Push the object for some seconds.
+        """Push the object for a number of seconds.
 
         Args:
             force: Force [N].
@@ -305,7 +306,7 @@ class Live:
         self._changed = True
 
     def soften(self, factor: float) -> None:
-        """Set the factor on the scene's Young's modulus, 0.01 to 100; replaces an earlier factor.
+        """Set the factor (0.01 to 100) on the scene's Young's modulus; it replaces earlier factors.
 
         Raises:
             InputError: The factor is out of bounds, or the scene has a stiffness profile.
@@ -319,7 +320,7 @@ class Live:
         self._changed = True
 
     def move(self, wall: int, to: Sequence[float]) -> None:
-        """Move a boundary of the scene to a displacement [m] from its start, capped at hand speed.
+        """Move a boundary to a displacement [m] from its start, at most at the speed of a hand.
 
         Raises:
             InputError: There is no such boundary, it is not movable or follows a motion of the
@@ -335,12 +336,12 @@ class Live:
         self._offsets[wall] = self._note_change(*self.limits.place("move.to", to))
 
     def contacts(self) -> dict[str, Wrench]:
-        """Return mean force [N] and torque [N m] of each wall and pair since the previous frame."""
+        """Return the mean force [N] and torque [N m] of walls and pairs since the last frame."""
         return dict(self._frame.wrenches or {})
 
     @property
     def pairs(self) -> dict[str, str]:
-        """Name of each wrench between objects (`duck_on_cushion`) -> object on which it acts."""
+        """Maps each wrench between objects (`duck_on_cushion`) to the object it acts on."""
         return places.list_pairs(self._run)
 
     @property
@@ -350,7 +351,7 @@ class Live:
 
     @property
     def points(self) -> dict[str, NDArray[np.float64]]:
-        """Positions of the particles of each object [P,3], m, or centre of a rigid object."""
+        """Positions of each object's particles [P,3], m; for a rigid object, its centre."""
         return places.list_points(self._run)
 
     @property
@@ -359,7 +360,7 @@ class Live:
         return places.list_motions(self._run)
 
     def set_motion(self, name: str, motion: places.Motion, *, twist: bool = True) -> None:
-        """Move an object as a rigid body at once, which `session` does not repeat.
+        """Move an object at once as a rigid body; `session` does not repeat this.
 
         Args:
             name: Name of the object.
@@ -379,7 +380,7 @@ class Live:
         return scene.model_copy(update={"time": scene.time.model_copy(update={"frames": frames})})
 
     def clip(self) -> Clip:
-        """Simulate the session again and return the clip: its frames are equal bit for bit."""
+        """Simulate the session again and return the clip; its frames are equal bit for bit."""
         return Simulation(self._prepare(self.session())).run()
 
     def _prepare(self, scene: Scene, **options: Any) -> Setup:
@@ -397,7 +398,7 @@ class Live:
             self._move_on(wall, offset, next_time)
 
     def _move_on(self, wall: int, offset: Vector, next_time: float) -> None:
-        """Move a wall towards its requested offset in the next frame, capped at hand speed."""
+        """Move a wall towards its requested offset in the next frame, at most at a hand's speed."""
         moved = self._inputs.moved.setdefault(wall, WallPath())
         here, there = np.array(moved.points[-1]), np.array(offset)
         step, most = there - here, FASTEST * self.limits.size / self._scene.time.fps
@@ -422,7 +423,7 @@ class Live:
             self._changed = False
 
     def _go_back(self, why: str) -> Frame:
-        """Drop the inputs; continue from the last state, or an earlier state, or the start.
+        """Drop the inputs; continue from the last state, from an earlier one, or from the start.
 
         Raises:
             Stopped: The run went back before, and has not passed the failed frame since.
@@ -451,13 +452,13 @@ class Live:
         return self._run.step()
 
     def _drop(self, time: float) -> None:
-        """Remove the inputs that act after a time [s]."""
+        """Remove all inputs that act later than a time [s]."""
         self._inputs.forget(time)
         self._target, self._offsets = None, {}
         self._run.change(self._inputs.scene())
 
     def _note_change(self, value: Vector, sentence: str) -> Vector:
-        """Return the value, and note the sentence that says how the value was changed."""
+        """Return the value; if it was changed, note the sentence that says so."""
         if sentence:
             self._note(sentence)
         return value

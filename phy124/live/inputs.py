@@ -1,4 +1,4 @@
-"""Record a live run's inputs as forces and wall motions of a scene.
+"""Records a live run's inputs as forces and wall motions of a scene.
 
 All times are times of frames, so that a run of the recorded scene takes the same substeps.
 """
@@ -65,7 +65,7 @@ class Inputs:
         """Times [s] and factors on Young's modulus."""
 
     def soften(self, factor: float, now: float, before: float) -> None:
-        """Set the factor that multiplies E from `now` on; until `before`, the old factor acts."""
+        """Set the factor on E that acts from `now` on; the old factor acts until `before`."""
         kept = [key for key in self.softness if key[0] < now]
         if kept and kept[-1][0] < before:
             kept.append((before, kept[-1][1]))
@@ -89,7 +89,7 @@ class Inputs:
             self.wrenches[index : index + 1] = _cut_push(before, now)
 
     def scene(self, since: float = 0.0) -> Scene:
-        """Return the scene with all inputs, except those that ended before `since` [s]."""
+        """Return the scene with all inputs except those that ended before `since` [s]."""
         boundaries = list(self.base.boundaries)
         for index, moved in self.moved.items():
             path = Path(times=tuple(moved.times), points=tuple(moved.points), smooth=False)
@@ -101,7 +101,7 @@ class Inputs:
         return self.base.model_copy(update=done)
 
     def _stiffness_profile(self, since: float) -> dict[str, Keyframes]:
-        """Return the factors on Young's modulus as a field of the scene; empty if never changed."""
+        """Return the factors on Young's modulus as a field of the scene; empty if unchanged."""
         if self.softness == [(0.0, 1.0)]:
             return {}
         first = max(sum(time <= since for time, _ in self.softness) - 1, 0)
@@ -111,7 +111,7 @@ class Inputs:
         return {"stiffness_profile": Keyframes(times=times, factors=factors)}
 
     def forget(self, since: float) -> None:
-        """Remove inputs that start from `since` [s] on; inputs that act at `since` end there."""
+        """Remove inputs that start at `since` [s] or later, and end those that act at `since`."""
         self.grabs = [held for held in self.grabs if held.start < since]
         for held in self.grabs:
             kept = sum(held.start + time <= since + 1e-9 for time in held.times)
@@ -130,7 +130,7 @@ class Inputs:
         self.moved = {i: moved for i, moved in self.moved.items() if len(moved.times) > 1}
 
     def _weights(self, since: float) -> list[AnyForce]:
-        """Return the scene's forces and gravity inputs; each gravity ends when the next begins."""
+        """Return the scene's forces and gravity inputs; each gravity ends as the next begins."""
         if not self.gravity:
             return list(self.base.forces)
         first, forces = self.gravity[0].start, []
@@ -152,7 +152,7 @@ def _acts_after(item: GrabRecord | WrenchForce | Gravity, since: float) -> bool:
 
 
 def _cut_push(push: WrenchForce, now: float) -> list[WrenchForce]:
-    """Return the part of a push before `now` [s]; empty if it has not begun."""
+    """Return a push cut off at `now` [s]; empty if the push has not begun."""
     if push.start >= now:
         return []
     end = now if push.end is None else min(push.end, now)

@@ -28,7 +28,7 @@ SWAY = 3.0
 FARTHEST = 5.0
 """Reach of a hand from the middle of the scene [sizes of the object]."""
 FASTEST = 5.0
-"""Largest speed at which a hand moves a wall [sizes per second]."""
+"""Largest speed at which a hand moves a wall [object sizes per second]."""
 PUSHES = 32
 """Largest number of simultaneous pushes."""
 
@@ -38,9 +38,9 @@ class Limits:
     """Limits of the inputs on an object of this mass and size."""
 
     mass: float
-    """[kg]"""
+    """Mass of the object [kg]."""
     size: float
-    """[m]"""
+    """Size of the object [m]."""
 
     @classmethod
     def of(cls, particles: Particles, scene: Scene) -> Limits:
@@ -68,15 +68,15 @@ class Limits:
         return 0.2 * self.size
 
     def force(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Cap a force [N] at the limit; the sentence is empty if nothing was changed."""
+        """Cap a force [N] at the limit; the sentence is empty if the force is unchanged."""
         return shorten(field, value, STRONGEST * self.weight, "N")
 
     def torque(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Cap a torque [N m] at the limit; the sentence is empty if nothing was changed."""
+        """Cap a torque [N m] at the limit; the sentence is empty if the torque is unchanged."""
         return shorten(field, value, STRONGEST * self.weight * self.size, "N m")
 
     def place(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Cap a position [m] at a hand's reach; the sentence is empty if nothing was changed."""
+        """Cap a position [m] at a hand's reach; the sentence is empty if it is unchanged."""
         return shorten(field, value, FARTHEST * max(self.size, 1e-6), "m")
 
 
@@ -119,7 +119,7 @@ def check_number(field: str, value: float, least: float, most: float) -> float:
 
 
 def shorten(field: str, value: Sequence[float], most: float, unit: str) -> tuple[Vector, str]:
-    """Limit the length of a vector; return it with a sentence, which is empty if nothing changed.
+    """Limit a vector's length; return it with a sentence that is empty if it is unchanged.
 
     Args:
         field: Name in error messages.

@@ -1,4 +1,4 @@
-"""Find the material at a position in a live run, and the position of each object."""
+"""Finds the material at a position in a live run, and the position of each object."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class NearestMaterial(NamedTuple):
     rest: Vector
     """Position at rest [m]."""
     object: str | None
-    """Name of its object; None if there is only one."""
+    """Name of the particle's object; None if there is only one object."""
 
 
 def find_material(
@@ -67,14 +67,14 @@ def find_material(
 
 
 def list_points(run: Simulation) -> dict[str, NDArray[np.float64]]:
-    """Return the positions of each object's particles [P,3], m; for rigid objects, the centre."""
+    """Return the positions of each object's particles [P,3], m; for a rigid object, its centre."""
     x, body = _positions(run), _objects(run)
     points = {run.scene.names[number]: x[body == number] for number in np.unique(body)}
     return {name: motion.place[None] for name, motion in _list_rigid(run).items()} | points
 
 
 class Motion(NamedTuple):
-    """Rigid part of an object's motion."""
+    """The motion of an object as if it were rigid."""
 
     place: NDArray[np.float64]
     """Centre of mass [3], m."""
@@ -124,7 +124,7 @@ def _list_rigid(run: Simulation) -> dict[str, Motion]:
 
 
 def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> None:
-    """Move and rotate an object as a rigid body; its deformation is kept.
+    """Move and rotate an object as a rigid body, and keep its deformation.
 
     Args:
         run: The run.
@@ -195,7 +195,7 @@ def _carry_particles(
 
 
 def check_object(scene: Scene, field: str, name: str | None) -> str | None:
-    """Check the name of an object to be moved; return None if there is only one object.
+    """Check the name of the object to move; return it, or None if there is only one object.
 
     Raises:
         InputError: There is no such object, or it never moves.
@@ -219,7 +219,7 @@ def compute_centres(run: Simulation) -> dict[str, NDArray[np.float64]]:
 
 
 def list_pairs(run: Simulation) -> dict[str, str]:
-    """Map each wrench between objects to the name of the object that it acts on."""
+    """Map the name of each wrench between objects to the name of the object it acts on."""
     solver = run.solver
     acted_on = [solver.model.names[pair.second] for pair in solver.pairs.all]
     acted_on += [name.rpartition("_on_")[2] for name in solver.free.names]
@@ -238,7 +238,7 @@ def _positions(run: Simulation) -> NDArray[np.float64]:
 
 
 def _list_movable(scene: Scene) -> list[int]:
-    """Return the indices of the objects that are not held in place; all if all are held."""
+    """Return the indices of objects that are not held in place, or of all if all are held."""
     numbers = [
         i
         for i, item in enumerate(scene.every_object)

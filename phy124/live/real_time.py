@@ -1,4 +1,4 @@
-"""Show each frame of a live run when it is due, or later if the machine is too slow."""
+"""Shows each frame of a live run when it is due, or later if the machine is too slow."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class RealTime:
         clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Start the clock now.
+        """Start the clock.
 
         Args:
             fps: Frames per second of simulated time.
@@ -32,7 +32,7 @@ class RealTime:
             sleep: Function that waits for a number of seconds.
         """
         self.speed = 1.0
-        """Simulated seconds per real second to aim for; below 1: slow motion."""
+        """Number of simulated seconds to show in a real second; below 1 gives slow motion."""
         self._fps, self._clock, self._sleep = fps, clock, sleep
         self._due = clock()
         self._shown: deque[float] = deque([self._due], maxlen=REMEMBERED)

@@ -16,7 +16,7 @@ from phy124.materials.plastic import Foam, Metal, Plasticine
 from phy124.schema.plugins import Kinds
 
 Law = NeoHookean | FixedCorotated | Hencky | Rigid | Metal | Plasticine | Foam | Sand | Snow | Fluid
-"""The list of phy124's laws, from which all other lists are derived."""
+"""The list of phy124's laws; all other lists are derived from it."""
 LAWS = Kinds(Material, "law", "materials", Law)
 """`LAWS.by_name` maps the name of a law to its class."""
 AnyMaterial = SerializeAsAny[Annotated[Law, Field(discriminator="law"), LAWS]]

@@ -12,11 +12,13 @@ from phy124.schema.bounds import RGB
 from phy124.schema.section import Section
 
 FEW = 1.5
-"""Particles per cell and axis for plastic and granular materials, which cannot tear. With 2, a run
-takes 1.7 times as long and has the same error (docs/lab/accuracy.md).
+"""Particles per cell and axis for plastic and granular materials, because these cannot tear. With
+2, a run takes 1.7 times as long and has the same error (docs/lab/accuracy.md).
 """
 FLOWING = 4.0
-"""Longest axis of a Gaussian of plastic or fluid material, relative to its longest axis at rest."""
+"""Limit on the longest axis of a Gaussian of plastic or fluid material, relative to its longest
+axis at rest.
+"""
 
 
 SHADING = 0.3
@@ -30,17 +32,19 @@ class Material(Section):
 
     device_law: ClassVar[Law]
     scaled: ClassVar[int] = 0
-    """Number of leading entries of `theta` proportional to E; 0: the law has no E to vary."""
+    """Number of leading entries of `theta` that are proportional to E; 0: the law has no E to vary.
+    """
     particles_per_axis: ClassVar[float] = 2.0
     """Default number of particles per cell and axis of a run. With fewer than 2, elastic material
     tears sooner.
     """
     may_collapse: ClassVar[bool] = False
-    """Whether the material may stay flat after an impact, since its energy at J = 0 is finite."""
+    """Whether the material may stay flat after an impact, because its energy at J = 0 is finite."""
 
     max_stretch: ClassVar[float | None] = None
-    """Longest axis of a Gaussian, relative to its longest axis at rest. None: `FLOWING` for laws
-    with a return mapping, whose F grows without bound, and no limit for other laws.
+    """Limit on a Gaussian's longest axis, relative to its longest axis at rest. None: the limit is
+    `FLOWING` for laws with a return mapping, because their F grows without bound; other laws have
+    no limit.
     """
     rounds: ClassVar[bool] = False
     """Whether Gaussians of the material become balls instead of needles when they are stretched."""
@@ -48,7 +52,7 @@ class Material(Section):
     """Whether the material separates into grains or drops, so that its interior must be drawn."""
 
     shade: ClassVar[float] = 0.0
-    """Variation of the grains' brightness: standard deviation relative to the mean."""
+    """Variation in brightness between grains: standard deviation relative to the mean."""
 
     shading: ClassVar[float] = SHADING
     """Fraction of the brightness contrast that Gaussians keep under a tint."""
@@ -70,7 +74,7 @@ class Material(Section):
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Return the largest strain for which the stiffness grows at most by a given factor.
+        """Return the largest strain up to which the stiffness grows by at most a given factor.
 
         This default is for fixed corotated material, which stiffens most of the elastic laws: by
         the factor 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
@@ -87,15 +91,13 @@ class Material(Section):
         raise NotImplementedError
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """Return the parameters for a grid of spacing `dx` [m] and the fraction `cfl` of the
-        substep.
-        """
+        """Return the parameters for grid spacing `dx` [m] and substeps of `cfl` times the limit."""
         del dx, cfl
         return self.theta()
 
     @property
     def longest(self) -> float:
-        """Longest axis of a Gaussian, relative to rest: `max_stretch` or the law's default."""
+        """Limit on a Gaussian's longest axis, relative to rest: `max_stretch` or its default."""
         if self.max_stretch is not None:
             return self.max_stretch
         return math.inf if self.device_law.project is None else FLOWING
@@ -118,21 +120,21 @@ class Material(Section):
         return math.inf
 
     def cheaper(self, field: str) -> str:
-        """Return a remedy for long runs; `field` is the material's field in the scene."""
+        """Return a remedy for slow runs; `field` is the material's field in the scene."""
         return f"a smaller {field}.E"
 
     def notes(self) -> list[str]:
-        """Return notes for the user on the simulation of this material."""
+        """Return notes to the user about how this material is simulated."""
         return []
 
     def notes_at(self, speed: float) -> list[str]:
-        """Return notes for the user on a run in which something moved at a speed [m/s]."""
+        """Return notes to the user about a run in which something moved at this speed [m/s]."""
         del speed
         return []
 
 
 def viscous_substep(density: float, viscosity: float, dx: float) -> float:
-    """Return rho dx^2 / (8 eta), the substep [s] in which viscosity stops a particle's strain.
+    """Return the substep [s] in which viscosity stops a particle's strain, rho dx^2 / (8 eta).
 
     The particle is isolated. A substep twice as long would be unstable. If elastic stress acts as
     well, the limit is smaller by the factor `timestep.beside_elastic`.
@@ -185,10 +187,10 @@ class Elastic(Material):
 
 
 class Logarithmic(Elastic):
-    """Materials whose stress is linear in Hencky strain: A is at most 2 mu (1 + x) + 3 lambda."""
+    """Materials with a stress linear in Hencky strain; A is at most 2 mu (1 + x) + 3 lambda."""
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Return the largest strain for which the stiffness grows at most by a given factor.
+        """Return the largest strain up to which the stiffness grows by at most a given factor.
 
         A strain changes a difference x of principal strains by at most sqrt(2) times the strain.
         """

@@ -1,4 +1,4 @@
-"""Elastic solids, which return to their rest shape after any deformation."""
+"""Elastic solids; they return to their rest shape after any deformation."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class Springy(Elastic):
 
     @property
     def device_law(self) -> Law:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The law with viscosity if the damping is above zero, otherwise without."""
+        """The law with viscosity if the damping is above zero, otherwise the law without it."""
         plain = self.lossless
         if self.damping == 0:
             return plain
         return plain._replace(name=f"{plain.name}_damped", stress=self.damped, width=3)
 
     def theta(self) -> tuple[float, ...]:
-        """Return (mu, lambda), followed by the damping if it is above zero."""
+        """Return (mu, lambda), or (mu, lambda, damping) if the damping is above zero."""
         return (*self.lame, self.damping) if self.damping else self.lame
 
     def viscous_limit(self, dx: float) -> float:
@@ -58,7 +58,7 @@ class NeoHookean(Springy):
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Return the largest strain for which the stiffness grows at most by a given factor.
+        """Return the largest strain up to which the stiffness grows by at most a given factor.
 
         In A = 2 mu s^2 + 3 lambda, a strain e multiplies s^2 by at most exp(2 e).
         """
@@ -138,7 +138,7 @@ class Rigid(Elastic):
         return NeoHookean(E=self.simulated_E, nu=self.nu).lame
 
     def notes(self) -> list[str]:
-        """Return a note if the stiffness is capped."""
+        """Return a note if the body is simulated with less than its real stiffness."""
         if self.simulated_E == self.E:
             return []
         return [
@@ -147,7 +147,7 @@ class Rigid(Elastic):
         ]
 
     def notes_at(self, speed: float) -> list[str]:
-        """Return a note if the body moved faster than its stiffness is chosen for."""
+        """Return a note if the body moved faster than the speed that its stiffness is for."""
         if self.simulated_E == self.E or speed <= FASTER * self.speed:
             return []
         strain = speed * math.sqrt(self.density / self.simulated_E)

@@ -12,9 +12,9 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import Material, viscous_substep
 
 RINGING = 0.7
-"""Fraction used of the largest bulk viscosity that does not shorten the substep."""
+"""Bulk viscosity as a fraction of the largest one that does not shorten the substep."""
 SUDDEN = 0.3
-"""K' / K: relative increase of a fluid's stiffness for changes faster than its relaxation time."""
+"""K' / K, the relative rise of a fluid's stiffness for changes faster than its relaxation time."""
 RELAXATION = 10.0
 """Relaxation time in units of the time in which sound crosses a cell.
 
@@ -65,7 +65,7 @@ class Fluid(Material):
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Return the largest strain for which the stiffness grows at most by a given factor.
+        """Return the largest strain up to which the stiffness grows by at most a given factor.
 
         The stiffness varies as J^-(1 + gamma), and ln J is at most sqrt(3) times the strain.
         """
@@ -86,7 +86,7 @@ class Fluid(Material):
         return math.sqrt(self.bulk_modulus / self.density)
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """Return the parameters with a bulk viscosity zeta and a relaxation, which damp sound.
+        """Return the parameters with a bulk viscosity zeta and a relaxation; both damp sound.
 
         The relaxation damps slow changes, zeta fast ones. With zeta = a rho c dx, a substep of the
         fraction `cfl` requires (2 cfl)^2 <= 4 - 2 (12 zeta / rho dx^2) dt, as in `beside_elastic`;

@@ -19,8 +19,8 @@ Packing by d releases the energy 3 (2 mu + 3 lambda) c d, while the hardening ra
 fraction 3 xi d. This raise exceeds the released energy if xi c > 2/3.
 """
 GENTLE, STEEPER = 30.0, 0.3
-"""Repose angle up to which heaps stop at the angle at which they flow [degrees]; the difference of
-both angles per degree above it, as measured (docs/lab/physics.md).
+"""Up to a repose angle of `GENTLE` [degrees], heaps stop at the angle at which they flow. Above it
+the two angles differ by `STEEPER` per degree, as measured (docs/lab/physics.md).
 """
 
 
@@ -59,7 +59,7 @@ class Sand(Logarithmic):
         ge=1,
         le=60,
         examples=[34.0],
-        description="Slope of its heaps [degrees]; absent: friction_angle determines it.",
+        description="Slope of the sand's heaps [degrees]; absent: set by friction_angle.",
     )
 
     def theta(self) -> tuple[float, ...]:
@@ -120,7 +120,7 @@ class Snow(Elastic):
         return self
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Return the largest strain for which the stiffness grows at most by a given factor.
+        """Return the largest strain up to which the stiffness grows by at most a given factor.
 
         Compaction by a strain e stiffens snow by the factor exp(hardening e).
         """

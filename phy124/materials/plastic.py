@@ -12,7 +12,7 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import FEW, Elastic, Logarithmic
 
 NORM = math.sqrt(2 / 3)
-"""Ratio of the norm of the deviatoric stress to the uniaxial stress."""
+"""Norm of the deviatoric stress divided by the uniaxial stress."""
 
 
 class Metal(Logarithmic):
@@ -45,7 +45,10 @@ class Metal(Logarithmic):
         default=2e5, ge=1e-3, le=1e12, description="Uniaxial yield stress [Pa]."
     )
     hardening: float = Field(
-        default=0.0, ge=0, le=1e12, description="Rise of yield stress per plastic strain [Pa]."
+        default=0.0,
+        ge=0,
+        le=1e12,
+        description="Rise of the yield stress per unit of plastic strain [Pa].",
     )
 
     def theta(self) -> tuple[float, ...]:
@@ -79,7 +82,10 @@ class Plasticine(Elastic):
         default=4e3, ge=1e-3, le=1e12, description="Uniaxial yield stress [Pa]."
     )
     softening: float = Field(
-        default=1e3, ge=0, le=1e12, description="Loss of yield stress per plastic strain [Pa]."
+        default=1e3,
+        ge=0,
+        le=1e12,
+        description="Loss of yield stress per unit of plastic strain [Pa].",
     )
     residual: float = Field(
         default=0.3, ge=0.01, le=1, description="Fraction of the yield stress that is never lost."
@@ -121,7 +127,10 @@ class Foam(Logarithmic):
     density: float = Field(default=100.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
     E: float = Field(default=5e4, ge=1, le=1e13, description="Young's modulus [Pa].")
     yield_stress: float = Field(
-        default=200.0, ge=0, le=1e12, description="Uniaxial yield stress [Pa]; 0 always flows."
+        default=200.0,
+        ge=0,
+        le=1e12,
+        description="Uniaxial yield stress [Pa]; with 0 the foam always flows.",
     )
     viscosity: float = Field(
         default=50.0, ge=1e-6, le=1e9, description="Consistency of the flow [Pa s^n]."
