@@ -168,9 +168,10 @@ def make_uniform_sums(real: Any):
     """Kernel of one thread: adds impulse and work of the uniform acceleration in a substep.
 
     The acceleration acts after forces on particles and before walls, so `walls_out` stores the
-    walls' sums up to the previous substep. `base` is the momentum without the sums that are still
-    being accumulated. `pushes` and `walls` have one row of sums for each worker;
-    `liquid` has one for the walls of a liquid by projection.
+    walls' sums up to the previous substep, and those of a liquid by projection. The steps of a
+    liquid are long, so the acceleration works on the mean of its momenta before and after the step.
+    `base` is the momentum without the sums that are still being accumulated. `pushes` and `walls`
+    have one row of sums for each worker; `liquid` has one for the walls of a liquid by projection.
     """
 
     @kernel(f"phy124_uniform_sums_{real.__name__}", real)
@@ -190,14 +191,17 @@ def make_uniform_sums(real: Any):
         J = factor * wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
         p = wp.vec3d()
         for c in range(3):
-            p[c] = base[c] + walls_out[c] + given_out[c]
+            before = walls_out[3 + c]
+            p[c] = base[c] + walls_out[c] + before + given_out[c]
             walls_out[c] = wp.float64(0.0)
+            walls_out[3 + c] = wp.float64(0.0)
             for worker in range(pushes.shape[0]):
                 p[c] += pushes[worker, c]
             for worker in range(walls.shape[0]):
                 walls_out[c] += walls[worker, c]
             for row in range(liquid.shape[0]):
-                walls_out[c] += liquid[row, c]
+                walls_out[3 + c] += liquid[row, c]
+            p[c] += (walls_out[3 + c] - before) / wp.float64(2.0)
         work = wp.dot(J, p + J / wp.float64(2.0)) / mass
         add_given(given_out, J, work, wp.length(J), wp.abs(work))
 

@@ -24,10 +24,12 @@ from phy124.kernels.liquid import (
     transfer,
     viscous,
 )
+from phy124.kernels.liquid.energies import AT_END, AT_PRESSURE
 from phy124.kernels.reduction import shared_out
 from phy124.liquid.bodies import STAGE as BODIES
 from phy124.liquid.bodies import Bodies
 from phy124.liquid.cells import Cells
+from phy124.liquid.energies import Energies
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.mixture import Mixture
 from phy124.liquid.projection import Projection
@@ -91,6 +93,8 @@ class Phases:
         self._bodies = bodies
         if bodies is not None:
             bodies.join(self._solids, projection.mobility)
+        self.energies = Energies(model, state, cells, len(workers))
+        """Work on the liquid by cause."""
         self.viscosity = self._mixture.viscosity / (density * model.dx**2)
         """Rate at which velocities diffuse to a neighbouring face [1/s] if the density is the mean.
         """
@@ -116,6 +120,7 @@ class Phases:
         """
         self._tracks, self._walls, self._impulses_of_walls = tracks, walls, impulses_of_walls
         self._mixture.fit(self._cells.count)
+        self.energies.fit(walls, tracks, impulses_of_walls)
         names: list[str] = []
         for index, worker in enumerate(self._workers):
             named = list(self._phases(pushes, index, grid))
@@ -188,6 +193,8 @@ class Phases:
             yield "equation", launches([self._drag(worker), self._anticipate(worker, 1.0)])
         for records in self._equation(worker):
             yield "equation", launches(records)
+        if records := self.energies.before_pressure(worker):
+            yield "equation", launches(records)
 
     def _equation(self, worker: int) -> Iterator[list[Recorded]]:
         """Yield a worker's phases that set up the pressure equation."""
@@ -201,12 +208,16 @@ class Phases:
 
     def _follow(self, worker: int) -> Iterator[list[Recorded]]:
         """Yield a worker's phases in which velocities and particles follow the pressure."""
-        yield [self._gradient(self._cells.pressure, worker), self._impulses(worker)]
+        energies = self.energies
+        pressed = energies.of_walls(AT_PRESSURE, worker)
+        yield [self._gradient(self._cells.pressure, worker), self._impulses(worker), *pressed]
         yield self._respond(worker)
         for turn in range(LAYERS):
             yield [self._spread(worker, turn)]
-        yield [self._slide(worker, self._walls.motions, rubs=self._walls.rub)]
-        yield [self._gather(worker), *self._push_out(worker, stops=True)]
+        slide = self._slide(worker, self._walls.motions, rubs=self._walls.rub)
+        yield [slide, *energies.of_faces(worker)]
+        stop = [*self._push_out(worker, stops=True), *energies.of_walls(AT_END, worker)]
+        yield [self._gather(worker), *stop]
         yield self._respond(worker)
 
     def _density_equation(self, worker: int) -> Iterator[list[Recorded]]:
@@ -221,7 +232,9 @@ class Phases:
         for turn in range(LAYERS_SHIFT):
             yield [self._spread(worker, turn)]
         yield [self._slide(worker, self._walls.still, rubs=False)]
-        yield [self._displace(worker), *self._push_out(worker, stops=False)]
+        moves = [self._displace(worker), *self._push_out(worker, stops=False)]
+        first, last = (self.energies.of_shifts(worker, self._run(worker), sign) for sign in (-1, 1))
+        yield [*first, *moves, *last]
 
     def _run(self, worker: int) -> slice:
         """Return the particles of a worker."""
@@ -251,11 +264,8 @@ class Phases:
 
     def _activate(self, worker: int) -> list[list[Recorded]]:
         """Return a worker's launches that first count the active cells and then list them."""
-        cells, launch, (part, parts) = (
-            self._cells,
-            self._model.launch,
-            self._projection.part(worker),
-        )
+        cells, launch = self._cells, self._model.launch
+        part, parts = self._projection.part(worker)
         counts = self._projection.counts
         ends = [cells.begins, cells.tops]
         outputs = [cells.phi, cells.known, cells.also, cells.liquid]
@@ -480,19 +490,3 @@ class Phases:
         inputs = [cells.lattice, cells.window, cells.other]
         kernel, count = transfer.make_displace(model.real, self._form), run.stop - run.start
         return "density", model.launch(kernel, count, inputs, [self._state.x[run]])
-
-
-def kernels(real: Any, form: str) -> Iterator[Any]:
-    """Yield the kernels of all phases, except those of walls and of conjugate gradients."""
-    yield from (make(real, form) for make in (transfer.make_scatter, transfer.make_scatter_volume))
-    yield from (make(real, form) for make in (transfer.make_gather, transfer.make_displace))
-    yield from (faces.make_sum_copies(real, width) for width in (2, 8))
-    yield from (make(real) for make in (faces.make_extent, active.make_sweep))
-    yield from (active.make_count_active(real), active.make_list_active(real))
-    yield from (active.make_forget(real), mixture.make_mix(real))
-    yield from (make(real) for make in (surface.make_levels, surface.make_refill))
-    yield from (make(real) for make in (pressure.make_assemble, pressure.make_divergence))
-    yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))
-    yield from (make(real) for make in (spread.make_spread, spread.make_slide))
-    yield from (packing.make_excess(real), impulses.settle)
-    yield from (pressure.make_anticipate(real), viscous.make_diffuse(real), viscous.make_drag(real))

@@ -17,22 +17,14 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary
-from phy124.kernels.liquid.bodies import kernels as body_kernels
-from phy124.liquid import phases, projection
 from phy124.liquid.bodies import Advance, Bodies
 from phy124.liquid.cells import Cells
 from phy124.liquid.clock import LiquidClock
+from phy124.liquid.energies import Energies
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.phases import Phases
 from phy124.liquid.projection import Projection
-from phy124.liquid.solids import solid_kernels
-from phy124.liquid.walls import (
-    Walls,
-    wall_kernels,
-    walls_of,
-    walls_of_bodies,
-    walls_of_solids,
-)
+from phy124.liquid.walls import Walls, walls_of, walls_of_bodies, walls_of_solids
 from phy124.mpm import (
     Accumulator,
     Attachable,
@@ -200,6 +192,11 @@ class LiquidSolver:
     def nodes(self) -> int:
         """Number of cells in the window."""
         return self.cells.count
+
+    @property
+    def energies(self) -> Energies:
+        """Work on the liquid by cause, if it is summed."""
+        return self._phases.energies
 
     @property
     def timings(self) -> Timings:
@@ -466,29 +463,3 @@ class LiquidSolver:
 def _launch_all(named: Sequence[Named]) -> None:
     for _, launch in named:
         launch()
-
-
-def kernels(
-    boundaries: Sequence[Boundary],
-    solids: Sequence[str],
-    real: Any,
-    form: str,
-    *,
-    bodies: bool = False,
-) -> Iterator[Any]:
-    """Yield the kernels that a liquid's steps launch, without forces on particles.
-
-    Args:
-        boundaries: The walls.
-        solids: Shapes of free solids.
-        real: wp.float32 or wp.float64.
-        form: Form of the transfers, "plain" or "simd".
-        bodies: Whether other materials move in the liquid.
-    """
-    yield from wall_kernels(boundaries, solids, real)
-    if bodies:
-        yield from body_kernels(real)
-    if solids or bodies:
-        yield from solid_kernels(real)
-    yield from phases.kernels(real, form)
-    yield from projection.kernels()

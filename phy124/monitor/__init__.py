@@ -14,6 +14,7 @@ from phy124.monitor.lattice import (
     LatticeWork,
     LatticeWrenches,
 )
+from phy124.monitor.liquid import LiquidDissipation
 from phy124.monitor.observer import Observer
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.softening import Softening
@@ -28,6 +29,7 @@ OBSERVERS: tuple[type[Observer], ...] = (
     Contacts,
     ExternalWork,
     Dissipation,
+    LiquidDissipation,
     Watchdog,
     Tearing,
     Interior,

@@ -57,7 +57,7 @@ class Dissipation(Observer):
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
         """Return whether the scene requests the energy lost to each cause."""
-        return subject.scene.checks.energy
+        return subject.scene.checks.energy and not subject.scene.projects
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
@@ -68,7 +68,7 @@ class Dissipation(Observer):
     def effect(cls, subject: Subject) -> Effect:
         """Return the row of the effects report for the work of the stress."""
         why = "checks.energy is off: the lost energy is not divided by cause"
-        return Effect("work of the stress", subject.scene.checks.energy, why)
+        return Effect("work of the stress", cls.called_for(subject), why)
 
     def allocate(self, model: Model, workers: int) -> None:
         """Allocate one row of sums for each worker."""
@@ -112,6 +112,19 @@ class Dissipation(Observer):
         if self._plastic:
             material += float(total[STRAINED]) - stored
         return Loss(material, rubbed, -gained - material)
+
+    def details(self, loss: Loss, change: float) -> dict[str, float]:
+        """Return further terms of the balance [J]: none.
+
+        Args:
+            loss: Energy lost to each cause.
+            change: Change of the energy.
+        """
+        del loss, change
+        return {}
+
+    def open(self) -> None:
+        """Start counting from the current state."""
 
     def snapshot(self) -> dict[str, Any]:
         """Return the sums so far, and the stress at the start of the next substep."""

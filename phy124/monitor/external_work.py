@@ -139,9 +139,9 @@ class ExternalWork(Observer):
         del state
         self._model, self._tracks = model, tracks
         self._base, self._walls_before = (
-            wp.zeros(3, dtype=wp.float64, device=model.device) for _ in range(2)
+            wp.zeros(count, dtype=wp.float64, device=model.device) for count in (3, 6)
         )
-        return [Stage(STAGE, self._record_uniform)] if self._varies else []
+        return [Stage(STAGE, self._record_uniform)] if self.by_momentum else []
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver; a solver of liquids by projection sums its walls' work itself."""
@@ -157,8 +157,8 @@ class ExternalWork(Observer):
             self._device[LIQUID] = self._liquid.impulses.total
 
     @property
-    def _varies(self) -> bool:
-        """Whether the uniform acceleration is summed in every substep."""
+    def by_momentum(self) -> bool:
+        """Whether the work of the uniform acceleration is summed in every substep, from momenta."""
         return self._changes or self._tracks.acceleration_varies
 
     def open(self, clock: Clock) -> None:
@@ -176,7 +176,7 @@ class ExternalWork(Observer):
 
     def begin(self, momentum: Sums) -> None:
         """Start a frame with a momentum [kg m/s]; the work of varying forces depends on it."""
-        if self._varies:
+        if self.by_momentum:
             self._momentum = momentum - self._sum()[IMPULSES]
             self._set_base()
 
@@ -191,7 +191,7 @@ class ExternalWork(Observer):
         total = self._sum()
         values: NDArray[Any] = self._tracks.values.numpy()
         a = values[0, :3].astype(np.float64)
-        if self._varies:
+        if self.by_momentum:
             # The sums go to the bodies' last kick, half a substep ago; a liquid is further behind.
             late = self._model.total_mass * (clock.behind - clock.last_dt / 2)
             total[IMPULSES] -= late * a
@@ -267,8 +267,11 @@ class ExternalWork(Observer):
     def _set_base(self) -> None:
         """Store the momentum less the open sums, because these include the walls' last impulse."""
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
-        walls = [self._open(name)[IMPULSES] for name in (WALL, LIQUID) if name in self._device]
-        self._walls_before.assign(sum(walls, np.zeros(3)))
+        walls = [
+            self._open(name)[IMPULSES] if name in self._device else np.zeros(3)
+            for name in (WALL, LIQUID)
+        ]
+        self._walls_before.assign(np.concatenate(walls))
 
     def _attach_push(
         self, stages: Sequence[Stage], model: Model, state: State

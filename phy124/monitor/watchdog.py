@@ -155,6 +155,8 @@ class Watchdog(Observer):
             self._pushed = self._solver.free.impulses()
             if self.external is not None:
                 self.external.open(self.clock)
+            if self._dissipation is not None:
+                self._dissipation.open()
             self._begun = True
         if self.external is not None:
             self.external.begin(self.last.momentum)
@@ -284,7 +286,8 @@ class Watchdog(Observer):
         stored = self.last.elastic - self.first.elastic
         gained, rubbed = self.balance.energy_gain * turnover, -self.external.of_walls()
         loss = self._dissipation.loss(gained, rubbed, stored)
-        return {"energy": {"turnover": turnover, "lost": loss.total, **loss._asdict()}}
+        details = self._dissipation.details(loss, self.last.energy - self.first.energy)
+        return {"energy": {"turnover": turnover, "lost": loss.total, **loss._asdict(), **details}}
 
     def _check_deformation(self, now: Diagnostics) -> Violation | None:
         what, index = "", 0

@@ -190,6 +190,20 @@ class Energy(TypedDict):
     """Loss by friction at walls."""
     numerical: float
     """Remaining loss, caused by the numerical method; negative if energy was gained."""
+    kinetic: NotRequired[float]
+    """Change of the kinetic energy: `forces` plus `walls` minus `lost`; this key and the following
+    ones are for liquids by pressure projection.
+    """
+    forces: NotRequired[float]
+    """Work of gravity and other forces."""
+    walls: NotRequired[float]
+    """Work of walls by their motion."""
+    projection: NotRequired[float]
+    """Part of `numerical`: loss by the pressure equation."""
+    density: NotRequired[float]
+    """Part of `numerical`: potential energy lost to the displacements that restore the density."""
+    transfers: NotRequired[float]
+    """Part of `numerical`: loss by the transfers between particles and grid."""
 
 
 class Report(TypedDict):

@@ -85,7 +85,6 @@ def _obstacles(
     asked = {
         "contacts": (scene.keeps_contacts, "forces of walls on single particles"),
         "stiffness_profile": (softens, "a stiffness that changes"),
-        "checks.energy": (scene.checks.energy, "the energy lost by cause"),
     }
     yield from ((field, "set", limit) for field, (wanted, limit) in asked.items() if wanted)
 

@@ -143,12 +143,13 @@ class Scene(Section):
     def _check_together(self) -> Scene:
         check_objects(self.object, self.objects)
         check_transfer(self.resolution)
+        moves = any(wall.moves for wall in self.boundaries)
         check_energy(
             self.checks,
             {
-                "objects": bool(self.objects),
+                "objects": bool(self.objects) and not self._is_liquid,
                 "accuracy.gradient = spline": self.resolution.gradient != "affine",
-                "a boundary that moves": any(wall.moves for wall in self.boundaries),
+                "a boundary that moves": moves and not self._is_liquid,
                 "stiffness_profile": self.stiffness_profile is not None,
                 "accuracy.rpic_damping and a viscous material": self._damped_twice,
             },
@@ -160,6 +161,12 @@ class Scene(Section):
             if section.object is not None:
                 check_name(section.object, moving)
         return self
+
+    @property
+    def _is_liquid(self) -> bool:
+        """Whether liquids by pressure projection are all that moves, except walls."""
+        free = any(item.free for item in self.objects)
+        return self.projects and not self.has_solids and not free
 
     @property
     def _damped_twice(self) -> bool:

@@ -187,7 +187,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     subject = Subject(scene, scene.materials)
     yield from tracks.kernels(real)
     if scene.projects:
-        from phy124.liquid.solver import kernels as liquid_kernels
+        from phy124.liquid.kernels import kernels as liquid_kernels
 
         solids = [body.shape or "" for body in scene.objects if body.free]
         bodies = scene.mixes

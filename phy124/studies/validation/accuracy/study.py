@@ -303,7 +303,7 @@ class Study:
 
 def _can_split(scene: Scene) -> bool:
     """Return whether the energy loss of a scene can be split by cause."""
-    if scene.projects or scene.on_lattice:
+    if scene.on_lattice:
         return False
     try:
         scene.replaced({"checks.balance": True, "checks.energy": True})

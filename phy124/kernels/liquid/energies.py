@@ -1,0 +1,171 @@
+"""Sums the work on a liquid by cause: viscosity, pressure, walls, and the density's displacements.
+
+The work of an impulse is its product with the mean of the velocities at the start and at the end of
+the step, so the works of all causes add up to the change of a face's kinetic energy, and all of
+them are zero in a liquid at rest, where pressure balances gravity. The faces behind walls and above
+the surface that have a share of the particles' mass move like their neighbours in the liquid, so
+their mass counts for these.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Ints, types
+from phy124.kernels.build import build_once, kernel
+from phy124.kernels.diagnostics import wide
+from phy124.kernels.liquid.faces import cell_of, entry, inner, stride, sums
+from phy124.kernels.reduction import add_to
+
+VISCOUS, PRESSED, SHIFTED = 0, 1, 2
+"""Index of each sum: work of viscosity and of pressure, and work of the uniform acceleration on the
+displacements that restore the density [J].
+"""
+AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
+"""Index of the work of walls up to a phase of the step, with the velocities of the walls; the next
+sum is their work with the velocities of the liquid, as `WallImpulses` sums it.
+"""
+COUNT = 9
+"""Number of sums."""
+
+
+@build_once
+def make_keep(real: Any):
+    """Kernel over cells: copies velocities."""
+    t = types(real)
+
+    @kernel(f"phy124_liquid_keep_{real.__name__}", real)
+    def keep(worker: int, active: Ints, ends: Ints, velocity: t.vec4s, velocity_out: t.vec4s):
+        n = entry(active, ends, worker, wp.tid())
+        if n >= 0:
+            velocity_out[n] = velocity[n]
+
+    return keep
+
+
+@wp.func
+def acts(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, axis: int, step: int):
+    """Return 1 if the pressure acts on a low face, where the previous cell is `step` before."""
+    wet = liquid[n] + liquid[n - step] > 0
+    return wp.where(wet and open[n][axis] > type(open[n][axis])(0.0), 1, 0)
+
+
+@wp.func
+def mass_with_outside(
+    open: wp.array(dtype=Any),
+    liquid: wp.array(dtype=int),
+    cells: wp.array(dtype=Any),
+    n: int,
+    axis: int,
+    size: wp.vec3i,
+):
+    """Return the mass of a face, with shares of those next to it on which no pressure acts."""
+    across = stride(axis, size)
+    total = cells[n][4 + axis]
+    for along in range(3):
+        for side in range(2):
+            m = n + (2 * side - 1) * stride(along, size)
+            extra = cells[m][4 + axis]
+            if extra > type(extra)(0.0) and acts(open, liquid, m, axis, across) == 0:
+                count = int(0)
+                for other in range(3):
+                    step = stride(other, size)
+                    count += acts(open, liquid, m - step, axis, across)
+                    count += acts(open, liquid, m + step, axis, across)
+                total += extra / type(extra)(count)
+    return total
+
+
+@build_once
+def make_face_work(real: Any):
+    """Kernel over cells: adds the work of viscosity and pressure on the low faces to `sums_out`.
+
+    `before` holds the velocities before the pressure acts, `velocity` those after it and `after`
+    those at the end of the step.
+    """
+    t = types(real)
+    vec8 = sums(real)
+
+    @kernel(f"phy124_liquid_face_work_{real.__name__}", real, seconds=0.3)
+    def face_work(
+        worker: int,
+        active: Ints,
+        ends: Ints,
+        window,
+        clock,
+        values,
+        open: t.vec4s,
+        liquid: Ints,
+        cells: wp.array(dtype=vec8),
+        before: t.vec4s,
+        velocity: t.vec4s,
+        after: t.vec4s,
+        sums_out,
+    ):
+        n = entry(active, ends, worker, wp.tid())
+        if n < 0:
+            return
+        size = window[1]
+        if not inner(cell_of(n, size), size, 3):
+            return
+        q = cells[n]
+        a = values[0]
+        viscous = wp.float64(0.0)
+        pressed = wp.float64(0.0)
+        for axis in range(3):
+            if q[4 + axis] > real(0.0) and acts(open, liquid, n, axis, stride(axis, size)) == 1:
+                m = mass_with_outside(open, liquid, cells, n, axis, size)
+                first = q[axis] / q[4 + axis]
+                mean = wp.float64(m) * wp.float64(0.5) * wp.float64(first + after[n][axis])
+                change = before[n][axis] - (first + clock[0] * a[axis])
+                viscous += mean * wp.float64(change)
+                pressed += mean * wp.float64(velocity[n][axis] - before[n][axis])
+        add_to(sums_out, VISCOUS, viscous)
+        add_to(sums_out, PRESSED, pressed)
+
+    return face_work
+
+
+@build_once
+def make_wall_work(real: Any):
+    """Kernel of one thread: adds the work of all walls in a step so far to `sums_out`.
+
+    `at` is the index of the work with the walls' velocities; the work with those of the liquid is
+    the next sum.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_wall_work_{real.__name__}", real)
+    def wall_work(
+        at: int,
+        motions: wp.array2d(dtype=t.vec3),
+        impulses: wp.array2d(dtype=wp.float64),
+        sums_out,
+    ):
+        for wall in range(impulses.shape[0]):
+            J = wp.vec3d(impulses[wall, 0], impulses[wall, 1], impulses[wall, 2])
+            sums_out[at] = sums_out[at] + wp.dot(J, wide(motions[wall, 0]))
+            sums_out[at + 1] = sums_out[at + 1] + impulses[wall, 6]
+
+    return wall_work
+
+
+@build_once
+def make_shift_work(real: Any):
+    """Kernel: adds `sign` times the uniform acceleration times mass and position to `sums_out`.
+
+    Launched before displacements with the sign -1 and after them with 1, it adds their work.
+    """
+
+    @kernel(f"phy124_liquid_shift_work_{real.__name__}", real, seconds=0.2)
+    def shift_work(sign: real, first, each, stride, mass, values, x, sums_out):
+        q = values[0]
+        a = wp.vec3d(wp.float64(q[0]), wp.float64(q[1]), wp.float64(q[2]))
+        total = wp.float64(0.0)
+        for k in range(each):
+            p = wp.tid() * first + k * stride
+            if p < mass.shape[0]:
+                total += wp.float64(mass[p]) * wp.dot(a, wide(x[p]))
+        add_to(sums_out, SHIFTED, wp.float64(sign) * total)
+
+    return shift_work

@@ -1,0 +1,151 @@
+"""Energies: the work on a liquid by cause, summed in every step of a run that asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.liquid import energies as kernels
+from phy124.kernels.reduction import shared_out
+from phy124.liquid.cells import Cells
+from phy124.liquid.impulses import WallImpulses
+from phy124.liquid.walls import Walls
+from phy124.mpm import Model, State
+from phy124.mpm.model import part_of
+from phy124.mpm.stage import Recorded
+from phy124.mpm.tracks import Tracks
+
+STAGE = "dissipation"
+"""Name of the stages, like those of other materials."""
+ROOM = 16
+"""Numbers reserved for the sums of a worker, so that no two workers write to the same cache line.
+"""
+
+
+class Works(NamedTuple):
+    """Work on the liquid since the start [J]; negative if the liquid lost energy."""
+
+    walls: float
+    """Work of the motion of walls."""
+    viscous: float
+    """Viscosity, also at walls to which the liquid sticks."""
+    friction: float
+    """Friction at walls, and impacts of particles on them."""
+    projection: float
+    """Pressure, without the work of the walls."""
+    density: float
+    """Uniform acceleration, on the displacements that restore the density."""
+
+
+class Energies:
+    """Records the launches that sum work; without `start`, there are none."""
+
+    def __init__(self, model: Model, state: State, cells: Cells, workers: int) -> None:
+        """Refer to the particles and cells of a run.
+
+        Args:
+            model: The particles.
+            state: Their positions.
+            cells: The cells.
+            workers: Number of workers.
+        """
+        self._model, self._state, self._cells = model, state, cells
+        self._sums = wp.zeros((workers, ROOM), dtype=wp.float64, device=model.device)
+        self._on = False
+
+    def start(self) -> None:
+        """Sum the work from the next recording of launches on."""
+        self._on = True
+
+    def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses) -> None:
+        """Refer to walls and accelerations, and allocate the arrays of a window."""
+        self._walls, self._tracks, self._impulses = walls, tracks, impulses
+        if self._on:
+            self._before = wp.zeros_like(self._cells.velocity)
+
+    def before_pressure(self, worker: int) -> list[Recorded]:
+        """Return a worker's launches that keep velocities, and sum the drag of walls."""
+        if not self._on:
+            return []
+        cells, keep = self._cells, kernels.make_keep(self._model.real)
+        inputs = [worker, cells.active, cells.ends, cells.velocity]
+        copy = self._model.launch(keep, self._count, inputs, [self._before])
+        return [(STAGE, copy), *self.of_walls(kernels.AT_DRAG, worker)]
+
+    def of_walls(self, at: int, worker: int) -> list[Recorded]:
+        """Return a worker's launch that sums the work of walls in the step so far."""
+        if not (self._on and self._walls.all):
+            return []
+        inputs = [at, self._walls.motions, self._impulses.rows(worker)]
+        kernel = kernels.make_wall_work(self._model.real)
+        return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
+
+    def of_faces(self, worker: int) -> list[Recorded]:
+        """Return a worker's launch that sums the work on faces, once they have their velocities."""
+        if not self._on:
+            return []
+        cells, tracks = self._cells, self._tracks
+        inputs = [worker, cells.active, cells.ends, cells.window, tracks.clock, tracks.values]
+        inputs += [cells.open, cells.liquid, part_of(cells.sums, slice(0, cells.count))]
+        inputs += [self._before, cells.velocity, cells.other]
+        kernel = kernels.make_face_work(self._model.real)
+        return [(STAGE, self._model.launch(kernel, self._count, inputs, [self._row(worker)]))]
+
+    def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
+        """Return a worker's launch before displacements (sign -1) or after them (sign 1)."""
+        if not self._on:
+            return []
+        threads, *fraction = shared_out(run.stop - run.start, self._model.device)
+        inputs = [sign, *fraction, self._model.mass[run], self._tracks.values, self._state.x[run]]
+        kernel = kernels.make_shift_work(self._model.real)
+        return [(STAGE, self._model.launch(kernel, threads, inputs, [self._row(worker)]))]
+
+    def read(self) -> Works:
+        """Return the work so far."""
+        total: NDArray[Any] = np.asarray(self._sums.numpy()).sum(axis=0)
+        drag, pressure, end = (
+            total[at : at + 2] for at in (kernels.AT_DRAG, kernels.AT_PRESSURE, kernels.AT_END)
+        )
+        return Works(
+            walls=float(end[0]),
+            viscous=float(total[kernels.VISCOUS] - drag[0]),
+            friction=float((end - drag) @ (-1.0, 1.0)),
+            projection=float(total[kernels.PRESSED] - (pressure - drag)[0]),
+            density=float(total[kernels.SHIFTED]),
+        )
+
+    def clear(self) -> None:
+        """Start all sums at zero."""
+        self._sums.zero_()
+
+    def snapshot(self) -> list[list[float]]:
+        """Return the sums as plain data."""
+        rows: list[list[float]] = np.asarray(self._sums.numpy()).tolist()
+        return rows
+
+    def restore(self, snapshot: list[list[float]]) -> None:
+        """Return to a snapshot; if the number of workers differs, all sums go to the first one."""
+        rows = np.zeros(self._sums.shape)
+        if rows.shape == np.shape(snapshot):
+            rows[:] = snapshot
+        else:
+            rows[0] = np.sum(snapshot, axis=0)
+        self._sums.assign(rows)
+
+    @property
+    def _count(self) -> int:
+        """Largest number of cells of a worker."""
+        return -(-self._cells.count // len(self._sums))
+
+    def _row(self, worker: int) -> wp.array:
+        return cast("wp.array", self._sums[worker])
+
+
+def energy_kernels(real: Any) -> Iterator[Any]:
+    """Yield the kernels that sum work."""
+    yield from (kernels.make_keep(real), kernels.make_face_work(real))
+    yield from (kernels.make_wall_work(real), kernels.make_shift_work(real))

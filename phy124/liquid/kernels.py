@@ -1,0 +1,66 @@
+"""The kernels that a liquid's steps launch, to be compiled before a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from phy124.boundaries import Boundary
+from phy124.kernels.liquid import (
+    active,
+    faces,
+    impulses,
+    mixture,
+    packing,
+    pressure,
+    spread,
+    surface,
+    transfer,
+    viscous,
+)
+from phy124.kernels.liquid.bodies import kernels as body_kernels
+from phy124.liquid import projection
+from phy124.liquid.solids import solid_kernels
+from phy124.liquid.walls import wall_kernels
+
+
+def kernels(
+    boundaries: Sequence[Boundary],
+    solids: Sequence[str],
+    real: Any,
+    form: str,
+    *,
+    bodies: bool = False,
+) -> Iterator[Any]:
+    """Yield the kernels that a liquid's steps launch, without forces on particles.
+
+    Args:
+        boundaries: The walls.
+        solids: Shapes of free solids.
+        real: wp.float32 or wp.float64.
+        form: Form of the transfers, "plain" or "simd".
+        bodies: Whether other materials move in the liquid.
+    """
+    yield from wall_kernels(boundaries, solids, real)
+    if bodies:
+        yield from body_kernels(real)
+    if solids or bodies:
+        yield from solid_kernels(real)
+    yield from _of_phases(real, form)
+    yield from projection.kernels()
+
+
+def _of_phases(real: Any, form: str) -> Iterator[Any]:
+    """Yield the kernels of all phases, except those of walls and of conjugate gradients."""
+    yield from (make(real, form) for make in (transfer.make_scatter, transfer.make_scatter_volume))
+    yield from (make(real, form) for make in (transfer.make_gather, transfer.make_displace))
+    yield from (faces.make_sum_copies(real, width) for width in (2, 8))
+    yield from (make(real) for make in (faces.make_extent, active.make_sweep))
+    yield from (active.make_count_active(real), active.make_list_active(real))
+    yield from (active.make_forget(real), mixture.make_mix(real))
+    yield from (make(real) for make in (surface.make_levels, surface.make_refill))
+    yield from (make(real) for make in (pressure.make_assemble, pressure.make_divergence))
+    yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))
+    yield from (make(real) for make in (spread.make_spread, spread.make_slide))
+    yield from (packing.make_excess(real), impulses.settle)
+    yield from (pressure.make_anticipate(real), viscous.make_diffuse(real), viscous.make_drag(real))

@@ -1,0 +1,93 @@
+"""LiquidDissipation: energy that a liquid by pressure projection loses, by cause.
+
+The solver sums the work of each cause in every step (phy124/liquid/energies.py). The rest of the
+loss is that of the transfers between particles and faces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from phy124.liquid.energies import energy_kernels
+from phy124.monitor.dissipation import Dissipation, Loss
+from phy124.monitor.external_work import ExternalWork
+from phy124.monitor.observer import Effect, Observer, Subject, find
+
+
+class LiquidDissipation(Dissipation):
+    """Work on the liquid, summed in every step."""
+
+    in_gathers = False
+    in_substeps = True
+
+    def __init__(self) -> None:
+        """Sum nothing before `bind`."""
+
+    @classmethod
+    def called_for(cls, subject: Subject) -> bool:
+        """Return whether the scene requests the energy that its liquid lost to each cause."""
+        return subject.scene.checks.energy and subject.scene.projects
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernels that sum the work of each cause."""
+        del subject
+        yield from energy_kernels(real)
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect | None:
+        """Return the row for the work of each cause; without a liquid, there is none."""
+        why = "checks.energy is off: the lost energy is not divided by cause"
+        name = "work on the liquid by cause"
+        return Effect(name, cls.called_for(subject), why) if subject.scene.projects else None
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, which sums the work from its first step on."""
+        self._energies, self._external = solver.energies, find(observers, ExternalWork)
+        self._energies.start()
+
+    def open(self) -> None:
+        """Start counting from the current state."""
+        self._energies.clear()
+
+    def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
+        """Return the energy [J] lost to each cause: viscosity, friction at walls, and the numerics.
+
+        Args:
+            gained: Energy of the liquid now, minus the energy at the start and the work of all
+                forces and walls.
+            rubbed: Minus the work of walls, of which friction is a part.
+            stored: Elastic energy; a liquid has none.
+        """
+        del stored
+        works = self._energies.read()
+        lost = rubbed + works.walls - gained
+        if self._external is not None and self._external.by_momentum:
+            lost += works.density
+        return Loss(-works.viscous, -works.friction, lost + works.viscous + works.friction)
+
+    def details(self, loss: Loss, change: float) -> dict[str, float]:
+        """Return the work that changed the kinetic energy, and the parts of the numerical loss [J].
+
+        Args:
+            loss: Energy lost to each cause.
+            change: Change of the kinetic energy.
+        """
+        works = self._energies.read()
+        return {
+            "kinetic": change,
+            "forces": change + loss.total - works.walls,
+            "walls": works.walls,
+            "projection": -works.projection,
+            "density": works.density,
+            "transfers": loss.numerical + works.projection - works.density,
+        }
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the sums so far."""
+        return {"sums": self._energies.snapshot()}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Return to a snapshot; if the number of workers differs, all sums go to the first one."""
+        self._energies.restore(snapshot["sums"])

@@ -1,0 +1,141 @@
+"""Where the energy of a liquid by pressure projection goes: works by cause, with known results."""
+
+import numpy as np
+import pytest
+
+from phy124.boundaries import Container, HalfSpace, Path
+from phy124.errors import InputError
+from phy124.monitor.diagnostics import diagnose
+from phy124.pipeline import resume
+from phy124.runtime.context import RunContext
+from phy124.scene import Scene
+from phy124.schema.region import Region
+from phy124.simulation import Simulation, prepare
+from support.shapes import ball
+from test_liquid import DENSITY, TANK, G, block, liquid, run
+
+
+def works(solver, steps):
+    """Works by cause [J], with the change of the energy and the work of gravity."""
+    first = diagnose(solver)
+    run(solver, steps)
+    now = diagnose(solver)
+    fallen = float(solver.clock.pull @ (now.middle - first.middle))
+    return {
+        **solver.energies.read()._asdict(),
+        "change": now.energy - first.energy,
+        "gravity": fallen,
+    }
+
+
+def measured(x, cells, walls, **options):
+    solver = liquid(x, cells, walls, **options)
+    solver.energies.start()
+    return solver
+
+
+def test_nothing_works_on_a_still_tank():
+    x = block((0, 0, 0), (1, 1, 0.5), 8)
+    solver = run(measured(x, 8, [TANK]), 24)
+    solver.energies.clear()
+    weight = len(x) / 8**4 * DENSITY * G
+    for name, work in works(solver, 12).items():
+        assert abs(work) < 1e-3 * weight * 0.25, name
+
+
+def test_only_gravity_works_on_a_drop_before_it_lands():
+    x = block((-0.25,) * 3, (0.25,) * 3, 16)
+    x = x[(x**2).sum(axis=1) < 0.25**2] + (0, 0, 1)
+    solver = measured(x, 16, [TANK])
+    energy = works(solver, 12)
+    mass, speed = solver.model.total_mass, G * (0.25 - 0.5 / 48)
+    assert energy["gravity"] == pytest.approx(mass * G**2 * 0.25**2 / 2, rel=0.01)
+    assert energy["change"] == pytest.approx(energy["gravity"], rel=0.005)
+    assert diagnose(solver).kinetic == pytest.approx(mass * speed**2 / 2, rel=0.01)
+    for name in ("walls", "viscous", "friction", "projection", "density"):
+        assert abs(energy[name]) < 0.003 * energy["gravity"], name
+
+
+def test_viscosity_takes_what_a_vortex_loses():
+    """The energy of a Taylor-Green vortex decays with exp(-4 pi^2 nu t)."""
+    nu, walls = 0.05, Container(inside=Region(lower=(0, 0, 0), upper=(1, 0.25, 1)), contact="slip")
+    x = block((0, 0, 0), (1, 0.25, 1), 16)
+    a, b = np.pi * x[:, 0], np.pi * x[:, 2]
+    v = 0.2 * np.stack([np.sin(a) * np.cos(b), 0 * a, -np.cos(a) * np.sin(b)], axis=1)
+    C = np.zeros((len(x), 3, 3))
+    C[:, 0, 0], C[:, 0, 2] = np.cos(a) * np.cos(b), -np.sin(a) * np.sin(b)
+    C[:, 2, 0], C[:, 2, 2] = -C[:, 0, 2], -C[:, 0, 0]
+    solver = measured(x, 16, [walls], gravity=(0, 0, 0), viscosity=nu * DENSITY)
+    solver.state.v.assign(v.astype(np.float32))
+    solver.state.C.assign((0.2 * np.pi * C).astype(np.float32))
+    first = diagnose(solver).energy
+    energy = works(solver, 24)
+    expected = first * (1 - np.exp(-4 * np.pi**2 * nu * 0.5))
+    assert -energy["viscous"] == pytest.approx(expected, rel=0.05)
+    assert -energy["change"] == pytest.approx(expected, rel=0.05)
+    assert abs(energy["projection"]) < 0.01 * expected
+
+
+def test_floor_that_rises_lifts_the_weight():
+    motion = Path(times=(0.0, 0.5), points=((0.0, 0.0, 0.0), (0.0, 0.0, 0.1)))
+    floor = HalfSpace(point=(0, 0, 0), normal=(0, 0, 1), contact="slip", motion=motion)
+    sides = Container(inside=Region(lower=(0, 0, -1), upper=(1, 1, 1e9)), contact="slip")
+    x = block((0, 0, 0), (1, 1, 0.5), 8)
+    energy = works(measured(x, 8, [sides, floor]), 30)
+    assert energy["walls"] == pytest.approx(0.5 * DENSITY * G * 0.1, rel=0.02)
+    assert energy["gravity"] == pytest.approx(-energy["walls"], rel=0.02)
+    for name in ("viscous", "friction", "projection", "density"):
+        assert abs(energy[name]) < 0.02 * energy["walls"], name
+
+
+def test_nothing_is_launched_without_a_request():
+    x = block((0, 0, 0), (0.5, 0.5, 0.5), 8)
+    with_sums, without = run(measured(x, 8, [TANK]), 2), run(liquid(x, 8, [TANK]), 2)
+    assert "dissipation" in with_sums.timings
+    assert "dissipation" not in without.timings
+    assert np.array_equal(with_sums.state.x.numpy(), without.state.x.numpy())
+
+
+def basin(**changes):
+    """A ball of a viscous liquid that falls into a basin with rough walls, at 8 cells."""
+    changes = {"accuracy": {"cells": 8}, "time.frames": 16, "checks.energy": True, **changes}
+    return Scene.named("water").replaced({**changes, "material.viscosity": 5.0})
+
+
+def simulate(scene, threads=1):
+    return Simulation(prepare(ball(), scene, RunContext(threads=threads)))
+
+
+def test_report_divides_the_loss_of_a_liquid(tmp_path):
+    whole = simulate(basin()).run().report["energy"]
+    assert whole["material"] > 0 and whole["contact"] > 0 and whole["projection"] > 0
+    parts = whole["material"] + whole["contact"] + whole["numerical"]
+    assert parts == pytest.approx(whole["lost"], rel=1e-12)
+    numerical = whole["projection"] + whole["density"] + whole["transfers"]
+    assert numerical == pytest.approx(whole["numerical"], rel=1e-12)
+    work = whole["forces"] + whole["walls"] - whole["lost"]
+    assert work == pytest.approx(whole["kinetic"], rel=1e-9)
+    paused = simulate(basin())
+    for frame in paused:
+        if frame.index == 8:
+            break
+    resume.save(paused, tmp_path / "pause.safetensors")
+    assert resume.load(tmp_path / "pause.safetensors").run().report["energy"] == whole
+    two = simulate(basin(), threads=2).run().report["energy"]
+    assert two["material"] == pytest.approx(whole["material"], rel=0.02)
+
+
+def test_gravity_that_varies_gives_the_same_balance():
+    """Up to the grid's error: varying acceleration works on momenta, a steady one on positions."""
+    profile = {"kind": "keyframes", "times": [0.0, 0.01], "factors": [0.999999, 1.0]}
+    forces = [{"kind": "gravity", "profile": profile}]
+    steady, varied = (
+        simulate(basin(**changes)).run().report["energy"] for changes in ({}, {"forces": forces})
+    )
+    assert varied["projection"] == pytest.approx(steady["projection"], rel=0.01)
+    assert varied["forces"] == pytest.approx(steady["forces"], rel=0.15)
+
+
+def test_bodies_in_a_liquid_have_no_split():
+    with pytest.raises(InputError, match=r"checks\.energy does not support objects"):
+        basin(objects=[{"name": "duck"}])
