@@ -28,7 +28,7 @@ def scene(name="drop", **changes):
         ({"accuracy.transfer": "xpic2"}, "accuracy.transfer is xpic2"),
         ({"accuracy.solver": "mpm"}, "accuracy.solver is mpm"),
         ({"binding": "particles"}, "binding is particles"),
-        ({"contacts": True}, "contacts is on"),
+        ({"checks.energy": True}, "checks.energy is on"),
         ({"properties.file": "laws.npz"}, "in a file"),
     ],
 )
@@ -57,8 +57,9 @@ def test_fine_computes_in_float32_on_lattices_alone():
 
 
 def test_effects_tell_why_there_is_no_lattice():
-    omitted = {row.effect: row.why for row in Effects.of(scene(contacts=True)).left_out}
-    assert omitted["rest lattice"].startswith("contacts is on")
+    chosen = scene(**{"checks.energy": True})
+    omitted = {row.effect: row.why for row in Effects.of(chosen).left_out}
+    assert omitted["rest lattice"].startswith("checks.energy is on")
     (sand,) = (row for row in Effects.of(scene("sand")).left_out if row.effect == "rest lattice")
     assert sand.why == "lattices are for elastic materials"
 
@@ -71,7 +72,7 @@ def left_out_on_gpu(scene, **known):
 
 def test_auto_is_mpm_on_a_gpu():
     assert choose_solver(scene(), "cuda:0").solver == "mpm"
-    for changes, why in (({}, "slower on a GPU"), ({"contacts": True}, "contacts is on")):
+    for changes, why in (({}, "slower on a GPU"), ({"binding": "particles"}, "binding")):
         (row,) = left_out_on_gpu(scene(**changes))
         assert why in row.why and "accuracy.solver" not in row.why
         chosen = choose_solver(scene(**changes), "cuda:0")
@@ -81,7 +82,7 @@ def test_auto_is_mpm_on_a_gpu():
 
 
 def test_changes_coarse_grids_and_studies_keep_the_solver():
-    before, after = scene(), scene(contacts=True)
+    before, after = scene(), scene(**{"checks.energy": True})
     assert keep_lattice(after, before).on_lattice and keep_lattice(before, before) is before
     assert not keep_lattice(before, after).on_lattice
     bound = scene(binding="particles")

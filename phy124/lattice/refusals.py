@@ -75,8 +75,6 @@ def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
     yield from _refusals_of_materials(scene, materials)
     if scene.binding != "lattice":
         yield Refusal("binding", scene.binding, "its particles are not on a lattice.")
-    if scene.contacts or "force" in scene.view.outputs:
-        yield Refusal("contacts", "on", "the lattice solver does not share wall forces yet.")
     if scene.checks.energy:
         yield Refusal("checks.energy", "on", "the lattice solver does not split its losses yet.")
     accuracy = scene.resolution

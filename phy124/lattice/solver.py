@@ -54,6 +54,8 @@ FORGET = 4
 """An earlier frequency decays this many times as fast as in the default solver, because the fastest
 vibration belongs to a few points that are squeezed for a short time.
 """
+PARTS = ("walls", "meetings", "pairs", "free", "clock", "spectrum")
+"""Parts of the solver that have a state, in the order in which they are restored."""
 
 
 class LatticeSolver:
@@ -124,10 +126,11 @@ class LatticeSolver:
         """Further contact, with launches like those of walls."""
         self.softened = 1.0
         """Factor by which all stiffnesses are currently scaled."""
-        self._spectrum = Spectrum(
+        self.spectrum = Spectrum(
             model, self._crew, self.nodes_state, self.lattice, lambda: self.phases.run_task(TRIAL)
         )
-        self.substep_at_rest = self.clock.cfl * self._spectrum.substep_at_rest
+        """The largest frequency of the bodies, which limits the substep."""
+        self.substep_at_rest = self.clock.cfl * self.spectrum.substep_at_rest
         """Length of a substep at rest [s]."""
         self._probing = False
         """Whether the next substep measures the largest frequency."""
@@ -382,7 +385,7 @@ class LatticeSolver:
             self._read(self.clock.time - self._measured)
             self._measured = self.clock.time
         clock = self.clock
-        measured = clock.extremes._replace(stiffness=self._spectrum.stiffen(self.softened))
+        measured = clock.extremes._replace(stiffness=self.spectrum.stiffen(self.softened))
         passed = FORGET * clock.since_complete
         clock.limit_by(measured.after(clock.extremes, substeps=passed), complete=True)
         clock.interval = self._interval()
@@ -429,9 +432,9 @@ class LatticeSolver:
         """Measure the largest frequency; call this after forces are summed and before they act."""
         self._probing, self._strain, self._probed = False, 0.0, self.clock.substeps
         self.phases.join()
-        run_timed(self.timings, "frequency", self._spectrum.follow)
+        run_timed(self.timings, "frequency", self.spectrum.follow)
         extremes = self.clock.extremes
-        stiffness = max(self._spectrum.stiffness, extremes.stiffness)
+        stiffness = max(self.spectrum.stiffness, extremes.stiffness)
         self.clock.extremes = extremes._replace(stiffness=stiffness)
 
     def _look(self) -> None:
@@ -470,12 +473,7 @@ class LatticeSolver:
         return {
             "state": self.state.snapshot(),
             "nodes": {name: wp.clone(getattr(nodes, name)) for name in ("u", "residue", "v")},
-            "walls": self.walls.snapshot(),
-            "meetings": self.meetings.snapshot(),
-            "pairs": self.pairs.snapshot(),
-            "free": self.free.snapshot(),
-            "clock": self.clock.snapshot(),
-            "spectrum": self._spectrum.snapshot(),
+            **{name: getattr(self, name).snapshot() for name in PARTS},
             "measured": self._measured,
             "probing": self._probing,
             "probed": (self._strain, self._probed),
@@ -486,12 +484,8 @@ class LatticeSolver:
         self.state.restore(snapshot["state"])
         for name, array in snapshot["nodes"].items():
             getattr(self.nodes_state, name).assign(array)
-        self.walls.restore(snapshot["walls"])
-        self.meetings.restore(snapshot["meetings"])
-        self.pairs.restore(snapshot["pairs"])
-        self.free.restore(snapshot["free"])
-        self.clock.restore(snapshot["clock"])
-        self._spectrum.restore(snapshot["spectrum"])
+        for name in PARTS:
+            getattr(self, name).restore(snapshot[name])
         self._strain, self._probed = snapshot["probed"]
         self._crew.stray.zero_()
         self._crew.take_maxima()

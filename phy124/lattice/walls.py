@@ -33,6 +33,7 @@ from phy124.kernels.lattice.contact import (
 from phy124.kernels.lattice.nodes import make_hold, make_pin
 from phy124.kernels.lattice.partners import make_expose, make_flag, make_partner
 from phy124.kernels.lattice.rows import Rows, rows_for
+from phy124.lattice.impulses import Impulses
 from phy124.lattice.rest import RestLattice, splines
 from phy124.lattice.surface import Surface
 from phy124.mpm.model import Model
@@ -128,7 +129,10 @@ class Walls:
         self.sums = wp.zeros((len(simple), SUMS), dtype=wp.float64, device=model.device)
         """Impulse, work and moment of each simple wall [W,16] (phy124/kernels/lattice/contact.py).
         """
+        self.impulses: Impulses | None = None
+        """Sums per surface point and node; None unless `keep_impulses` was called."""
         self._dx, self._listed = model.dx, 0
+        self._around = model, surface.count, nodes, tracks
         points = _Points.of(surface, lattice, model, substep)
         self.recovery = RESTORE["separate"] * points.slowest
         """Speed at which points come out of a wall, per depth [1/s]."""
@@ -146,17 +150,24 @@ class Walls:
         """Return whether there is any wall or clamp."""
         return bool(self._clamps or self._contacts)
 
+    def keep_impulses(self) -> None:
+        """Sum impulses per surface point and node, in the launches that `stages` returns next."""
+        self.impulses = Impulses(*self._around)
+
     def stages(self) -> list[list[Named]]:
         """Return the launches of a substep that apply earlier impulses, correct and sum them.
 
         Clamps act before the impulses.
         """
-        clamps = [("clamp", launch) for clamp in self._clamps for launch in clamp.record()]
-        stages = [contact.record() for contact in self._contacts]
+        clamps = launches([("clamp", item) for clamp in self._clamps for item in clamp.record()])
+        if clamps and self.impulses is not None:
+            held = np.unique(np.concatenate([clamp.nodes for clamp in self._clamps]))
+            clamps = self.impulses.hold(clamps, held)
+        stages = [contact.record(self.impulses) for contact in self._contacts]
         touch, resist, account = (
             [("contact", contact[number]) for contact in stages] for number in range(3)
         )
-        return [[*launches(clamps), *touch], resist, account]
+        return [[*clamps, *touch], resist, account]
 
     def look(self) -> None:
         """Measure the distances of all surface points from the walls."""
@@ -199,12 +210,15 @@ class Walls:
 
     def snapshot(self) -> dict[str, Any]:
         """Return sums and contact forces."""
-        return {"sums": wp.clone(self.sums), "forces": self.forces()}
+        kept = {"sums": wp.clone(self.sums), "forces": self.forces()}
+        return kept if self.impulses is None else {**kept, "impulses": wp.clone(self.impulses.sums)}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
         self.sums.assign(snapshot["sums"])
         self.put_forces(snapshot["forces"])
+        if self.impulses is not None:
+            self.impulses.sums.assign(snapshot["impulses"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,6 +271,8 @@ class _Clamp:
         pairs, ratios = _pins(lattice, far, acts_on(part, model, lattice.body))
         self._pairs = wp.array(pairs.astype(np.int32), dtype=wp.vec2i, device=model.device)
         self._ratios = model.array(ratios, model.real)
+        self.nodes = np.concatenate([held, pairs.ravel()])
+        """Indices of the nodes whose velocities change."""
 
     def record(self) -> list[wp.Launch | None]:
         """Record the launches of one substep."""
@@ -350,11 +366,16 @@ class _Contact:
                 self._list[: len(near)].assign(self._near)
             self._count()
 
-    def record(self) -> list[Callable[[], None]]:
-        """Return the stages that find touching points, correct impulses and sum these."""
+    def record(self, impulses: Impulses | None = None) -> list[Callable[[], None]]:
+        """Return the stages that find touching points, correct impulses and sum these.
 
-        def repeat(launch: wp.Launch) -> Callable[[], None]:
-            return lambda: launch.launch() if len(self._near) else None
+        Args:
+            impulses: Sums per surface point; None if they are not kept.
+        """
+
+        def account() -> None:
+            for launch in sums if len(self._near) else ():
+                launch.launch()
 
         def touch() -> None:
             if len(self._near):
@@ -363,19 +384,20 @@ class _Contact:
                 first.set_param_at_index(2, self.reach)
                 first.launch()
 
-        self._launches = [self._yield(), self._touch(), self._resist(), self._account()]
+        self._launches = [self._touch(), self._resist(), self._yield(), self._account()]
+        if impulses is not None:
+            self._launches.append(impulses.press(self._list, self.force))
         self._count()
-        yields, first, *others = self._launches
-        return [touch, *(repeat(launch) for launch in others)]
+        first, second, yields, *sums = self._launches
+        return [touch, lambda: second.launch() if len(self._near) else None, account]
 
     def _count(self) -> None:
         """Pass the number of listed points to the launches, and compute the points' response."""
-        yields, *passes, account = self._launches
-        for launch in passes:
+        for launch in self._launches[:2]:
             launch.set_param_at_index(1, len(self._near))
-        for launch in (yields, account):
+        for launch in self._launches[2:]:
             launch.set_dim(max(1, len(self._near)))
-        yields.launch()
+        self._launches[2].launch()
 
     def _yield(self) -> wp.Launch:
         """Record the launch that computes how impulses change the points' velocities."""

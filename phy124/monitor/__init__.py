@@ -1,11 +1,18 @@
 """Observers of a run: one file each, all listed in `OBSERVERS`."""
 
 from phy124.monitor.contacts import Contacts
-from phy124.monitor.coupled import CoupledPairs, CoupledWatchdog, CoupledWork, CoupledWrenches
+from phy124.monitor.coupled import (
+    CoupledContacts,
+    CoupledPairs,
+    CoupledWatchdog,
+    CoupledWork,
+    CoupledWrenches,
+)
 from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.interior import Interior
 from phy124.monitor.lattice import (
+    LatticeContacts,
     LatticeMethod,
     LatticePairs,
     LatticeSelfContact,
@@ -48,6 +55,7 @@ LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeShock,
     Softening,
     LatticeWrenches,
+    LatticeContacts,
     LatticeWork,
     LatticeWatchdog,
     Sleep,
@@ -58,6 +66,7 @@ COUPLED_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeSelfContact,
     LatticeShock,
     CoupledWrenches,
+    CoupledContacts,
     CoupledWork,
     CoupledWatchdog,
 )

@@ -91,14 +91,22 @@ class Contacts(Observer):
         to the nearest Gaussian's.
         """
         assert self._setup is not None
-        moving, particles = self._setup.scenery.moving, self._setup.particles
+        moving = self._setup.scenery.moving
         if self._nearest_gaussian is None:
-            nearest = scipy.spatial.KDTree(moving.means).query(particles.x)[1]
-            has_gaussian = particles.gaussian >= 0
-            self._nearest_gaussian = np.where(has_gaussian, particles.gaussian, nearest)
-        columns = self._setup.scene.time.fps * self.impulses(len(particles)).T
+            self._nearest_gaussian = self.find_nearest(self._setup)
+        columns = self._setup.scene.time.fps * self.read_impulses(self._setup).T
         sums = [np.bincount(self._nearest_gaussian, column, len(moving)) for column in columns]
         return replace(frame, contacts=np.stack(sums, axis=1).astype(np.float32))
+
+    def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
+        """Return the moving Gaussian that gets the impulse on each particle [P]."""
+        moving, particles = setup.scenery.moving, setup.particles
+        nearest = scipy.spatial.KDTree(moving.means).query(particles.x)[1]
+        return np.where(particles.gaussian >= 0, particles.gaussian, nearest)
+
+    def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
+        """Return the impulse on each particle since the frame began [P,3], N s."""
+        return self.impulses(len(setup.particles))
 
     def impulses(self, count: int) -> NDArray[np.float64]:
         """Return the impulse on each of `count` particles since the frame began [P,3], N s."""

@@ -6,7 +6,7 @@ the particles.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from phy124.boundaries import Boundary
 from phy124.gaussians import Wrench
 from phy124.kernels.lattice.contact import MOMENT
+from phy124.monitor.contacts import Contacts
 from phy124.monitor.diagnostics import Diagnostics, Totals
 from phy124.monitor.external_work import LIQUID, ExternalWork
-from phy124.monitor.lattice import LatticePairs, LatticeTotals, LatticeWatchdog
-from phy124.monitor.observer import Effect, Observer, Subject
+from phy124.monitor.lattice import LatticeContacts, LatticePairs, LatticeTotals, LatticeWatchdog
+from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.monitor.wrenches import Wrenches, wall_names
 from phy124.mpm import Attachable, Clock
 from phy124.scene import Scene
@@ -115,6 +116,38 @@ class CoupledWrenches(Wrenches):
         solver: Any = self._solver
         sums: NDArray[Any] = solver.lattice.walls.sums.numpy()
         return sums.astype(np.float64)
+
+
+class CoupledContacts(Contacts):
+    """The force of walls on each Gaussian, from particles and lattices."""
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernels that measure a wall on grids and on lattices."""
+        yield from super().kernels(subject, real)
+        yield from LatticeContacts.kernels(subject, real)
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Make the walls of the lattices sum their impulses."""
+        self._lattices = LatticeContacts()
+        self._lattices.bind(solver.lattice)
+
+    def change(self, scene: Scene) -> None:
+        """Make the lattices' new walls sum their impulses."""
+        self._lattices.change(scene)
+
+    def before_attempt(self, *, closely: bool = False) -> None:
+        """Set the impulses to zero."""
+        super().before_attempt(closely=closely)
+        self._lattices.before_attempt()
+
+    def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
+        """Return the Gaussian of each particle, and of each surface point and node of lattices."""
+        return np.concatenate([super().find_nearest(setup), self._lattices.find_nearest(setup)])
+
+    def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
+        """Return the impulses on particles, and on surface points and nodes of lattices, N s."""
+        return np.concatenate([super().read_impulses(setup), self._lattices.read_impulses(setup)])
 
 
 class CoupledPairs(LatticePairs):

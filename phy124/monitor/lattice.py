@@ -1,4 +1,4 @@
-"""Observers of a body on its lattice, for momentum, energy, and the impulse and work of walls.
+"""Observers of bodies on lattices, for momentum, energy, and the impulse and work of walls.
 
 Walls sum their impulses, moments and work themselves (phy124/kernels/lattice/contact.py), so that
 nothing is copied before and after they act.
@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 import warp as wp
 from numpy.typing import NDArray
 
@@ -19,9 +20,11 @@ from phy124.gaussians import Wrench
 from phy124.kernels import diagnostics as at
 from phy124.kernels.lattice.contact import MOMENT
 from phy124.kernels.lattice.nodes import make_node_totals
+from phy124.lattice import impulses
+from phy124.monitor.contacts import Contacts
 from phy124.monitor.diagnostics import Diagnostics, Totals
 from phy124.monitor.external_work import WALL, ExternalWork
-from phy124.monitor.observer import Cost, Effect, Observer, Subject
+from phy124.monitor.observer import Cost, Effect, Observed, Observer, Subject
 from phy124.monitor.watchdog import Watchdog
 from phy124.monitor.wrenches import Wrenches, wall_names
 from phy124.mpm import Attachable, Clock
@@ -152,6 +155,71 @@ class LatticeWrenches(Wrenches):
     def _now(self) -> NDArray[np.float64]:
         sums: NDArray[Any] = self._solver.walls.sums.numpy()
         return sums.astype(np.float64)
+
+
+class LatticeContacts(Contacts):
+    """The force of walls on each Gaussian, from the impulses on surface points and held nodes."""
+
+    in_substeps = False
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernels that sum impulses."""
+        if subject.scene.boundaries:
+            yield from impulses.kernels(real)
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row for contact forces, which cost less than the contact itself."""
+        return super().effect(subject)._replace(cost=Cost())
+
+    def wrap_walls(
+        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+    ) -> Any:
+        """Return the walls unchanged."""
+        return walls if inner is None else inner
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Make the solver's walls sum their impulses."""
+        self._solver = solver
+        solver.walls.keep_impulses()
+        solver.record()
+
+    def change(self, scene: Scene) -> None:
+        """Make the new walls sum their impulses."""
+        self.bind(self._solver)
+
+    def before_attempt(self, *, closely: bool = False) -> None:
+        """Set the impulses to zero."""
+        self._solver.walls.impulses.sums.zero_()
+
+    def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
+        """Return the Gaussian of the same object nearest to each surface point and node [S+N]."""
+        surface, lattice = self._solver.surface, self._solver.lattice
+        x = np.concatenate([surface.x, lattice.x])
+        body = np.concatenate([surface.body, lattice.body])
+        moving, names = setup.scenery.moving, self._solver.model.names
+        nearest = np.zeros(len(x), np.int64)
+        for index in range(self._solver.model.bodies):
+            chosen = np.arange(len(moving))
+            if moving.object_id is not None and names:
+                number = setup.scene.names.index(names[index])
+                chosen = np.flatnonzero(moving.object_id == number)
+            mine = body == index
+            nearest[mine] = chosen[scipy.spatial.KDTree(moving.means[chosen]).query(x[mine])[1]]
+        return nearest
+
+    def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
+        """Return the impulse on each surface point, then on each node [S+N,3], N s."""
+        sums: NDArray[np.float64] = self._solver.walls.impulses.sums.numpy()
+        return sums
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return an empty snapshot, as the walls keep the sums."""
+        return {}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Do nothing."""
 
 
 class LatticeMethod(Observer):

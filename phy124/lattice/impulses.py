@@ -1,0 +1,70 @@
+"""Sums of the impulses of walls: on each surface point, and of clamps on each node.
+
+They are summed only if the forces on Gaussians are stored (phy124/monitor/lattice.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.lattice.impulses import make_add_impulse, make_add_momentum
+from phy124.mpm.model import Model
+from phy124.mpm.stage import Named, launches
+from phy124.mpm.tracks import Tracks
+
+
+class Impulses:
+    """The sums since they were last cleared."""
+
+    def __init__(self, model: Model, points: int, nodes: Any, tracks: Tracks) -> None:
+        """Start at zero.
+
+        Args:
+            model: The constants of the run.
+            points: Number of surface points.
+            nodes: Arrays of the nodes.
+            tracks: The tracks, which hold the clock.
+        """
+        self._model, self._nodes, self._clock = model, nodes, tracks.clock
+        count = points + len(nodes.rest)
+        self.sums = wp.zeros(count, dtype=wp.vec3d, device=model.device)
+        """Impulse on each surface point, then on each node [S+N,3], N s."""
+        self._of_nodes = cast("wp.array", self.sums[points:])
+
+    def press(self, near: wp.array, force: wp.array) -> wp.Launch:
+        """Record the launch that adds the impulses of a wall on the points near it.
+
+        Args:
+            near: Indices of the points; the launch's size is their number.
+            force: Mean force on each point in a substep [S,3], N.
+        """
+        kernel = make_add_impulse(self._model.real)
+        launch = self._model.launch(kernel, len(near), [near, force, self._clock], [self.sums])
+        return cast("wp.Launch", launch)
+
+    def hold(self, clamps: list[Named], held: NDArray[np.int64]) -> list[Named]:
+        """Return the launches of clamps, between those that measure the momenta of held nodes.
+
+        Args:
+            clamps: The launches of all clamps.
+            held: Indices of the nodes that they change.
+        """
+        model, nodes = self._model, self._nodes
+        chosen = wp.array(held.astype(np.int32), dtype=int, device=model.device)
+        kernel = make_add_momentum(model.real)
+        before, after = (
+            launches([("clamp", model.launch(kernel, len(held), inputs, [self._of_nodes]))])
+            for inputs in ([sign, chosen, nodes.inverse, nodes.v] for sign in (-1.0, 1.0))
+        )
+        return [*before, *clamps, *after]
+
+
+def kernels(real: Any) -> Iterator[Any]:
+    """Yield the kernels that sum impulses."""
+    yield make_add_impulse(real)
+    yield make_add_momentum(real)
