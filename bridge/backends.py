@@ -118,7 +118,7 @@ def open_sink(
 def _refuse_unsuitable(backend: str, network: bool, clock: bool, ros_args: Sequence[str]) -> None:
     """Raise InputError for an option that the backend does not have."""
     if network and backend == "rclpy":
-        limit = "ROS_AUTOMATIC_DISCOVERY_RANGE sets how far a ROS 2 node reaches."
+        limit = "ROS_AUTOMATIC_DISCOVERY_RANGE sets which machines a node reaches."
         raise InputError("network", network, limit, "Leave it out.")
     if ros_args and backend != "rclpy":
         limit = f"The backend {backend} is not a ROS 2 node."

@@ -62,12 +62,13 @@ class Counts:
 
 
 def mcap_file(bag: Path) -> Path:
-    """Return the .mcap file of a new bag: the file itself, or the file in the folder."""
+    """Return the .mcap file of a new bag: the path itself, or a file in the path's folder."""
     return bag if bag.suffix == SUFFIX else bag / f"{bag.name}_0{SUFFIX}"
 
 
 def recorded_files(path: Path) -> list[Path]:
-    """Return the .mcap files of a recording in order; files in metadata.yaml may be missing.
+    """Return the .mcap files of a recording in order; files that metadata.yaml lists may be
+    missing.
 
     A bag that was renamed keeps the names of its files, and a split bag has several files.
 

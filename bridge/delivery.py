@@ -62,8 +62,9 @@ class Delivery:
         self._patient, self._stuck = patient, not patient
 
     def before_frame(self, size: int) -> None:
-        """Wait if the frame would displace an unacknowledged one; a subscriber that hangs delays
-        one.
+        """Wait if the frame would displace an unacknowledged frame.
+
+        A subscriber that hangs delays only one frame.
 
         Args:
             size: Size of the frame [bytes].

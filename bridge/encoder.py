@@ -86,7 +86,7 @@ class FrameEncoder:
         return [_message(TF_STATIC, self.epoch, {"transforms": links})] if links else []
 
     def encode(self, frame: Frame) -> list[Message]:
-        """Return the messages of a frame; its time counts from the epoch."""
+        """Return the messages of a frame, whose time counts from the epoch."""
         stamp = self.stamp(frame.time)
         header = {"stamp": cdr.time(stamp), "frame_id": self.options.frame_id}
         shown = self._thin(frame)

@@ -54,7 +54,7 @@ def simulation(args: list[str] | None = None) -> None:
 
 
 def play_clip(node: Any) -> None:
-    """Play the clip that the parameters name until ROS shuts down."""
+    """Play the clip in the parameters, until ROS shuts down."""
     chosen = declare(node, CLIP_PARAMETERS)
     path = chosen["clip"]
     clip, player, options, clock = opened_clip(chosen)
@@ -70,7 +70,7 @@ def play_clip(node: Any) -> None:
 
 
 def opened_clip(chosen: dict[str, Any]) -> tuple[Clip, Player, Options, bool]:
-    """Return clip, player, message options, and whether to publish /clock.
+    """Return the clip, its player, the message options, and whether to publish /clock.
 
     Args:
         chosen: Values of `CLIP_PARAMETERS`; they are removed.

@@ -65,7 +65,7 @@ class Options(Section):
         ge=8,
         le=24,
         description="Also send the points compressed by Draco, with this number of bits per "
-        "coordinate: 14 for steps of 1/16,384 of the object's extent. Default: no.",
+        "coordinate; 14 bits give steps of 1/16,384 of the object's extent. Default: no.",
     )
     epoch: float | None = Field(
         default=None,

@@ -20,7 +20,7 @@ RATES = (0.0, 1000.0)
 """Smallest and largest number of frames per second; 0 or None means every frame."""
 LATENESS = 0.15
 """Largest delay at which a frame is still sent [s]. Frames within this delay are sent in a burst;
-at 30 Hz a burst is at most the 5 frames that subscribers keep."""
+at 30 Hz, a burst has at most 5 frames, as many as subscribers keep."""
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ class LiveOptions:
     views: OtherViews = field(default_factory=OtherViews)
 
     def check(self) -> None:
-        """Refuse options that need `--live`, if it is missing.
+        """If `--live` is missing, refuse the options that need it.
 
         Raises:
             InputError: Such an option is set.

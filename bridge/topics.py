@@ -84,7 +84,7 @@ would conflict with the clock of `ros2 bag play --clock`."""
 
 
 def contact(at: str) -> Topic:
-    """Return the topic of the force on a wall, or of one object on another, by its name."""
+    """Return the topic of a force by its name: the force on a wall, or of one object on another."""
     name = at.replace("-", "_")  # ROS allows no hyphens
     return Topic(
         f"~/contact/{name}", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False

@@ -37,7 +37,7 @@ READY = {
 }
 """Preset -> title and example picture of its finished result, which `make_previews` creates."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
-"""Force that the direction pad changes -> the field of the force that it sets."""
+"""Force that the direction pad changes -> the field of this force that the pad sets."""
 LONGEST, LONGER = 20_000, 200
 """Largest length of a scene as text [characters], and its increase per frame. It increases because
 a saved live run has a position of the hand for each frame."""

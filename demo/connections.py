@@ -26,7 +26,7 @@ the system has no such limit."""
 
 
 def allow_connections() -> int:
-    """Raise the limit of open files as far as allowed; return half of it, for connections."""
+    """Raise the limit of open files as far as possible; return half of it for connections."""
     if resource is None:
         return UNLIMITED // 2
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -38,7 +38,7 @@ def allow_connections() -> int:
 
 @contextmanager
 def limit_connections(most: int) -> Iterator[None]:
-    """Limit the connections of servers that start in the block, from the first connection on.
+    """Within this context, servers start with a limited number of connections.
 
     Gradio starts uvicorn without options. If the protocol were replaced after the start,
     connections made before would have neither a deadline nor a limit.

@@ -260,7 +260,7 @@ def _cut_out(studio: Studio, name: str, asked: MeasureRequest) -> tuple[Scene, J
 
 
 def _with_pictures(studio: Studio, name: str, scene: Scene, sent: list[str]) -> Scene:
-    """Assign the pictures that a program sent to the scene's objects that need a picture."""
+    """Assign a program's pictures to those objects of the scene that need one."""
     check_sources(scene, sent)
     waiting = [index for index, object in enumerate(scene.objects) if object.waits]
     changes = {}

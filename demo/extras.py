@@ -1,6 +1,6 @@
 """Optional inputs in addition to the front picture: other views, a depth map, a thickness, and
-whether to film the object in its photograph. A file of Gaussians has only its orientation as such
-an input. Names, ranges and choices are those of the command line's options.
+whether to film the object in its photograph. For a file of Gaussians, the only optional input is
+the orientation. Names, ranges and choices are those of the command line's options.
 """
 
 from __future__ import annotations
@@ -132,7 +132,9 @@ class ExtraInputs:
         return self.views.bind(generator, name, lambda field, path: open_view(path, field=field))
 
     def data(self) -> list[Any]:
-        """Return inputs on which Gaussians depend, as plain data; file names identify contents."""
+        """Return the inputs on which the Gaussians depend, as plain data; a file's name identifies
+        it.
+        """
         sections = (self.depth, self.views, self.reading)
         return [section.model_dump(mode="json") for section in sections]
 

@@ -28,7 +28,7 @@ from .studies import Measurement, on_grid
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 SET_UP = 0.4
-"""Time for one grid of a study, to set it up and to compare its motion, as a fraction of the rate
+"""Time to set up one grid of a study and to compare its motion, as a fraction of the rate
 `rest`."""
 
 
@@ -167,7 +167,7 @@ class Estimator:
         return self.meter.latest if self._occupied() else self.meter.load()
 
     def calibrate(self, small: Callable[[], Measured], usual: Callable[[], Measured]) -> None:
-        """Measure the rates by two runs, corrected for the load by other programs."""
+        """Measure the rates by two runs; correct them for the load by other programs."""
         self.learned.calibrate(self._alone(small), self._alone(usual))
 
     def _alone(self, run: Callable[[], Measured]) -> Measured:

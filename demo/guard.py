@@ -83,8 +83,7 @@ class Doorkeeper:
         return _without_port(place) in self.origins or _usual(place) == _usual(host.lower())
 
     def _has_own_host(self, headers: Headers) -> bool:
-        """Return whether all host names in the request, including those added by proxies, are the
-        page's.
+        """Return whether all host names in the request, proxies' included, are names of the page.
 
         Gradio writes the names from proxies into the page; they are therefore checked, too.
         """

@@ -154,7 +154,7 @@ def _save(images: list[Image.Image], scene: Scene, step: int, path: Path, qualit
 
 
 def _film(clip: Clip, view: View, camera: Camera, step: int) -> list[Image.Image]:
-    """Render every `step`-th frame and a final pause, with shadow, walls and gloss.
+    """Render every `step`-th frame, with shadow, walls and gloss; the film ends with a pause.
 
     The background is transparent, because the page may be light or dark.
     """
@@ -184,7 +184,7 @@ def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
 
 
 def _telling(images: list[Image.Image]) -> list[Image.Image]:
-    """Rotate the loop so that it starts with the frame that differs most from the first."""
+    """Let the loop start with the frame that differs most from the clip's first frame."""
     pixels = np.array([np.asarray(image, np.int16) for image in images])
     changed = np.abs(pixels - pixels[0]).sum(axis=(1, 2, 3))
     start = int(changed.argmax())

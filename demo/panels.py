@@ -150,7 +150,7 @@ def _panel(name: str, head: str, events: str = "") -> gr.HTML:
 
 
 def mark_answers(page: Any) -> None:
-    """Wrap the handlers of a `gr.Blocks`, so that no two answers to one of its panels are equal.
+    """Wrap the handlers of a `gr.Blocks`, so that all answers to the same panel differ.
 
     Gradio does not send a panel a value that equals the previous value. Each answer therefore gets
     a mark. Without it, a panel would wait forever if a request is refused twice with the same

@@ -27,7 +27,7 @@ WINDOW = 5
 FIXED = 0.7
 """Largest fraction of a usual run's time that is attributed to fixed costs."""
 MINIMUM = 0.2
-"""Smallest work of a run that corrects a cost, relative to the first measurement."""
+"""A run corrects a cost if its work is at least this, relative to the first measurement."""
 
 
 class Learned:

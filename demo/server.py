@@ -283,7 +283,7 @@ def end_on_signals() -> None:
 
 
 def reach_itself(host: str) -> None:
-    """Make this process reach the page at `host` without a proxy, as Gradio does when it starts.
+    """Let this process reach the page at `host` without a proxy; Gradio does so when it starts.
 
     Proxies that httpx cannot use, such as SOCKS without its package, are removed with a warning,
     because Gradio's client would fail to start.

@@ -86,7 +86,7 @@ class Sessions(StateHolder):
             return self.session_data[session_id]
 
     def sweep(self) -> None:
-        """Remove the sessions of unknown visitors, unless they are new."""
+        """Remove sessions of unknown visitors, except new sessions."""
         with self.lock:
             for name, origin in list(self._origins.items()):
                 new = time.monotonic() - origin.used < UNCLAIMED
@@ -94,8 +94,9 @@ class Sessions(StateHolder):
                     self._remove(name)
 
     def _make_room(self, address: str) -> None:
-        """At the limit of an address, remove a session: an absent visitor's, or one of whoever has
-        most.
+        """If an address has too many sessions, remove one, preferably of an absent visitor.
+
+        Otherwise, the visitor with the most sessions loses one.
         """
         origins = {k: origin for k, origin in self._origins.items() if origin.address == address}
         if len(origins) < ADDRESS:

@@ -108,7 +108,7 @@ def check_file(path: Path, settings: Settings) -> None:
 
 
 def open_gaussians(path: Path, out: Path, count: int, deadline: Deadline) -> GaussianFile:
-    """Read a file in a separate process, with limits of time and memory: it may be malicious.
+    """Read a file, which may be malicious, in a separate process with limits of time and memory.
 
     Args:
         path: The file.

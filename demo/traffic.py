@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 COMPUTES = re.compile(r"/gradio_api/(?:run|api|call|queue)\b")
 """URLs to which a POST request may take more than 0.2 s of a core."""
 TOGETHER, EACH = 4, 2
-"""Largest number of such requests in parallel, in total and per address."""
+"""Largest number of computing requests in parallel, in total and per address."""
 UPLOADS = re.compile(r"/gradio_api/upload\b")
 """URLs of uploads, which occupy disk space until they are complete."""
 RECEIVED, RECEIVED_EACH = 64, 8
@@ -124,8 +124,9 @@ class Streams:
         """Open streams, the oldest first."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on. Above the limit per cookie, end the oldest stream; above others,
-        answer 429.
+        """Pass a request on. Above the limit per cookie, end the oldest stream.
+
+        Above the other limits, answer 429.
         """
         asked = scope["type"] == "http" and scope["method"] == "GET"
         if not asked or not STREAMED.match(scope["path"]):

@@ -30,7 +30,7 @@ answered, so a button that is pressed twice acts once."""
 EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
 """Options of events that must not be dropped, because each has different data."""
 LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}
-"""Options of events without data: after the last event the latest state is answered."""
+"""Options of events without data; the answer to the last event has the latest state."""
 MASTHEAD = """<div id="masthead"><p id="mark"><svg viewBox="0 0 42 42" aria-hidden="true">
 <g fill="none" stroke="currentColor" stroke-width="2.6"><ellipse cx="15" cy="27" rx="11" ry="9"/>
 <ellipse cx="22" cy="20" rx="12" ry="7.5" transform="rotate(-32 22 20)" opacity=".6"/>

@@ -29,8 +29,8 @@ ADDRESS = "/gradio_api/upload"
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", ".avif", *FILMS, *object_endings()}
 """Suffixes that uploads keep; other suffixes are removed."""
 NOT_READ = {
-    ".ksplat": "Save it as .ply or .spz with the program it comes from, or convert it with"
-    " splat-transform, and send that.",
+    ".ksplat": "Save it as .ply or .spz in the program that made it, or convert it with"
+    " splat-transform; then send the new file.",
 }
 """Suffix of unreadable files -> remedy."""
 MOST = 4

@@ -92,7 +92,7 @@ class Visitor:
         self.seen = time.time()
 
     def share(self, path: Path) -> str:
-        """Return the token of a link to a file, always the same token; it cannot be guessed."""
+        """Return the token of a link to a file; a file keeps its token, which cannot be guessed."""
         for token, known in self.shared.items():
             if known == path:
                 return token
@@ -126,7 +126,7 @@ class Visitor:
         self.give_up(room.each)
 
     def give_up(self, most: float, keep: Collection[Path] = ()) -> bool:
-        """Remove exports, then results, the oldest first, until at most `most` bytes are left.
+        """Remove exports, then results, the oldest first, until no more than `most` bytes are left.
 
         The latest result of each stage and paths in `keep` stay. Return whether this suffices.
         """

@@ -83,7 +83,7 @@ class Visitors:
         return visitor is not None and visitor.silence < AWAY
 
     def job(self, name: str) -> Job | None:
-        """Return the job of a name, which cannot be guessed; counts as a request of its visitor."""
+        """Return the job of a name that cannot be guessed; counts as a request of its visitor."""
         with self._lock:
             visitor = next((v for v in self._known.values() if name in v.jobs), None)
             if visitor is None:

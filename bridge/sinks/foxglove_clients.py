@@ -29,14 +29,14 @@ Job = Callable[[Obey], object]
 INTEGERS = ("byte", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
 WORDS = {bool: "boolean", str: "string", int: "integer", float: "number"}
 """Python type -> JSON Schema type."""
-REMEDY = "Send JSON with the members of the message; those left out are zero or empty."
+REMEDY = "Send JSON with the members of the message; missing members are zero or empty."
 
 
 class Clients:
     """Receives the messages and service calls of all viewers."""
 
     def __init__(self, controls: Controls, post: Callable[[Job], None]) -> None:
-        """Prepare to receive from viewers.
+        """Prepare to receive messages and calls from viewers.
 
         Args:
             controls: Topics that are subscribed to, and services that are offered.

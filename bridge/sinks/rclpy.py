@@ -235,7 +235,7 @@ class RclpySink:
 
     @contextmanager
     def _until_shutdown(self) -> Iterator[None]:
-        """Turn errors after ROS has shut down into a KeyboardInterrupt within this context."""
+        """Within this context, turn errors after the shutdown of ROS into a KeyboardInterrupt."""
         try:
             yield
         finally:

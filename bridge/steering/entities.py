@@ -117,9 +117,7 @@ class Entities:
         }
 
     def set_state(self, request: Any) -> dict[str, Any]:
-        """Move an entity as a rigid body (SetEntityState); a request of 1.x has no flags: all is
-        set.
-        """
+        """Move an entity as a rigid body (SetEntityState); a request of 1.x sets pose and twist."""
         name, state = request.entity, request.state
         before = self._motions.get(name)
         if before is None:
@@ -192,7 +190,7 @@ class Entities:
             quat, place = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
             size = self._run.live.limits.size
             if not (np.isfinite(place).all() and 0.5 < np.linalg.norm(quat) < 2):
-                limit = "it is not a unit quaternion and three finite numbers."
+                limit = "it must be a unit quaternion and three finite numbers."
                 raise InputError("state.pose", place.tolist(), limit, "Correct the pose.")
             place = base[:3, :3] @ place + base[:3, 3]
             if np.linalg.norm(place) > FARTHEST * size:

@@ -40,7 +40,7 @@ def centre_frame(options: Options) -> str:
 
 
 def object_frame(options: Options, name: str) -> str:
-    """Return the name of the frame at the centre of mass of one of several objects."""
+    """Return the name of the frame at an object's centre of mass, if there are several objects."""
     return f"{options.frame_id}_{name.replace('-', '_')}_com"
 
 
@@ -170,7 +170,9 @@ class Inputs:
         )
 
     def _hold(self) -> None:
-        """Grab the object, or move the grab's target; an object's own frame selects that object."""
+        """Grab the object, or move the grab's target; a point in an object's frame selects the
+        object.
+        """
         frame = self._grab.header.frame_id
         name = self._objects.get(frame)
         place = self._transforms.pose(frame) if name is None else self._at(name)

@@ -189,7 +189,7 @@ def contact_messages(live: Live, options: Options, seconds: float) -> list[Messa
 
 
 def _standing(at: NDArray[np.float64]) -> dict[str, Any]:
-    """Return the transform to a position [3], m, with the axes of the world."""
+    """Return the transform to a position [3], m; the axes are those of the world."""
     return {"translation": at.tolist(), "rotation": (0.0, 0.0, 0.0, 1.0)}
 
 

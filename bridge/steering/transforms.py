@@ -55,7 +55,7 @@ class Transforms:
         return np.linalg.inv(here) @ there
 
     def _up(self, frame: str) -> tuple[str, Pose]:
-        """Return the root of a frame's tree, and the frame's pose in it."""
+        """Return the root of a frame's tree, and the frame's pose relative to the root."""
         pose = np.eye(4)
         for _ in range(DEEPEST):
             if frame not in self._links:
@@ -72,7 +72,7 @@ def _pose(name: str, transform: Any) -> Pose:
     quaternion, place = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
     length = float(np.linalg.norm(quaternion))
     if not (np.isfinite(place).all() and 0.5 < length < 2):
-        limit = "its transform is not a rotation and three finite numbers."
+        limit = "its transform must be a rotation and three finite numbers."
         raise InputError("tf", name, limit, "Publish a unit quaternion x y z w and metres.")
     x, y, z, w = quaternion / length
     pose = np.eye(4)

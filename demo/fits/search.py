@@ -116,7 +116,7 @@ def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
 
 
 def search_softness(wanted: Fit, out: Path, deadline: Deadline) -> dict[str, Any]:
-    """Fit in a separate process; a later call with the same folder continues from finished runs.
+    """Fit in a separate process; a later call with the same folder reuses the finished runs.
 
     Raises:
         InputError: The stiffness cannot be determined, or the time is over.

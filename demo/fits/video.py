@@ -28,7 +28,7 @@ except ImportError:  # Windows
 
 MEMORY = 3 << 30
 """Memory limit of the reading process and its decoder [bytes]."""
-SHORTER = "Send a shorter or smaller one."
+SHORTER = "Send a shorter or smaller video."
 Side = Literal["front", "right", "back", "left"]
 
 

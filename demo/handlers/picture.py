@@ -179,6 +179,6 @@ def on_view_cut(studio: Studio) -> Handler:
 
 
 def _answer(event: gr.EventData, **values: Any) -> dict[str, Any]:
-    """Answer an event, naming its option; the panel ignores answers to earlier events."""
+    """Answer an event and name its option; the panel ignores answers to earlier events."""
     asked = {name: value for name, value in data_of(event).items() if name in ("option", "ask")}
     return {"answer": {**asked, **values}}

@@ -83,7 +83,7 @@ def on_job_end(studio: Studio) -> Handler:
 
 
 def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
-    """Return the result panels with a new report of the run shown; the others do not change."""
+    """Return the result panels with a new report of the displayed run; others do not change."""
     panels: list[Any] = list(NOT_SHOWN)
     visitor = studio.visitors.find(name)
     if visitor is not None and _is_there(shown):

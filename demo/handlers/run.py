@@ -216,12 +216,12 @@ def follow_job(job: Job) -> dict[str, Any]:
 
 
 def idle_buttons() -> tuple[Any, Any]:
-    """Return the buttons for no job: Generate is enabled, Cancel is hidden."""
+    """Return the buttons while no job runs: Generate is enabled, Cancel is hidden."""
     return gr.update(interactive=True), gr.update(visible=False)
 
 
 def busy_buttons() -> tuple[Any, Any]:
-    """Return the buttons for a running job: Generate is disabled, Cancel is visible."""
+    """Return the buttons while a job runs: Generate is disabled, Cancel is visible."""
     return gr.update(interactive=False), gr.update(visible=True)
 
 

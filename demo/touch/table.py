@@ -28,7 +28,8 @@ ROOM, TIME = 0.5, 0.1
 """Largest size of a saved clip with its viewer's file, as a fraction of a visitor's disk space; and
 longest duration of the clip, as a fraction of the time limit of a run."""
 FORCES = 64
-"""Smallest limit of forces and boundaries: each grab and each change of gravity needs one."""
+"""At least this number of forces and boundaries is allowed, because each grab and each change of
+gravity needs one."""
 
 
 def nothing() -> None:
@@ -139,7 +140,7 @@ def limits_of(settings: Settings, gaussians: int) -> Settings:
 
 
 def shorten_session(scene: Scene, most: Settings) -> Scene:
-    """Shorten a session to its limits, without forces that begin after its new end."""
+    """Shorten a session to its limits; drop forces that would begin after the new end."""
     begun = sorted(_start(force) for force in scene.forces)
     spare = most.max_forces - len(scene.boundaries)
     frames = min(scene.time.frames, most.max_frames)

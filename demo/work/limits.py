@@ -49,7 +49,9 @@ class Limits:
         self.put(event)
 
     def tell_simulating(self, event: Event) -> None:
-        """Pass a simulation's event on; after the time limit raise Stopped, which keeps frames."""
+        """Pass a simulation's event on; after the time limit raise Stopped: the frames so far are
+        kept.
+        """
         self.tell(event)
         if self.spent > SIMULATING:
             raise Stopped(

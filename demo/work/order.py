@@ -1,4 +1,4 @@
-"""The order of a click, and the files that it makes."""
+"""The order that a click on the page gives, and the files that it makes."""
 
 from __future__ import annotations
 

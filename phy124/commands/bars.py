@@ -129,7 +129,7 @@ class Bars:
         self.bar.update(done - self.bar.n)
 
     def _report(self, stage: str, done: int, total: int) -> None:
-        """Print a line when a stage begins and ends, and at intervals in between."""
+        """Print a line when a stage begins, at intervals while it runs, and when it ends."""
         now, line = time.monotonic(), f"{stage}: {done} of {total}{self._left()}"
         due = stage != self._stage or done == total or now >= self._next_line
         if due and line != self._lines.get(stage):

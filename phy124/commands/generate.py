@@ -277,7 +277,7 @@ class Simulate:
 
 
 def get_ready() -> None:
-    """Import SciPy while the encoder encodes its test frame; the result is kept."""
+    """Import SciPy while the encoder encodes its test frame; the test's result is kept."""
     with ThreadPoolExecutor(1) as pool:
         pool.submit(encoder_problem)
         import_lightly(*SCIPY)

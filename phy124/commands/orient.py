@@ -27,7 +27,9 @@ SIZE = 320
 
 @dataclass(frozen=True)
 class Orient:
-    """Draw a file of Gaussians with each of six up axes, or of the four fronts of one up axis."""
+    """Draw a file of Gaussians with each of six up axes, or with each of four fronts of one up
+    axis.
+    """
 
     file: tyro.conf.Positional[Path]
     """File of Gaussians with unknown axes."""

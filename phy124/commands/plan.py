@@ -1,4 +1,4 @@
-"""Options of a run's accuracy and time, and the forecast printed before the run."""
+"""Options of a run's accuracy and time, and the forecast that is printed before the run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ class PlanOptions:
     """Accuracy goal or time goal of a run, and whether the run is only predicted."""
 
     forecast: bool = False
-    """Predict the time before the run, which takes about a second; the report compares both."""
+    """Predict the time before the run, in about a second; the report compares prediction and
+    time."""
     dry_run: bool = False
     """Only print the stages, their predicted time and the error bound; write nothing."""
     max_error: str | None = None
@@ -48,7 +49,7 @@ class PlanOptions:
             limit = "--max-error is also set."
             raise InputError("max_seconds", self.max_seconds, limit, "Give one of the two.")
         if self.max_error is not None and self.dry_run:
-            limit = "the grid that meets it is known only after coarser grids have run."
+            limit = "the grid that meets this error is known only after coarser grids have run."
             remedy = "Leave --dry-run out, or set --accuracy instead of --max-error."
             raise InputError("dry_run", f"with --max-error {self.max_error}", limit, remedy)
         if self.max_error is not None:

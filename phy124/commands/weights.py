@@ -19,7 +19,7 @@ from phy124.weights.store import KNOWN, WeightStatus, check_all, fetch
 SENTENCES = {
     "match": "complete: size and sha256 match the published file",
     "differs": "NOT the published file: delete it and download it again",
-    "unknown": "found; the published sha256 is not known, so it cannot be checked",
+    "unknown": "found; the published sha256 is not known, so the file cannot be checked",
     "unchecked": "found; not checked",
     "missing": "missing",
 }

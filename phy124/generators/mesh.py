@@ -43,8 +43,8 @@ MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
 """Time limit for reading a mesh."""
 COUNT, OBJECT_COUNT = 24_000, 50_000
-"""Approximate numbers of Gaussians: of a further object of a scene, where they are enough to make
-edges look straight, and of the first object."""
+"""Approximate numbers of Gaussians of a further object and of the first object of a scene. The
+smaller number is enough to make edges look straight."""
 GREY = (0.7, 0.7, 0.7)
 """Colour of a mesh without colours."""
 FAR = 100.0
@@ -129,7 +129,7 @@ def is_mesh(path: Path) -> bool:
 
 
 class _About(NamedTuple):
-    """The box of a mesh in its file, and notes about reading it."""
+    """The bounding box of a mesh in the axes of its file, and notes about reading it."""
 
     axes: tuple[str, str | None]
     """Up and front directions of the file."""

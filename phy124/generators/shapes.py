@@ -77,7 +77,7 @@ def cover_surface(
 def choose_triangles(
     corners: NDArray, count: int, seed: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Choose evenly spaced points on triangles: about `count` of them.
+    """Choose about `count` evenly spaced points on triangles.
 
     Args:
         corners: Corners of the triangles [T,3,3].

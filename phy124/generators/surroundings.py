@@ -16,7 +16,7 @@ from phy124.gaussians import Gaussians
 from phy124.particles import clean, visible_area
 
 SAMPLE = 100_000
-"""Number of Gaussians, picked at even intervals, that are examined."""
+"""Number of Gaussians that are examined; they are picked at even intervals."""
 MOST = 0.8
 """Fraction of the visible area, or of the inner Gaussians, that counts as the object."""
 SMALL = 0.3
@@ -25,17 +25,17 @@ background."""
 AROUND = 1.25
 """Size of the recommended crop box relative to the object."""
 TAIL = 1e-3
-"""Fraction of the Gaussians beyond each end of a box."""
+"""Fraction of the Gaussians that lie beyond each end of a box."""
 ROUNDS = 4
 """Number of iterations that refine the centre of the object."""
 FAR = 3.0
-"""Smallest distance of a sky from the centre, relative to the radius that contains the fraction
-`MOST` of the Gaussians inside the sky."""
+"""Smallest distance of a sky from the centre, relative to a radius. Within this radius is the
+fraction `MOST` of the Gaussians that the sky surrounds."""
 THIN = 0.2
 """Largest standard deviation of the distances of a sky's Gaussians, relative to their mean."""
 MANY = 0.01
-"""Smallest fraction of all Gaussians that a sky contains, and smallest fraction of the sky's
-Gaussians in each of at least seven octants."""
+"""A sky contains at least this fraction of all Gaussians; and at least seven octants each contain
+at least this fraction of the sky's Gaussians."""
 
 
 def surroundings(

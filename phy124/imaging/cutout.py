@@ -49,8 +49,8 @@ ALIKE = 0.1
 """If more than this fraction of the surroundings has the object's colours, a cut-out is suspicious;
 correct cut-outs have 0.09."""
 UNDECIDED = 0.02
-"""If more than this area is half transparent away from the outline, relative to the object, a
-network's cut-out is suspicious."""
+"""If the half-transparent area away from the outline, divided by the object's area, is more than
+this, a network's cut-out is suspicious."""
 FAINT = "Nothing in the picture is opaque; its most opaque part is treated as opaque."
 REMEDY = (
     "Use a picture that shows one whole object on a plain background, give a mask (white where "
@@ -164,7 +164,7 @@ class Cutout:
         return written.getvalue()
 
     def data(self) -> dict[str, Any]:
-        """Return all fields except the pixels and the file as plain data."""
+        """Return all fields, except the pixels and the file, as plain data."""
         return {
             "method": self.method,
             "coverage": round(self.coverage, 4),

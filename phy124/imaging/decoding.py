@@ -38,7 +38,7 @@ TURNS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""Transposition that makes an image upright, by its EXIF orientation."""
+"""EXIF orientation -> transposition that makes the image upright."""
 TEXT = 64 << 20
 """Largest size of a text or profile in a PNG after decompression [bytes]."""
 COPY = "Copy or export it again."
@@ -74,7 +74,7 @@ class Decoded(NamedTuple):
     size: Size
     """Width and height of the upright image before it was reduced [pixels]."""
     frames: int = 1
-    """Number of frames if it is an animation; only the first frame was decoded."""
+    """Number of frames if the file is an animation; only the first frame was decoded."""
     notes: tuple[str, ...] = ()
     """Sentences about what was ignored."""
 
@@ -255,7 +255,7 @@ def _scale_floats(picture: Image.Image) -> Image.Image:
     levels = np.asarray(picture)
     if not np.logical_and(levels >= 0, levels <= 1).all():
         limit = "Its values are floating-point numbers that are not all from 0 to 1."
-        raise Unusable(limit, "Save it with 8 or 16 bits.")
+        raise Unusable(limit, "Save it with 8 or 16 bits per value.")
     return Image.fromarray(np.rint(255 * levels).astype(np.uint8))
 
 

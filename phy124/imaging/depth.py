@@ -29,7 +29,7 @@ PATCH = 14
 SIDE = 518
 """Shortest side of the image that a network sees [pixels]; 37 patches."""
 LONGEST = 2 * SIDE
-"""Largest side of that image; longer images are shrunk."""
+"""Largest side of the image that a network sees; longer images are shrunk."""
 TOKENS = 1800
 """Number of patches that MoGe-2 uses; its authors suggest 1200 to 3600."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -77,7 +77,7 @@ def prepare_patches(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def whole_patches(length: float) -> int:
-    """Round a length to the nearest multiple of `PATCH`, at least one [pixels]."""
+    """Round a length to the nearest multiple of `PATCH`, but not below `PATCH` [pixels]."""
     return max(PATCH, round(length / PATCH) * PATCH)
 
 

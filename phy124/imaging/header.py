@@ -15,7 +15,8 @@ HEVC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs")
 AV1 = (b"avif", b"avis")
 """File-type brands of AVIF."""
 GENERAL = (b"mif1", b"msf1")
-"""Brands that both HEIC and AVIF use; the compatible brands listed after them tell which it is."""
+"""Brands that both HEIC and AVIF use; the compatible brands that follow in the file decide between
+the two."""
 MOST_BRANDS = 64
 HEAD = 16 + 4 * MOST_BRANDS
 """Number of leading bytes that suffice to recognise the format."""

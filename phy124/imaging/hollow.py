@@ -24,7 +24,7 @@ SIDE, MARGIN = 200, 3
 """Longest side of the reduced object in which a rim is searched, and the margin around it
 [pixels]."""
 UPPER = 0.5
-"""Fraction of the height, from the top, in which the rim's centre may lie."""
+"""The rim's centre may lie in this fraction of the height, counted from the top."""
 WIDE = 0.2
 """Smallest width of a rim, in longest sides."""
 ASPECTS = (0.08, 0.6)
@@ -36,7 +36,7 @@ FRONT = 0.95
 EDGE = 2.0
 """Smallest colour gradient at an edge, in CIE Lab units per pixel."""
 ACROSS = np.linspace(-0.85, 0.85, 41)
-"""Sample positions across a rim, in half widths, without its tips."""
+"""Positions across a rim at which it is sampled, in half widths; its tips are left out."""
 NEARER = (0.9, 1.0, 1.1, 1.2)
 """Ratios to try of the front half's height to the back half's; perspective enlarges the front
 half."""
@@ -84,7 +84,7 @@ def has_rim(rgb: NDArray[np.uint8], solid: Solid) -> bool:
 
 
 def _find_edges(rgb: NDArray[np.uint8], solid: Solid) -> tuple[Solid, Solid]:
-    """Return masks of edges well inside the object and of the object, reduced to `SIDE` pixels."""
+    """Return two masks, reduced to `SIDE` pixels: edges well inside the object, and the object."""
     ys, xs = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
     box = np.s_[ys[0] : ys[-1] + 1, xs[0] : xs[-1] + 1]
     rgb, solid = np.ascontiguousarray(rgb[box]), solid[box]

@@ -14,8 +14,8 @@ Solid = NDArray[np.bool_]
 SMALLEST_PIECE = 0.01
 """Smallest area of a piece that is counted, as a fraction of the object."""
 NEAR = 0.035
-"""Within this distance, an image edge counts as touched, in shorter sides; GrabCut keeps 0.03
-clear."""
+"""An image edge within this distance counts as touched, in shorter sides of the image; GrabCut
+keeps 0.03 clear."""
 REACH = 0.02
 """An image edge counts as touched if at least this fraction of it is near the object."""
 SIDE = 320
@@ -93,7 +93,7 @@ def measure_undecided(alpha: NDArray[np.uint8]) -> float:
 
 
 def _colour_fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
-    """Return the smoothed histogram of the pixels' colour bins, whose sum is 1."""
+    """Return the smoothed histogram of the pixels' colour bins; the histogram's sum is 1."""
     common = np.bincount(kinds, minlength=math.prod(BINS)) / len(kinds)
     for bins in BINS:
         # Smooth along the first axis, which then becomes the last.

@@ -29,7 +29,7 @@ NAMES = {
     "voxel_coords_world": "points",
     "query_coords_world": "points",
 }
-"""Column names of phy124, by the names in files of VoMP, Pixie and others."""
+"""Name in files of VoMP, Pixie and others -> column name of phy124."""
 LAWS = {
     0: "neo_hookean",
     1: "metal",

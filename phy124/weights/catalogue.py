@@ -159,8 +159,8 @@ class About:
     memory: float = 0.0
     """Measured memory of a process that runs the network [bytes]; 0: not measured."""
     work: float = 0.0
-    """Measured work for one picture, in operations of float32 matrix products that take the same
-    time on the same cores; 0: not measured."""
+    """Measured work for one picture: the number of operations of float32 matrix products that take
+    the same time on the same cores; 0: not measured."""
 
 
 ABOUT: dict[str, About] = {

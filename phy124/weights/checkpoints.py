@@ -32,7 +32,7 @@ def read_tensors(path: str | os.PathLike[str]) -> dict[str, Tensor]:
     """
     path = Path(path)
     if hindrance := obstacle(path):
-        remedy = "Run `phy124 doctor` to see what is found."
+        remedy = "Run `phy124 doctor` to see which files are found."
         raise InputError("weights", path, hindrance[0], remedy)
     if path.suffix == ".safetensors":
         from safetensors.torch import load_file

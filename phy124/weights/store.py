@@ -48,7 +48,7 @@ _named: ContextVar[str | os.PathLike[str] | None] = ContextVar("_named", default
 
 @contextmanager
 def search_first(folder: str | os.PathLike[str] | None) -> Iterator[None]:
-    """Search `folder` (the user's `--weights`) before other places within this context."""
+    """Within this context, search `folder` (the user's `--weights`) before other places."""
     token = _named.set(folder)
     try:
         yield

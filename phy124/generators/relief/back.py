@@ -28,11 +28,11 @@ LARGE, FEWEST = 20.0, 50
 """Standard deviation of the filter that removes the shading [pixels], and the smallest number of
 pixels that are compared."""
 SHIFTS = 21
-"""Number of axes of symmetry that are tried, in the middle half of the silhouette."""
+"""Number of positions tried for the axis of symmetry, in the middle half of the silhouette."""
 INSET = 0.03
 """Distance inside the rim at which the rim's colour is read, in image sizes."""
 SHORTER = 6.0
-"""Exponent of the ratio between lengths of row and column, which weights both on the back; the
+"""On the back, a row and a column are weighted by the ratio of their lengths to this power; the
 shorter one has more weight."""
 COARSE = 3.0
 """Standard deviation of the filter that separates colours and fine texture [pixels]."""

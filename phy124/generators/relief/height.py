@@ -87,7 +87,8 @@ class Silhouette:
         return distance
 
     def sides(self) -> tuple[Field, Field]:
-        """Return the outermost columns of the rim on the left and right of each row [H] each.
+        """Return the outermost columns of the rim, on the left and on the right of each row: [H],
+        [H].
 
         A row without pixels of the object is marked by a left side beyond the right side.
         """

@@ -24,7 +24,8 @@ SMALLEST = 3
 BRIGHT = 0.08
 """Smallest difference in brightness between a highlight and its surroundings."""
 NEUTRAL = 0.15
-"""Largest difference between the added red, green and blue, relative to the largest of them."""
+"""Largest difference between the red, green and blue that a highlight adds, relative to the largest
+of them."""
 COLOURED = 0.15
 """Smallest saturation of the surroundings."""
 FULL = 0.985

@@ -67,7 +67,7 @@ def fit_light(rgb: Field, surface: Surface, object_mask: NDArray[np.bool_]) -> F
 
 
 def unlight(rgb: Field, surface: Surface, light: Field) -> Field:
-    """Return the colours of an image [H,W,3] of a surface's front without its light."""
+    """Return the colours of an image [H,W,3] of a surface's front, with its light removed."""
     return rgb * np.exp(-front_normals(surface) @ light)[..., None]
 
 

@@ -116,7 +116,7 @@ def _profile(picture: Continued) -> Profile:
 
 
 def _shrinking(points: Field, box: Box, distance: float) -> float:
-    """Return the scale factor at which points [N,3] appear in their pictured size."""
+    """Return the scale factor that makes points [N,3] appear as large as in the image."""
     axis = int(np.argmax(box.size))
     factor = 1.0
     for _ in range(4):

@@ -102,7 +102,8 @@ def from_front(
     look: BackLook,
     thickness: float,
 ) -> Shell:
-    """Inflate the silhouette; colour the back from its image, or else from the front's rim.
+    """Inflate the silhouette. Colour the back from its image if there is one, else from the front's
+    rim.
 
     Args:
         picture: Image of the front.

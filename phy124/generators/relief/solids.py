@@ -21,7 +21,7 @@ from phy124.generators.relief.surface import Surface, View, smooth
 
 Field = NDArray[np.float64]
 SMOOTHING = 0.02
-"""Standard deviation of the smoothing of thicknesses, in image sizes."""
+"""Standard deviation of the filter that smooths thicknesses, in image sizes."""
 CENTRED = 0.06
 """Largest distance of a row's centre from the axis of revolution, in half widths."""
 EVERY = 0.97
@@ -163,7 +163,7 @@ def _lathe(silhouette: Silhouette, picture: Continued) -> Field | None:
 
 
 def _runs(inside: NDArray[np.bool_]) -> Field:
-    """Return the length of the vertical run that contains each inside pixel [H,W]."""
+    """Return for each inside pixel the length of the vertical run of pixels around it [H,W]."""
     rows = np.arange(len(inside))[:, None]
     above = np.maximum.accumulate(np.where(inside, -1, rows), axis=0)
     below = np.minimum.accumulate(np.where(inside, len(rows), rows)[::-1], axis=0)[::-1]

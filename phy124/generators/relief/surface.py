@@ -71,13 +71,14 @@ BACK_PITCH = 1.5
 """Spacing of points on the back relative to the front; larger, because the back's colours are
 smooth."""
 OVERHANG = 5.0
-"""Distance beyond the flat ends up to which points are distributed [pixels]."""
+"""Points are distributed up to this distance beyond the flat ends [pixels]."""
 TRIAL = 2.0
-"""Spacing of the points that measure the area [pixels]."""
+"""Spacing of the points by which the area is measured [pixels]."""
 ROUNDS = 6
 """Number of relaxation rounds; after five, the spacing is even to about 10 %."""
 ALIKE = 3
-"""Number of rounds that reuse the same neighbours, whose search takes most of the time."""
+"""Number of rounds that use the same neighbours, because searching for them takes most of the
+time."""
 
 
 def smooth(values: Field, weights: NDArray, width: float) -> Field:

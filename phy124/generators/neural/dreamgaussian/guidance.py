@@ -61,7 +61,7 @@ def alphas_cumprod() -> Tensor:
 
 
 def add_noise(latents: Tensor, noise: Tensor, level: int) -> Tensor:
-    """Add noise of a level to latents; their variance stays 1."""
+    """Add noise to latents, at one noise level; the latents' variance stays 1."""
     alpha = float(alphas_cumprod()[level])
     return alpha**0.5 * latents + (1 - alpha) ** 0.5 * noise
 

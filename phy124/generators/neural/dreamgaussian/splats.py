@@ -28,7 +28,7 @@ START_OPACITY = 0.1
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of Adam; the one for centres decreases from `xyz` to `xyz_last`."""
+    """Learning rates of Adam; that of the centres decreases from `xyz` to `xyz_last`."""
 
     xyz: float = 0.01
     xyz_last: float = 0.0002
@@ -40,7 +40,7 @@ class Rates:
     """Number of steps until `xyz_last` is reached."""
 
     def position(self, step: int) -> float:
-        """Return the learning rate of the centres, whose logarithm is linear in the step."""
+        """Return the learning rate of the centres; its logarithm is linear in the step."""
         t = min(1.0, step / self.steps)
         return math.exp((1 - t) * math.log(self.xyz) + t * math.log(self.xyz_last))
 
@@ -61,7 +61,9 @@ class Splats:
 
     @classmethod
     def from_points(cls, points: Tensor, colors: Tensor, rates: Rates | None = None) -> Splats:
-        """Create spheres at `points [N,3]`; width: distance of neighbours; colours 0..1 [N,3]."""
+        """Create spheres at `points [N,3]`, as wide as the neighbours' distance; colours 0..1
+        [N,3].
+        """
         n = len(points)
         mean = neighbour_distances(points).clamp(min=SMALLEST)
         parameters = {
@@ -154,7 +156,7 @@ class Splats:
 
 
 def neighbour_distances(points: Tensor) -> Tensor:
-    """Return the mean squared distance of each point [N,3] to its three nearest neighbours [N]."""
+    """Return for each point [N,3] the mean squared distance to its three nearest neighbours [N]."""
     squared = torch.cdist(points, points).square().fill_diagonal_(math.inf)
     return squared.topk(min(NEIGHBOURS, len(points) - 1), largest=False).values.mean(dim=1)
 
@@ -175,7 +177,7 @@ TOO_LARGE = 0.1
 """Largest scale divided by the extent; larger Gaussians are removed."""
 RESET = 0.01
 Draw = Callable[[Tensor], Tensor]
-"""Function from standard deviations [M,3] to normal samples [M,3]."""
+"""Function that maps standard deviations [M,3] to normal samples [M,3]."""
 
 
 @dataclass(frozen=True)

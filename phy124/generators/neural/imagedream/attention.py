@@ -186,7 +186,9 @@ class Upsample(nn.Module):
 
 
 class Stage(nn.ModuleList):
-    """Layers in sequence; each gets only the inputs that it needs (embedding, context, frames)."""
+    """Layers in sequence. Each layer gets only the inputs that it needs (embedding, context,
+    frames).
+    """
 
     def __init__(self, *layers: nn.Module) -> None:
         super().__init__(layers)

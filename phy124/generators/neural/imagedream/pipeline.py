@@ -77,7 +77,7 @@ def pose_row(elevation: float, azimuth: float) -> list[float]:
 
 
 SPARE_UNETS = 2.0
-"""Free memory above which the image encoder is kept, in sizes of the U-Net."""
+"""The image encoder is kept if more than this multiple of the U-Net's size is free in memory."""
 FRAMES = 5
 """Number of frames: four views and the image."""
 SIZE = 256

@@ -17,7 +17,7 @@ VIEWS = 4
 HEADS = 16
 GROUPS = 32
 HALF_POWER = math.sqrt(0.5)
-"""Factor on the sum of a branch and its shortcut, which preserves the variance."""
+"""Factor on the sum of a branch and its shortcut; it preserves the variance."""
 
 
 class ResnetBlock(nn.Module):
