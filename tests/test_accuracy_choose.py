@@ -175,7 +175,7 @@ def test_a_grid_that_tears_the_object_is_not_taken(quick, monkeypatch):
 def test_a_goal_out_of_reach_is_refused_with_what_is_in_reach(quick):
     with pytest.raises(
         InputError,
-        match=r"no grid meets this target: even D/24, in about .*, would have an error of about",
+        match=r"no grid meets this target: even D/24, which takes about .*, would have an error",
     ):
         run_for_goal(Goal.error("0.0001px"), ball(600), quick)
 

@@ -76,7 +76,7 @@ def test_levels_that_do_not_come_closer_have_no_number():
     assert found.order is None
     assert found.error is None
     assert found.error_of(np.ones(4)) is None
-    assert found.why_not == "no convergence: finer grids are no closer together"
+    assert found.why_not == "no convergence: results on finer grids are no closer together"
 
 
 def test_two_levels_show_no_order():

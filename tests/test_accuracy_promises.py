@@ -52,7 +52,9 @@ def test_nothing_is_promised_to_objects_thinner_than_all():
     press = Scene.named("press").replaced({"accuracy": accuracy, "material.law": "neo_hookean"})
     known = {"coefficients": {}, "features": [], "kinds": {"elastic squeezed": dict(RANGE)}}
     said = expect(press, Proportions(0.1, 0.3), known)
-    assert said.error is None and "that is so thin (1.6 cells of this grid)" in said.unmeasured
+    assert (
+        said.error is None and "with so thin an object (1.6 cells of this grid)" in said.unmeasured
+    )
     assert expect(press, Proportions(0.2, 0.3), known).error == 1.0
     unknown = promise(press, None)
     assert unknown.error is None
@@ -260,7 +262,7 @@ def test_error_of_several_grids_has_a_bound_above_it():
 def test_finished_run_without_its_own_error_says_why():
     press = Scene.named("press").replaced({"accuracy": "draft"})
     report = {"error": {"about": None, "why_not": "a coarser grid would take too long"}}
-    reason = " This run has no error of its own: a coarser grid would take too long."
+    reason = " This run did not estimate its own error: a coarser grid would take too long."
     for scene in (press, press.replaced({"material.E": 2e3})):
         before, after = promise(scene, USUAL), promise(scene, USUAL, report)
         assert after.sentence == before.sentence + reason and after.brief == before.brief + reason

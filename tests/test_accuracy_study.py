@@ -253,7 +253,9 @@ def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
     )
     said = kept_promises(scene, 0.5, (row(16, 0.05, 1),), found)
     assert said["draft"] == "this kind of scene has no expected error; measured here: 5.0 %"
-    lost = Convergence(None, why_not="no convergence: finer grids are no closer together")
+    lost = Convergence(
+        None, why_not="no convergence: results on finer grids are no closer together"
+    )
     assert kept_promises(scene, 0.5, (row(16, None, 1),), lost)["draft"].startswith(
         "cannot be judged: no con"
     )
@@ -308,7 +310,9 @@ def test_the_picture_is_small(study, tmp_path):
 
 def test_a_study_without_convergence_still_draws(study, tmp_path):
     pytest.importorskip("matplotlib")
-    lost = Convergence(None, why_not="no convergence: finer grids are no closer together")
+    lost = Convergence(
+        None, why_not="no convergence: results on finer grids are no closer together"
+    )
     bare = replace(study[1], rows=(row(16, None, 1.0),), convergence=lost)
     plots.save_picture(bare, tmp_path / "a.png")
     plots.save_page(bare, tmp_path / "a.html")

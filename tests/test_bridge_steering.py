@@ -96,13 +96,13 @@ def test_failed_simulation_ends_the_run(monkeypatch):
     run.advance()
 
     def fail():
-        raise Stopped("frame 1 is not sound.")
+        raise Stopped("frame 1 is not valid.")
 
     monkeypatch.setattr(run.live, "step", fail)
     answer = Standard(run, OPTIONS, action=False).step(asked(steps=2))["result"]
     assert answer["result"] == Code.OPERATION_FAILED and "not sound" in answer["error_message"]
     run.enter(State.PLAYING)
-    assert run.finished and run.stopped == "frame 1 is not sound." and run.shown == 1
+    assert run.finished and run.stopped == "frame 1 is not valid." and run.shown == 1
 
 
 def test_commands_are_those_of_the_services():
@@ -422,13 +422,13 @@ def test_command_steers_an_object_and_keeps_the_session(tmp_path, capsys, monkey
 
     def step(live):
         if live.count == 2:
-            raise Stopped("frame 2 is not sound.")
+            raise Stopped("frame 2 is not valid.")
         return sound(live)
 
     monkeypatch.setattr(Live, "step", step)
     again = ["--record", str(bag), "--overwrite"]
     assert main(["live", str(clip), *given, *coarse, *again]) == 3
-    assert "its good frames are kept. frame 2 is not sound." in capsys.readouterr().err
+    assert "its good frames are kept. frame 2 is not valid." in capsys.readouterr().err
     assert Scene.named(str(session)).time.frames == 2 and recover(bag).frames == 2
     assert main(["live", str(clip), *given]) == 3, "while the grid is chosen"
     for wrong in (["--speed", "nan"], ["--push-seconds", "-1"]):

@@ -31,7 +31,7 @@ def _found(*errors: float | None, torn: int = 0, rate: float | None = 1.0) -> Me
         Level(cells=cells, seconds=cells / 10, error=error, torn=cells == torn)
         for cells, error in zip(GRIDS, errors, strict=True)
     )
-    why = "" if any(errors) else "no convergence: finer grids are no closer together"
+    why = "" if any(errors) else "no convergence: results on finer grids are no closer together"
     return Measurement(levels=levels, order=rate, why_not=why, skipped=())
 
 

@@ -308,7 +308,7 @@ def test_failed_simulation_is_reported(player, monkeypatch):
     run, line = player
 
     def fail():
-        raise Stopped("frame 1 is not sound.")
+        raise Stopped("frame 1 is not valid.")
 
     monkeypatch.setattr(run.live, "step", fail)
     monkeypatch.setattr("demo.touch.player.Player", lambda what, line: run)

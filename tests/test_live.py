@@ -158,13 +158,13 @@ def test_a_frame_that_fails_drops_the_inputs_and_goes_on(monkeypatch):
 
     def step(self):
         if next(fails, False):
-            raise Stopped("frame 15 is not sound.", ())
+            raise Stopped("frame 15 is not valid.", ())
         return sound(self)
 
     monkeypatch.setattr(type(run._run), "step", step)
     frame = run.step()
     # It failed without the push, too, so it went back to the state kept after 12 frames.
-    assert frame.index == 12 and "frame 15 is not sound" in run.notes[0]
+    assert frame.index == 12 and "frame 15 is not valid" in run.notes[0]
     assert not [f for f in run.session().forces if f.kind == "wrench"]
     assert np.isfinite(frame.gaussians.means).all()
 
@@ -176,11 +176,11 @@ def test_second_failure_at_a_frame_ends_the_run(monkeypatch, broken):
 
     def step(self):
         if self.count == broken:
-            raise Stopped(f"frame {broken} is not sound.")
+            raise Stopped(f"frame {broken} is not valid.")
         return sound(self)
 
     monkeypatch.setattr(type(run._run), "step", step)
-    with pytest.raises(Stopped, match=f"frame {broken} is not sound. .* again"):
+    with pytest.raises(Stopped, match=f"frame {broken} is not valid. .* again"):
         list(run.frames(40))
     assert len(run.notes) < 6
 

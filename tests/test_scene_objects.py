@@ -227,7 +227,7 @@ def test_each_object_is_made_from_its_own_file(tmp_path):
     assert len(made.gaussians) == 800 and made.about["sources"]["copy"]["source"] == "second.ply"
     with pytest.raises(InputError, match=r"takes one picture. .*collide, stack"):
         pipeline.make_gaussians([one, two], scene(), generator=str(one))
-    with pytest.raises(InputError, match="its file has not been read"):
+    with pytest.raises(InputError, match="the object's file has not been read"):
         Simulation(prepare(ball(300), named))
     with pytest.raises(InputError, match="belong to 3 objects, but the scene has 2"):
         Simulation(prepare(as_objects({0: ball(300), 2: ball(300)}), waiting))

@@ -264,7 +264,7 @@ def test_a_frame_that_fails_twice_stops_and_keeps_the_good_ones(tmp_path, monkey
     assert len(clip) == 3
     assert not clip.report["complete"]
     stopped = clip.report["stopped"]
-    assert "frame 3 is not sound" in stopped
+    assert "frame 3 is not valid" in stopped
     assert "particle 11 of law neo_hookean" in stopped
     assert stopped.endswith("Use accuracy.cfl = 0.188.")
     assert clip.report["remedies"][0]["accuracy"]["cfl"] == pytest.approx(CFL / 4)
@@ -316,7 +316,7 @@ def test_graph_names_the_same_non_finite_particle(monkeypatch):
     monkeypatch.setattr(s.solver, "step", poisoned_step)
     stopped = s.run().report["stopped"]
     assert max(visits) > 0.095
-    assert re.search(r"frame \d is not sound.* first particle 150 of law", stopped)
+    assert re.search(r"frame \d is not valid.* first particle 150 of law", stopped)
 
 
 def test_the_report_says_what_limited_the_substep():

@@ -1,4 +1,4 @@
-"""Predicts the time and the error of a run, and chooses the accuracy that meets a goal.
+"""Predicts the time and the error of a run, and chooses an accuracy that meets a goal.
 
 The web page and other callers need three calls:
 

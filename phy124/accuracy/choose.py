@@ -1,4 +1,4 @@
-"""Chooses the accuracy that meets a goal: a maximum error or a maximum time.
+"""Chooses an accuracy that meets a goal: a maximum error or a maximum time.
 
 A level is a run of the scene on one grid. For a maximum error, levels are run from coarse to fine,
 each with at most 1.5 times the cells of the one before. From three levels on, the order of
@@ -45,9 +45,9 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.bodies import Placed
 
 FIRST = (12, 16, 24)
-"""Cells across the object on the first levels; an order is observed on three levels."""
+"""Cells across the object on the first levels; three levels are needed to observe an order."""
 STEP = 1.5
-"""Largest ratio of a new level's cells to the cells of the finest level so far."""
+"""Largest ratio of the number of cells on a new level to that on the finest level so far."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
 """Cells across the object of the other grids that may be chosen.
 
@@ -56,9 +56,9 @@ The finest grids take minutes, and less than 2 GB of memory, on two cores.
 GUESSED_ORDER = 1.0
 """Order assumed if the levels do not converge; free surfaces converge with first order."""
 START = 16
-"""Cells across the object of the first grid whose time is forecast for a maximum time."""
+"""Cells across the object of the grid with which the search for a maximum time begins."""
 ATTEMPTS = 2
-"""Number of levels that are run after the first estimate although the levels do not converge."""
+"""Number of further levels that are run if the first levels do not converge."""
 DENSEST = 4.0
 """Maximum number of particles per cell and axis."""
 
@@ -84,7 +84,7 @@ def run_for_goal(
     forecaster: Forecaster | None = None,
     see: Callable[[Simulation], object] = lambda run: None,
 ) -> Reached:
-    """Run a scene on the grid that meets a goal, which replaces the scene's number of cells.
+    """Run a scene on the grid that meets a goal; the number of cells in the scene is ignored.
 
     Args:
         goal: A maximum error or a maximum time.
@@ -121,9 +121,10 @@ class _Runs:
     spent: dict[int, float] = field(default_factory=dict)
     """Cells across the object -> duration of the run on this grid [s]."""
     placed: Placed | None = None
-    """The object in its position, from the first simulation; None if it is not known yet."""
+    """The object in its position, from the first simulation; None before that."""
     denser: bool = False
-    """Whether runs use one more particle per cell and axis, because a level tore the material."""
+    """Whether runs use one more particle per cell and axis, because the material tore on a
+    level."""
 
     def simulation(self, cells: int) -> Simulation:
         """Create a simulation on this grid without starting it."""
@@ -137,7 +138,7 @@ class _Runs:
         return Simulation(setup)
 
     def clip(self, cells: int) -> Clip:
-        """Return the clip on this grid; run the simulation if the clip does not exist yet."""
+        """Return the clip on this grid; if it does not exist yet, run the simulation."""
         if cells not in self.done:
             start = time.perf_counter()
             self._make(cells)
@@ -155,7 +156,9 @@ class _Runs:
         return simulation.run(record=self.see)
 
     def _make_denser(self, cells: int) -> None:
-        """Repeat a torn level with more particles, unless they would exceed a limit."""
+        """Repeat a level on which the material tore with more particles, unless they would exceed a
+        limit.
+        """
         self.denser = self.scene.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):
@@ -174,7 +177,7 @@ class _Runs:
 
     @property
     def whole(self) -> list[int]:
-        """Levels without tears."""
+        """Levels on which the material did not tear."""
         return sorted(set(self.done) - set(self.torn))
 
 
@@ -197,7 +200,7 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
 
 
 def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
-    """Run the next level; return the reason if there is none, or else ""."""
+    """Run the next level and return ""; if there is no next level, return the reason."""
     if not result.errors and len(runs.done) >= len(FIRST) + ATTEMPTS:
         return result.why_not
     finest, (error, order) = max(runs.done), _guess(goal, runs, result)
@@ -224,11 +227,13 @@ def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
 
 
 def _describe_best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
-    """Describe the error and time of the finest grid, extrapolated from the finest run."""
+    """Describe the error and the time of the finest possible grid, extrapolated from the finest
+    run.
+    """
     known, finest = max(runs.done), CELLS[-1]
     best = format_error(goal.kind, error * (known / finest) ** order)
     seconds = duration(runs.spent[known] * (finest / known) ** GROWTH)
-    return f"even D/{finest}, in about {seconds}, would have an error of about {best}"
+    return f"even D/{finest}, which takes about {seconds}, would have an error of about {best}"
 
 
 def _report(
@@ -320,7 +325,8 @@ def in_time(
     crop: Crop = WHOLE,
     forecaster: Forecaster | None = None,
 ) -> tuple[Scene, Forecast]:
-    """Return the scene on the finest grid whose forecast fits a maximum time, and the forecast.
+    """Return the scene on the finest grid whose forecast is within a maximum time, and the
+    forecast.
 
     Only the probes of the forecasts are run.
 
@@ -344,7 +350,7 @@ def in_time(
 
 
 class _Fit(NamedTuple):
-    """A grid whose forecast fits the maximum time."""
+    """A grid whose forecast time is within the maximum time."""
 
     cells: int
     simulation: Simulation
@@ -369,7 +375,7 @@ def _meet_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) 
 
 
 def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> _Fit:
-    """Return the finest grid whose forecast fits the maximum time.
+    """Return the finest grid whose forecast is within the maximum time.
 
     Raises:
         InputError: No forecast fits.
@@ -444,7 +450,8 @@ def _choose_next(
 
 
 GROWTH = 2.5
-"""Exponent of the time: preparation and simulation are assumed to take time as cells^GROWTH.
+"""Exponent of the time: that of preparation and simulation is assumed to be proportional to
+cells^GROWTH.
 
 The exponent lies between those of a thin surface (2) and of a solid (3).
 """

@@ -1,4 +1,5 @@
-"""Estimates the error of a finished run from a companion: the same scene on a coarser grid.
+"""Estimates the error of a finished run from a companion: a run of the same scene on a coarser
+grid.
 
 The distance between the motions of the run and of its companion is measured on a sample of the
 Gaussians. The error of the run is about this distance times a factor, and at most this distance
@@ -34,9 +35,10 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.setup import Setup
 
 AFFORDABLE = 0.2
-"""Largest forecast of the companion's time, as a fraction of the time of the run's dynamics."""
+"""Largest forecast time of the companion, as a fraction of the time of the run's dynamics."""
 ON_LATTICE = 1.5
-"""Factor on `AFFORDABLE` for lattices, on which the dynamics take half the time or less."""
+"""Factor on `AFFORDABLE` for lattices, whose dynamics take at most half the time of other
+solvers."""
 SAMPLE = 2000
 """Number of Gaussians whose motion is compared."""
 MPM, LATTICE = Rates(particle=7e-8), Rates(substep=2.6e-4, particle=3.6e-8)
@@ -46,7 +48,7 @@ RATES = {
     "cuda": (USUAL["cuda"], USUAL["cuda"]),
 }
 """Rates of a run and of its companion with each solver of elastic objects on a CPU, and on a GPU.
-On a lattice, the checks of a run's frames are a large part of the time of its substeps.
+On a lattice, the checks at each frame take a large part of a run's substep time.
 """
 EFFORT: dict[Motion, float] = {
     "squeezed": 2.2,
@@ -60,26 +62,27 @@ EFFORT: dict[Motion, float] = {
 Contact takes time, and so do measurements of the frequency of what is strained.
 """
 PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.044, 0.0, 1e-5), "cuda": (0.045, 3e-7, 0.0)}
-"""Time to prepare a companion [s]: in total, per Gaussian and per particle of the companion."""
+"""Time to prepare a companion [s]: a constant, and the times per Gaussian and per particle of the
+companion."""
 COARSEST = 6
 """Minimum number of cells across the object on the companion's grid."""
 FEWEST = 3
-"""Minimum number of frames from which an error is estimated."""
+"""Minimum number of frames that is needed to estimate an error."""
 PARTED = 0.1
-"""Distance, in object sizes, from which the motions on two grids count as different."""
+"""Distance, in object sizes, above which the motions on two grids count as different."""
 
 
 class Factors(NamedTuple):
-    """Error of a run, divided by the distance between the run and its companion."""
+    """Ratios of a run's error to the distance between the run and its companion."""
 
     about: float
-    """Median over objects and scenes."""
+    """Median ratio over objects and scenes."""
     at_most: float
-    """Bound that held for 95 % of the objects and scenes."""
+    """Ratio that 95 % of the objects and scenes did not exceed."""
 
 
 RATIO = 0.5
-"""Cells of the companion, divided by the cells of the run.
+"""Number of cells of the companion, divided by that of the run.
 
 With 5/8 the estimate would be less sharp and cost twice as much (docs/lab/own-error.md).
 """
@@ -96,13 +99,15 @@ FACTORS = {
     "metal": Factors(0.6, 2.6),
     "foam": Factors(0.6, 0.95),
 }
-"""Factors of the laws that were measured; other laws have the factors of the kind of motion."""
+"""Factors of kinds of motion, and of the laws that were measured; other laws have those of their
+kind of motion."""
 USUAL_CELLS = 16
-"""Cells of the companion for which the factors hold; they are larger on finer and coarser grids."""
+"""Cells of the companion for which the factors hold; on finer and coarser grids the factors are
+larger."""
 FLOOR = 2e-4
 """Error, in object sizes, that is always added to the bound."""
 LEAST = 0.6
-"""Smallest bound, divided by the error expected before the run.
+"""Smallest bound, divided by the error that was expected before the run.
 
 Two coarse grids may agree by chance. The expected error then limits the damage at little cost.
 """
@@ -116,7 +121,7 @@ class OwnError(NamedTuple):
     at_most: float | None = None
     """Bound on this distance."""
     until: float | None = None
-    """Time from which the motion depends on the grid [s]; None: it does not.
+    """Time from which the motion depends on the grid [s]; None if it never does.
 
     The error holds for the frames before this time.
     """
@@ -129,13 +134,13 @@ class OwnError(NamedTuple):
 
 
 class Lost(Exception):
-    """A companion ended early; the message says why."""
+    """Raised if a companion ends early; the message states the reason."""
 
 
 def with_own_error(
     run: Simulation, clip: Clip, *, omit: str = "", goal: Mapping[str, Any] | None = None
 ) -> Clip:
-    """Return the clip of a run with the run's own error in its report.
+    """Return the clip of a run; its report contains the run's own error.
 
     Args:
         run: The run.
@@ -166,7 +171,7 @@ def with_own_error(
 
 
 def _measured_for(goal: Mapping[str, Any]) -> OwnError:
-    """Return the error that the grids of a maximum error measured."""
+    """Return the error that the search for a maximum error measured with several grids."""
     error = goal["fraction"]
     if error is None:
         return OwnError(why_not=goal["why_not"].rstrip("."))
@@ -174,7 +179,7 @@ def _measured_for(goal: Mapping[str, Any]) -> OwnError:
 
 
 def measure_error(run: Simulation, clip: Clip) -> OwnError:
-    """Return the error of a finished run; its companion runs if that is cheap enough.
+    """Return the error of a finished run; its companion is run only if that is cheap enough.
 
     Args:
         run: The run.
@@ -209,12 +214,12 @@ def coarsen(scene: Scene) -> Scene:
 
 
 def affordable(run: Simulation) -> float:
-    """Return the largest forecast cost with which the companion of a run runs."""
+    """Return the largest forecast cost at which the companion of a run is run."""
     return AFFORDABLE * (ON_LATTICE if run.scene.on_lattice else 1.0)
 
 
 def forecast(run: Simulation, substeps: int, particles: int | None = None) -> float:
-    """Return the CPU time of the companion as a fraction of that of a run's dynamics.
+    """Return the CPU time of the companion as a fraction of the CPU time of the run's dynamics.
 
     Args:
         run: The run.
@@ -233,7 +238,7 @@ def forecast(run: Simulation, substeps: int, particles: int | None = None) -> fl
 
 
 def count_threads(setup: Setup) -> int:
-    """Return the number of threads that pay for the companion of a run, from counts of the run."""
+    """Return how many threads speed up the companion of a run, from the counts of the run."""
     enough = count_particles(setup) // MIN_PARTICLES
     return max(1, min(enough, setup.threads))
 
@@ -244,7 +249,7 @@ def count_particles(setup: Setup) -> int:
 
 
 def factors_of(scene: Scene, cells: int) -> Factors:
-    """Return the factors for a scene whose companion has this number of cells."""
+    """Return the factors for a scene whose companion has a given number of cells."""
     keys = [
         section.law if section.law in FACTORS else motion_of(scene) for section in scene.materials
     ]
@@ -294,7 +299,7 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
 
 
 def _prepare(setup: Setup, scene: Scene) -> Setup:
-    """Return the setup of a companion, which observes nothing and deforms no Gaussians."""
+    """Return the setup of a companion, without observers and without deformation of Gaussians."""
     progress = setup.context.progress
     threads = count_threads(setup)
     context = RunContext(setup.context.device, threads, lambda *_: progress("companion", 0, 1))
@@ -303,13 +308,15 @@ def _prepare(setup: Setup, scene: Scene) -> Setup:
 
 
 def _sample(setup: Setup) -> NDArray[np.int64]:
-    """Return the indices of the moving Gaussians that are compared, without grains."""
+    """Return the indices of the moving Gaussians to compare; there are no grains among them."""
     moving = np.flatnonzero(setup.appearance.moves[: len(setup.gaussians)])
     return moving[np.linspace(0, len(moving) - 1, min(SAMPLE, len(moving))).astype(np.int64)]
 
 
 def _distances(setup: Setup, clip: Clip, indices: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Run a companion; return the RMS distance of some Gaussians from a clip's [T], m."""
+    """Run a companion; return the RMS distance [T], m, of some of its Gaussians from those of a
+    clip.
+    """
     look = setup.appearance
     chosen = (np.cumsum(look.moves) - 1)[indices]
     limits: dict[str, Any] = {name: values[chosen] for name, values in look.limits().items()}

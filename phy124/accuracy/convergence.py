@@ -26,18 +26,21 @@ Free surfaces converge with first order, and the interior with second order. If 
 coarse, the observed order is lower than 1, and errors estimated with it would be unreliable.
 """
 SAFETY = 1.25
-"""Factor on errors if the observed order is more than `NEAR` outside `TRUSTED` (Roache 1998)."""
+"""Factor on the errors if the observed order is outside `TRUSTED` by more than `NEAR` (Roache
+1998)."""
 NEAR = 0.1
 AGREE = 1e-5
-"""Distance, in the unit of the results, below which levels count as equal up to rounding."""
+"""Largest distance, in the unit of the results, at which levels count as equal up to rounding."""
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """Order of convergence and errors of grid levels, estimated from the levels' distances."""
+    """Order of convergence and errors of grid levels, estimated from the distances between the
+    levels.
+    """
 
     order: float | None
-    """Observed order; None if the levels do not converge, or all agree."""
+    """Observed order; None if the levels do not converge, or if all levels agree."""
     errors: tuple[float, ...] = ()
     """Estimated error of each level, in the unit of the distances; empty without an estimate."""
     why_not: str = ""
@@ -47,9 +50,9 @@ class Convergence:
     exact: tuple[float, ...] = ()
     """Weights of the levels in the extrapolated result; they sum to 1."""
     inside: float = 0.0
-    """Mean square distance of the levels from the extrapolated result, with the weights `exact`."""
+    """Mean square distance of the levels from the extrapolated result, weighted by `exact`."""
     factor: float = 1.0
-    """Safety factor on the errors."""
+    """Safety factor by which the errors are multiplied."""
 
     @property
     def error(self) -> float | None:
@@ -93,7 +96,10 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
         note = "all levels agree: this motion does not depend on the grid"
         return Convergence(None, (error,) * levels, note=note, exact=exact)
     if apart[-2, -1] >= apart[0, -1] or not apart[np.triu_indices(levels, 1)].all():
-        return Convergence(None, why_not="no convergence: finer grids are no closer together")
+        return Convergence(
+            None,
+            why_not="no convergence: results on finer grids are no closer together",
+        )
     observed = _observe_order(h, apart)
     trusted = float(np.clip(observed, *TRUSTED))
     fit = _fit(h, apart, trusted)
@@ -110,7 +116,7 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
 def longest_convergence(
     spacings: Sequence[float], clips: Sequence[NDArray], size: float = 1.0
 ) -> tuple[Convergence, int]:
-    """Estimate the errors over the longest initial part of the clips that converges.
+    """Estimate the errors over the longest initial part of the clips in which the levels converge.
 
     The motions on two grids may separate after some event, for example if the object topples on
     only one of the grids. The levels still converge up to that event.
@@ -142,7 +148,9 @@ def longest_convergence(
 
 
 def _observe_order(h: NDArray, apart: NDArray) -> float:
-    """Return the order p for which C |h_i^p - h_j^p| best fits the distances of all pairs."""
+    """Return the order p for which C |h_i^p - h_j^p| best fits the distances of all pairs of
+    levels.
+    """
     orders, pairs = np.linspace(*ORDERS, 251), np.triu_indices(len(h), 1)
     power = h[:, None] ** orders
     ratio = np.log(apart[pairs][:, None] / (power[pairs[0]] - power[pairs[1]]))
@@ -150,7 +158,7 @@ def _observe_order(h: NDArray, apart: NDArray) -> float:
 
 
 def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
-    """Fit exact + h^p e to the levels, for an order p."""
+    """Fit the form exact + h^p e to the levels, for an order p."""
     power = h**p
     columns = np.stack([np.ones(len(h)), power], axis=1)
     weighted = columns / power[:, None] ** 2

@@ -20,14 +20,16 @@ from phy124.scene import View
 
 @dataclass(frozen=True)
 class Difference:
-    """Distances between the Gaussians' centres in two clips, and between the clips' videos."""
+    """Distances between the Gaussians' centres in two clips, and differences between the clips'
+    videos.
+    """
 
     metres: float
     """RMS distance over all Gaussians and frames [m]."""
     relative: float
     """RMS distance as a fraction of the object's size at rest."""
     pixels: float
-    """RMS distance in the image of the first view [pixels]."""
+    """RMS distance of the Gaussians' centres in the image of the first view [pixels]."""
     worst_frame: int
     """Index of the frame with the largest RMS distance."""
     worst: float

@@ -38,24 +38,25 @@ WORDS: dict[Motion, str] = {
     "held": "held at a part of it",
     "free": "touching nothing",
 }
-"""Kind of motion -> its description in messages."""
+"""Kind of motion -> description of this kind in messages."""
 ON_LATTICE = ", on a lattice"
-"""Words for the lattice solver of elastic objects, added to a kind of scene or a feature."""
+"""Words that are added to a kind of scene or a feature if the lattice solver moves elastic
+objects."""
 MARGIN = 1.25
-"""Maximum ratio by which a scene may exceed the measured range of a property."""
+"""Largest ratio of a scene's property to the upper end of the property's measured range."""
 NEARBY = 0.02
-"""Maximum excess of Poisson's ratio over the measured value."""
+"""Largest amount by which Poisson's ratio may exceed the measured range."""
 HARDER = {
     "violence": "with so fast a motion or so soft a material",
     "yielding": "with so large a plastic deformation",
 }
-"""Property -> description of scenes whose value exceeds the measured range."""
+"""Property -> description of scenes whose value is above the measured range."""
 THINNEST = 0.7
-"""Thickness, in cells, below which the error no longer grows."""
+"""Thickness, in cells, below which further thinning does not increase the error."""
 SOLID = Proportions(thickness=1.0, compliance=0.1)
-"""Proportions of an object that every grid resolves."""
+"""Proportions of an object that is resolved on every grid."""
 STIFFEST, SOFTEST = 0.02, 100.0
-"""Range of compliances that affect the error."""
+"""Range of compliances within which the error depends on the compliance."""
 
 
 class Expectation(NamedTuple):
@@ -64,9 +65,9 @@ class Expectation(NamedTuple):
     error: float | None
     """Bound on the RMS distance of the Gaussians from the exact motion, in object sizes."""
     unmeasured: str = ""
-    """The kind of scene that was not measured."""
+    """The kind of scene, if there is no prediction because this kind was not measured."""
     such: str = ""
-    """Law and kind of motion, in words."""
+    """Law and kind of motion of the measured objects, in words."""
     objects: int = 0
     """Number of measured objects of this law and kind of motion."""
     length: float = math.inf
@@ -74,7 +75,7 @@ class Expectation(NamedTuple):
 
 
 def law_of(scene: Scene) -> str:
-    """Return the name of a scene's law; "elastic" for the laws without flow."""
+    """Return the name of a scene's law; "elastic" stands for all laws without flow."""
     sections = scene.materials
     laws = {"elastic" if isinstance(each, Springy) else each.law for each in sections}
     return " and ".join(sorted(laws))
@@ -90,14 +91,14 @@ def kind_of(scene: Scene) -> str:
 
 
 def groups(scene: Scene) -> list[str]:
-    """Return the names of a scene's groups; the model adds the groups' coefficients."""
+    """Return the names of a scene's groups; the model adds up their coefficients."""
     motion, law = motion_of(scene), law_of(scene)
     names = ["all", motion, law, f"{law} {motion}", *features(scene)]
     return [*names, "lattice", kind_of(scene)] if scene.on_lattice else names
 
 
 def name_features(scene: Scene) -> list[str]:
-    """Return a scene's features, with its solver; each must have been measured with this solver."""
+    """Return a scene's features together with its solver; each pair must have been measured."""
     names = features(scene)
     return [f"{name}{ON_LATTICE}" for name in names] if scene.on_lattice else names
 
@@ -202,7 +203,9 @@ def predict(
 
 
 def _clamp(values: Mapping[str, float], measured: Mapping[str, Any]) -> dict[str, float]:
-    """Return the properties within the measured range, so that the model never extrapolates."""
+    """Return the properties, limited to the measured range, so that the model never
+    extrapolates.
+    """
     return {
         name: min(max(value, measured[name][0]), measured[name][1])
         for name, value in values.items()
@@ -225,7 +228,7 @@ def _describe_beyond(scene: Scene, known: Sequence[str]) -> str:
 def _describe_outside(
     scene: Scene, values: Mapping[str, float], measured: Mapping[str, Any]
 ) -> str:
-    """Describe a property of the scene outside the measured range, empty if there is none.
+    """Describe a property of the scene that is outside the measured range; empty if there is none.
 
     Only values that make the error larger count, since others are replaced by the nearest
     measured value.
@@ -243,7 +246,7 @@ def _describe_outside(
     if values["cells"] < measured["cells"][0]:
         return "on so coarse a grid"
     if values["thickness"] * MARGIN < measured["thickness"][0]:
-        return f"that is so thin ({values['thickness']:.1f} cells of this grid)"
+        return f"with so thin an object ({values['thickness']:.1f} cells of this grid)"
     return ""
 
 

@@ -38,40 +38,43 @@ from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation, prepare
 
 SPEED_UP = 0.72
-"""Speed-up per additional thread."""
+"""Speed-up that each additional thread contributes."""
 GROWTH = 2.5
-"""Exponent with which the time of a companion grows with its cells."""
+"""Exponent with which the time of a companion grows with the companion's cells."""
 UNSURE = 0.1
-"""Fraction of substeps limited by the particles' motion above which the forecast is a guess."""
+"""If a larger fraction of the substeps is limited by the particles' motion, the forecast is a
+guess."""
 GUESS = 1.14
-"""Factor that widens the range of the time if the forecast is only a guess."""
+"""Factor that widens the range of the time if the forecast is a guess."""
 ON_DEVICE = ("simulate", "deform", "render")
-"""Stages that a GPU computes."""
+"""Stages that run on the GPU, if there is one."""
 REMEMBERED = 32
 """Maximum number of stored forecasts and measurements; a new one replaces the oldest."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """The predicted time of a run, by stage, and the counts and rates behind the prediction."""
+    """The predicted time of a run, by stage, and the counts and rates from which it was
+    predicted.
+    """
 
     stages: dict[str, float]
     """Name of a stage, as in the report -> its predicted time [s]."""
     measured: tuple[str, ...]
-    """Finished stages, whose time in `stages` is measured instead of predicted."""
+    """Stages that are finished: their time in `stages` is measured, not predicted."""
     particles: int
     nodes: int
     """Mean number of grid nodes over the run."""
     substeps: int
     limiters: dict[str, float]
-    """Name of a limit of the substep -> fraction of the substeps that it determines."""
+    """Name of a limit of the substep -> fraction of the substeps whose length it determines."""
     rates: SubstepCost
     memory: float = 0.0
     """Estimated memory of the run (`phy124.budget.limits`) [bytes]."""
     caveat: str | None = None
     """Reason why the predicted time is only a guess; None if it is not."""
     load: Load = QUIET
-    """How busy other programs kept this machine while the probes ran."""
+    """Load from other programs on this machine while the probes ran."""
     proportions: Proportions | None = None
     """Proportions of the objects; None if unknown."""
     device: str = "cpu"
@@ -90,11 +93,13 @@ class Forecast:
         return sum(self.stages.values())
 
     def with_measured(self, name: str, seconds: float) -> Forecast:
-        """Return the forecast with an additional finished stage and its measured time [s]."""
+        """Return the forecast with one more finished stage and the measured time of this stage
+        [s].
+        """
         return replace(self, stages={name: seconds, **self.stages}, measured=(*self.measured, name))
 
     def with_predicted(self, name: str, seconds: float, caveat: str) -> Forecast:
-        """Return the forecast with an additional first stage, whose time is only a guess.
+        """Return the forecast with one more stage in front, whose time is only a guess.
 
         Args:
             name: Name of the stage.
@@ -180,7 +185,7 @@ class Stop:
     caveat: str | None = None
     """Reason why the predicted time is only a guess; None if it is not."""
     forecast: Forecast | None = None
-    """The forecast of the time, if probes of the object itself made it."""
+    """The forecast of the time, if it was made from probes of the object itself."""
 
     @classmethod
     def of(
@@ -211,7 +216,7 @@ class Forecaster:
     context: RunContext = field(default_factory=RunContext)
     """Device and threads of the runs; its progress and stopwatch are not used."""
     error: bool = True
-    """Whether the runs will estimate their own error, if that is cheap."""
+    """Whether each run will estimate its own error if that is cheap."""
     _known: dict[Any, Any] = field(default_factory=dict, repr=False)
     _meter: LoadMeter = field(init=False, repr=False)
 
@@ -329,12 +334,12 @@ class Forecaster:
 
 
 def speed_up(threads: int) -> float:
-    """Return how many times faster the dynamics are on some threads (docs/lab/benchmarks.md)."""
+    """Return the factor by which some threads speed up the dynamics (docs/lab/benchmarks.md)."""
     return 1 + SPEED_UP * (threads - 1)
 
 
 def _sample(gaussians: Gaussians) -> tuple[int, bytes]:
-    """Return the number of Gaussians and a few of their positions, as a cache key."""
+    """Return the number of Gaussians and a few of their positions, to be used as a cache key."""
     return len(gaussians), gaussians.means[:: max(1, len(gaussians) // 64)].tobytes()
 
 
@@ -347,7 +352,7 @@ def pixels_per_size(scene: Scene) -> float:
 
 
 def _physics(scene: Scene) -> str:
-    """Return the part of a scene that determines its time, as JSON."""
+    """Return the fields of a scene that determine the run's time, as JSON."""
     return scene.model_dump_json(exclude={"description", "seed"})
 
 

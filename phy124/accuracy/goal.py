@@ -1,4 +1,6 @@
-"""Defines the goal of a run: a maximum error or time; too short a time is refused."""
+"""Defines the goal of a run, a maximum error or a maximum time, and refuses times that are too
+short.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ UNIT: dict[Kind, Callable[[Scene], float]] = {
 }
 """Kind of goal -> function that returns the object's size in the goal's unit."""
 MARGIN = 0.95
-"""Fraction of the maximum time that a forecast may use, since forecasts err by a few per cent."""
+"""Fraction of the maximum time that a forecast may fill; the rest is for forecast errors of a few
+per cent."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,8 @@ class Goal:
 
     kind: Kind
     value: float
-    """Maximum, in pixels of the first view, fractions of the object's size, metres or seconds."""
+    """The maximum, in pixels of the first view, fractions of the object's size, metres or
+    seconds."""
     text: str
 
     @classmethod
@@ -95,7 +99,7 @@ def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
 def explain_time(
     goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: float
 ) -> InputError:
-    """Return the error for a maximum time that even the coarsest grid exceeds.
+    """Return the error for a maximum time that is too short even for the coarsest grid.
 
     The message names the longest stage.
 

@@ -1,4 +1,4 @@
-"""Measures the load from other programs on this machine, and how it lengthens a run."""
+"""Measures the load from other programs on this machine, and by how much it lengthens a run."""
 
 from __future__ import annotations
 
@@ -12,21 +12,24 @@ from dataclasses import dataclass
 from phy124.runtime.cores import cores
 
 SPIN = 0.3
-"""Duration for which busy-waiting threads measure the fraction of a core that each gets [s]."""
+"""Duration of the measurement in which busy-waiting threads find out their fraction of a core
+[s]."""
 ENOUGH, LONGEST = 0.2, 4.0
-"""Minimum CPU time of a spinning thread, and maximum duration of spinning, in units of `SPIN`."""
+"""Minimum CPU time of a spinning thread, and maximum duration of spinning; both in units of
+`SPIN`."""
 BLOCK = bytes(1 << 18)
-"""Data whose checksum a spinning thread computes without holding Python's global lock."""
+"""Data for the checksum that a spinning thread computes without Python's global lock."""
 ALONE = 0.93
-"""Fraction of a core's time that a thread must get for the core to count as free."""
+"""Fraction of a core's time that a thread must get if the core is to count as free."""
 SECOND_THREAD = 1.5
-"""Factor on the time of a simulation if no free core is available for its second thread."""
+"""Factor on the time of a simulation whose second thread finds no free core."""
 MINIMUM, MAXIMUM = 0.8, 1.5
-"""Range of measured time / forecast time on an idle machine (docs/lab/forecasts.md)."""
+"""Range of the ratio of measured time to forecast time on an idle machine
+(docs/lab/forecasts.md)."""
 BUSY = 1.2
-"""Factor that widens the range on a busy machine, since the load may change during a run."""
+"""Factor that widens the range on a busy machine, because the load may change during a run."""
 FRESH = 10.0
-"""Time for which a measurement of the load is valid [s]."""
+"""Age up to which a measurement of the load is reused [s]."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class Load:
         return self.simulation if stage == "simulate" else self.thread
 
     def mean(self, other: Load) -> Load:
-        """Return the mean of two loads, for work between their measurements."""
+        """Return the mean of two loads, for work that was done between the two measurements."""
         thread = (self.thread + other.thread) / 2
         return Load(thread, (self.simulation + other.simulation) / 2)
 
@@ -81,7 +84,7 @@ class Load:
 
 
 class LoadMeter:
-    """Measures the load on request, unless the last measurement is recent enough.
+    """Measures the load on request; a measurement that is recent enough is reused.
 
     A measurement takes about 0.6 s.
     """
@@ -93,7 +96,7 @@ class LoadMeter:
             device: Warp device of the runs.
         """
         self.latest = Load()
-        """The last measured load; before the first measurement, the load of an idle machine."""
+        """The last measured load; the load of an idle machine before the first measurement."""
         self._device, self._measured = device, -math.inf
         self._measuring = threading.Lock()
 
@@ -129,7 +132,7 @@ def _measure_fraction(threads: int) -> float:
 
 
 def _spin(seconds: float) -> float:
-    """Return the fraction of a core that this thread gets while it spins.
+    """Return the fraction of a core that this thread gets while it busy-waits.
 
     It spins for `seconds`, or longer if it has received too little CPU time for a measurement.
     """
@@ -141,4 +144,4 @@ def _spin(seconds: float) -> float:
 
 
 QUIET = Load()
-"""The load of an idle machine."""
+"""The load that is assumed for an idle machine."""

@@ -1,4 +1,4 @@
-"""Measures or predicts the times of substeps, shapes, videos and the compilation of kernels."""
+"""Measures or predicts the times of substeps, of shapes, of videos, and of compiling kernels."""
 
 from __future__ import annotations
 
@@ -39,27 +39,27 @@ if TYPE_CHECKING:
     from phy124.simulation.bodies import Placed
 
 PROBE, MIN_PROBE = 20, 6
-"""Maximum and minimum number of substeps in a probe."""
+"""Maximum and minimum number of substeps of a probe."""
 LONGEST_PROBE, ROUNDS = 0.6, 5
-"""Maximum total duration of the probes [s], and maximum number of probes; the median is used.
+"""Maximum total duration of the probes [s], and maximum number of probes, whose median is used.
 
 Probes of large objects have fewer substeps.
 """
 GRAPH_PROBE = (20, 120)
-"""Numbers of substeps of two probes on a GPU.
+"""Numbers of substeps of the two probes on a GPU.
 
 There a substep takes so little time that the fixed cost of a frame would dominate a single probe;
 the difference of the two probes is free of it.
 """
 FILMED, TRIES = (2, 6), 2
-"""Numbers of frames of two test videos, and number of repetitions, of which the fastest is used.
+"""Numbers of frames of the two test videos, and number of repetitions; the fastest one counts.
 
 The two lengths separate the fixed cost of a video from the cost per frame.
 """
 SHORT_STEP = 1e-3
-"""Length of a step without any limit [s]."""
+"""Length of a step that no limit shortens [s]."""
 NODE_STAGES = ("clear", "grid")
-"""Stages whose time is proportional to the nodes, in addition to the stages of the boundaries."""
+"""Further stages, besides those of the boundaries, whose time is proportional to the nodes."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class SubstepCost:
 
 
 def probe(simulation: Simulation, pilot: Pilot | None = None) -> tuple[SubstepCost, int, float]:
-    """Measure the cost of a substep, the number of nodes, and the time per frame for checks [s].
+    """Measure the time of a substep, the number of nodes, and the time of the checks per frame [s].
 
     The simulation runs up to 20 substeps several times, with all checks of a frame, and is then
     reset to its initial state.
@@ -132,7 +132,7 @@ def _seconds_per_substep(
 
 
 def _seconds_in_graph(solver: AnySolver, after: Callable[[], None] | None) -> float:
-    """Measure the time of a substep in a GPU's graph [s], without the fixed cost of a frame."""
+    """Measure the time of a substep in a GPU's graph [s]; the fixed cost of a frame is left out."""
     few, more = GRAPH_PROBE
     _advance(solver, few, after)  # captures the graph
     taken, seconds = [], []
@@ -145,7 +145,7 @@ def _seconds_in_graph(solver: AnySolver, after: Callable[[], None] | None) -> fl
 
 
 def _run_empty_frame(simulation: Simulation) -> None:
-    """Run the checks of a frame without any substep."""
+    """Run the checks of a frame that has no substeps."""
     solver = simulation.solver
     solver.repair.begin(solver.clock)
     simulation.before_attempt()
@@ -277,8 +277,8 @@ def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
 CELLS = 16
 """Cells across the object in the pilot run."""
 EXCESS, ON_LATTICE = 0.8, 1.2
-"""Exponents: substeps in excess of those at rest are assumed to grow as cells^(1 + EXCESS), and on
-lattices as cells^(1 + ON_LATTICE).
+"""Exponents in the growth of the substeps beyond those that the state at rest needs: they are
+assumed to grow as cells^(1 + EXCESS), and on lattices as cells^(1 + ON_LATTICE).
 """
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user", "wave")
 
@@ -289,32 +289,36 @@ class Pilot:
 
     cells: int
     counts: dict[str, NDArray[np.float64]]
-    """Limit of the substep -> substeps that it determines in each frame, before rounding up [T]."""
+    """Limit of the substep -> number of substeps that it determines in each frame, before rounding
+    up [T]."""
     rest: float
-    """Substeps per frame that the initial state needs."""
+    """Number of substeps per frame that the initial state needs."""
     growth: float
-    """Mean number of nodes in the grid's window over the run, relative to the initial number."""
+    """Mean number of nodes in the grid's window during the run, relative to the initial number."""
     stopped: bool
-    """Whether the pilot run became unstable, which makes a forecast only a guess."""
+    """Whether the pilot run became unstable; a forecast is then only a guess."""
     viscous: float = 0.0
-    """Minimum number of substeps per frame, due to viscosity."""
+    """Number of substeps per frame that viscosity alone requires."""
     factors: NDArray[np.float64] | float = 1.0
-    """Factor on Young's modulus in each frame [T]."""
+    """Factor on Young's modulus at each frame [T]."""
     excess: float = EXCESS
-    """Exponent with which the ratio of the other substeps to those at rest grows."""
+    """Exponent of the growth with the cells of the further substeps, relative to those at rest."""
     dx: float = 1.0
     """Side of a cell [m]."""
     stages: Stages = field(default_factory=dict)
-    """The stages of the substeps on lattices; empty for other solvers."""
+    """The stages of the substeps on lattices; empty with other solvers."""
     seconds: float = 0.0
-    """Duration of the pilot run, with its preparation [s]."""
+    """Duration of the pilot run, including its preparation [s]."""
 
     def finer(self, dx: float) -> float:
-        """Return how many times more cells a grid has along the object, for its cells' side [m]."""
+        """Return the ratio of a grid's cells along the object to the pilot run's, from the side of
+        a cell [m].
+        """
         return self.dx / dx
 
     def substeps(self, cells: int, rest: float | None = None) -> tuple[int, dict[str, float]]:
-        """Predict the number of substeps on another grid, and the fraction that each limit causes.
+        """Predict the number of substeps on another grid, and which fraction of them each limit
+        determines.
 
         The number of substeps in a frame is rounded up.
 

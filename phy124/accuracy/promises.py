@@ -1,4 +1,4 @@
-"""The error of a scene or of a run ("promise"), and all messages about errors.
+"""States the error of a scene or of a run (the "promise"), and words all messages about errors.
 
 The stated error depends on what is known so far; `promise` chooses it. Before a run it is the
 expectation of a model fitted to many objects (phy124/accuracy/expectation.py). After a run it is
@@ -27,10 +27,10 @@ UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
 """The command that measures a user's own scene."""
 SPREAD = 3.0
-"""Error divided by its estimate from several grids, exceeded in 5 % of the pairs of the zoo
+"""Ratio of an error to its estimate from several grids that only 5 % of the pairs of the zoo exceed
 (docs/lab/accuracy.md#goals)."""
 SMALLEST = 1e-4
-"""Smallest fraction of the object's size that is printed."""
+"""Smallest fraction of the object's size that messages state."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +43,16 @@ class Promise:
     The RMS is taken over the clip, or over its first `seconds`.
     """
     why: str
-    """A sentence about the source of the bound, or the reason why there is none."""
+    """A sentence that names the source of the bound, or the reason why there is none."""
     unmeasured: str = ""
     """The kind of scene that was not measured, if this is the reason."""
     about: float | None = None
-    """Error measured on this scene itself, in object sizes; None: `error` is from other scenes."""
+    """Error that was measured on this scene itself, in object sizes; None if `error` comes from
+    other scenes."""
     seconds: float | None = None
     """Duration from the start for which the bound holds [s]; None: the whole clip."""
     unestimated: str = ""
-    """Reason why a finished run has no error of its own; empty before a run."""
+    """Reason why a finished run did not estimate its own error; empty before a run."""
 
     @property
     def sentence(self) -> str:
@@ -63,7 +64,7 @@ class Promise:
         return f"Expected error: {self.size()}{self._span}. {self.why}{self._reason}"
 
     def with_study(self, command: str) -> str:
-        """Return `sentence` with `command` as the command that measures the scene's error."""
+        """Return `sentence`; `command` replaces the command that measures the scene's error."""
         return self.sentence.replace(STUDY, command)
 
     @property
@@ -94,7 +95,7 @@ class Promise:
 
     @property
     def missing(self) -> str:
-        """Description of the missing measurement in a few words; empty if none is missing."""
+        """A few words that state which measurement is missing; empty if none is."""
         if self.seconds is not None:
             return f"error after {self.seconds:.2f} s not measured"
         return UNMEASURED if self.unmeasured else ""
@@ -116,14 +117,18 @@ class Promise:
 
     @property
     def _reason(self) -> str:
-        """The reason why a finished run has no error of its own, as a sentence; may be empty."""
+        """A sentence that states why a finished run did not estimate its own error; may be
+        empty.
+        """
         if not self.unestimated:
             return ""
-        return f" This run has no error of its own: {self.unestimated.rstrip('.')}."
+        return f" This run did not estimate its own error: {self.unestimated.rstrip('.')}."
 
 
 def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
-    """Return the error or the reason for none in a run's report; None if the report has neither."""
+    """Return the error, or the reason for its absence, from a run's report; None if neither is
+    there.
+    """
     broken = why_broken(report)
     if broken:
         return refuse_promise(broken)
@@ -163,14 +168,14 @@ def promise(
 
 
 def refuse_promise(why: str) -> Promise:
-    """Return a promise without an error bound, with the reason."""
+    """Return a promise that has no error bound, but a reason."""
     return Promise(None, f"none can be promised: {why}")
 
 
 def promise_measured(
     error: float, cells: int, grids: Sequence[int], until: float | None = None
 ) -> Promise:
-    """Return the promise for an error that was estimated from several grids of the scene itself.
+    """Return the promise for an error that was estimated from several grids with the scene itself.
 
     Args:
         error: The estimated error in object sizes.
@@ -199,7 +204,7 @@ def promise_own(entry: Mapping[str, Any]) -> Promise:
 
 
 def format_percent(fraction: float, digits: int = 2) -> str:
-    """Format a fraction as a percentage of at least 0.01 %: "0.84 %", "12 %".
+    """Format a fraction as a percentage, at least 0.01 %: "0.84 %", "12 %".
 
     Args:
         fraction: The fraction.
@@ -211,7 +216,7 @@ def format_percent(fraction: float, digits: int = 2) -> str:
 
 
 def format_apart(first: float, second: float) -> tuple[str, str]:
-    """Format two fractions as percentages that look different if the fractions are."""
+    """Format two fractions as percentages that differ visibly if the fractions differ."""
     texts = [[format_percent(each, n) for each in (first, second)] for n in range(2, 7)]
     a, b = next((pair for pair in texts if pair[0] != pair[1]), texts[0])
     return a, b
@@ -260,7 +265,9 @@ def check_promise(
 
 
 def _describe_stated(entry: Mapping[str, Any]) -> str:
-    """Describe the bound in the entry `error` of a report, and its time; empty without a bound."""
+    """Describe the bound in the entry `error` of a report, and how long it holds; empty without a
+    bound.
+    """
     if entry.get("at_most") is None:
         return ""
     span = "" if entry.get("until") is None else f" in the first {entry['until']:.2f} s"
@@ -273,7 +280,7 @@ def _join_names(names: Sequence[str]) -> str:
 
 
 def why_broken(report: Mapping[str, Any]) -> str:
-    """Return the reason why no error bound holds for a run; empty if one may hold."""
+    """Return why no error bound holds for a run; empty if a bound may hold."""
     if report.get("balance", {}).get("tearing", {}).get("likely"):
         return "the grid may have torn the material (see the notes)."
     if report.get("complete") is False:

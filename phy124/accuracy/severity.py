@@ -1,4 +1,6 @@
-"""Severity of a scene: properties that determine how large the errors of its motion are."""
+"""Computes the severity of a scene: properties that determine how large the errors of its motion
+are.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,14 @@ from phy124.materials.base import Elastic
 from phy124.scene import Scene
 
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "viscosity", "yield_stress"}
-"""Fields of a material of any value: `severity`, `yielding`, `damping` or `poisson` reads them."""
+"""Fields of a material that may have any value, since `severity`, `yielding`, `damping` or
+`poisson` account for it."""
 MEASURED = {"repose_angle": (30.0, 36.0), "extension": (0.003, 0.0075)}
-"""Further fields of a material -> range for which the errors are those of the default."""
+"""Other fields of a material -> range of values whose errors are those of the default value."""
 LOOKS = {"tint", "visibility"}
 """Fields of a material that do not affect the motion."""
 FILLED = 0.4
-"""Typical volume of an object, divided by size^3 and its relative thickness."""
+"""Typical ratio of an object's volume to size^3 times its relative thickness."""
 USUAL_THICKNESS = 0.2
 """Relative thickness of an object whose thickness is unknown."""
 
@@ -39,7 +42,7 @@ def violence(scene: Scene, thickness: float | None = None) -> float:
 
 
 def yielding(scene: Scene, thickness: float | None = None) -> float:
-    """Return the energy relative to the yield stress, 2 e rho / sigma; 0 if no material yields.
+    """Return the ratio of energy to yield stress, 2 e rho / sigma; 0 if no material yields.
 
     2 e is twice the energy per mass (see `energy`). The largest ratio of all materials is returned.
     """
@@ -119,7 +122,7 @@ def _effect(force: Any, mass: float, scene: Scene) -> tuple[float, float]:
 
 
 def _mass(scene: Scene, thickness: float | None) -> float:
-    """Return a rough mass of the object [kg], from its size and thickness."""
+    """Estimate the mass of the object roughly [kg], from its size and thickness."""
     part = FILLED * (thickness or USUAL_THICKNESS)
     return min(section.density for section in scene.materials) * part * scene.object.size**3
 
@@ -135,7 +138,9 @@ def bar_speed(section: AnyMaterial) -> float:
 
 
 def find_difference(scene: Scene) -> str:
-    """Describe a value of the materials that no measured scene has; empty if there is none."""
+    """Describe a value of the materials that does not occur in any measured scene; empty if there
+    is none.
+    """
     for section in scene.materials:
         for name, field in type(section).model_fields.items():
             usual, value = field.get_default(call_default_factory=True), getattr(section, name)
@@ -147,7 +152,7 @@ def find_difference(scene: Scene) -> str:
 
 
 def _wall_speed(wall: Any, size: float, end: float) -> float:
-    """Return the largest speed of a wall [m/s]; that of a press follows a cosine in time."""
+    """Return the largest speed of a wall [m/s]; a press moves as a cosine in time."""
     if isinstance(wall, Press):
         return math.pi / 2 * wall.depth * size / min(wall.down, wall.up)
     motion = getattr(wall, "motion", None)
@@ -155,7 +160,9 @@ def _wall_speed(wall: Any, size: float, end: float) -> float:
 
 
 def _strain(scene: Scene) -> float:
-    """Return the largest fraction of its size by which a press or a hand deforms the object."""
+    """Return the largest deformation of the object by a press or a hand, as a fraction of its
+    size.
+    """
     presses = [wall.depth for wall in scene.boundaries if isinstance(wall, Press)]
     held = any(wall.holds for wall in scene.boundaries)
     hands = [force.target() for force in scene.acting if isinstance(force, Grab) and held]

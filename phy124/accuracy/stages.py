@@ -13,11 +13,11 @@ from typing import NamedTuple
 from phy124.mpm.workers import Timings
 
 WAIT = "wait"
-"""Name of the stage in which a thread waits for the others."""
+"""Name of the stage in which a thread waits for other threads."""
 
 
 class Stage(NamedTuple):
-    """The calls of a stage in some substeps."""
+    """How often a stage is called in some substeps, and for how long."""
 
     calls: float
     """Number of calls per substep."""

@@ -1,4 +1,4 @@
-"""Estimates of time and memory in closed form, from the scene and a few counts.
+"""Estimates time and memory in closed form, from the scene and a few counts.
 
 The number of substeps follows from the stability limit (phy124.mpm.timestep). The number of
 particles follows from the number of Gaussians and from the volume to fill. `Rates` are the costs
@@ -31,17 +31,19 @@ DOUBLE = 1.7
 PASS = 0.7
 """Time of each additional transfer pass, as a fraction of the substep (docs/lab/transfers.md)."""
 STEP = 6.0
-"""Ratio of a step's time of a liquid by projection to a substep's time."""
+"""Time of a step of a liquid by projection, relative to the time of a substep."""
 VECTOR, PLAIN, LAUNCHES = 0.25, 2.4, 3600.0
-"""Time of a lattice's point relative to a particle's, with and without kernels for vector units;
-and time of the launches of a lattice's substep, in particles (docs/lab/forecasts.md).
+"""Time per point of a lattice relative to that per particle, with and without kernels for vector
+units. The third number is the time to launch the kernels of a lattice's substep, expressed in
+particles (docs/lab/forecasts.md).
 """
 UNDAMPED, DAMPED = 1.5, 0.235
-"""Longest substep at rest on a lattice without damping, in units of sqrt(cfl) dx / c; and damping
-ratio of the fastest vibration, in units of dx / c divided by the viscous limit.
+"""Longest substep at rest on a lattice without damping, in units of sqrt(cfl) dx / c. The second
+number is the damping ratio of the fastest vibration, in units of dx / c divided by the viscous
+limit.
 """
 WINDOW = 11
-"""Number of nodes per axis that the grid's window has in addition to those across the object."""
+"""Number of nodes per axis by which the grid's window exceeds the nodes across the object."""
 GRAVITY = 9.81
 """Acceleration that limits the steps of a liquid by projection [m/s^2]."""
 BYTES_PER_PARTICLE = 400
@@ -52,9 +54,11 @@ BYTES_PER_NODE = 32
 BYTES_PER_GAUSSIAN = 40
 """Memory of one Gaussian in one frame of the clip [bytes]."""
 AT_REST = 450
-"""Memory of a Gaussian while it is bound, deformed and drawn [bytes]; docs/lab/sizes.md has it."""
+"""Memory of a Gaussian while it is bound, deformed and drawn [bytes]; measured in
+docs/lab/sizes.md."""
 HELD = 256e6
-"""Size of the frames of a run that are held [bytes]; longer runs compute them again when read."""
+"""Size up to which the frames of a run stay in memory [bytes]; longer runs compute them again when
+read."""
 BYTES_PER_SHAPE = 250
 """Memory of one Gaussian on the device that deforms the Gaussians [bytes]."""
 
@@ -92,7 +96,7 @@ class Rates:
         }
 
     def minimum(self, other: Rates) -> Rates:
-        """Return, rate by rate, the smaller of both values."""
+        """Return the smaller of two values for each rate."""
         return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
 
 
@@ -100,7 +104,7 @@ USUAL = {
     "cpu": Rates(),
     "cuda": Rates(substep=4.5e-5, particle=3.3e-10, node=1.5e-11, frame=4e-3),
 }
-"""Typical rates for each kind of device; cuda: an H200 (docs/lab/cuda.md)."""
+"""Typical rates for each kind of device; those for cuda are of an H200 (docs/lab/cuda.md)."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ class Work:
     frames: int
     videos: int
     pixels: float
-    """Number of pixels in all frames of all videos, including the additional outputs."""
+    """Number of pixels in all frames of all videos, including those of additional outputs."""
 
     @classmethod
     def of(cls, scene: Scene, gaussians: int = GAUSSIANS) -> Work:
@@ -198,7 +202,7 @@ def _max_speed(scene: Scene, length: float) -> float:
 
 
 def rest_substeps(scene: Scene) -> float:
-    """Return the number of substeps that a scene needs if nothing moves."""
+    """Return the number of substeps that a scene would need if nothing moved."""
     return float((1 / scene.time.fps / longest_substeps(scene)).sum())
 
 
@@ -237,7 +241,7 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
 
 
 def _only_lattices(scene: Scene) -> bool:
-    """Return whether all objects that move are on lattices."""
+    """Return whether all moving objects are on lattices."""
     return scene.on_lattice and not scene.couples
 
 

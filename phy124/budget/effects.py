@@ -22,16 +22,17 @@ from phy124.scene.liquids import reason_for_compressible
 NODE = 1.8
 """Time to clear and update one grid node [ns]."""
 SPLINE = 157
-"""Time per particle for gradients of the weights [ns]; no vectorised kernel computes them."""
+"""Time per particle to compute the gradients of the weights [ns]; no vectorised kernel computes
+them."""
 STATIC = "static Gaussians"
-"""Name of the effect for parts of the scene that never move."""
+"""Name of the effect that concerns the static parts of the scene."""
 DENSE = 100**3
 """Number of nodes of the dense grid in PhysGaussian's scenes."""
 
 
 @dataclass(frozen=True)
 class Omission:
-    """An effect that a run leaves out, the reason, and the cost that this saves."""
+    """An effect that a run leaves out, with the reason and the cost that is saved."""
 
     effect: str
     why: str
@@ -40,7 +41,7 @@ class Omission:
 
 @dataclass(frozen=True)
 class Effects:
-    """The effects that a run of a scene computes, and those that it leaves out."""
+    """The effects that a run of a scene computes, and the effects that it leaves out."""
 
     ran: tuple[str, ...]
     left_out: tuple[Omission, ...]
@@ -198,7 +199,7 @@ def _of_forces(scene: Scene) -> Iterator[Effect]:
 
 
 def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[Effect]:
-    """Yield the checks of the substep, then the effect of each observer.
+    """Yield the checks of the substep, and then the effect of each observer.
 
     The observers are those of phy124 and those that a caller added.
     """

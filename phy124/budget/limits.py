@@ -1,4 +1,4 @@
-"""Refuses runs whose estimated time or memory exceeds the limits, and proposes cheaper settings."""
+"""Refuses runs whose estimated time or memory exceeds the limits, and suggests cheaper settings."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from phy124.runtime.memory import MEMORY_FRACTION, free_memory
 from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
-"""Minimum ratio of the largest wave speed to the second largest for a note on the stiffest part."""
+"""Smallest ratio of the two largest wave speeds at which a note mentions the stiffest part."""
 FARTHEST_CELLS = 1e5
-"""Maximum distance from the origin [cells] at which float32 resolves a hundredth of a cell."""
+"""Largest distance from the origin [cells] at which float32 still resolves a hundredth of a
+cell."""
 
 
 def check_limits(
@@ -70,7 +71,7 @@ def check_limits(
 
 
 def _check_memory(need: Estimate, scene: Scene, device: str) -> None:
-    """Refuse a run that needs too much of the free memory on its device or on this machine."""
+    """Refuse a run that needs too much of the free memory of its device or of this machine."""
     on_device = math.inf if device == "cpu" else free_memory(device)
     if need.state > MEMORY_FRACTION * on_device:
         raise InputError(
@@ -114,7 +115,9 @@ def _check_distance(scene: Scene) -> None:
 def _find_remedies(
     scene: Scene, excess: float, fits: Callable[[Scene], bool]
 ) -> tuple[Remedy, ...]:
-    """Return the remedies that pass `fits`, for a run that needs `excess` times its budget."""
+    """Return those remedies with which the run passes `fits`; the run needs `excess` times its
+    budget.
+    """
     fitting = []
     for remedy in _propose_remedies(scene, excess):
         try:

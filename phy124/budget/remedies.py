@@ -12,15 +12,15 @@ from phy124.errors import Remedy
 from phy124.scene import Scene
 
 DAMPING = 0.04
-"""Damping, relative to density times speed of sound times size, with which a pressed body that is
-suddenly released does not become inverted.
+"""Damping, relative to density times speed of sound times size, that is enough to keep a pressed
+body from becoming inverted when it is suddenly released.
 """
 SOFTER = 16.0
-"""Factor by which E is reduced; the longest stable substep becomes four times as long."""
+"""Factor by which E is divided; the longest stable substep then becomes four times as long."""
 
 
 def find_remedies(causes: Sequence[str], scene: Scene) -> tuple[Remedy, ...]:
-    """Return the remedies for these causes that are possible in this scene."""
+    """Return the remedies for some causes, if they are possible in this scene."""
     remedies = (REMEDIES[cause](scene) for cause in causes)
     return tuple(remedy for remedy in remedies if remedy is not None)
 
@@ -66,7 +66,9 @@ def _halve_push(scene: Scene) -> Remedy | None:
 
 
 def _damp(scene: Scene) -> Remedy | None:
-    """Increase the damping of a body on its lattice, so that it recovers from any compression."""
+    """Increase the damping of a body on its lattice, so that the body recovers from any
+    compression.
+    """
     material = scene.material
     damping = getattr(material, "damping", None)
     if not scene.on_lattice or damping is None or scene.properties is not None:
@@ -78,7 +80,7 @@ def _damp(scene: Scene) -> Remedy | None:
 
 
 def _leave_lattice(scene: Scene) -> Remedy | None:
-    """Move elastic objects as particles, which survive being squeezed flat."""
+    """Move elastic objects as particles: particles survive being squeezed flat."""
     return change_accuracy(scene, solver="mpm") if scene.on_lattice else None
 
 
@@ -92,7 +94,9 @@ def _choose_sounder_law(scene: Scene) -> Remedy | None:
 
 
 def _shorten_substep(scene: Scene) -> Remedy:
-    """Use a quarter of the substep, since a failed frame was already repeated with half of it."""
+    """Use a quarter of the substep; half of it did not suffice when the failed frame was
+    repeated.
+    """
     return change_accuracy(scene, cfl=scene.resolution.cfl / 4)
 
 
@@ -136,7 +140,8 @@ SLOW = {
     "user": ("ceiling",),
     "wave": (),
 }
-"""Limit that determines the substep -> keys of `REMEDIES` that lengthen the substep."""
+"""Name of the limit that determines the substep -> keys of the `REMEDIES` that lengthen the
+substep."""
 
 
 def _reduce_viscosity(scene: Scene) -> Remedy | None:

@@ -1,4 +1,4 @@
-"""Measures the quality of a clip: CLIP-T as in the paper, and measures without trained weights.
+"""Measures the quality of a clip: CLIP-T as in the paper, and figures that need no trained weights.
 
 `evaluate` takes a clip and its rendered frames. `phy124 evaluate` renders the frames and prints a
 table of the measures.
@@ -39,9 +39,9 @@ class ViewFigures:
     distance: float | None
     """CLIP-T as the mean distance of consecutive frames (4DGen); None without a CLIP model."""
     motion: float
-    """Mean change of a colour value from frame to frame [%]; see `pictures.motion`."""
+    """Mean change of a colour value from one frame to the next [%]; see `pictures.motion`."""
     flicker: float
-    """Oscillation of the frames' mean colour [%]; see `pictures.flicker`."""
+    """Oscillation of the mean colour of the frames [%]; see `pictures.flicker`."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,9 @@ class Evaluation:
         else:
             lines.append(f"CLIP-T was not computed: {self.missing}")
         if not any(v.motion for v in self.views):
-            lines.append("Nothing moves in these videos: CLIP-T of a frozen video is perfect.")
+            lines.append(
+                "Nothing moves in these videos: a frozen video always has a perfect CLIP-T."
+            )
         p = self.physics
         lines.append(f"mass {_number(p.mass, 3)} kg, all finite: {'yes' if p.finite else 'NO'}")
         lines.append(f"volume {p.volume_lowest:.3f} to {p.volume_highest:.3f} of the first frame")

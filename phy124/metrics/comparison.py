@@ -14,7 +14,8 @@ from phy124.io.clip import Clip
 from phy124.metrics.pictures import psnr, ssim
 
 SAME_OBJECT = 0.1
-"""RMS distance at rest, in object sizes, above which two objects count as different."""
+"""RMS distance of two objects at rest, in object sizes, above which they count as different
+objects."""
 SAME_TIME = 1e-6
 """Largest time difference at which two frames count as simultaneous [s]."""
 
@@ -132,14 +133,14 @@ def check_comparable(a: Clip, b: Clip) -> None:
     ) / _size(a)
     if not apart <= SAME_OBJECT:
         raise _refusal(
-            f"the clips show different objects, which at rest differ by {apart:.0%} of the size.",
+            f"the clips show different objects: at rest they differ by {apart:.0%} of the size.",
             "Make both from one picture or .ply file, with the same object.size.",
         )
 
 
 @dataclass
 class Pictures:
-    """Accumulates the differences of two clips frame by frame, without storing the frames."""
+    """Accumulates the differences of two clips frame by frame; no frame is stored."""
 
     errors: list[float] = field(default_factory=list)
     similarities: list[float] = field(default_factory=list)

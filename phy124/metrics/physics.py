@@ -21,7 +21,8 @@ class Physics:
     volume_highest: float
     """Largest total volume of the Gaussians over time, relative to the first frame."""
     momentum_residual: float | None
-    """Mean difference between the rate of the centre's displacement and the centre's velocity.
+    """Mean difference between the velocity of the centre and the rate at which the centre's
+    position changes.
 
     It is the mean over frames of |dx/dt - (v before + v after) / 2|, divided by the mean speed. x
     and v are means over all Gaussians. If all velocities are zero, the mean is not divided [m/s].

@@ -50,7 +50,8 @@ def ssim(a: NDArray, b: NDArray) -> float:
 
 
 def motion(video: Video) -> float:
-    """Return the mean change of a colour value from frame to frame, in per cent of its range.
+    """Return the mean change of a colour value from one frame to the next, in per cent of its
+    range.
 
     A frozen video has zero motion and a perfect CLIP-T, so CLIP-T is meaningless without this
     value.
@@ -60,7 +61,7 @@ def motion(video: Video) -> float:
 
 
 def flicker(video: Video) -> float:
-    """Return the oscillation of a frame's mean colour, in per cent of the colour range.
+    """Return the oscillation of the frames' mean colour, in per cent of the colour range.
 
     It is half the mean absolute second difference in time of each channel's mean over the frame. It
     is 0 if the mean changes at a constant rate, and 100 if frames alternate between black and

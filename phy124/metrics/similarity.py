@@ -23,7 +23,7 @@ from phy124.runtime.installation import install_command
 from phy124.weights.store import require
 
 MODEL = "laion/CLIP-ViT-B-32-laion2B-s34B-b79K"
-"""Name of the CLIP model that 4DGen uses; the paper does not name its model."""
+"""Name of the CLIP model that 4DGen uses; the paper that phy124 follows does not name its model."""
 FORMULAS = {
     "cosine": "mean cosine of consecutive frames, higher is better",
     "distance": "4DGen: mean of 2 arcsin(|a - b| / 2)^2 of consecutive frames, lower is better",
@@ -51,7 +51,9 @@ def cosine_pairs(embeddings: NDArray) -> NDArray[np.float64]:
 
 
 def distance_pairs(embeddings: NDArray) -> NDArray[np.float64]:
-    """Return half the squared angles [T-1] of consecutive rows; small angles are precise, too."""
+    """Return half the squared angles [T-1] of consecutive rows; small angles are computed
+    precisely, too.
+    """
     e = _normalise(embeddings)
     chord = np.linalg.norm(e[1:] - e[:-1], axis=1)
     return 2 * np.arcsin(np.clip(chord / 2, 0, 1)) ** 2
@@ -85,7 +87,9 @@ class ClipModel:
         self._size = int(self._network.config.image_size)
 
     def __call__(self, images: Iterable[NDArray]) -> NDArray[np.float64]:
-        """Return the embeddings [T,D] of images [H,W,3] (uint8, or float in 0..1), one by one."""
+        """Return the embeddings [T,D] of images [H,W,3] (uint8, or float in 0..1), one image at a
+        time.
+        """
         import torch
 
         rows = []

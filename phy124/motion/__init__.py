@@ -1,1 +1,1 @@
-"""How the Gaussians of a frame follow from the motion of the particles that carry them."""
+"""Computes the Gaussians of a frame from the motion of the particles that carry them."""

@@ -1,4 +1,5 @@
-"""Moves the Gaussians with the material: computes a frame from particle state and rest Gaussians.
+"""Moves the Gaussians with the material: computes a frame from particle states and Gaussians at
+rest.
 
 Phy124 (arXiv 2409.07179): Sigma_t = F Sigma_0 F^T with the total F; then Sigma = Q Lambda Q^T gives
 the rotation and the scales of the 4D representation. Here the axes are computed from A = F R_0 S_0
@@ -31,23 +32,23 @@ from phy124.kernels.carriers import CARRIERS, find_carriers
 from phy124.runtime.cores import cores
 
 PER_CELL, MOST_CELLS = 2, 256
-"""Mean number of particles in a cell of their bounding box, and largest number of cells per axis,
-in the search for the particles that carry each Gaussian.
+"""Parameters of the search for the particles that carry each Gaussian: mean number of particles in
+a cell of their bounding box, and largest number of cells per axis.
 """
 BLOCK = 1 << 15
 """Number of Gaussians that a CPU thread processes at once."""
 DEFORMATION = "F"
-"""Stands for the deformation gradients of the Gaussians in the arguments of a step."""
+"""Placeholder for the deformation gradients of the Gaussians in the arguments of a step."""
 THREADS = "shapes"
 """Prefix of the names of the threads that process the Gaussians."""
 FARTHEST = 4.0
-"""Distance, in mean distances of particles, beyond which a particle carries only Gaussians without
-a nearer particle, because the grid does not connect material so far apart.
+"""Distance, in mean distances of particles, beyond which a particle carries a Gaussian only if no
+particle is nearer, because the grid does not connect material so far apart.
 """
 
 
 class Deformer:
-    """Computes the frames of one moving object; call it once per frame, in order of time.
+    """Computes the frames of one moving object; to be called once per frame, in order of time.
 
     With the binding `particles`, each Gaussian moves with its own particle. With `lattice`, the
     nearest particles of the lattice carry the Gaussian: x_g = sum w_i (x_i + F_i (X_g - X_i)) and
@@ -95,12 +96,13 @@ class Deformer:
         """
         limits = np.asarray(np.inf if max_stretch is None else max_stretch, np.float64)
         if not (limits >= 1).all():
-            limit = "Gaussians must be allowed at least their size at rest."
+            limit = "Gaussians would have to be smaller than they are at rest."
             least = float(np.nanmin(limits))
             raise InputError("max_stretch", least, limit, "Give 1 or more, or leave it out.")
         self.gaussians = gaussians
         self.rotations: Array | None = None
-        """Polar rotations of the material at the last frame [N,4] wxyz; None if sh degree is 0."""
+        """Polar rotations of the material at the last frame [N,4] wxyz; None if the colours have
+        degree 0."""
         n = len(gaussians)
         self.binding = bind(gaussians, particles) if binding is None else binding
         self._device, self._share = device, _Share(n, device, threads)
@@ -109,7 +111,7 @@ class Deformer:
         self._broken = wp.zeros(2, dtype=wp.int32, device=device)
 
         def constant(values: Any, dtype: Any) -> wp.array:
-            """Return an array on the device; one block of it if all values are equal."""
+            """Return an array on the device; if all values are equal, only one block of it."""
             values = np.broadcast_to(values, n)
             if n > block and (values.strides == (0,) or (values == values[0]).all()):
                 values = np.repeat(values[:1], block)
@@ -214,7 +216,7 @@ class Deformer:
         return np.flatnonzero(carry).astype(np.int32)
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Return the axes from which the next frame continues."""
+        """Return the axes of the Gaussians, from which the next frame continues."""
         return {name: array.numpy().copy() for name, array in self._axes().items()}
 
     def restore(self, snapshot: dict[str, NDArray]) -> None:
@@ -233,7 +235,7 @@ class Deformer:
         return wp.array(array, dtype=dtype, device=self._device, copy=False)
 
     def _upload(self, x: Any, F: Any) -> tuple[wp.array, wp.array]:
-        """Return positions and F on the device, in the precision of F, after a check of both."""
+        """Check positions and F, and return them on the device, in the precision of F."""
         for array, shape in ((x, (3,)), (F, (3, 3))):
             values = array if isinstance(array, wp.array) else np.asarray(array)
             inner: Any = getattr(array.dtype, "_shape_", ())
@@ -270,17 +272,18 @@ class Step(NamedTuple):
 
     kernel: Any
     mine: list[Any]
-    """First arguments, with an entry for each Gaussian; `DEFORMATION` stands for their F."""
+    """First arguments: arrays with an entry for each Gaussian. `DEFORMATION` stands for the
+    Gaussians' F."""
     shared: list[Any]
-    """Next arguments, of which a Gaussian may read any entry."""
+    """Next arguments: arrays of which each Gaussian may read any entry."""
     out: list[Any]
-    """Last arguments, with an entry for each Gaussian."""
+    """Last arguments: arrays with an entry for each Gaussian."""
     each: int = 1
     """Number of Gaussians that a thread of the kernel processes."""
 
 
 class _Share:
-    """Launches over Gaussians in blocks, divided among CPU threads.
+    """Launches kernels over the Gaussians in blocks that are divided among CPU threads.
 
     The deformation gradients of a block stay in the cache from one step to the next. The threads
     are reused, because new threads for every launch often all started on one core.
@@ -299,7 +302,7 @@ class _Share:
         self._others = ThreadPoolExecutor(threads - 1, THREADS) if threads > 1 else None
 
     def run(self, steps: Sequence[Step]) -> None:
-        """Take all steps for each block of Gaussians."""
+        """Run all steps for each block of Gaussians."""
         work = [
             [
                 self._record(step, range(first, min(first + self.block, run.stop)), F)
@@ -345,9 +348,9 @@ class Binding(NamedTuple):
     """The particles that carry each Gaussian, and their weights."""
 
     particles: NDArray[np.int32]
-    """Indices of K particles of each Gaussian [N,K], or of its own particle [N]."""
+    """Indices of the K particles of each Gaussian [N,K], or of its single particle [N]."""
     weights: NDArray[np.float32] | None
-    """Weights that sum to 1 [N,K]; None if each Gaussian follows its own particle."""
+    """Weights that sum to 1 [N,K]; None if each Gaussian follows a single particle."""
 
     def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
         """Return weighted means [N,3] of values on the particles [P,3]."""
@@ -380,7 +383,9 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
 def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return each Gaussian's carriers [N,K], from its own object, and their weights [N,K]."""
+    """Return the carriers [N,K] of each Gaussian, all from the Gaussian's object, and their weights
+    [N,K].
+    """
     if particles.body is None or gaussians.object_id is None:
         return _carriers_within(gaussians.means, particles.x, particles.volume)
     neighbours = np.zeros((len(gaussians), CARRIERS), np.int32)
@@ -439,7 +444,9 @@ def carriers(
 
 
 def _bound_particles(count: int, particles: Particles | None) -> NDArray[np.int32] | None:
-    """Return each Gaussian's particle [N]; None if they are in order, or with `lattice`."""
+    """Return the particle of each Gaussian [N]; None if they have the same order, or with
+    `lattice`.
+    """
     if particles is None or (particles.gaussian < 0).all():
         return None
     bound = np.flatnonzero(particles.gaussian >= 0)
@@ -456,7 +463,7 @@ def _host(array: Any) -> NDArray:
 
 
 def _precision(F: Any) -> Any:
-    """Return Warp's type of the numbers of deformation gradients: float32 or else float64."""
+    """Return Warp's type of the numbers in deformation gradients: float32 or float64."""
     number = F.dtype._wp_scalar_type_ if isinstance(F, wp.array) else np.asarray(F).dtype
     return wp.float32 if number in (wp.float32, np.float32) else wp.float64
 
@@ -473,7 +480,9 @@ def _on(array: Any, dtype: Any, device: str) -> wp.array:
 
 
 def of_gaussians(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
-    """Return for each Gaussian the value [N] of its particle, or of the nearest particle [P]."""
+    """Return, for each Gaussian, the value [N] of its particle or, without one, of the nearest
+    particle [P].
+    """
     # Equal values, for example of a single material, need no search.
     if len(values) and (values == values[0]).all():
         return np.repeat(values[:1], len(gaussians), axis=0)

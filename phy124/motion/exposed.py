@@ -1,4 +1,4 @@
-"""Gaussians inside torn material: hidden in the surface until a tear exposes their particles."""
+"""Gaussians of inner particles, hidden in the surface until a tear exposes these particles."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from phy124.gaussians import Array, Gaussians
 
 HIDDEN = 1e-3
-"""Size of a hidden Gaussian, relative to its full size."""
+"""Size of a Gaussian while it is hidden, relative to its full size."""
 
 
 @dataclass(frozen=True, eq=False)
 class Exposed:
-    """G Gaussians of inner particles, of which some are exposed in each of T frames.
+    """The G Gaussians of inner particles, and which of them are exposed in each of T frames.
 
     A hidden Gaussian is a small copy of the Gaussian above it; an exposed one is at the position of
     its particle. The E exposures are in the order of the Gaussians, then of the frames.
@@ -26,13 +26,13 @@ class Exposed:
     grains: Gaussians
     """The Gaussians at full size, with the positions of their particles at rest."""
     above: NDArray[np.int32]
-    """Index of the Gaussian in which each is hidden [G]."""
+    """Index of the surface Gaussian in which each Gaussian is hidden [G]."""
     grain: NDArray[np.int32]
-    """Index of the Gaussian of each exposure [E], below G."""
+    """For each exposure, the index of the exposed Gaussian [E], below G."""
     frame: NDArray[np.int32]
-    """Index of the frame of each exposure [E]."""
+    """For each exposure, the index of its frame [E]."""
     x: NDArray[np.float32]
-    """Position of the particle in each exposure [E,3], m."""
+    """For each exposure, the position of the particle [E,3], m."""
 
     @cached_property
     def _by_frame(self) -> NDArray[np.intp]:
@@ -40,14 +40,16 @@ class Exposed:
 
     @cached_property
     def _starts(self) -> NDArray[np.intp]:
-        """First exposure of each frame in the order of frames, and one past the last."""
+        """Index of the first exposure of each frame if sorted by frame; the last entry is their
+        number.
+        """
         frames = np.arange(self.frame.max(initial=-1) + 2)
         return np.searchsorted(self.frame[self._by_frame], frames)
 
     def show(
         self, row: Mapping[str, Array], index: int, grains: NDArray[np.intp]
     ) -> dict[str, Array]:
-        """Return the arrays of a frame with the centres and sizes of these Gaussians.
+        """Return the arrays of a frame with the centres and sizes that these Gaussians have in it.
 
         Args:
             row: Arrays of M Gaussians by name; those of a hidden Gaussian are those of the Gaussian

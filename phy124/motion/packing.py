@@ -1,4 +1,4 @@
-"""Packs a motion into bytes: static arrays without loss, moving arrays in small steps.
+"""Packs a motion into bytes: static arrays without loss, moving arrays rounded to small steps.
 
 Every array is stored as differences, which are split into bytes of equal significance and then
 compressed by Zstandard. Positions and F of particles are rounded to `STEP_X` and `STEP_F`;
@@ -22,23 +22,23 @@ from phy124.motion.recorded import Motion
 from phy124.runtime.memory import release, trim
 
 STEP_X = 2e-5
-"""Largest step of the stored positions of particles, relative to the object's size."""
+"""Largest step to which positions of particles are rounded, relative to the object's size."""
 STEP_F = 2.0**-10
-"""Step of the stored deformation gradients."""
+"""Step to which deformation gradients are rounded."""
 FRAMES = 32
 """Number of frames that are packed together."""
 FAST = 1 << 20
-"""Number of values above which arrays are compressed at the fast level."""
+"""Number of values above which arrays are compressed at the fast level, the second of `LEVELS`."""
 LEVELS = 9, 1
 """Levels of compression for small and for large arrays."""
 BITS = 10
-"""Cells of the Hilbert curve along each axis, as a power of two."""
+"""Number of cells of the Hilbert curve along each axis, as an exponent of two."""
 Tensors = dict[str, NDArray]
 Packed = tuple[Tensors, dict[str, Any]]
-"""Arrays [bytes] by name, and the facts that `unpack` needs."""
+"""Arrays [bytes] by name, and the facts that `unpack` needs to unpack them."""
 STATIC = ("means", "quats", "scales", "opacities", "sh", "object_id")
 EXPOSED = ("above", "grain", "frame", "x")
-"""Arrays of `Exposed` besides its Gaussians; their names in a file begin with `exposed.`."""
+"""Names of the arrays of `Exposed` besides its Gaussians; in a file they begin with `exposed.`."""
 
 
 def pack(motion: Motion) -> Packed:
@@ -81,7 +81,7 @@ def pack(motion: Motion) -> Packed:
 
 
 def unpack(tensors: Mapping[str, NDArray], facts: Mapping[str, Any], times: NDArray) -> Motion:
-    """Return a packed motion; positions and F are unpacked when they are read.
+    """Return a packed motion; its positions and F are unpacked only when they are read.
 
     Raises:
         KeyError, ValueError, zstandard.ZstdError: The arrays are damaged.
@@ -138,13 +138,13 @@ def unpack(tensors: Mapping[str, NDArray], facts: Mapping[str, Any], times: NDAr
 
 
 def _take_gaussians(arrays: Tensors, prefix: str = "") -> Gaussians:
-    """Remove the arrays of Gaussians from others, and return the Gaussians."""
+    """Remove the arrays of Gaussians from a set of arrays, and return them as Gaussians."""
     means, quats, scales, opacities, sh = (arrays.pop(prefix + name) for name in STATIC[:5])
     return Gaussians(means, quats, scales, opacities, sh, arrays.pop(f"{prefix}object_id", None))
 
 
 class Steps:
-    """Rows of a packed array, one per frame; the last chunk that was read stays unpacked."""
+    """Rows of a packed array, one per frame; the chunk that was read last stays unpacked."""
 
     def __init__(
         self,
@@ -156,7 +156,7 @@ class Steps:
         count: int,
         shape: tuple[int, ...],
     ) -> None:
-        """Store the packed bytes and the description of their values."""
+        """Store the packed bytes and the facts that are needed to unpack them."""
         self._data, self._step, self._base, self._order = data, step, base, order
         self._ends = np.cumsum([0, *lengths])
         self._count, self._shape, self._chunk = count, shape, (-1, np.zeros(0))
@@ -187,7 +187,9 @@ class Steps:
 
 
 def hilbert_order(points: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the order of points [P,3] along a Hilbert curve (Skilling, AIP Conf. 707, 2004)."""
+    """Return the order of points [P,3] along a Hilbert curve (Skilling, AIP Conf. Proc. 707,
+    2004).
+    """
     if not len(points):
         return np.zeros(0, np.intp)
     low, size = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-12)
@@ -215,12 +217,14 @@ def hilbert_order(points: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def _base(name: str, rest: NDArray) -> NDArray[np.float64]:
-    """Return the values of the particles at rest, from which the steps are counted."""
+    """Return the values of the particles at rest, to which the steps are added."""
     return rest if name == "x" else np.broadcast_to(np.eye(3).ravel(), (len(rest), 9))
 
 
 def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
-    """Return the mean volume of each particle's object [P], which suffices for the binding."""
+    """Return the mean volume of the particles in each particle's object [P]; the binding needs no
+    more.
+    """
     volume = np.full(len(particles.x), particles.volume.mean() if len(particles.x) else 0.0)
     for body in () if particles.body is None else np.unique(particles.body):
         inside = particles.body == body
@@ -229,20 +233,22 @@ def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
 
 
 def _pack_steps(steps: NDArray[np.int32]) -> bytes:
-    """Pack whole numbers [K,T,P]: differences in time, then along the curve."""
+    """Pack integers [K,T,P] as differences: first in time, then along the curve."""
     steps = np.diff(steps, axis=1, prepend=np.int32(0))
     return _compress(_zigzag(np.diff(steps, axis=2, prepend=np.int32(0)), 4))
 
 
 def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int64]:
-    """Return whole numbers [T,P,K] of a shape."""
+    """Return the unpacked integers [T,P,K] of a given shape."""
     count, points, width = shape
     steps = _unzigzag(_decompress(data, 4)).astype(np.int64).reshape(width, count, points)
     return np.cumsum(np.cumsum(steps.transpose(1, 2, 0), axis=1), axis=0)
 
 
 def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-    """Pack an array without loss, column by column; a column equal to the previous one is empty."""
+    """Pack an array without loss, column by column; a column that equals the previous one takes no
+    bytes.
+    """
     columns = _columns(array)
     last, chunks = None, []
     for index in _column_order(name, len(columns)):
@@ -276,12 +282,16 @@ def _unpack_exact(data: NDArray, facts: Mapping[str, Any]) -> NDArray:
 
 
 def _column_order(name: str, count: int) -> Sequence[int]:
-    """Return the order of columns: the real part of quaternions follows from the others."""
+    """Return the order of columns; the real part of quaternions is last, as it follows from the
+    others.
+    """
     return (1, 2, 3, 0) if name.endswith("quats") and count == 4 else range(count)
 
 
 def _real_part(columns: NDArray) -> NDArray[np.float32]:
-    """Return the positive real part of unit quaternions from the bits of their other parts."""
+    """Return the positive real part of unit quaternions from the bits of the other three
+    components.
+    """
     x, y, z = (columns[k].view(np.float32).astype(np.float64) for k in (1, 2, 3))
     return np.sqrt(np.maximum(1 - x * x - y * y - z * z, 0)).astype(np.float32)
 
@@ -295,12 +305,12 @@ def _bits(array: NDArray) -> NDArray:
 
 
 def _columns(array: NDArray) -> NDArray:
-    """Return the bits of an array as whole numbers, one row per column."""
+    """Return the bits of an array as integers; each column of the array becomes a row."""
     return np.ascontiguousarray(_bits(array).reshape(len(array), math.prod(array.shape[1:])).T)
 
 
 def _zigzag(values: NDArray, size: int) -> NDArray:
-    """Map whole numbers to non-negative ones that are small if the numbers are close to 0."""
+    """Map integers to non-negative integers that are small if the integers are close to 0."""
     whole = values.astype(f"<i{size}", copy=False)
     return ((whole << 1) ^ (whole >> (8 * size - 1))).view(f"<u{size}")
 
@@ -311,7 +321,7 @@ def _unzigzag(values: NDArray) -> NDArray:
 
 
 def _compress(values: NDArray) -> bytes:
-    """Compress numbers, their bytes of equal significance together."""
+    """Compress numbers; bytes of equal significance are stored next to each other."""
     planes = np.ascontiguousarray(values).reshape(-1).view(np.uint8)
     planes = np.ascontiguousarray(planes.reshape(-1, values.dtype.itemsize).T)
     level = LEVELS[values.size > FAST]

@@ -1,4 +1,4 @@
-"""Frames of a clip, computed from the motion of the particles that carry its Gaussians.
+"""Computes the frames of a clip from the motion of the particles that carry its Gaussians.
 
 The shapes of a frame depend on those of the previous frame (`phy124.motion.deform`). Frames are
 therefore computed in order, from the first one or from the nearest stored state, so that each has
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
     from phy124.motion.deform import Binding, Deformer
 
 KEPT = 256e6
-"""Size up to which the computed frames of a whole clip are kept [bytes]."""
+"""Size up to which all computed frames of a clip are kept [bytes]."""
 NEAR = 4
-"""Number of computed frames that are kept of a larger clip."""
+"""Number of computed frames that are kept if a clip is larger than that."""
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 STATES = 16e6
-"""Size of the states from which frames can be computed [bytes]."""
+"""Size of all stored states from which frames can be computed [bytes]."""
 BYTES = 40
-"""Size of a Gaussian in a computed frame [bytes]."""
+"""Size of a Gaussian in a frame that was computed [bytes]."""
 STATE = 32
 """Size of a Gaussian in a state [bytes]."""
 MOVING = ("means", "quats", "scales", "rotations")
-"""Arrays of a frame that are computed."""
+"""Names of the arrays of a frame that are computed."""
 
 
 class Rows(Protocol):
@@ -52,7 +52,7 @@ class Rows(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The motion that carries the Gaussians of a clip, for T frames."""
+    """The motion that carries the Gaussians of a clip in T frames."""
 
     gaussians: Gaussians
     """All N Gaussians at rest."""
@@ -61,7 +61,7 @@ class Motion:
     particles: Particles
     """All particles at rest [P]."""
     limits: dict[str, NDArray]
-    """Limits of the shapes, as for `Deformer`."""
+    """Limits on the shapes of Gaussians, as arguments of `Deformer`."""
     carriers: NDArray[np.int32]
     """Indices of the particles that carry Gaussians [C]."""
     x: Rows
@@ -81,9 +81,9 @@ class Motion:
     binding: Binding | None = None
     """Particles that carry the Gaussians that move, if they are known."""
     exposed: Exposed | None = None
-    """Further Gaussians, which tears expose."""
+    """Further Gaussians that become visible where the object tears."""
     describes: tuple[Any, ...] = ()
-    """Arrays of a clip that this motion gives (`phy124.io.clip.DESCRIBED`)."""
+    """Arrays of a clip that can be computed from this motion (`phy124.io.clip.DESCRIBED`)."""
 
     @property
     def shown(self) -> Gaussians:
@@ -101,7 +101,7 @@ class Track:
         self._times, self._displacements = times, displacements
 
     def values(self, times: NDArray) -> NDArray:
-        """Return the displacements of the frames at or before some times [T,3], m."""
+        """Return the displacements [T,3], m, in the last frame at or before each time."""
         return self._displacements[np.searchsorted(self._times, times, side="right") - 1]
 
 
@@ -174,19 +174,21 @@ class Recorded:
             return row
 
     def measurements(self, *, every: bool = True) -> list[Any]:
-        """Return the measurements of all computed frames, at least of the first one."""
+        """Return the measurements of all frames, or only of the frames computed so far and the
+        first one.
+        """
         for index in range(len(self) if every else 1):
             if index not in self._measured:
                 self.row(index)
         return [self._measured[index] for index in sorted(self._measured)]
 
     def rows_of(self, chosen: NDArray) -> Iterator[dict[str, Array]]:
-        """Yield the arrays of chosen Gaussians, frame by frame, without keeping them."""
+        """Yield the arrays of chosen Gaussians, frame by frame; nothing is kept."""
         part = Recorded(self.motion, chosen)
         return (part._advance() for _ in range(len(self)))
 
     def _return_to(self, index: int) -> None:
-        """Return to the latest stored state before a frame."""
+        """Return to the latest stored state that is not later than a frame."""
         start = max((state for state in self._states if state <= index), default=0)
         self._next = start
         assert self._deformer is not None
@@ -256,10 +258,12 @@ class Recorded:
 
 
 class Torn:
-    """Frames of a motion with the Gaussians that tears expose, which come last."""
+    """Frames of a motion, including the Gaussians that become visible where the object tears; these
+    Gaussians come last.
+    """
 
     def __init__(self, recorded: Frames, exposed: Exposed) -> None:
-        """Refer to the frames without these Gaussians."""
+        """Refer to frames that lack these Gaussians."""
         self._recorded, self._exposed = recorded, exposed
         self.count, self.turns = recorded.count + len(exposed.above), recorded.turns
         self._last: tuple[int, dict[str, Array]] = -1, {}
@@ -277,13 +281,15 @@ class Torn:
         return self._last[1]
 
     def rows_of(self, chosen: NDArray) -> Iterator[dict[str, Array]]:
-        """Yield the arrays of chosen Gaussians, frame by frame, without keeping them."""
+        """Yield the arrays of chosen Gaussians, frame by frame; nothing is kept."""
         carried, grains = self._split(chosen)
         for index, row in enumerate(self._recorded.rows_of(carried)):
             yield self._exposed.show(row, index, grains)
 
     def _split(self, chosen: NDArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the carried Gaussian of each chosen one, and its index among the exposed or -1."""
+        """Return, for each chosen Gaussian, the carried Gaussian, and its index among the exposed
+        ones or -1.
+        """
         grains = np.maximum(chosen - self._recorded.count, -1)
         return np.where(grains < 0, chosen, self._exposed.above[grains]), grains
 
@@ -339,7 +345,7 @@ class Computed(NDArrayOperatorsMixin):
         return getattr(np.asarray(self), name)
 
     def first(self, columns: slice) -> Computed:
-        """Return the array of some Gaussians."""
+        """Return the array of the Gaussians in a slice."""
         return Computed(self.recorded, self.name, columns=columns)
 
 

@@ -1,4 +1,4 @@
-"""Adds to each frame the Gaussians that the solver does not move.
+"""Adds the Gaussians that the solver does not move to each frame.
 
 They belong to static parts, to objects that follow a track, and to rigid solids.
 """
@@ -17,7 +17,7 @@ from phy124.gaussians import Array, Frame, Gaussians, rotation_matrices
 IDENTITY = np.array([1, 0, 0, 0], np.float32)
 """The identity rotation, wxyz."""
 INSTANT = 1e-6
-"""Time step of the difference quotient for the velocity of an object on a track [s]."""
+"""Time step of the difference quotient that gives the velocity of an object on a track [s]."""
 
 
 class Track(Protocol):
@@ -30,14 +30,14 @@ class Track(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """Completes a frame of the moving Gaussians to a frame of all Gaussians."""
+    """Adds the other Gaussians to a frame that contains only the moving Gaussians."""
 
     gaussians: Gaussians
     """All N Gaussians at rest."""
     moves: NDArray[np.bool_]
     """Mask of the Gaussians that the solver moves [N]."""
     tracks: tuple[tuple[int, Track], ...] = ()
-    """For each object that follows a track: its index, and its displacement over time [m]."""
+    """Index of each object that follows a track, and its displacement over time [m]."""
     free: tuple[int, ...] = ()
     """Indices of the objects that are rigid solids."""
 
@@ -48,13 +48,13 @@ class Scenery:
 
     @property
     def moving(self) -> Gaussians:
-        """The Gaussians at rest that the solver moves, in order."""
+        """The Gaussians at rest that the solver moves, in their order."""
         return self.gaussians.select(self.moves) if self.count else self.gaussians
 
     def whole(
         self, frame: Frame, poses: Sequence[NDArray] = (), motions: NDArray | None = None
     ) -> Frame:
-        """Add all other Gaussians to a frame of the Gaussians that the solver moves.
+        """Return a frame of all Gaussians, from a frame of the Gaussians that the solver moves.
 
         Static Gaussians are unchanged bit for bit. Gaussians of tracks and rigid solids are at
         their position at the frame's time.
@@ -106,7 +106,9 @@ class Scenery:
 
 
 def _multiply(a: NDArray, b: NDArray) -> NDArray[np.float64]:
-    """Multiply quaternions wxyz a [4] and b [..., 4]; the product rotates by b, then by a."""
+    """Multiply quaternions wxyz a [4] and b [..., 4]; the product rotates first by b and then by
+    a.
+    """
     w, v = b[..., :1], b[..., 1:]
     first = a[0] * w - (v @ a[1:])[..., None]
     return np.concatenate([first, a[0] * v + w * a[1:] + np.cross(a[1:], v)], axis=-1)

@@ -1,4 +1,4 @@
-"""Turns Gaussians into material particles: cleaning, size, interior, volume, mass.
+"""Turns Gaussians into material particles: cleans them, and finds size, interior, volume and mass.
 
 There are two bindings of Gaussians to particles:
 

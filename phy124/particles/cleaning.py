@@ -32,7 +32,7 @@ GIGANTIC = 0.5
 STRAY = 1e-3
 GAP = 0.05
 WIDE = 16.0
-"""Area at which the visible area of a large Gaussian is capped, in median areas."""
+"""Upper bound on the visible area of a Gaussian, in units of the median area."""
 VISIBLE = 0.1
 """Smallest opacity of a Gaussian that belongs to the surface."""
 
@@ -64,12 +64,12 @@ class Cleaning:
 
     @property
     def sentences(self) -> list[str]:
-        """Sentences for the report, one for each rule that had an effect."""
+        """Sentences for the report: one for each rule that dropped or changed Gaussians."""
         texts = {
             "not_finite": "had NaN or infinite values and were dropped",
             "invisible": "were invisible (opacity under 1/255 or no extent) and were dropped",
             "gigantic": "were larger than half the object and were dropped",
-            "stray": "floated apart from the object and were dropped",
+            "stray": "floated away from the object and were dropped",
             "repaired_scales": "had negative or zero scales, which were repaired",
             "repaired_quats": "had a quaternion of length zero, replaced by no rotation",
             "repaired_opacities": "had an opacity above 1, replaced by 1",
@@ -79,7 +79,7 @@ class Cleaning:
 
 
 def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
-    """Return the Gaussians that are fit for simulation and rendering, and the counts of changes.
+    """Return the Gaussians that can be simulated and rendered, and the counts of changes.
 
     The order of the Gaussians is kept; coincident Gaussians are allowed.
 
@@ -116,7 +116,7 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
 
 
 def visible_area(gaussians: Gaussians) -> NDArray[np.float32]:
-    """Return the visible area of each Gaussian [N], m^2: opacity times area, with a cap.
+    """Return the visible area of each Gaussian [N], m^2: opacity times area, up to an upper bound.
 
     Without the cap, a background of large Gaussians, such as a sky, would outweigh the object.
     """
@@ -139,14 +139,15 @@ def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def scale_to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> Gaussians:
-    """Scale the object to a longest side of `size` metres with `size_transform`."""
+    """Scale the object with `size_transform`, so that its longest side is `size` metres."""
     return gaussians.transform(*size_transform(gaussians, size, ground=ground))
 
 
 def size_transform(
     gaussians: Gaussians, size: float, *, ground: bool = True
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the scale and offset [3] that make the longest side `size` m, centred in x and y.
+    """Return the scale and the offset [3] with which the longest side is `size` m and the centre is
+    at x = y = 0.
 
     With `ground`, the lowest visible point is at z = 0: the lowest point one standard deviation
     around centres with an opacity of at least 0.1. Otherwise the object is centred in z, too.
@@ -176,7 +177,9 @@ def _are_finite(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _repair(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
-    """Return repaired Gaussians and the counts; arrays without a change are not copied."""
+    """Return repaired Gaussians and the counts of repairs; arrays that need no repair are not
+    copied.
+    """
     arrays = {name: getattr(gaussians, name) for name in ("quats", "scales", "opacities")}
     repaired, counts = dict(arrays), dict.fromkeys(arrays, 0)
     for start in range(0, len(gaussians), BLOCK):
@@ -221,7 +224,9 @@ def _are_gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Return the mask of Gaussians in separate groups with almost no members or visible area."""
+    """Return the mask of the Gaussians in separate groups that have few members or little visible
+    area.
+    """
     if len(gaussians) * STRAY < 1:
         return np.zeros(len(gaussians), bool)
     means = gaussians.means.astype(np.float64)
@@ -270,7 +275,9 @@ def _weighted_quantile(values: NDArray, weights: NDArray, below: float, fraction
 
 
 def _lowest_height(gaussians: Gaussians) -> float:
-    """Return the height of the lowest visible point, one standard deviation below centres."""
+    """Return the height of the lowest point of all visible Gaussians, taken at one standard
+    deviation.
+    """
     visible = gaussians.opacities >= VISIBLE
     some = gaussians.select(visible) if visible.any() else gaussians
     z = some.means[:, 2].astype(np.float64)

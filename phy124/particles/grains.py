@@ -19,9 +19,9 @@ from phy124.materials import AnyMaterial
 from phy124.particles.seeding import Particles
 
 SIZE = 0.55
-"""Standard deviation of a grain, in particle spacings; a lattice of such grains is opaque."""
+"""Standard deviation of a grain, in particle spacings, with which a lattice of grains is opaque."""
 CLEARANCE = 2.5
-"""Smallest depth of a grain below the surface at rest, in the grain's standard deviations."""
+"""Smallest depth of a grain below the surface at rest, in standard deviations of the grain."""
 NEAREST = 0.5
 """Smallest distance between a grain and a Gaussian, in particle spacings."""
 OPACITY = 0.95
@@ -37,7 +37,7 @@ def add_grains(
     materials: Sequence[AnyMaterial],
     spacing: float,
 ) -> tuple[Gaussians, Particles]:
-    """Append a Gaussian for each inner particle of a material that falls apart.
+    """Append a Gaussian for each inner particle of materials that fall apart.
 
     Args:
         gaussians: The object at rest, N Gaussians, m.
@@ -63,7 +63,7 @@ def add_grains(
 
 
 def leave_room(gaussians: Gaussians, x: NDArray, spacing: float) -> NDArray[np.bool_]:
-    """Return whether each point is far enough from all Gaussians to hold a grain [P].
+    """Return which points are far enough from all Gaussians to hold a grain [P].
 
     Args:
         gaussians: The object at rest.
@@ -80,7 +80,7 @@ def leave_room(gaussians: Gaussians, x: NDArray, spacing: float) -> NDArray[np.b
 def make_grains(
     gaussians: Gaussians, x: NDArray, spacing: float
 ) -> tuple[Gaussians, NDArray[np.int64]]:
-    """Make grains at points [P,3], and return them with the index of the Gaussian nearest to each.
+    """Return grains at points [P,3], and the index of the Gaussian nearest to each grain.
 
     Args:
         gaussians: The object at rest.
@@ -92,7 +92,7 @@ def make_grains(
 
 
 def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
-    """Make each Gaussian randomly brighter or darker.
+    """Make each Gaussian brighter or darker at random.
 
     Args:
         gaussians: N Gaussians.
@@ -109,7 +109,7 @@ def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussi
 def tint(
     gaussians: Gaussians, chosen: NDArray, colour: Sequence[float], shading: float
 ) -> Gaussians:
-    """Give Gaussians the colour of their material, with some of the image's light and shade.
+    """Give Gaussians the colour of their material, and keep some of the image's light and shade.
 
     Args:
         gaussians: N Gaussians.

@@ -1,4 +1,4 @@
-"""Integration points and surface points of a body on its lattice at rest.
+"""Computes the integration points and surface points of a body on its lattice at rest.
 
 The body is divided into cubic cells of side dx, from i dx to (i + 1) dx along each axis. Each cell
 has eight points of equal volume at c +- s1 e1 +- s2 e2 +- s3 e3, where c is the centre of the part
@@ -23,19 +23,21 @@ from phy124.particles.solid import Solid
 PER_CELL = 8
 """Number of integration points of a cell."""
 SMALLEST = 1e-3
-"""Smallest part of a cell that gets points, as a fraction of the cell."""
+"""Smallest filled fraction of a cell that gets integration points."""
 HAZE = 0.005
-"""Cells filled less than this have no surface points: they hold single Gaussians around a body."""
+"""Filled fraction of a cell below which it has no surface points: it holds single Gaussians around
+a body."""
 TRACE = 0.1
-"""Fraction below which a voxel next to one of twice its fraction has no surface points."""
+"""Fraction below which a voxel has no surface points if a neighbour has at least twice its
+fraction."""
 SLIVER = 0.15
-"""Filled part of a cell below which it is merged with a neighbour."""
+"""Filled fraction of a cell below which the cell is merged with a neighbour."""
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 """Steps from a cell to its 26 neighbours."""
 APART = 0.5
 """Distance between neighbouring surface points [cells]."""
 ALIGNED = 1e-7
-"""Difference of second moments [cells^2] below which the points lie along the lattice."""
+"""Difference of second moments [cells^2] below which the points are aligned with the lattice."""
 CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
@@ -68,7 +70,7 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
 
 
 def cells_of(points: Particles) -> Particles:
-    """Return one particle for each cell of eight points, so that materials are chosen per cell."""
+    """Return one particle for each cell of eight points; materials are then chosen per cell."""
     centre = points.x.reshape(-1, PER_CELL, 3).mean(axis=1)
     return Particles(
         x=centre,
@@ -80,7 +82,7 @@ def cells_of(points: Particles) -> Particles:
 
 
 def points_of(cells: Particles, points: Particles) -> Particles:
-    """Return the points of some cells, in the cells' order and with the cells' materials.
+    """Return the points of some cells, ordered like the cells and with the cells' materials.
 
     Args:
         cells: Some of the cells of `points`, in any order.
@@ -106,7 +108,7 @@ def points_of(cells: Particles, points: Particles) -> Particles:
 
 
 def repeat_for_points(values: NDArray | None) -> NDArray | None:
-    """Return values of cells [C] for their points [8C]; None for None."""
+    """Repeat the values of cells [C] for the points of each cell [8C]; None stays None."""
     return None if values is None else np.repeat(values, PER_CELL, axis=0)
 
 
@@ -167,7 +169,7 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
 
 
 def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]:
-    """Return the cell of each voxel [V,3], with slivers as parts of a neighbouring cell.
+    """Return the cell of each voxel [V,3]; slivers become parts of a neighbouring cell.
 
     A sliver fills less than `SLIVER` of its cell, so that its nodes are light and squeezing it
     would shorten the substep. As part of a neighbour it has the neighbour's weights, continued
@@ -193,7 +195,7 @@ def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]
 
 
 def _subdivide(solid: Solid, dx: float) -> Solid:
-    """Return a solid with voxels of at most one cell."""
+    """Return a solid whose voxels are not larger than a cell."""
     parts = round(solid.voxel / dx)
     if parts <= 1:
         return solid
@@ -214,7 +216,7 @@ def _cells(cell: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64
 
 
 def _sums(which: NDArray, values: NDArray, count: int) -> NDArray[np.float64]:
-    """Return the sums [count,K] of the rows of `values` [V,K] in each of `count` groups."""
+    """Sum the rows of `values` [V,K] in each of `count` groups [count,K]."""
     total = np.zeros((count, values.shape[1]))
     for number, column in enumerate(values.T):
         total[:, number] = np.bincount(which, column, count)
@@ -222,7 +224,7 @@ def _sums(which: NDArray, values: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
-    """Return four copies of each surface point, moved along the surface by a distance [m]."""
+    """Return four copies of each surface point, shifted along the surface by a distance [m]."""
     normal = rows[:, 3:]
     helper = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
     first = np.cross(normal, helper)
@@ -236,7 +238,7 @@ def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
 
 
 def _outermost(rows: NDArray, side: float) -> NDArray[np.float64]:
-    """Return, of the points in each cube, the one farthest outwards."""
+    """Return, from the points in each cube, the one that lies farthest outwards."""
     cube = np.floor(rows[:, :3] / side - 1e-6).astype(np.int64)
     _, which = np.unique(cube, axis=0, return_inverse=True)
     which = which.reshape(-1)

@@ -1,4 +1,4 @@
-"""Merges neighbouring Gaussians, to make files small.
+"""Merges neighbouring Gaussians to make files smaller.
 
 Two Gaussians are replaced by one with their joint mean, covariance and colour, weighted by mass
 (opacity times volume). The opacity of the new Gaussian preserves the mass. If this opacity would
@@ -19,17 +19,17 @@ from phy124.gaussians import Gaussians, quaternions
 from phy124.io.clip import Clip
 
 COLOUR = 0.1
-"""Distance that corresponds to a colour difference of 1, in object sizes."""
+"""Distance that is equivalent to a colour difference of 1, in object sizes."""
 NEIGHBOURS = 6
-"""Number of nearest neighbours among which a partner is searched."""
+"""Number of nearest neighbours among which a Gaussian's partner is searched."""
 OPAQUE = 0.99
 """Largest opacity of a merged Gaussian."""
 SAMPLES = 5
-"""Number of frames of a clip that are compared to group its Gaussians."""
+"""Number of frames in which the Gaussians of a clip are compared in order to group them."""
 
 
 def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:
-    """Assign each point to one of `count` groups [N] by merging pairs of neighbours.
+    """Assign each point to one of `count` groups [N]; groups arise by merging pairs of neighbours.
 
     Args:
         places: Points [N,D] in any number D of dimensions.
@@ -121,7 +121,7 @@ def merge_to(gaussians: Gaussians, count: int) -> Gaussians:
 
 
 def merge_clip_to(clip: Clip, count: int) -> Clip:
-    """Merge Gaussians of a clip that stay together; only colours of degree 0 are kept.
+    """Merge those Gaussians of a clip that stay together; only colours of degree 0 are kept.
 
     Args:
         clip: The clip.
@@ -158,6 +158,8 @@ def check_not_empty(count: int) -> None:
 
 
 def _feature_points(means: list[NDArray], rgb: NDArray) -> NDArray:
-    """Return points [N,3T+3] that are near if Gaussians are near in T frames and in colour."""
+    """Return points [N,3T+3]; two are near each other if the Gaussians are similar in colour and
+    near in T frames.
+    """
     size = max(float(np.ptp(means[0], axis=0).max()), 1e-12)
     return np.concatenate([*(x / size / len(means) ** 0.5 for x in means), COLOUR * rgb], axis=1)

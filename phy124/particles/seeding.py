@@ -1,4 +1,4 @@
-"""Places the particles, and computes the volume that each represents.
+"""Places the particles, and computes the volume of each particle.
 
 The solid's volume in each lattice cell is shared evenly among the particles in the cell. The volume
 of a cell without particles is added to the nearest particle. The sum is the volume of the solid.
@@ -22,7 +22,7 @@ from phy124.particles.solid import Solid, find_interior, find_solid
 BINDINGS = ("lattice", "particles")
 MAX_PARTICLES = 8_000_000
 THIN = 4
-"""Largest width of a part that counts as thin, in particle spacings."""
+"""Width up to which a part of the object counts as thin, in particle spacings."""
 MOST_CELLS = 50_000_000
 """Largest number of cells of a grid that is held in memory."""
 SMALLEST = 0.01
@@ -77,7 +77,9 @@ def make_particles(
 
 
 def fill(gaussians: Gaussians, spacing: float) -> NDArray[np.float64]:
-    """Return the points [M,3], m, of the lattice (i + 1/2) * spacing inside a closed shape."""
+    """Return those points [M,3], m, of the lattice (i + 1/2) * spacing that lie inside a closed
+    shape.
+    """
     _check(1.0, spacing, BINDINGS[0])
     shape = find_solid(gaussians, spacing)
     return _lattice(shape, _room_per_cell(shape, spacing), spacing)
@@ -100,7 +102,7 @@ def _check(density: float, spacing: float, binding: str) -> None:
 
 
 def _lattice(shape: Solid, room: _Room, spacing: float) -> NDArray[np.float64]:
-    """Return the lattice points (i + 1/2) * spacing inside the solid, cell by cell."""
+    """Return the lattice points (i + 1/2) * spacing that lie inside the solid, cell by cell."""
     cells, n = room.cells, round(room.side / spacing)
     if len(cells) * n**3 > MAX_PARTICLES:
         raise InputError(
@@ -131,7 +133,7 @@ def _keep_apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
 def _lattice_with_gaussians(
     gaussians: Gaussians, lattice: NDArray, shape: Solid, spacing: float
 ) -> NDArray[np.float64]:
-    """Return lattice points, and Gaussians in thin parts or where the lattice has no points.
+    """Return lattice points, and Gaussians where parts are thin or the lattice has no points.
 
     Thin parts stretch most, and would tear if their particles were a grid cell apart.
     """
@@ -148,7 +150,7 @@ def _lattice_with_gaussians(
 
 
 def _outside_cells(points: NDArray, lattice: NDArray, side: float) -> NDArray[np.float64]:
-    """Return the points in cells without a point of a lattice whose points are `side` apart."""
+    """Return the points whose cell contains no point of a lattice with spacing `side`."""
     place = np.floor(lattice / side).astype(np.int64)
     low = place.min(axis=0)
     shape = place.max(axis=0) - low + 1
@@ -181,7 +183,7 @@ def _cell_means(points: NDArray, side: float) -> NDArray[np.float64]:
 
 
 def _order_by_cell(x: NDArray, side: float) -> NDArray[np.int64]:
-    """Return the order of particles by cells; x varies slowest."""
+    """Return an order of particles by cell; x varies slowest."""
     cells = np.floor((x - x.min(axis=0)) / side).astype(np.int64)
     return np.lexsort(cells.T[::-1])
 

@@ -1,4 +1,4 @@
-"""Finds the solid that Gaussians outline: the interior, as the filled fraction of each voxel.
+"""Finds the solid that Gaussians outline: its interior, as the filled fraction of each voxel.
 
 The Gaussians may be a shell of flat discs with gaps, a fuzzy cloud, thin sheets, or a mixture. The
 interior is found in four steps:
@@ -41,15 +41,16 @@ Mask = NDArray[np.bool_]
 MAX_VOXELS = 4_000_000
 MAX_SAMPLES = 6_000_000
 ACROSS = 64
-"""Number of voxels along the longest side, if the Gaussians are dense enough."""
+"""Number of voxels along the longest side; fewer if the Gaussians are too sparse."""
 COARSER = 1.2
-"""Factor on the voxel size from each attempt to the next."""
+"""Factor by which the voxel size grows from one attempt to the next."""
 SEAL = 0.065
-"""Half the widest gap that is sealed, as a fraction of the longest side."""
+"""Half the width of the widest gap that is sealed, as a fraction of the longest side."""
 CONNECTED = 6
-"""Smallest mean number of occupied neighbours, of 26, of voxels in a connected surface or cloud."""
+"""Smallest mean number of occupied neighbours, of 26, at which voxels form a connected surface or
+cloud."""
 MEMORY = 2
-"""Number of solids that are kept for later runs of the same objects."""
+"""Number of solids that are stored for later runs of the same objects."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,9 @@ class Solid:
 
     @cached_property
     def _resampled(self) -> dict[float, Solid]:
-        """Side of voxels [m] -> the solid in such voxels: a grid twice as fine uses them again."""
+        """Side of voxels [m] -> the solid with such voxels; a grid that is twice as fine uses it
+        again.
+        """
         return {}
 
     @property
@@ -84,7 +87,9 @@ class Solid:
         return scipy.ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
 
     def thin(self, points: NDArray, width: float) -> Mask:
-        """Return the mask of points [M,3], m, that are outside or in parts thinner than `width`."""
+        """Return the mask of the points [M,3], m, that are outside, or in parts thinner than
+        `width`.
+        """
         radius = max(1, round(0.5 * (width / self.voxel - 1)))
         if 2 * radius >= min(self.fraction.shape):
             return np.ones(len(points), bool)
@@ -95,7 +100,7 @@ class Solid:
         return ~thick[tuple(np.clip(at, 0, np.array(thick.shape) - 1).T)]
 
     def resample(self, spacing: float) -> Solid:
-        """Resample to voxels of about the same size that are aligned with a particle lattice.
+        """Resample to voxels of about the same size that are aligned with a lattice of particles.
 
         Several lattices may have the same voxels, which are computed once.
         """
@@ -106,7 +111,7 @@ class Solid:
         return self._resampled[step]
 
     def _on_voxels(self, step: float) -> Solid:
-        """Return the solid on voxels of another side [m]."""
+        """Return the solid with voxels of another side [m]."""
         fraction, first = self.fraction.astype(np.float64), []
         for axis, start in enumerate((self.first * self.voxel).tolist()):
             old = start + self.voxel * np.arange(fraction.shape[axis] + 1)
@@ -128,13 +133,13 @@ def find_solid(gaussians: Gaussians, spacing: float) -> Solid:
 
 
 _kept: dict[bytes, Solid] = {}
-"""Digest of Gaussians -> the solid that they outline; the last one was used last."""
+"""Digest of Gaussians -> the solid that they outline; the solid that was used last comes last."""
 _lock = threading.Lock()
-"""Held while `_kept` changes: jobs of the page run in threads."""
+"""Lock that is held while `_kept` changes, because the jobs of the page run in threads."""
 
 
 def find_interior(gaussians: Gaussians) -> Solid:
-    """Find the solid outlined by clean Gaussians, on voxels that depend on the Gaussians alone.
+    """Find the solid that clean Gaussians outline; its voxels depend only on the Gaussians.
 
     The last `MEMORY` solids are kept, because an object is often simulated several times.
     """
@@ -151,7 +156,7 @@ def find_interior(gaussians: Gaussians) -> Solid:
 
 
 def _digest(gaussians: Gaussians) -> bytes:
-    """Return the digest of everything on which the solid depends."""
+    """Return a digest of everything that determines the solid."""
     digest = hashlib.blake2b(digest_size=16)
     for array in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities):
         digest.update(array.tobytes())
@@ -177,14 +182,16 @@ class _Voxels:
     voxel: float
     across: float
     points: NDArray[np.float32]
-    """Samples [S,3], in voxels from the lower corner of the grid."""
+    """Positions of the samples [S,3], in voxels from the lower corner of the grid."""
     thickness: NDArray[np.float32]
     """Twice the shortest standard deviation of each sample's Gaussian [S], in voxels."""
     occupied: Mask
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """Return the finest grid on which the samples are connected, or else the finest grid."""
+    """Return the finest grid on which the samples are connected; if there is none, the finest
+    grid.
+    """
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:
@@ -214,7 +221,9 @@ def _admissible(gaussians: Gaussians, voxel: float, extent: NDArray) -> bool:
 
 
 def _samples_per_axis(gaussians: Gaussians, voxel: float) -> NDArray[np.float64]:
-    """Return odd sample counts per axis [N,3]: 1 within a voxel, else about 1 per voxel."""
+    """Return odd numbers of samples per axis [N,3]: 1 within a voxel, otherwise about 1 per
+    voxel.
+    """
     sigma = gaussians.scales.astype(np.float64) / voxel
     return np.where(sigma > 0.25, 2 * np.ceil(sigma) + 1, 1)
 
@@ -264,7 +273,7 @@ def _mean_neighbours(occupied: Mask) -> float:
 
 
 def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
-    """Return the mask of the voxels inside, and the mask of all others."""
+    """Return the mask of the inner voxels, and the mask of all others."""
     widest = max(1, int(SEAL * across))
     region, enclosed = occupied.copy(), False
     for r in sorted({1, 2, 3, widest // 2, widest}):
@@ -290,7 +299,7 @@ def _flood_outside(free: Mask) -> Mask:
 
 
 def _find_enclosed(occupied: Mask) -> Mask:
-    """Return the voxels with occupied voxels in at least five of the six axis directions."""
+    """Return the voxels that have occupied voxels in at least five of the six axis directions."""
     hits = np.zeros(occupied.shape, np.uint8)
     for axis in range(3):
         hits += np.logical_or.accumulate(occupied, axis=axis)
@@ -336,7 +345,9 @@ def _trim_surface(
 
 
 def _estimate_normals(region: Mask, voxels: NDArray) -> tuple[NDArray[np.float64], Mask]:
-    """Return outward normals [V,3], and the mask of sheets, which have outside on both sides."""
+    """Return outward normals [V,3], and the mask of sheets, which border on the outside on both
+    sides.
+    """
     normal = np.zeros((len(voxels), 3))
     for size in (5, 3):
         smooth = scipy.ndimage.uniform_filter(region.astype(np.float32), size)

@@ -21,18 +21,20 @@ from numpy.typing import NDArray
 from phy124.particles.solid import ACROSS, Solid
 
 FRACTION = 0.1
-"""Fraction of the volume that may be thinner than the reported thickness."""
+"""Fraction of the volume that may be thinner than the thickness that is reported."""
 FOOT = 0.12
-"""Fraction of the height that is clamped for the compliance."""
+"""Fraction of the height that is clamped when the compliance is computed."""
 
 
 class Proportions(NamedTuple):
     """Proportions of an object, independent of its size."""
 
     thickness: float
-    """Local thickness relative to the longest side, exceeded by nine tenths of the volume."""
+    """Local thickness relative to the longest side; in nine tenths of the object's volume it is
+    larger."""
     compliance: float
-    """Mean deflection under its weight sideways, relative to its size L and to rho g L / E."""
+    """Mean deflection under the object's weight acting sideways, relative to its size L and to rho
+    g L / E."""
 
     @classmethod
     def of_report(cls, report: Mapping[str, Any]) -> Proportions | None:
@@ -42,7 +44,8 @@ class Proportions(NamedTuple):
 
 
 def measure_proportions(*objects: tuple[Solid, float]) -> Proportions:
-    """Return the proportions of an object; of several, those of the hardest to simulate.
+    """Return the proportions of an object; of several objects, the smallest thickness and the
+    largest compliance.
 
     Args:
         objects: Interior (`find_interior`) and longest side [m] of each upright object. Thickness
@@ -81,7 +84,7 @@ def compliance(shape: Solid) -> float:
 
 
 def _inside(shape: Solid) -> NDArray[np.bool_]:
-    """Return the voxels of the object, in the smallest box that contains them."""
+    """Return the object's voxels in the smallest box that contains them."""
     inside = shape.fraction > 0.5 * min(1.0, shape.fraction.max())
     return inside[scipy.ndimage.find_objects(inside.astype(np.int8))[0]]
 

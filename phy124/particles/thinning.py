@@ -1,4 +1,6 @@
-"""Reduces the number of Gaussians, and enlarges the remaining ones to cover the same area."""
+"""Reduces the number of Gaussians; the remaining ones are enlarged so that they cover the same
+area.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ from phy124.io.content import MOST_KEPT
 
 FEWEST, MOST = 100, MOST_KEPT
 GIANT = 1e4
-"""Largest area, in median areas, of a Gaussian that is neither a background nor an error."""
+"""Largest area of a Gaussian that is not taken for a background or an error, in median areas."""
 BITS = 16
 """Bits per coordinate along the space-filling curve."""
 
@@ -33,7 +35,7 @@ def check_count(count: int | None) -> None:
 
 
 def with_count(make: Any, count: int | None) -> Any:
-    """Bind `count` to a generator if it has an option for the number of Gaussians."""
+    """Bind `count` to a generator if the generator has an option for the number of Gaussians."""
     check_count(count)
     if count is None or "count" not in inspect.signature(make).parameters:
         return make
@@ -41,7 +43,7 @@ def with_count(make: Any, count: int | None) -> Any:
 
 
 def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians:
-    """Keep at most `count` Gaussians, enlarged to cover the same area.
+    """Keep at most `count` Gaussians; they are enlarged so that they cover the same area.
 
     The kept Gaussians are evenly spaced along a space-filling curve; large and opaque Gaussians are
     kept more often. For the weight of a Gaussian, at most the area `GIANT` is used; the area of
@@ -64,7 +66,7 @@ def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians
 
 
 def _morton_order(points: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return codes [N] along the Morton curve, on which neighbours in space are close."""
+    """Return codes [N] along the Morton curve; neighbours in space have close codes."""
     low, size = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
     cells = ((points - low) / size * (2**BITS - 1)).astype(np.int64)
     code = np.zeros(len(points), np.int64)

@@ -1,4 +1,4 @@
-"""The filled part of each voxel of a body: outward normal, centre and second moments.
+"""Describes the filled part of each voxel of a body: outward normal, centre and second moments.
 
 A voxel that is filled in part is cut by a plane with the voxel's normal, or, in a sheet thinner
 than a voxel, by two parallel planes.
@@ -13,22 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 SHEET = 0.25
-"""Length of the gradient of the filled fraction [1/voxel] below which a voxel is part of a sheet,
-which has no single outward normal.
+"""Length of the gradient of the filled fraction [1/voxel] below which a voxel belongs to a sheet
+and has no single outward normal.
 """
 THIN = 1.2
-"""Thickness below which a part is a sheet with two surfaces in a voxel [voxels]."""
+"""Thickness below which a part counts as a sheet, which has two surfaces in a voxel [voxels]."""
 FULL = 0.999
-"""Filled part of a voxel that no sheet has."""
+"""Filled fraction of a voxel that is too large to occur in a sheet."""
 SAMPLES = 6
-"""Number of sample points along each axis of a voxel that is filled in part."""
+"""Number of sample points along each axis of a voxel that is partly filled."""
 HALVINGS = 12
-"""Number of halvings by which the surface in a voxel is found."""
+"""Number of halvings with which the position of the surface in a voxel is found."""
 NEAR, FAR = (np.array(list(np.ndindex(*3 * (2 * n + 1,)))) - n for n in (1, 2))
-"""Steps to the 27 and to the 125 voxels around a voxel, including itself."""
+"""Steps from a voxel to itself and its neighbours, 27 in all, and to the 125 voxels within two
+steps."""
 SLOPES = 3 / 13 * NEAR / np.maximum((NEAR**2).sum(axis=1, keepdims=True), 1)
-"""Weights of the 27 voxels in the gradient. Neighbours count by 1 / distance^2, and the gradient
-at a plane along the voxels has the length 1.
+"""Weights of the 27 voxels in the gradient. Neighbours have weights in proportion to 1 /
+distance^2; at a plane parallel to a face of the voxels, the gradient has the length 1.
 """
 
 
@@ -72,7 +73,7 @@ def find_voxels(filled: NDArray) -> Voxels:
 
 
 def _gather(padded: NDArray, index: NDArray, steps: NDArray) -> NDArray[np.float64]:
-    """Return the values at some steps from each voxel [V,S], from a grid padded by 2 voxels."""
+    """Return the values at some steps from each voxel [V,S]; the grid is padded by 2 voxels."""
     strides = np.array([padded.shape[1] * padded.shape[2], padded.shape[2], 1])
     return padded.ravel()[((index + 2) @ strides)[:, None] + steps @ strides]
 
@@ -80,7 +81,7 @@ def _gather(padded: NDArray, index: NDArray, steps: NDArray) -> NDArray[np.float
 def _find_sheets(
     padded: NDArray, index: NDArray, around: NDArray, no_normal: NDArray
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Find the voxels in thin sheets, and the sheets.
+    """Find the thin sheets, and the voxels that belong to them.
 
     Args:
         padded: Filled fractions, padded by 2 voxels.

@@ -1,4 +1,4 @@
-"""Simulation: computes moving Gaussians, frame by frame, from static Gaussians and a scene.
+"""Computes moving Gaussians, frame by frame, from static Gaussians and a scene.
 
     for frame in Simulation(prepare(gaussians, Scene.named("press"))):
         ...

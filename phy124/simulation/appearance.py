@@ -1,4 +1,4 @@
-"""Appearance: the visible Gaussians of each material; they do not affect the motion."""
+"""Computes the visible Gaussians of each material; they do not affect the motion."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ BLOCK = 1 << 15
 
 
 class Appearance(NamedTuple):
-    """The visible Gaussians: N on the surface, and G grains inside materials that separate."""
+    """The visible Gaussians: N on the surface, and G grains inside materials that fall apart."""
 
     gaussians: Gaussians
-    """All Gaussians at rest, N + G, m; the grains come last."""
+    """All N + G Gaussians at rest, in metres; the grains come last."""
     particles: Particles
-    """Particles of the solver; each moving Gaussian may have its own particle."""
+    """Particles of the solver; each moving Gaussian may have a particle of its own."""
     moves: NDArray[np.bool_]
     """Mask of the Gaussians that move [N + G]."""
     max_stretch: NDArray[np.float64]
-    """Largest ratio of each moving Gaussian's longest axis to its longest axis at rest; may be
+    """Limit on the ratio of each moving Gaussian's longest axis to its longest axis at rest; may be
     infinite.
     """
     rounds: NDArray[np.bool_]
-    """Mask of the moving Gaussians that become balls when they are stretched."""
+    """Mask of the moving Gaussians that become balls when their material is stretched."""
     flows: NDArray[np.bool_]
-    """Mask of the moving Gaussians of materials that separate, whose F grows without bound."""
+    """Mask of the moving Gaussians in materials that fall apart, whose F grows without bound."""
     holds: NDArray[np.float64]
     """Largest stretch of each moving Gaussian's material before it tears; may be infinite."""
     kinds: NDArray[np.int64]
@@ -54,12 +54,14 @@ class Appearance(NamedTuple):
         }
 
     def shine(self, materials: Sequence[AnyMaterial]) -> dict[str, list[list[int]]]:
-        """Return, for each glossy law, the spans of its Gaussians: first and one past the last."""
+        """Return the spans of the Gaussians of each glossy law; a span is its first index and one
+        past its last.
+        """
         laws = sorted({section.law for section in materials if section.shines})
         return {law: self._spans([section.law == law for section in materials]) for law in laws}
 
     def liquids(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
-        """Return the spans of the Gaussians of each liquid, and its visibility [m] or None."""
+        """Return, for each liquid, the spans of its Gaussians, and its visibility [m] or None."""
         return [
             {"runs": self._spans(np.arange(len(materials)) == k), "visibility": section.visibility}
             for k, section in enumerate(materials)
@@ -67,7 +69,7 @@ class Appearance(NamedTuple):
         ]
 
     def _spans(self, chosen: Sequence[bool] | NDArray[np.bool_]) -> list[list[int]]:
-        """Return the spans of the moving Gaussians of chosen materials."""
+        """Return the spans of the moving Gaussians whose materials are chosen."""
         inside = np.zeros(len(self.moves) + 2, np.int8)
         inside[np.flatnonzero(self.moves)[np.asarray(chosen)[self.kinds]] + 1] = 1
         return np.flatnonzero(np.diff(inside)).reshape(-1, 2).tolist()
@@ -75,7 +77,7 @@ class Appearance(NamedTuple):
     def elongation(
         self, materials: Sequence[AnyMaterial]
     ) -> Callable[[Mapping[str, Array]], NDArray[np.float64]]:
-        """Return a function that measures a frame's arrays.
+        """Return a function that measures how elongated the Gaussians of a frame are.
 
         For each law in alphabetical order, it returns the largest ratio of a Gaussian's longest
         axis to its middle axis and to its shortest axis [L,2].
@@ -111,7 +113,7 @@ class Appearance(NamedTuple):
         return rows
 
     def _of_law(self, law: str, materials: Sequence[AnyMaterial]) -> NDArray[np.int64]:
-        """Return the indices of the moving Gaussians whose material has a law."""
+        """Return the indices of the moving Gaussians whose material has a given law."""
         chosen = np.array([section.law == law for section in materials])[self.kinds]
         return np.flatnonzero(self.moves)[chosen]
 

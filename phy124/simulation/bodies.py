@@ -1,4 +1,4 @@
-"""Bodies: the particles and the appearance of each object of a scene, joined for one solver.
+"""Makes the particles and the appearance of each object of a scene, and joins them for one solver.
 
 Each object is made separately, as if it were alone, on the grid of the whole scene. Props have no
 particles: they follow a path or move freely as rigid solids.
@@ -40,26 +40,28 @@ from phy124.simulation.overlap import refuse_objects
 from phy124.simulation.placing import belongs, number_among_all, place, renumber_parts, stack
 
 FEWEST = 8
-"""Number of cells along an object below which the user gets a note."""
+"""Number of cells along an object below which a note warns the user."""
 PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
-"""Fields of an appearance with an entry for each moving Gaussian."""
+"""Fields of an appearance that have an entry for each moving Gaussian."""
 
 
 class Placed(NamedTuple):
-    """One object in its position in the scene."""
+    """One object in its final position in the scene."""
 
     scene: Scene
-    """The scene with only this object."""
+    """The scene without its other objects."""
     cleaned: Cleaning
     belonging: NDArray[np.bool_]
-    """Mask of the Gaussians of the object, without its surroundings [N]."""
+    """Mask of the Gaussians that belong to the object, not to its surroundings [N]."""
     gaussians: Gaussians
     crop: Crop
     interior: Solid | None = None
-    """Interior of the object; None: not known yet."""
+    """Interior of the object; None if it is not known yet."""
 
     def within(self, scene: Scene) -> Placed:
-        """Return the object in another scene, with its parts, for another grid."""
+        """Return the object in another scene, which has another grid, with the object's own
+        parts.
+        """
         return self._replace(scene=scene.model_copy(update={"parts": self.scene.parts}))
 
 
@@ -67,18 +69,18 @@ class Body(NamedTuple):
     """One object, or all objects of a scene joined, ready for the solver."""
 
     scene: Scene
-    """The scene, whose parts refer to the Gaussians that are left after cleaning."""
+    """The scene; its parts refer to the Gaussians that are left after cleaning."""
     cleaning: list[str]
-    """Messages about Gaussians that were changed or dropped."""
+    """Messages about Gaussians that were changed or dropped by cleaning."""
     gaussians: Gaussians
-    """The N Gaussians at rest, in their position in the scene [m]."""
+    """The N Gaussians at rest, at their positions in the scene [m]."""
     appearance: Appearance
     """Visible Gaussians, and the particles."""
     materials: Sequence[AnyMaterial]
     stiffness: NDArray | None
     """Factor on E of each particle, relative to its material [P]; None if all are 1."""
     interiors: Sequence[tuple[Solid, float]] = ()
-    """Interior, without surroundings, and longest side [m] of each object that moves."""
+    """Interior, without surroundings, and longest side [m] of each moving object."""
     placed: Placed | None = None
     """The object in its position; None for several objects."""
 
@@ -158,7 +160,7 @@ def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
 
 
 def notes(scene: Scene) -> list[str]:
-    """Return a note for each further object that the grid hardly resolves."""
+    """Return a note for each object after the first that the grid hardly resolves."""
     return [
         f"{body.name} is {body.size / scene.dx:.0f} cells long, which is coarse: the grid spacing "
         f"follows from the size of {scene.object.name}; a larger accuracy.cells resolves it."
@@ -186,7 +188,7 @@ def free_indices(scene: Scene) -> tuple[int, ...]:
 
 
 def make_free(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
-    """Yield the rigid solids of a scene in the positions of their Gaussians."""
+    """Yield the rigid solids of a scene, at the positions of their Gaussians."""
     for index in free_indices(scene):
         body, inside = scene.objects[index - 1], gaussians.object_id == index
         contact = find_pair(scene.pairs, body.name, ANY)
@@ -207,7 +209,8 @@ def make_free(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
 
 
 def make_scenery(scene: Scene, shown: Gaussians, moves: NDArray[np.bool_]) -> Scenery:
-    """Return the scenery: the Gaussians that complete a frame of the solver's moving Gaussians.
+    """Return the scenery: the Gaussians that are added to each frame of the solver's moving
+    Gaussians.
 
     Args:
         scene: The scene, whose objects with a path move along it.
@@ -220,7 +223,9 @@ def make_scenery(scene: Scene, shown: Gaussians, moves: NDArray[np.bool_]) -> Sc
 
 
 def planes_for_free(scene: Scene) -> list[Plane]:
-    """Return the flat walls for free solids: all walls that are not limited to one object."""
+    """Return the flat walls that free solids touch: all walls that are not limited to one
+    object.
+    """
     if not free_indices(scene):
         return []
     planes: list[Plane] = []
@@ -244,12 +249,12 @@ def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
         return make_shape(body.shape, body.sides, body.colour, patterned=patterned)
     if not body.waits:
         remedy = "Make the Gaussians by `phy124.pipeline.make_gaussians`, which reads them."
-        raise InputError("gaussians", "missing", "its file has not been read.", remedy)
+        raise InputError("gaussians", "missing", "the object's file has not been read.", remedy)
     return gaussians.of_object(0)
 
 
 def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> Placed:
-    """Clean and place the Gaussians of one object, without regard to other objects."""
+    """Clean and place the Gaussians of one object, ignoring the other objects."""
     gaussians, cleaned = clean(gaussians)
     renumbered = renumber_parts(scene, cleaned.survivors)
     belonging = belongs(renumbered, len(gaussians))
@@ -295,7 +300,7 @@ def _with_particles(placed: Placed, spacing: float) -> Body:
 
 
 def _without_particles(placed: Placed) -> Body:
-    """Return an object without particles, which is only displayed."""
+    """Return an object that is only displayed, without particles."""
     empty = np.zeros(0, np.int32)
     particles = Particles(np.zeros((0, 3), np.float32), np.zeros(0), np.zeros(0), empty, empty)
     still = np.zeros(len(placed.gaussians), bool)
@@ -307,7 +312,7 @@ def _without_particles(placed: Placed) -> Body:
 
 
 def _join(bodies: list[Body], scene: Scene) -> Body:
-    """Join all objects; the grains of all objects come after all surfaces."""
+    """Join all objects; the grains of all objects follow the surfaces of all objects."""
     refuse_objects([body.appearance.particles for body in bodies], scene)
     pairs = zip(scene.objects, bodies[1:], strict=True)
     objects = [item.model_copy(update={"parts": body.scene.parts}) for item, body in pairs]
@@ -335,7 +340,7 @@ def _join(bodies: list[Body], scene: Scene) -> Body:
 
 
 def _join_appearances(bodies: list[Body]) -> Appearance:
-    """Join the appearances of all objects, surfaces first and grains last."""
+    """Join the appearances of all objects: first all surfaces, then all grains."""
     looks, surfaces = [body.appearance for body in bodies], [len(body.gaussians) for body in bodies]
     counts = [len(look.moves) for look in looks]
     starts = np.cumsum([0, *counts])
@@ -348,7 +353,7 @@ def _join_appearances(bodies: list[Body]) -> Appearance:
     moves = np.concatenate([look.moves for look in looks])
 
     def reorder(values: NDArray) -> NDArray:
-        """Return the values of all moving Gaussians, sorted into the order of the joint look."""
+        """Return the values of all moving Gaussians in the order of the joined appearance."""
         every = np.zeros(len(moves), values.dtype)
         every[moves] = values
         return every[order][moves[order]]

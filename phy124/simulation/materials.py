@@ -1,4 +1,4 @@
-"""Materials of the particles: from the parts of a scene, a file of properties, or a stiffness
+"""Assigns materials to particles: from the parts of a scene, a file of properties, or a stiffness
 field.
 
 A part is selected by a box in space, by a segmentation mask of the picture, by the Gaussians it
@@ -33,7 +33,8 @@ def assign(
     crop: Crop = WHOLE,
     means: NDArray | None = None,
 ) -> NDArray[np.int32]:
-    """Return each particle's material index [P]: 0 for the scene's, i for part i (from 1).
+    """Return the index of each particle's material [P]: 0 for the scene's material, i for that of
+    part i (from 1).
 
     Args:
         x: Positions at rest [P,3], m; the object is upright and faces +x.
@@ -68,7 +69,7 @@ def assign(
 def assign_materials(
     particles: Particles, means: NDArray, scene: Scene, crop: Crop = WHOLE
 ) -> tuple[Particles, NDArray[np.bool_]]:
-    """Return particles with the materials of their parts, and a mask of moving Gaussians [N].
+    """Return particles with the materials of their parts, and the mask of the moving Gaussians [N].
 
     Args:
         particles: Particles of all Gaussians, so that a cut through a solid leaves it filled.
@@ -122,7 +123,9 @@ def assign_materials(
 def _belong_to(
     x: NDArray, gaussian: NDArray, span: tuple[int, int], means: NDArray | None
 ) -> NDArray[np.bool_]:
-    """Return a mask of particles whose Gaussian, or nearest Gaussian for fillers, is in a span."""
+    """Return the mask of the particles whose Gaussian is in a span; for fillers, the nearest
+    Gaussian counts.
+    """
     owner = gaussian.copy()
     bound, filler = gaussian >= 0, gaussian < 0
     if means is not None and not bound.any():
@@ -142,7 +145,8 @@ def vary_materials(
     belonging: NDArray[np.bool_],
     crop: Crop,
 ) -> tuple[Particles, Sequence[AnyMaterial], NDArray[np.float64] | None]:
-    """Return particles and materials with the scene's properties, and fractions of E [P].
+    """Return particles and materials with the properties of the scene, and each particle's fraction
+    of E [P].
 
     Args:
         particles: The moving particles, whose materials are indices into the scene's materials.
@@ -172,7 +176,7 @@ def vary_materials(
 def with_properties(
     particles: Particles, columns: dict[str, NDArray[Any]], materials: Sequence[AnyMaterial]
 ) -> tuple[Particles, list[AnyMaterial], NDArray[np.intp]]:
-    """Return particles with the materials of a file, sorted by law; the materials; the order.
+    """Return particles with the materials of a file, sorted by law; these materials; and the order.
 
     Args:
         particles: The moving particles, whose materials are indices into `materials`.
@@ -227,7 +231,9 @@ def _find_or_add(name: str, bases: list[AnyMaterial]) -> int:
 
 
 def _with_values(base: AnyMaterial, values: dict[str, float]) -> AnyMaterial:
-    """Return a material with the given values, ignoring values for which it has no field."""
+    """Return a material with these values; values for which the material has no field are
+    ignored.
+    """
     fields = {name: value for name, value in values.items() if name in type(base).model_fields}
     same = all(getattr(base, name) == value for name, value in fields.items())
     return base if same else base.model_copy(update=fields)
@@ -258,7 +264,7 @@ def stiffness_fractions(
     crop: Crop = WHOLE,
     listed: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64] | None:
-    """Return each particle's E divided by the E of its material [P]; None if all are 1.
+    """Return the ratio of each particle's E to the E of its material [P]; None if all ratios are 1.
 
     Args:
         particles: The particles that move.

@@ -1,4 +1,6 @@
-"""Checks for overlap at the start: contact stops approaching bodies, but does not separate any."""
+"""Refuses overlap at the start: contact stops bodies that approach, but does not push bodies
+apart.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +19,15 @@ from phy124.particles import Particles
 from phy124.scene import Scene
 
 DEEPEST = 1.0
-"""Largest allowed overlap at the start [cells]: surfaces are only known to within a cell."""
+"""Largest allowed overlap at the start [cells]; a surface is known only to within a cell."""
 MOST = 0.1
-"""Largest fraction of the material that may start deeper than `DEEPEST` inside a wall; smaller
-fractions are reported in a note.
+"""Largest allowed fraction of the material that starts deeper than `DEEPEST` inside a wall; a
+smaller fraction is reported in a note.
 """
 
 
 class Buried(NamedTuple):
-    """A wall with material behind its surface at the start."""
+    """A wall that has material behind its surface at the start."""
 
     kind: str
     fraction: float
@@ -35,7 +37,7 @@ class Buried(NamedTuple):
 
     @property
     def what(self) -> str:
-        """Fraction and depth as a clause of a message."""
+        """The fraction and the depth, worded as a clause of a message."""
         return (
             f"{self.fraction:.1%} of the material starts inside it, up to {self.depth:.2g} m deep"
         )
@@ -55,7 +57,7 @@ def refuse_buried(boundaries: Sequence[Boundary], model: Model) -> None:
 
 
 def notes(boundaries: Sequence[Boundary], model: Model) -> list[str]:
-    """Return a note for each flat wall inside which a little of the material starts."""
+    """Return a note for each flat wall that has a little of the material inside it at the start."""
     return [
         f"The {wall.kind}: {wall.what}, and stays there." for wall in find_buried(boundaries, model)
     ]
@@ -82,7 +84,7 @@ def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried
 
 
 def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
-    """Check that no material is inside a rigid solid at the start, where it would stay.
+    """Refuse material that is inside a rigid solid at the start, because it would stay there.
 
     Args:
         solids: The rigid solids.
@@ -101,7 +103,7 @@ def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
 
 
 def refuse_objects(objects: Sequence[Particles], scene: Scene) -> None:
-    """Check that objects do not overlap.
+    """Refuse objects that overlap at the start.
 
     Raises:
         InputError: Two objects overlap; the message names them and gives the overlap.

@@ -1,4 +1,4 @@
-"""Scaling, rotation and placement of objects, together with their surroundings."""
+"""Scales, rotates and places objects together with their surroundings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from phy124.scene import Scene
 
 
 def belongs(scene: Scene, count: int) -> NDArray[np.bool_]:
-    """Return a mask of the Gaussians of the object, without its surroundings [count]."""
+    """Return a mask of the Gaussians that belong to the object, not to its surroundings [count]."""
     belonging = np.ones(count, bool)
     for part in scene.parts:
         if part.surroundings and part.gaussians is not None:
@@ -25,7 +25,7 @@ def belongs(scene: Scene, count: int) -> NDArray[np.bool_]:
 
 
 def place(gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]) -> Gaussians:
-    """Return Gaussians scaled and rotated; surroundings are not shifted with the object."""
+    """Return scaled and rotated Gaussians; the surroundings are not shifted with the object."""
     body = scene.object
     standing = gaussians.transform(*placing(gaussians, scene, belonging))
     if any(body.turn):
@@ -38,7 +38,9 @@ def place(gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]) -> G
 def shift(
     gaussians: Gaussians, chosen: NDArray[np.bool_], offset: tuple[float, float, float]
 ) -> Gaussians:
-    """Move the chosen Gaussians by an offset [m]; coordinates with zero offset stay bit for bit."""
+    """Move the chosen Gaussians by an offset [m]; coordinates whose offset is zero stay bit for
+    bit.
+    """
     if not any(offset):
         return gaussians
     means = gaussians.means.copy()
@@ -50,13 +52,15 @@ def shift(
 def placing(
     gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the scale and offset [3], m, that give the object its size and put it on z = 0."""
+    """Return the scale and the offset [3], m, that give the object its size and place it on z =
+    0.
+    """
     object_ = gaussians if belonging.all() else gaussians.select(belonging)
     return size_transform(object_, scene.object.size)
 
 
 def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
-    """Raise the objects that stand on another object until they touch that object.
+    """Raise each object that stands on another one until the two touch.
 
     Args:
         placed: Each object in its place above the floor.
@@ -75,8 +79,8 @@ def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
         below = raised[names.index(objects[index].on)]
         rise = _gap(below, raised[index], scene.spacing)
         if rise is None:
-            limit = "it is not above that object."
-            remedy = f"Give {names[index]} the place of the object that it is to stand on."
+            limit = "it is not above the object on which it is to stand."
+            remedy = f"Give {names[index]} the place of that object."
             raise InputError(f"{names[index]}.on", objects[index].on, limit, remedy)
         every = np.ones(len(raised[index]), bool)
         up = -rise + objects[index].lift
@@ -85,14 +89,18 @@ def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
 
 
 def _gap(below: Gaussians, above: Gaussians, cell: float) -> float | None:
-    """Return the smallest vertical gap of two objects over common squares [m]; None without any."""
+    """Return the smallest vertical gap between two objects over common squares [m]; None without
+    any.
+    """
     tops, bottoms = _heights(below, cell, 1.0), _heights(above, cell, -1.0)
     gaps = [-bottoms[at] - tops[at] for at in tops.keys() & bottoms.keys()]
     return min(gaps, default=None)
 
 
 def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, int], float]:
-    """Return the largest height over each square; for sign -1 the lowest height, negated."""
+    """Return the largest height over each square; for sign -1 the lowest height with the sign
+    changed.
+    """
     squares = np.floor(gaussians.means[:, :2] / cell).astype(int)
     reach = np.sqrt(gaussians.covariances()[:, 2, 2])
     height = sign * gaussians.means[:, 2] + reach
@@ -103,7 +111,7 @@ def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, 
 
 
 def number_among_all(particles: Particles, belonging: NDArray[np.bool_]) -> Particles:
-    """Return the object's particles, with their Gaussians numbered among all Gaussians."""
+    """Return the object's particles; their Gaussians are numbered among all Gaussians."""
     if belonging.all():
         return particles
     gaussian = particles.gaussian

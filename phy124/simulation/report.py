@@ -1,4 +1,4 @@
-"""The report of a run as plain data; phy124.pipeline.report_keys documents the keys."""
+"""Writes the report of a run as plain data; phy124.pipeline.report_keys documents the keys."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from phy124.simulation import bodies, overlap
 from phy124.simulation.setup import Setup
 
 Run = Any
-"""A `Simulation`; that class is defined in a module that imports this one."""
+"""A `Simulation`; its class cannot be imported here, because its module imports this one."""
 
 
 def report_run(run: Run) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def report_run(run: Run) -> dict[str, Any]:
 
 
 def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
-    """Return the report's entries about the Gaussians of the complete clip."""
+    """Return those entries of the report that describe the Gaussians of the complete clip."""
     look, count = setup.appearance, len(clip.opacities)
     return {
         "gaussians": count,
@@ -78,7 +78,9 @@ def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
 
 
 def _sections(run: Run) -> Iterator[dict[str, Any]]:
-    """Yield the report section of each observer, and default sections for absent observers."""
+    """Yield the report section of each observer, and default sections for observers that were not
+    used.
+    """
     frames = run.frames if run.setup.keep else ()
     yield from (observer.report(frames) for observer in run.observers)
     present = {type(observer) for observer in run.observers}
@@ -86,7 +88,7 @@ def _sections(run: Run) -> Iterator[dict[str, Any]]:
 
 
 def _objects(run: Run) -> dict[str, Any]:
-    """Return counts and mass of each object, and the centre of its particles at rest [m]."""
+    """Return the counts and mass of each object, and the centre of its particles at rest [m]."""
     rows, particles, shown = {}, run.setup.particles, run.setup.shown
     for index, name in enumerate(run.scene.names):
         inside, seen = particles.body == index, shown.object_id == index
@@ -134,7 +136,9 @@ def _notes(run: Run) -> list[str]:
 
 
 def _unregistered_notes(classes: dict[str, str]) -> Iterator[str]:
-    """Yield notes on a run's files if the scene has users' classes without a registered name."""
+    """Yield notes on a run's files if the scene uses classes of the user without a registered
+    name.
+    """
     for name, group in classes.items():
         yield (
             f"{name} is defined by your program only: the clip can be filmed again, but the run "

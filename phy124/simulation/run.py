@@ -1,4 +1,4 @@
-"""A run: the particles of a setup, advanced from frame to frame."""
+"""Advances the particles of a setup from frame to frame: a run."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Stopped(RuntimeError):
 
     def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
         self.remedies = tuple(remedies)
-        """Changes to the scene, each of which is a remedy by itself."""
+        """Changes to the scene; each of them is a remedy by itself."""
         super().__init__(f"{why} {advise(remedies)}".strip())
 
 
@@ -54,7 +54,7 @@ class Interrupted(Cancelled):
 
 
 class Simulation:
-    """One run, which yields its frames by iteration. A loop that is left early pauses the run.
+    """One run; iterating yields its frames. Leaving the loop early pauses the run.
 
     Iterating again continues with the next frame. `phy124.pipeline.resume` saves a paused run and
     continues it later, bit for bit.
@@ -84,7 +84,8 @@ class Simulation:
         measured = scene.velocities or scene.keeps_contacts
         size = cost.BYTES_PER_GAUSSIAN * count * scene.time.frames
         self.light = setup.keep and setup.shapes and not measured and size > cost.HELD
-        """Whether `frames` have no Gaussians, because these follow from the motion of particles."""
+        """Whether `frames` contain no Gaussians, because these are computed from the motion of
+        particles."""
         self._moved: Recorded | None = None
         self.rotations: list[NDArray] = []
         """Rotations of the Gaussians in each frame [N,4] wxyz, if their colours depend on them."""
@@ -94,12 +95,12 @@ class Simulation:
         """Indices of the frames that were repeated with half the substep."""
         self.stopped: str | None = None
         self.remedies: tuple[Remedy, ...] = ()
-        """Reason of a stop and remedies; None and empty unless the run has stopped."""
+        """The reason of a stop, and its remedies; None and empty unless the run has stopped."""
         self.remarks: list[str] = []
         """Further notes for the report."""
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames in order, starting after the last computed frame.
+        """Yield the frames in order, beginning with the one after the last computed frame.
 
         Raises:
             Stopped: A frame is wrong, or the run has used twice its time budget.
@@ -121,7 +122,7 @@ class Simulation:
         return replace(frame, gaussians=self._frames_so_far().gaussians(frame.index))
 
     def _take_frame(self) -> Frame:
-        """Compute the next frame and keep it; in a light run it has no Gaussians."""
+        """Compute the next frame and keep it; in a light run the frame contains no Gaussians."""
         index, timing, context = self.count, self.scene.time, self.setup.context
         time = index / timing.fps
         skipped = next(filter(None, (o.skip_to(index) for o in self.observers)), None)
@@ -139,7 +140,7 @@ class Simulation:
         return frame
 
     def change(self, scene: Scene) -> None:
-        """Continue under the forces and boundaries of another scene, from the next substep on.
+        """Continue with the forces and boundaries of another scene, from the next substep on.
 
         Raises:
             InputError: One of them does not fit the object or the grid; nothing has changed.
@@ -168,7 +169,7 @@ class Simulation:
         record: Callable[[Simulation], object] = lambda run: None,
         shapes: bool = True,
     ) -> Clip:
-        """Return all frames as a clip; after an early stop, the valid frames and the reason.
+        """Return all frames as a clip; after an early stop, only the valid frames, and the reason.
 
         Args:
             each: Function called with every frame as soon as it is computed.
@@ -248,7 +249,9 @@ class Simulation:
         return report_run(self)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which to continue, without frames, as arrays and plain data."""
+        """Return the state from which the run can continue, without frames, as arrays and plain
+        data.
+        """
         return {
             "count": self.count,
             "retried": list(self.retried),
@@ -261,7 +264,7 @@ class Simulation:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to the state at which a snapshot was taken."""
+        """Return to the state in which a snapshot was taken."""
         self.count, self.retried = snapshot["count"], list(snapshot["retried"])
         self.spent.before = snapshot["spent"]
         self.solver.rejection.rejected = snapshot["rejected"]
@@ -304,7 +307,9 @@ class Simulation:
 
     @cached_property
     def deformer(self) -> Deformer:
-        """Computes the Gaussians of each frame; a run without shapes does not bind them."""
+        """Computes the Gaussians of each frame; a run without shapes does not bind Gaussians to
+        particles.
+        """
         return Deformer(
             self.setup.scenery.moving,
             self.setup.particles,
@@ -319,7 +324,7 @@ class Simulation:
         return self.deformer.carriers
 
     def _frames_so_far(self) -> Recorded:
-        """Return the frames of a light run, whose Gaussians are computed when they are read."""
+        """Return the frames of a light run; their Gaussians are computed when they are read."""
         motion = self._motion(np.array([frame.time for frame in self.frames]))
         if self._moved is None:
             measure = self.setup.appearance.elongation(self.setup.materials)
@@ -329,13 +334,13 @@ class Simulation:
         return self._moved
 
     def _follows_particles(self) -> bool:
-        """Return whether the Gaussians of all frames follow from the recorded motion."""
+        """Return whether the Gaussians of all frames can be computed from the recorded motion."""
         every = all(frame.carried is not None for frame in self.frames)
         known = not self.setup.free or len(self.poses) == len(self.frames)
         return every and known
 
     def _motion(self, times: NDArray[np.float64]) -> Motion:
-        """Return what moves the Gaussians of the frames at some times [T], s."""
+        """Return the motion from which the Gaussians at some times [T], s, are computed."""
         setup, count = self.setup, len(self.frames)
         carried = [frame.carried for frame in self.frames if frame.carried is not None]
         tracks = [track.values(times) for _, track in setup.scenery.tracks]
@@ -356,14 +361,16 @@ class Simulation:
         )
 
     def _repeat_frame(self, index: int, time: float) -> Frame:
-        """Return the last frame with a new index and time, since nothing has moved."""
+        """Return the last frame with another index and time, because nothing has moved since."""
         if self.rotations:
             self.rotations.append(self.rotations[-1])
         return replace(self.frames[-1], index=index, time=time)
 
     @one_at_a_time
     def _advance(self, index: int, until: float) -> None:
-        """Take substeps up to a frame's time; after a failure, repeat once with half the length."""
+        """Take substeps up to the time of a frame; after a failure, repeat the frame once with half
+        the substep.
+        """
         with self.setup.context.watch.stage("simulate"), self.spent.counting():
             start = (index - 1) / self.scene.time.fps
             run_timed(self.solver.timings, "watchdog", lambda: self.before_frame(start))
@@ -374,11 +381,11 @@ class Simulation:
                     problem = self._try(index, until, closely=True)
             if problem is not None:
                 helpful = find_remedies(problem.causes, self.scene)
-                raise Stopped(f"frame {index} is not sound: {problem.what}.", helpful)
+                raise Stopped(f"frame {index} is not valid: {problem.what}.", helpful)
 
     @contextmanager
     def _half_substep(self) -> Iterator[None]:
-        """Halve the substeps and measure limits often within this context."""
+        """Within this context, halve the substeps and measure their limits often."""
         clock = self.solver.clock
         usual = clock.cfl, clock.ceiling, clock.measure_every
         clock.cfl, clock.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
@@ -389,7 +396,9 @@ class Simulation:
             clock.cfl, clock.ceiling, clock.measure_every = usual
 
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
-        """Attempt a frame; return its violation, after which the state is reset, or None."""
+        """Attempt a frame. If it is valid return None; otherwise reset the state and return the
+        violation.
+        """
         solver = self.solver
         run_timed(solver.timings, REPAIR, lambda: solver.repair.begin(solver.clock))
         solver.pairs.begin()
@@ -424,20 +433,22 @@ class Simulation:
             observer.before_attempt(closely=closely)
 
     def after_substep(self) -> None:
-        """Let the observers read the state after a substep."""
+        """Let the observers read the state after each substep."""
         for observer in self.observers:
             observer.after_substep()
 
     def after_attempt(self) -> Violation | None:
-        """Return the first violation that an observer reports at the end of a frame."""
+        """Return the first violation that an observer reports when a frame ends."""
         return next(filter(None, (o.after_attempt() for o in self.observers)), None)
 
     def checkpoint(self) -> dict[str, Any]:
-        """Return the state from which `roll_back` can undo substeps."""
+        """Return the state to which `roll_back` returns."""
         return {"solver": self.solver.snapshot(), "observers": snapshots(self._summing)}
 
     def roll_back(self, checkpoint: dict[str, Any]) -> None:
-        """Return to a checkpoint: restore the solver, and the observers' sums over substeps."""
+        """Return to a checkpoint: restore the solver, and the sums that observers collect over
+        substeps.
+        """
         self.solver.restore(checkpoint["solver"])
         restore_all(self._summing, checkpoint["observers"])
 
@@ -446,7 +457,9 @@ class Simulation:
         return [o for o in self.observers if o.in_substeps or o.in_gathers]
 
     def _follower(self, index: int) -> Callable[[], None]:
-        """Return a function to call after each substep: observers, time budget, progress."""
+        """Return the function to call after each substep: it runs observers and checks time budget
+        and progress.
+        """
         budget, frames = self.scene.time.budget, self.scene.time.frames
         progress, solver = self.setup.context.progress, self.solver
 

@@ -1,4 +1,4 @@
-"""Setup: a scene ready to run. Objects are placed, particles made, and bad input is rejected.
+"""Prepares a scene for a run: places objects, makes particles, and rejects bad input.
 
 setup = prepare(gaussians, Scene.named("press"))
 for frame in Simulation(setup):
@@ -45,23 +45,24 @@ class Setup:
     source: Gaussians
     """The Gaussians from which the setup was made."""
     crop: Crop
-    """Position of the object in the picture on which the masks of parts were painted."""
+    """Position of the object in the picture; the masks of parts were painted on this picture."""
     scene: Scene
-    """The scene, with the solver of elastic objects on the device."""
+    """The scene, with the solver that is used for elastic objects on the device."""
     no_lattice: str
-    """Why no object is on a lattice; empty if elastic objects are."""
+    """Reason why no object is on a lattice; empty if elastic objects are on lattices."""
     solid_scene: Scene
-    """The scene with objects on a path added as walls."""
+    """The scene, in which objects on a path are walls, too."""
     cleaned_scene: Scene
-    """The scene whose parts refer to the Gaussians that are left after cleaning."""
+    """The scene; its parts refer to the Gaussians that are left after cleaning."""
     cleaning: list[str]
-    """Messages about Gaussians that were changed or dropped."""
+    """Messages about Gaussians that were changed or dropped by cleaning."""
     gaussians: Gaussians
-    """The cleaned Gaussians at rest, in their position in the scene [m]."""
+    """The cleaned Gaussians at rest, at their positions in the scene [m]."""
     interiors: Sequence[tuple[Solid, float]]
-    """Interior, without surroundings, and longest side [m] of each object that moves."""
+    """Interior, without surroundings, and longest side [m] of each moving object."""
     placed: Placed | None
-    """The object in its position, for further setups of it; None for several objects."""
+    """The object in its final position, from which further setups start; None for several
+    objects."""
     appearance: Appearance
     """Appearance of the Gaussians, including grains."""
     particles: Particles
@@ -73,23 +74,24 @@ class Setup:
     free: tuple[FreeBody, ...]
     """Props that move freely as rigid solids."""
     scenery: Scenery
-    """All Gaussians at rest, and the props and parts that are not in the solver."""
+    """All Gaussians at rest, and the props and parts that the solver does not move."""
     estimate: Estimate
     """Rough estimate of the time and memory that the run needs."""
     context: RunContext
-    """Device, threads, progress and stopwatch; particles are ordered for its threads."""
+    """Device, threads, progress and stopwatch; the particles are ordered for this number of
+    threads."""
     threads: int
-    """Number of CPU threads of the run."""
+    """Number of CPU threads that the run uses."""
     along: int
     """Axis along which the particles are ordered."""
     keep: bool
     """Whether all frames are kept."""
     shapes: bool
-    """Whether frames have deformed Gaussians; otherwise they show the Gaussians at rest."""
+    """Whether the Gaussians of frames are deformed; otherwise frames show the Gaussians at rest."""
     changes: bool
     """Whether forces, boundaries and stiffness may change during the run."""
     observers: tuple[type[Observer], ...]
-    """Classes of observers; those that the scene requires observe the run."""
+    """Classes of observers; the scene determines which of them observe the run."""
 
     @property
     def shown(self) -> Gaussians:
@@ -106,7 +108,7 @@ class Setup:
 
     @property
     def subject(self) -> Subject:
-        """The properties of the run that determine its observers."""
+        """The properties of the run that determine which observers it has."""
         return Subject(self.solid_scene, self.materials, self.changes)
 
 
@@ -196,7 +198,9 @@ def prepare(
 
 
 def slab_axis(particles: Particles, threads: int) -> int:
-    """Return the axis along which particles are sorted: x, or the longest for several threads."""
+    """Return the axis along which particles are sorted: x, or with several threads the longest
+    one.
+    """
     return int(np.argmax(np.ptp(particles.x, axis=0))) if threads > 1 else 0
 
 
@@ -207,7 +211,7 @@ def sort_for_slabs(
     dx: float,
     axis: int,
 ) -> tuple[Particles, NDArray | None]:
-    """Return particles sorted by layers of cells, so that a slab is contiguous in memory.
+    """Return particles sorted by layers of cells, so that each slab is contiguous in memory.
 
     Args:
         particles: Particles sorted by law, and along x within each law; the order of laws is kept.
@@ -229,7 +233,9 @@ def sort_for_slabs(
 
 
 def costliest_scene(scene: Scene, materials: Sequence[AnyMaterial]) -> Scene:
-    """Return the scene for the cost estimate: with a file of properties, its fastest material."""
+    """Return the scene for the cost estimate; if it has a file of properties, with the fastest
+    material.
+    """
     if scene.properties is None:
         return scene
     fastest = max(materials, key=lambda section: section.wave_speed())

@@ -1,4 +1,4 @@
-"""The solver of a setup at time 0, and the kernels of a scene."""
+"""Makes the solver of a setup at time 0, and lists the kernels of a scene."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 FLOOR_NODE = 0.75
-"""Depth of a layer of nodes below the floor [cells]."""
+"""Distance from the floor down to a layer of nodes [cells]."""
 
 
 def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
@@ -153,7 +153,8 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
 
 
 def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
-    """Return the arguments of the solver's `bind`: forces and boundaries, wrapped by the observers.
+    """Return the arguments of the solver's `bind`: forces and boundaries, as wrapped by the
+    observers.
 
     A liquid by projection sums the impulses of its walls by itself.
     """
@@ -175,7 +176,7 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
 
 
 def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
-    """Yield the kernels that a run of a scene launches in one thread.
+    """Yield the kernels that one thread launches in a run of a scene.
 
     Kernels of grabs and wrenches on a part of the object are omitted: their modules take 0.3 s
     each.
@@ -244,12 +245,12 @@ def scheme_of(scene: Scene) -> Scheme:
 
 
 def number_bodies(body: NDArray | None) -> NDArray | None:
-    """Return body indices without gaps [P], since scenery has a scene index but no particles."""
+    """Return body indices without gaps [P]; scenery has an index in the scene but no particles."""
     return None if body is None else np.unique(body, return_inverse=True)[1].reshape(-1)
 
 
 def _pairs(names: Sequence[str], scene: Scene) -> Iterator[Pair]:
-    """Yield the contact of each pair of the named bodies."""
+    """Yield the contact between the bodies of each pair that is named."""
     for first, second in combinations(range(len(names)), 2):
         contact = find_pair(scene.pairs, names[first], names[second])
         yield Pair(first, second, contact.friction, contact.contact == "sticky")
@@ -268,7 +269,7 @@ def _initial_motion(x: NDArray, particles: Particles, scene: Scene) -> tuple[NDA
 
 
 def _rigid_motion(x: NDArray, mass: NDArray, body: Object) -> tuple[NDArray, NDArray]:
-    """Return velocities and their gradients of one object's rigid motion."""
+    """Return the velocities of one object's rigid motion, and their gradients."""
     wx, wy, wz = body.spin
     gradient = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
     centre = (mass[:, None] * x).sum(axis=0) / mass.sum()

@@ -1,4 +1,4 @@
-"""The CPU time that a simulation has spent, which `time.budget` limits.
+"""Measures the CPU time that a simulation has spent; `time.budget` limits this time.
 
 Other programs on the machine do not count, so that a run does not stop because of them.
 """
@@ -13,7 +13,8 @@ from phy124.mpm.threads import Team
 
 
 class Spent:
-    """CPU time of the simulation's busiest thread [s], which excludes other programs.
+    """CPU time of the busiest thread of the simulation [s]; the time of other programs does not
+    count.
 
     On a GPU, wall-clock time is used, since GPU time is not measured per program.
     """
