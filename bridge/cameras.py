@@ -258,7 +258,7 @@ def compress(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def _standing_clip(frame: Frame, scene: Scene) -> Clip:
-    """Return a clip of the scene's length in which the object stands still as in one frame."""
+    """Return a clip of the scene's length in which the object keeps its state of one frame."""
     clip = Clip.from_frames([Frame(0, 0.0, frame.gaussians)])
     count = scene.time.frames
     still = {

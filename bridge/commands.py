@@ -130,7 +130,7 @@ class Play:
     overwrite: bool = False
     """With --record: replace an older recording."""
     network: bool = False
-    """Also reach other machines; otherwise only this one."""
+    """Also reach other machines; by default only this machine is reached."""
     clock: bool = False
     """For rclpy: publish /clock for nodes with use_sim_time."""
     port: int = PORT
@@ -235,7 +235,7 @@ class Steer:
     overwrite: bool = False
     """With --record: replace an older recording."""
     network: bool = False
-    """Also reach other machines; otherwise only this one."""
+    """Also reach other machines; by default only this machine is reached."""
     port: int = PORT
     """For Foxglove: port of the websocket."""
     messages: Messages = field(default_factory=Options)

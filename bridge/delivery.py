@@ -15,7 +15,7 @@ LONGEST_WAIT = 1.0
 FAREWELL = 2.0
 """Longest time that an ending publisher waits for acknowledgements of the last frames [s]."""
 STEP = 0.02
-"""Longest wait between two updates of the clock, after which Ctrl-C is noticed, too [s]."""
+"""Longest wait between two updates of the clock [s]; Ctrl-C is noticed after this wait, too."""
 IN_BUFFERS = 1 << 20
 """Unacknowledged data that is assumed to have arrived [bytes]: acknowledgements may take 100 ms
 (Cyclone's heartbeat), and this much fits into the default buffers of a subscriber."""

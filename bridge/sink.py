@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Obey = Callable[[str], "str | None"]
 """Carries out a command; returns the reason of a refusal, or None."""
 LONGEST_WAIT = 0.2
-"""Longest wait in `listen` [s], after which Ctrl-C and the end are noticed."""
+"""Longest wait in `listen` [s]; Ctrl-C and the end of playback are noticed after it."""
 
 
 class Sink(Protocol):

@@ -402,7 +402,7 @@ class Studio:
         check_time(self.forecaster.minimum(scene, gaussians=count), self.settings)
 
     def order(self, asked: tuple[Visitor, Source, Scene], extras: ExtraInputs) -> Order:
-        """Create an order without a stop file; raises InputError for unsuitable inputs."""
+        """Create an order that has no stop file yet; raises InputError for unsuitable inputs."""
         return order_of(*asked, extras, self.settings)
 
     def _submit(self, visitor: Visitor, job: Job, line: Line, work: Callable[[Job], None]) -> Job:

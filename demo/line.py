@@ -22,7 +22,7 @@ from .progress import STAGES, Progress
 
 LOG = logging.getLogger("phy124.web")
 RECENT = 5
-"""Number of finished jobs that correct the forecast of the waiting time."""
+"""Number of latest finished jobs by which the forecast of the waiting time is corrected."""
 STOPPED = "Stopped. Nothing was changed."
 FAILED = "The server failed to do this; its log has the reason. Try again, or change the scene."
 SERVER = {

@@ -100,7 +100,7 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
 
 
 def make_ready(name: str) -> None:
-    """Make a finished result of a preset: its film, its processor time, and for some its player."""
+    """Make a preset's finished result: film, processor time, and for some presets a player."""
     scene = Scene.named(name).replaced({"accuracy": "draft"})
     start = time.process_time()
     clip = _simulate(scene, READY[name][1])

@@ -49,7 +49,7 @@ class Room:
 
 
 def all_taken(size: float, each: float, remedy: str) -> InputError:
-    """Return the error that a visitor's disk space is full, or too small for `size` [bytes]."""
+    """Return the error for a visitor whose disk space is full, or too small for `size` [bytes]."""
     limit = "Your storage on this server is full."
     if size > each:
         sizes = f"{size / 1e6:,.0f} MB; your limit is {each / 1e6:,.0f} MB"

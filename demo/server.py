@@ -283,7 +283,7 @@ def end_on_signals() -> None:
 
 
 def reach_itself(host: str) -> None:
-    """Let this process reach the page at `host` without a proxy; Gradio does so when it starts.
+    """Let this process reach the page at `host` without a proxy, since Gradio does so at its start.
 
     Proxies that httpx cannot use, such as SOCKS without its package, are removed with a warning,
     because Gradio's client would fail to start.

@@ -205,7 +205,7 @@ def _value(base: str, value: Any, where: str) -> Any:
 
 
 def _kind(base: str) -> tuple[tuple[type, ...], Any]:
-    """Return the accepted Python types of a primitive, and its zero."""
+    """Return the accepted Python types of a primitive, and its zero value."""
     if base == "bool":
         return (bool,), False
     if base == "string":

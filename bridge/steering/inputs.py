@@ -229,7 +229,7 @@ class Remarks:
         self._clock, self._logged = clock, -math.inf
 
     def add(self, sentence: str) -> None:
-        """Store a sentence; log it if the last line of the log is old enough."""
+        """Store a sentence; log it if enough time has passed since the last line of the log."""
         self.count, self.last = self.count + 1, sentence
         now = self._clock()
         if now - self._logged >= EVERY:

@@ -50,7 +50,7 @@ def checked_duration(name: str, seconds: float) -> float:
 
 
 class SteeredRun:
-    """A live run that peers push, pause, step and reset. Sinks show it as they show a playback."""
+    """A live run that peers push, pause, step and reset. Sinks show it like a playback."""
 
     rate: float | None = None
     loop, dropped = False, 0

@@ -1,4 +1,4 @@
-"""Tickets limit the number of live runs, per visitor and in total; saved sessions are limited, too.
+"""Tickets, which limit the number of live runs per visitor and in total; limits of saved sessions.
 
 A ticket takes a place as soon as a page shows it; a ticket that is never shown takes none.
 """

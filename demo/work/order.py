@@ -169,7 +169,7 @@ def study_file(order: Order) -> Path:
 def order_of(
     visitor: Visitor, source: Source, scene: Scene, extras: ExtraInputs, limits: Settings
 ) -> Order:
-    """Create the order of a request, without a stop file.
+    """Create the order of a request; it has no stop file yet.
 
     Args:
         visitor: The visitor.

@@ -52,7 +52,7 @@ COMMANDS = Commands()
 
 
 def outline() -> dict[str, type]:
-    """Return a class without options, but with a docstring, for each command, to list them."""
+    """Return for each command a class with a docstring but no options, to list the commands."""
     return {
         name: type(kind, (), {"__doc__": _docstrings(module)[kind]})
         for name, (module, kind) in MODULES.items()

@@ -41,7 +41,7 @@ at least this fraction of the sky's Gaussians."""
 def surroundings(
     gaussians: Gaussians, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> list[str]:
-    """Return sentences about an object's surroundings, with the `--crop` that removes them.
+    """Return sentences about an object's surroundings, and the `--crop` that removes these.
 
     Args:
         gaussians: The Gaussians of a file, in its axes and unit of length.

@@ -135,7 +135,7 @@ class Cutout:
             yield f"The cut-out covers nearly the whole picture ({self.coverage:.0%})."
 
     def _doubt_outline(self) -> Iterator[str]:
-        """Yield warnings of an outline that probably misses the object's edge."""
+        """Yield warnings if the outline probably misses the object's edge."""
         if self.method in ("alpha", "mask", "brush"):
             return
         if self.unseen > UNSEEN:

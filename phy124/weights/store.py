@@ -108,7 +108,7 @@ def list_files(name: str) -> tuple[WeightFile, ...]:
 
 
 def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str, Path]:
-    """Return the paths of all files of a set, by their name in the repository.
+    """Return the path of each file of a set, by the file's name in the repository.
 
     Raises:
         InputError: If a file is missing or does not have the published size. The message states the

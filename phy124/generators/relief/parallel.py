@@ -36,7 +36,7 @@ class Profile:
     """Whether the top and the bottom are flat."""
 
     def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
-        """Return for each row how far the thickest point and the nearest edge are towards the other
+        """Return each row's thickest point and nearest edge: how far each is towards the other
         camera.
 
         Args:
