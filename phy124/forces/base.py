@@ -43,14 +43,14 @@ class Force(Section):
     )
     region: Region | None = Field(
         default=None,
-        description="Region of the particles on which it acts, by their "
-        "positions at rest; absent: all.",
+        description="Region in which the particles on which the force acts are at rest; "
+        "absent: all particles.",
     )
     object: Name | None = Field(
         default=None,
         exclude_if=lambda name: name is None,
         examples=["object"],
-        description="Name of the object on which it acts; absent: all objects.",
+        description="Name of the object on which the force acts; absent: all objects.",
     )
     profile: AnyProfile = Field(
         default=Constant(),
@@ -110,7 +110,7 @@ class Force(Section):
         raise NotImplementedError
 
     def chosen(self, model: Model) -> wp.array:
-        """Return the indices of the particles in the force's region, of bodies that may move.
+        """Return the indices of the particles in the force's region that may move.
 
         Raises:
             InputError: The region holds no particle.

@@ -121,8 +121,9 @@ def make_set_velocity(real: Any):
 PLACE, SPEED = 0, 1
 """Indices of X and V in the array of means."""
 FLAT = wp.constant(wp.float64(1e-6))
-"""Fraction of the trace of the second moments that is added to the inertia, so that a line of
-particles, with one moment of zero, has an invertible inertia tensor."""
+"""This fraction of the trace of the second moments is added to the inertia tensor, which would
+otherwise not be invertible for a line of particles.
+"""
 
 
 @wp.func

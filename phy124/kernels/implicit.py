@@ -21,7 +21,7 @@ sides of a thin part.
 COUNTED = wp.constant(6)
 """A point's spacing is the mean distance of this number of nearest neighbours."""
 LEAST, MOST = wp.constant(wp.float64(0.6)), wp.constant(wp.float64(1.6))
-"""Range of the spacing, in target spacings."""
+"""Smallest and largest spacing of points, in target spacings."""
 
 
 @wp.struct

@@ -262,13 +262,13 @@ class CoupledSolver(Solver):
         return {**super().snapshot(), **_Undo(self).snapshot()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot; if the number of threads differs, only to within rounding."""
+        """Restore a snapshot; the result is exact only if the number of threads is the same."""
         super().restore(snapshot)
         _Undo(self).restore(snapshot)
 
 
 class _Undo:
-    """What a rejected substep has changed on the lattices, to be restored."""
+    """The parts of the lattices' state that are restored after a rejected substep."""
 
     def __init__(self, solver: CoupledSolver) -> None:
         self._solver = solver

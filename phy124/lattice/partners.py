@@ -26,7 +26,7 @@ BUCKETS = 32
 
 
 class Partners:
-    """The search among the surface points of all bodies."""
+    """Search for points that may touch, among the surface points of all bodies."""
 
     def __init__(self, surface: Surface, model: Model, nodes: Nodes) -> None:
         """Prepare the search.

@@ -76,15 +76,17 @@ def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
     if scene.binding != "lattice":
         yield Refusal("binding", scene.binding, "its particles are not on a lattice.")
     if scene.checks.energy:
-        yield Refusal("checks.energy", "on", "the lattice solver does not split its losses yet.")
+        yield Refusal(
+            "checks.energy", "on", "the lattice solver does not yet divide its losses by cause."
+        )
     accuracy = scene.resolution
     if accuracy.particles_per_axis not in (None, 2.0):
-        limit = "the lattice has two points per cell and axis."
+        limit = "a lattice always has two points per cell and axis."
         yield Refusal("accuracy.particles_per_axis", accuracy.particles_per_axis, limit)
     for boundary in scene.boundaries:
         if boundary.holds and boundary.contact != "sticky":
             field = f"boundaries.{boundary.kind}.contact"
-            limit = "on its lattice a body can only be held in all directions."
+            limit = "a body on a lattice can only be held in all directions."
             remedy = 'Use contact = "sticky", or accuracy.solver = "mpm".'
             yield Refusal(field, boundary.contact, limit, remedy)
 
@@ -100,13 +102,13 @@ def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterato
         return
     for law in sorted(scene.properties.laws() & LAWS.by_name.keys()):
         if not is_elastic(LAWS.by_name[law].model_validate({"law": law})):
-            limit = "on its lattice an object is elastic as a whole."
+            limit = "an object on a lattice must be elastic as a whole."
             yield Refusal("properties.file", f"law {law}", limit, remedy)
 
 
 def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
     """Yield the features that scenes cannot have if they mix lattices and particles."""
-    limit = "elastic and other objects together cannot have it on lattices."
+    limit = "it is not supported if objects on lattices and objects of particles are mixed."
     for number, force in enumerate(scene.acting):
         if not force.uniform:
             yield Refusal(f"forces.{number}", force.kind, limit)

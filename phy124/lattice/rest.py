@@ -248,7 +248,7 @@ def _tie_light(
 def _share(
     index: NDArray[np.int64], mass: NDArray[np.float64], least: float, giving: float
 ) -> tuple[NDArray[np.float64], scipy.sparse.csr_matrix]:
-    """Return masses of at least `least` [kg] if heavy nodes can give light ones enough mass.
+    """Return masses after light nodes got up to `least` [kg], if heavy ones can spare it.
 
     The total mass and its centre are preserved. No node loses more than half of its mass. The
     matrix [N,N] moves forces with the mass: the moved mass has the light node's acceleration.

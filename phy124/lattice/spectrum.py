@@ -29,8 +29,8 @@ from any shape. `TRIAL`: size of trial displacements [cells].
 FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
 """A measurement takes one iteration. It takes `FOLLOWED` if the squared frequency exceeds its value
 at rest by the factor `SQUEEZED`, and the damping ratio of the fastest vibration is below
-`UNDAMPED`. The fastest vibration then moves through the body faster than single iterations follow,
-and without viscosity it grows.
+`UNDAMPED`. The fastest vibration then moves through the body faster than single iterations can
+follow, and without viscosity it grows.
 """
 MIXED = 0.1
 """An iteration starts from the last shape plus the accelerations, scaled to this relative size."""

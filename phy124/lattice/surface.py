@@ -40,7 +40,7 @@ class Surface:
     body: NDArray[np.int64]
     """Index of the body of each point [S]."""
     nodes: NDArray[np.int32]
-    """Nodes of each point [S,27]: nine rows of three nodes that are consecutive in memory."""
+    """Nodes of each point [S,27]: nine groups of three nodes that are consecutive in memory."""
     weights: NDArray[np.float64]
     """Weights of the nodes [S,27], with sum 1."""
     of_nodes: NDArray[np.float64]

@@ -47,8 +47,8 @@ AHEAD, CLOSE = 2.0, 0.1
 STEP = 0.5
 """The distance up to which points are listed grows in steps of this size [cells]."""
 HELD = 0.5
-"""Distance from a clamp's surface [cells] up to which a node moves in the opposite direction to its
-free neighbour, so that the motion vanishes at the surface; nodes farther inside do not move.
+"""Up to this distance from a clamp's surface [cells], a held node moves opposite to its free
+neighbour, so that the motion vanishes at the surface. Nodes farther inside do not move.
 """
 INSET = 0.2
 """Depth inside a clamp at which the motion is set to zero [cells]. A B-spline that vanishes at a
@@ -259,7 +259,7 @@ class _Clamp:
             raise InputError(
                 f"boundaries.{type(part).__name__.lower()}.contact",
                 part.contact,
-                "on its lattice an elastic body can only be held in all directions.",
+                "a body on a lattice can only be held in all directions.",
                 'Use contact = "sticky", or accuracy.solver = "mpm".',
             )
         self._model, self._nodes, self._tracks, self._sums = model, nodes, tracks, sums

@@ -196,7 +196,7 @@ class MixedSolver(Solver):
         return {**super().snapshot(), "liquid": liquid}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot; if the number of threads differs, only to within rounding."""
+        """Restore a snapshot; the result is exact only if the number of threads is the same."""
         super().restore(snapshot)
         self.liquid.restore(snapshot["liquid"])
 

@@ -163,7 +163,9 @@ class Live:
         except Stopped as stop:
             frame = self._go_back(str(stop))
         if float(np.linalg.norm(self.centre)) > LOST * self._scene.object.size:
-            self._note(f"It is more than {LOST:g} times its size away and starts again.")
+            self._note(
+                f"The object is more than {LOST:g} times its size away, so the run starts again."
+            )
             self.reset()
             frame = self._run.step()
         self._frame = frame

@@ -61,7 +61,7 @@ class Contacts(Observer):
         walls = len(subject.scene.boundaries)
         asked, why = (
             subject.scene.keeps_contacts and walls > 0,
-            "not asked for, or nothing is solid",
+            "not requested, or there is no boundary",
         )
         return Effect("contact forces", asked, why, Cost(particle=PARTICLE_COST * walls))
 

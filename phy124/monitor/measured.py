@@ -29,7 +29,7 @@ class Measured:
         self._inner, self._measure = inner, measure
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the inner stages between the first measuring stage and the others."""
+        """Return the inner stages between the first and the other measuring stages."""
         stages = [stage for item in self._inner for stage in item.attach(model, state, tracks)]
         if not stages:
             return []

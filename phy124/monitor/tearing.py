@@ -177,8 +177,8 @@ class Tearing(Observer):
             ]
         first = describe_particle(self._model, self._state, self.first)
         return [
-            f"{self.count} particles were stretched, up to {self.stretch:.1f} times, until they "
-            f"lay more than {APART} cells apart, first {first}. There the grid may "
+            f"{self.count} particles were stretched (by up to {self.stretch:.1f} times) until they "
+            f"lay more than {APART} cells apart; the first one was {first}. There the grid may "
             f"tear material that should hold together. {REMEDY}"
         ]
 

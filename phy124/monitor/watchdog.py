@@ -76,7 +76,8 @@ the strain, and a quarter of it is tolerated.
 """
 FAST = ("damping", "solver", "push", "cells")
 ROUNDED = ("precision",)
-"""Causes of violations (`phy124.budget.remedies`): a run too fast for its window, and rounding."""
+"""Causes of two violations (`phy124.budget.remedies`): particles too fast for the window; rounding.
+"""
 SWOLLEN = 2.0
 """Volume ratio above which a real solid would have fractured."""
 SQUEEZED = 0.5
@@ -186,7 +187,7 @@ class Watchdog(Observer):
         return problem
 
     def diagnose(self, problem: str) -> Violation:
-        """Return the violation for a problem that stopped the solver; it names a particle."""
+        """Return a violation that names a particle, for a problem that stopped the solver."""
         broken = broken_particles(self.state)
         if len(broken):
             return Violation(f"{problem}, first {self._who(int(broken[0]))}", self._unstable())
@@ -222,44 +223,43 @@ class Watchdog(Observer):
             first = self._who(self._solver.repair.first)
             notes.append(
                 f"{self._solver.repair.count} times a particle was deformed beyond the range "
-                f"of its law and was reset to its shape at rest, first {first}. A "
+                f"of its law and was reset to its shape at rest; the first one was {first}. A "
                 "gentler push or a stiffer material avoids this."
             )
         if self._solver.outliers.most:
             notes.append(
-                f"{self._solver.outliers.most} particles left the simulated space and continued on "
-                "parabolas, without contact."
+                f"{self._solver.outliers.most} particles left the simulated space; they continued "
+                "on parabolas without contact."
             )
         fragile = {m.device_law.name: m for m in self.model.materials if m.may_collapse}
         for name, material in sorted(fragile.items()):
             mach = self._fastest / material.sound_speed()
             if mach > COLLAPSE:
                 notes.append(
-                    f"The law {name} moved at {mach:.1f} times its speed of sound. Where it hits "
-                    f"something at more than {COLLAPSE} times, it may stay squeezed flat "
-                    "without any other sign; neo_hookean does not."
+                    f"Material of the law {name} moved at {mach:.1f} times its speed of sound. "
+                    f"If it hits something at more than {COLLAPSE} times this speed, it may stay "
+                    "squeezed flat without any other sign; neo_hookean does not."
                 )
         for material in self.model.materials:
             notes += material.notes_at(self._fastest)
         if self.max_J > SWOLLEN and not any(m.rounds for m in self.model.materials):
             notes.append(
-                f"Somewhere the material swelled to {self.max_J:.2g} times its volume; a real "
+                f"Some of the material swelled to {self.max_J:.2g} times its volume; a real "
                 "solid would have broken. The motion is too fast for the stiffness; a "
                 "slower motion or a stiffer material avoids this."
             )
         solver: Any = self._solver
         if solver.projects and solver.crowding > CROWDED:
             notes.append(
-                f"The walls left the liquid less room than its volume: its density rose by "
+                f"The space between the walls is smaller than the liquid, whose density rose by "
                 f"{solver.crowding:.0%}. Move the walls apart, or use less liquid."
             )
         trembles = self.balance.trembles
         if trembles:
             notes.append(
-                "The motion is so slow for the stiffness that rounding "
-                f"errors created {trembles:.0%} of "
-                f"its energy: a tremor of less than {UNSEEN:g} of its size, which is too "
-                "small to see. accuracy.precision = float64 avoids it."
+                "The motion is so slow for the stiffness that rounding errors created "
+                f"{trembles:.0%} of the energy. The object trembles by less than {UNSEEN:g} of its "
+                "size, which is too little to see. accuracy.precision = float64 avoids it."
             )
         return notes
 

@@ -72,7 +72,7 @@ class Wrenches(Observer):
     def effect(cls, subject: Subject) -> Effect:
         """Return the row of the effects report for the wrenches on walls."""
         asked = subject.scene.keeps_wrenches and bool(subject.scene.boundaries)
-        return Effect("force and torque per wall", asked, "not asked for, or nothing is solid")
+        return Effect("force and torque per wall", asked, "not requested, or there is no boundary")
 
     @classmethod
     def of(cls, setup: Observed) -> Self:

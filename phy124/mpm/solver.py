@@ -256,7 +256,7 @@ class Solver:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot; if the number of threads differs, only to within rounding."""
+        """Restore a snapshot; the result is exact only if the number of threads is the same."""
         self.state.restore(snapshot["state"])
         self.clock.restore(snapshot["clock"])
         self.outliers.restore(snapshot["outliers"])

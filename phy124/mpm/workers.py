@@ -251,7 +251,7 @@ class Slabs:
         return {"workers": count, "owner": self._owner.copy(), "share": self._share, "boxes": boxes}
 
     def restore(self, snapshot: dict[str, Any]) -> bool:
-        """Return to a snapshot; return False if its number of workers differs."""
+        """Restore a snapshot; return False if it has another number of workers."""
         if snapshot.get("workers") != len(self.workers):
             self.divide()
             return False

@@ -1,4 +1,4 @@
-"""State of a free body and of a solution as arrays of numbers, and quantities derived from them."""
+"""Layout of the arrays that hold a free body's state and a solution, and derived quantities."""
 
 from typing import Any
 

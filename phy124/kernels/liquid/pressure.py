@@ -21,12 +21,12 @@ NEAREST = wp.constant(0.02)
 """Smallest distance of the surface from a cell's centre [cells]; closer, a pressure would be
 unbounded."""
 COMPRESSIBLE = wp.constant(1.0e-6)
-"""Compressibility of a cell, as a fraction of its diagonal entry to which it is added."""
+"""Compressibility of a cell: this fraction of the cell's diagonal entry is added to the entry."""
 
 
 @wp.func
 def beyond(here: Any, there: Any):
-    """Return the distance to the surface between two cells as a fraction of their distance."""
+    """Return the distance of the first cell from the surface, relative to the cells' distance."""
     if here >= type(here)(0.0):
         return type(here)(NEAREST)
     apart = here - there

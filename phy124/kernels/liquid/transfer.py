@@ -286,7 +286,7 @@ def make_scatter(real: Any, form: str):
 
 @build_once
 def make_scatter_volume(real: Any, form: str):
-    """Kernel: adds the volume of particles to the fill and hat of the cells."""
+    """Kernel: adds the particles' volumes to the sums `FILL` and `HAT` of the cells."""
     t = types(real)
     add = FORMS[form][1]
 

@@ -208,7 +208,7 @@ def wall_across(
 
 @build_once
 def make_openings(shape: str, real: Any):
-    """Kernel over cells: multiplies the low faces' open shares by what walls leave open.
+    """Kernel over cells: multiplies low faces' open shares by the shares that walls leave open.
 
     For a plane, the open share follows from the distances at the face's corners; for other shapes,
     from 64 points of the face, since distances are not linear at edges. The product is exact where
@@ -319,7 +319,7 @@ def make_openings(shape: str, real: Any):
 
 @build_once
 def make_eighths(shape: str, real: Any):
-    """Kernel over eighths of cells: multiplies open fractions by those that walls leave open.
+    """Kernel over eighths of cells: multiplies open fractions by what walls leave open.
 
     The product is exact where walls are perpendicular to each other. The arguments are the same as
     for the kernel of distances.
