@@ -311,7 +311,7 @@ class Movable(Boundary):
 
 
 def lightest(model: Model) -> float:
-    """Return the mass of a node inside the lightest material [kg]; infinite if it is not needed.
+    """Return the mass of a node inside the lightest material [kg]; infinite if no bound is needed.
 
     A solid needs no such bound: a cell heavier than at rest is compressed. In a material that
     yields, cells may contain up to 1.6 times as many particles as at rest, without being

@@ -85,7 +85,7 @@ class Free(Section):
 
 AnyMotion = Annotated[Path | Swing, Field(discriminator="kind")]
 OwnMotion = Annotated[Path | Swing | Free, Field(discriminator="kind")]
-"""The motions that a shape among the objects may have."""
+"""The motions available to a shape that is one of the objects."""
 
 
 def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:

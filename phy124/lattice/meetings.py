@@ -93,7 +93,7 @@ class Meetings:
         return [*self.of_bodies, *self.of_pairs]
 
     def stages(self) -> list[list[Named]]:
-        """Return the launches of a substep: apply earlier impulses, correct them, and sum them."""
+        """Return the launches of a substep that apply earlier impulses, correct and sum them."""
         stages = [meeting.record() for meeting in self.every]
         return [[each[k] for each in stages if len(each) > k] for k in range(3)]
 

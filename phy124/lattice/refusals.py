@@ -1,4 +1,4 @@
-"""Decides which scenes the lattice solver supports; errors name a field that it does not support.
+"""Decides which scenes the lattice solver supports; errors name the field that it lacks.
 
 An argument `scene` is a `phy124.scene.Scene`, whose module imports this one.
 """

@@ -1,4 +1,4 @@
-"""Energies: the work on a liquid by cause, summed in every step of a run that asks for it."""
+"""Energies: sums the work on a liquid by cause, in every step of a run that requests it."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
 STAGE = "dissipation"
-"""Name of the stages, like those of other materials."""
+"""Name of the stages, the same as for other materials."""
 ROOM = 16
-"""Numbers reserved for the sums of a worker, so that no two workers write to the same cache line.
+"""Length of a worker's array of sums; with this length, no two workers write to the same cache
+line.
 """
 
 
@@ -30,19 +31,19 @@ class Works(NamedTuple):
     """Work on the liquid since the start [J]; negative if the liquid lost energy."""
 
     walls: float
-    """Work of the motion of walls."""
+    """Work that walls do by their motion."""
     viscous: float
-    """Viscosity, also at walls to which the liquid sticks."""
+    """Work of viscosity, including that at walls to which the liquid sticks."""
     friction: float
-    """Friction at walls, and impacts of particles on them."""
+    """Work of friction at walls, and of impacts of particles on walls."""
     projection: float
-    """Pressure, without the work of the walls."""
+    """Work of the pressure without the work of the walls."""
     density: float
-    """Uniform acceleration, on the displacements that restore the density."""
+    """Work of the uniform acceleration on the displacements that restore the density."""
 
 
 class Energies:
-    """Records the launches that sum work; without `start`, there are none."""
+    """Records the launches that sum work; there are none before `start` is called."""
 
     def __init__(self, model: Model, state: State, cells: Cells, workers: int) -> None:
         """Refer to the particles and cells of a run.
@@ -68,7 +69,7 @@ class Energies:
             self._before = wp.zeros_like(self._cells.velocity)
 
     def before_pressure(self, worker: int) -> list[Recorded]:
-        """Return a worker's launches that keep velocities, and sum the drag of walls."""
+        """Return a worker's launches that store velocities and sum the drag of walls."""
         if not self._on:
             return []
         cells, keep = self._cells, kernels.make_keep(self._model.real)
@@ -85,7 +86,7 @@ class Energies:
         return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
 
     def of_faces(self, worker: int) -> list[Recorded]:
-        """Return a worker's launch that sums the work on faces, once they have their velocities."""
+        """Return a worker's launch that sums the work on faces after these have got velocities."""
         if not self._on:
             return []
         cells, tracks = self._cells, self._tracks
@@ -96,7 +97,7 @@ class Energies:
         return [(STAGE, self._model.launch(kernel, self._count, inputs, [self._row(worker)]))]
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
-        """Return a worker's launch before displacements (sign -1) or after them (sign 1)."""
+        """Return a worker's launch for before (sign -1) or after the displacements (sign 1)."""
         if not self._on:
             return []
         threads, *fraction = shared_out(run.stop - run.start, self._model.device)
@@ -128,7 +129,7 @@ class Energies:
         return rows
 
     def restore(self, snapshot: list[list[float]]) -> None:
-        """Return to a snapshot; if the number of workers differs, all sums go to the first one."""
+        """Restore the sums; if the number of workers differs, the first worker gets all sums."""
         rows = np.zeros(self._sums.shape)
         if rows.shape == np.shape(snapshot):
             rows[:] = snapshot

@@ -376,7 +376,7 @@ class Live:
         self._note(f"{name} was moved at once: the session does not repeat this.")
 
     def session(self) -> Scene:
-        """Return the scene with all inputs, with as many frames as the session."""
+        """Return the scene with all inputs and with the session's number of frames."""
         frames = max(self._run.count, 1)
         scene = self._inputs.scene()
         return scene.model_copy(update={"time": scene.time.model_copy(update={"frames": frames})})

@@ -22,7 +22,7 @@ class LiquidDissipation(Dissipation):
     in_substeps = True
 
     def __init__(self) -> None:
-        """Sum nothing before `bind`."""
+        """Prepare; nothing is summed before `bind` is called."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -37,13 +37,13 @@ class LiquidDissipation(Dissipation):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
-        """Return the row for the work of each cause; without a liquid, there is none."""
+        """Return the row of the effects report for work by cause; None without a liquid."""
         why = "checks.energy is off: the lost energy is not divided by cause"
         name = "work on the liquid by cause"
         return Effect(name, cls.called_for(subject), why) if subject.scene.projects else None
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, which sums the work from its first step on."""
+        """Bind to the solver, and let it sum the work from its first step on."""
         self._energies, self._external = solver.energies, find(observers, ExternalWork)
         self._energies.start()
 
@@ -52,7 +52,7 @@ class LiquidDissipation(Dissipation):
         self._energies.clear()
 
     def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
-        """Return the energy [J] lost to each cause: viscosity, friction at walls, and the numerics.
+        """Return the energy [J] lost to each cause: viscosity, friction at walls, and numerics.
 
         Args:
             gained: Energy of the liquid now, minus the energy at the start and the work of all
@@ -68,7 +68,7 @@ class LiquidDissipation(Dissipation):
         return Loss(-works.viscous, -works.friction, lost + works.viscous + works.friction)
 
     def details(self, loss: Loss, change: float) -> dict[str, float]:
-        """Return the work that changed the kinetic energy, and the parts of the numerical loss [J].
+        """Return the work that changed kinetic energy, and the parts of the numerical loss [J].
 
         Args:
             loss: Energy lost to each cause.
@@ -89,5 +89,5 @@ class LiquidDissipation(Dissipation):
         return {"sums": self._energies.snapshot()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to a snapshot; if the number of workers differs, all sums go to the first one."""
+        """Restore the sums; if the number of workers differs, the first worker gets all sums."""
         self._energies.restore(snapshot["sums"])

@@ -1,4 +1,4 @@
-"""Kernels that sum the impulses of walls on each surface point, and of clamps on each node.
+"""Kernels that sum impulses: of walls on each surface point, and of clamps on each node.
 
 A point's contact force acts over the kick of a substep. The impulse of clamps on a node is the
 change of its momentum while they act: `make_add_momentum` first subtracts its momentum, and then

@@ -18,12 +18,13 @@ from phy124.kernels.liquid.faces import cell_of, entry, inner, stride, sums
 from phy124.kernels.reduction import add_to
 
 VISCOUS, PRESSED, SHIFTED = 0, 1, 2
-"""Index of each sum: work of viscosity and of pressure, and work of the uniform acceleration on the
-displacements that restore the density [J].
+"""Indices of three sums [J]: work of viscosity, work of pressure, and work of the uniform
+acceleration on the displacements that restore the density.
 """
 AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
-"""Index of the work of walls up to a phase of the step, with the velocities of the walls; the next
-sum is their work with the velocities of the liquid, as `WallImpulses` sums it.
+"""Indices of the walls' work up to three phases of a step, computed with the velocities of the
+walls. The sum after each is the same work computed with the velocities of the liquid, as
+`WallImpulses` sums it.
 """
 COUNT = 9
 """Number of sums."""
@@ -45,7 +46,7 @@ def make_keep(real: Any):
 
 @wp.func
 def acts(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, axis: int, step: int):
-    """Return 1 if the pressure acts on a low face, where the previous cell is `step` before."""
+    """Return 1 if the pressure acts on a low face; the previous cell's index is less by `step`."""
     wet = liquid[n] + liquid[n - step] > 0
     return wp.where(wet and open[n][axis] > type(open[n][axis])(0.0), 1, 0)
 
@@ -59,7 +60,7 @@ def mass_with_outside(
     axis: int,
     size: wp.vec3i,
 ):
-    """Return the mass of a face, with shares of those next to it on which no pressure acts."""
+    """Return a face's mass plus shares of adjacent faces on which no pressure acts."""
     across = stride(axis, size)
     total = cells[n][4 + axis]
     for along in range(3):
