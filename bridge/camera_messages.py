@@ -60,7 +60,7 @@ def transform_of(picture: Picture, options: Options, stamp: int) -> dict[str, An
 
 
 def encode_picture(picture: Picture, options: Options, stamp: int) -> list[Message]:
-    """Return the messages of a camera in a frame, except its transform.
+    """Return a camera's messages in a frame, without the camera's transform.
 
     Args:
         picture: The camera's picture.

@@ -27,7 +27,7 @@ OK, WARN = 0, 1
 
 @dataclass(frozen=True)
 class Audience:
-    """Number of subscribers, of frames they may lack, and of nodes with the same name."""
+    """Numbers of subscribers, of frames that they may lack, and of nodes of the same name."""
 
     subscribers: int
     lost: int

@@ -113,7 +113,7 @@ def cut_once(
     pick: Point | None,
     deadline: Deadline,
 ) -> tuple[Path, tuple[str, ...], bool]:
-    """Cut out an upload unless its cut-out exists, and correct the cut-out by strokes.
+    """Cut out an upload if its cut-out does not exist yet; correct the cut-out by strokes.
 
     Return the cut-out, doubts about it, and whether the object had to be segmented.
 

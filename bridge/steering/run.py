@@ -33,7 +33,7 @@ MOST_STEPS = 100_000
 
 
 GRAB_SECONDS, OLDEST_STAMP = 60.0, 2.0
-"""Defaults of the time after which a grab ends, and of the largest age of a message [s]."""
+"""Default values: time after which a grab ends, and largest age of a message [s]."""
 
 
 def checked_duration(name: str, seconds: float) -> float:

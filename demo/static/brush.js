@@ -10,7 +10,7 @@
     constructor(apply, pick) {
       Object.assign(this, { pick, strokes: [], keep: true, width: 0.05, spot: [0.5, 0.5], stroke: null });
       this.canvas = h('canvas', { class: 'brush-canvas', tabindex: 0, role: 'application', 'aria-label':
-        'Brush over the picture. Arrow keys move it, space begins and ends a stroke, K keeps, R removes, P picks the object there.' });
+        'Brush over the picture. Arrow keys move the brush, space begins and ends a stroke, K keeps, R removes, P picks the object under the brush.' });
       const tool = (name, keep) => h('label', {}, h('input', { type: 'radio', name: 'brush-tool', checked: keep === this.keep, onchange: () => { this.keep = keep; } }), h('span', {}, name));
       const size = h('input', { type: 'range', min: 0.01, max: 0.15, step: 0.005, value: this.width, 'aria-label': 'Width of the brush', oninput: () => { this.width = Number(size.value); this.draw(); } });
       const button = (label, act, kind = 'quiet') => h('button', { type: 'button', class: kind, onclick: act }, label);

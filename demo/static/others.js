@@ -3,7 +3,7 @@
 'use strict';
 (() => {
   const { h, listen, View } = globalThis.Phy124;
-  const HINT = 'Picture of this object; without one it is a copy of the first object.';
+  const HINT = 'Picture of this object; without a picture, the object is a copy of the first object.';
 
   async function others(element, props, watch, trigger) {
     const offer = await (await fetch('phy124/catalogue.json')).json();

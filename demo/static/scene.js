@@ -285,7 +285,7 @@
     held() {
       const foot = () => this.data.boundaries.find((b) => b.kind === 'foot'), output = h('output', {});
       const say = () => { output.textContent = foot() ? `lowest ${Math.round(100 * foot().fraction)} %` : 'nothing'; };
-      const slider = h('input', { type: 'range', min: 0, max: 60, step: 1, value: foot() ? Math.round(100 * foot().fraction) : 0, 'aria-label': 'Held at the foot, share of its height in percent',
+      const slider = h('input', { type: 'range', min: 0, max: 60, step: 1, value: foot() ? Math.round(100 * foot().fraction) : 0, 'aria-label': 'Part held at the foot, in percent of the height',
         oninput: (event) => {
           const fraction = Number(event.target.value) / 100;
           if (!fraction) this.data.boundaries = this.data.boundaries.filter((b) => b !== foot());

@@ -304,7 +304,7 @@ def _is_text(line: bytes) -> bool:
 
 
 def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners [3F,3] and the areas [F] of the triangles of all pieces of a mesh.
+    """Return the corners [3F,3] and the areas [F] of the triangles in all pieces of a mesh.
 
     Raises:
         ValueError: If a corner is not finite or does not exist, or the pieces have no area.

@@ -265,7 +265,7 @@ def clean_edge(image: Image.Image, alpha: Alpha) -> Image.Image:
 
 
 def title_of(method: str) -> str:
-    """Return the name, in sentences, of a method, of "mask" or of "brush"."""
+    """Return the name of a method in sentences, also of "mask" and "brush"."""
     known = METHODS[method].title if method in METHODS else PAINTED.get(method)
     return known or method
 

@@ -1,4 +1,4 @@
-"""Splits two objects that touch, where the silhouette has a neck and the colours change.
+"""Splits two touching objects where the silhouette has a neck and the colours change.
 
 A narrow neck alone does not show two objects (heads sit on necks), nor does a change of colour
 alone (trousers and shirt). Both are required, and each part must be large. A boat's sail is still
