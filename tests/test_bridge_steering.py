@@ -100,7 +100,7 @@ def test_failed_simulation_ends_the_run(monkeypatch):
 
     monkeypatch.setattr(run.live, "step", fail)
     answer = Standard(run, OPTIONS, action=False).step(asked(steps=2))["result"]
-    assert answer["result"] == Code.OPERATION_FAILED and "not sound" in answer["error_message"]
+    assert answer["result"] == Code.OPERATION_FAILED and "not valid" in answer["error_message"]
     run.enter(State.PLAYING)
     assert run.finished and run.stopped == "frame 1 is not valid." and run.shown == 1
 

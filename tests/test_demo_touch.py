@@ -313,7 +313,7 @@ def test_failed_simulation_is_reported(player, monkeypatch):
     monkeypatch.setattr(run.live, "step", fail)
     monkeypatch.setattr("demo.touch.player.Player", lambda what, line: run)
     play(run._what, line)
-    assert b'"ended"' in line.told[-1][1] and b"not sound" in line.told[-1][1]
+    assert b'"ended"' in line.told[-1][1] and b"not valid" in line.told[-1][1]
 
 
 def test_orders_that_cannot_be_done_are_said_and_the_run_goes_on(player):
