@@ -142,7 +142,7 @@ class CoupledContacts(Contacts):
         self._lattices.before_attempt()
 
     def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
-        """Return the Gaussian nearest to each particle, and to each surface point and node."""
+        """Return the Gaussian that gets the impulse on each particle, surface point and node."""
         return np.concatenate([super().find_nearest(setup), self._lattices.find_nearest(setup)])
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
