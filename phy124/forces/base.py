@@ -43,8 +43,8 @@ class Force(Section):
     )
     region: Region | None = Field(
         default=None,
-        description="Region in which the particles on which the force acts are at rest; "
-        "absent: all particles.",
+        description="Region that selects, by positions at rest, the particles on which the "
+        "force acts; absent: all.",
     )
     object: Name | None = Field(
         default=None,
@@ -215,6 +215,6 @@ def stage(
 
 
 def within(chosen: wp.array, run: slice) -> wp.array:
-    """Return those of a sorted list of particles whose indices are in a range."""
+    """Return the entries of a sorted list of particles that are in a range of indices."""
     first, last = np.searchsorted(chosen.numpy(), [run.start, run.stop]).tolist()
     return cast("wp.array", chosen[first:last])

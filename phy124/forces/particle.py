@@ -55,7 +55,7 @@ class Wind(Force):
         )
 
         def limit(start: float, end: float) -> float:
-            """Return the largest acceleration by the stream of a particle at rest [m/s^2]."""
+            """Return the largest acceleration that the stream gives a particle at rest [m/s^2]."""
             return self.rate * track.largest(start, end)
 
         return [drag._replace(limit=limit, top_speed=track.largest)]

@@ -172,7 +172,7 @@ def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat3
 
 @wp.func
 def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
-    """Return that one W of the 24 proper signed permutations with U W closest to `previous`."""
+    """Return the proper signed permutation W (of 24) for which U W is closest to `previous`."""
     unit = wp.float64(1.0)
     m = wp.transpose(previous) * u
     best = wp.identity(n=3, dtype=wp.float64)

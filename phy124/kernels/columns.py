@@ -188,7 +188,7 @@ def tie(v: Any, m: Any, g: Any):
 
 @wp.func
 def hold_back(behind: Any, front: Any, normal: Any):
-    """Return the change that slows a node behind a wall to the speed of the node in front of it.
+    """Return the change that slows a node behind a wall to the speed of the node in front.
 
     The change only slows the motion, so it never adds energy.
     """

@@ -35,8 +35,8 @@ LARGEST = wp.constant(wp.float64(3.0e38))
 TINY = wp.constant(wp.float64(1e-12))
 SOUND_SHAPE = wp.constant(wp.float64(1.5))
 ROUND_SHAPE = wp.constant(wp.float64(4.0))
-"""Elongation, relative to rest, from which on a Gaussian of plastic or fluid material is drawn as a
-ball. It becomes rounder from the elongation `SOUND_SHAPE` on.
+"""A Gaussian of plastic or fluid material whose elongation, relative to rest, is at least this
+becomes a ball. Above the elongation `SOUND_SHAPE` it becomes rounder.
 """
 
 ARM = wp.constant(wp.float64(2.0))

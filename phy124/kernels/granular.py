@@ -23,7 +23,7 @@ from phy124.kernels.spectral import (
 HARDEST = wp.constant(4.0)
 """Largest exponent of snow's hardening: snow becomes at most e^4 = 55 times stiffer than fresh."""
 LOOSEST = wp.constant(1.0e6)
-"""Upper limit of Jp, which scattered snow would raise until it overflows."""
+"""Upper limit of Jp; without it, Jp of scattered snow would overflow."""
 
 
 @wp.func

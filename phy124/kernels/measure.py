@@ -21,10 +21,9 @@ GRADIENT = 1
 STIFFNESS = 2
 """Index of A / rho0 [m^2/s^2]."""
 LOW = 3
-"""Index of the lowest corner of the particles, with its sign reversed: first of three numbers, m.
-"""
+"""Index of minus the particles' lowest corner: the first of three numbers, m."""
 HIGH = 6
-"""Index of the highest corner of the particles: first of three numbers, m."""
+"""Index of the particles' highest corner: the first of three numbers, m."""
 COUNT = 9
 """Number of maxima."""
 SPEEDS = 2

@@ -1,4 +1,4 @@
-"""Decides which scenes the lattice solver supports; errors name the field that it lacks.
+"""Decides which scenes the lattice solver supports; errors name the unsupported field.
 
 An argument `scene` is a `phy124.scene.Scene`, whose module imports this one.
 """
@@ -123,5 +123,5 @@ def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
 
 
 def is_elastic(section: Material) -> bool:
-    """Return whether a material's law can run on a lattice: it is elastic, and phy124's."""
+    """Return whether a material's law can run on a lattice: it must be elastic and phy124's."""
     return isinstance(section, Elastic) and section.device_law.project is None

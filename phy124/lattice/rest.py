@@ -191,7 +191,7 @@ class RestLattice:
         return result
 
     def find(self, index: NDArray, body: NDArray | int = 0) -> NDArray[np.int64]:
-        """Return the indices among all nodes of the nodes at these positions; -1 without a node.
+        """Return the indices of the nodes at these grid positions; -1 where there is no node.
 
         Args:
             index: Indices of nodes [...,3].
@@ -248,7 +248,7 @@ def _tie_light(
 def _share(
     index: NDArray[np.int64], mass: NDArray[np.float64], least: float, giving: float
 ) -> tuple[NDArray[np.float64], scipy.sparse.csr_matrix]:
-    """Return masses after light nodes got up to `least` [kg], if heavy ones can spare it.
+    """Return masses after heavy nodes have given mass to nodes lighter than `least` [kg].
 
     The total mass and its centre are preserved. No node loses more than half of its mass. The
     matrix [N,N] moves forces with the mass: the moved mass has the light node's acceleration.

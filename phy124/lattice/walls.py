@@ -447,7 +447,7 @@ def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool
 
 
 def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
-    """Return normals of a simple wall, and signed distances from it, at points [N,3], as [N,4]."""
+    """Return a simple wall's normals and signed distances [m] at points [N,3], as rows [N,4]."""
     t = types(model.real)
     shape, points = t.mat33(*np.ravel(part.geometry(model))), model.array(x, t.vec3)
     out = wp.zeros(len(x), dtype=t.vec4, device=model.device)

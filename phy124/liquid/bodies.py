@@ -29,8 +29,8 @@ from phy124.mpm.tracks import Tracks
 STAGE = "bodies"
 """Name of the stages in reports."""
 FIRST, MOST = 8, 0.7
-"""`FIRST`: steps by which a body's surface is first shifted until its volume is right. `MOST`:
-largest shift [cells].
+"""`FIRST`: number of steps in which the surface of a new body is shifted until its volume is right.
+`MOST`: largest shift [cells].
 """
 
 

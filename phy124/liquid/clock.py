@@ -28,7 +28,7 @@ of iterations for viscosity to about 200.
 
 
 class LiquidClock(Clock):
-    """A clock that limits steps as an incompressible liquid needs."""
+    """A clock whose steps obey the limits for an incompressible liquid."""
 
     acceleration = 0.0
     """Upper bound of the acceleration by forces [m/s^2]."""

@@ -86,7 +86,7 @@ class Energies:
         return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
 
     def of_faces(self, worker: int) -> list[Recorded]:
-        """Return a worker's launch that sums the work on faces after these have got velocities."""
+        """Return a worker's launch that sums the work on faces, after faces got velocities."""
         if not self._on:
             return []
         cells, tracks = self._cells, self._tracks
@@ -97,7 +97,7 @@ class Energies:
         return [(STAGE, self._model.launch(kernel, self._count, inputs, [self._row(worker)]))]
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
-        """Return a worker's launch for before (sign -1) or after the displacements (sign 1)."""
+        """Return a worker's launch that comes before (sign -1) or after (1) the displacements."""
         if not self._on:
             return []
         threads, *fraction = shared_out(run.stop - run.start, self._model.device)

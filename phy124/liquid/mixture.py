@@ -39,8 +39,8 @@ class Mixture:
             for values, differ in zip(each, self.differ, strict=True)
             if differ
         ]
-        """Volume times relative density, and volume times relative viscosity [P]; only of
-        properties that differ.
+        """Volume times relative density, and volume times relative viscosity [P]. A product is left
+        out if the liquids have the same value of this property.
         """
 
     def fit(self, count: int) -> None:

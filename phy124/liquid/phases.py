@@ -258,7 +258,7 @@ class Phases:
         return launches([(stage.name, stage.record(grid)) for stage in stages])
 
     def _copy(self, sums: wp.array, worker: int) -> wp.array:
-        """Return the copy of cells' or columns' sums in which a worker adds up."""
+        """Return a worker's own copy of the sums over cells or columns."""
         count = len(sums) // len(self._workers)
         return cast("wp.array", sums[worker * count : (worker + 1) * count])
 

@@ -43,7 +43,7 @@ class Projection:
         """Number of cells of liquid in each part of all cells."""
         self.sums = wp.zeros((ROWS + 6 * solids, self._parts), dtype=wp.float64, device=device)
         self.mobility = wp.zeros((solids, 10), dtype=wp.float64, device=device)
-        """Mobility of each solid, per unit impulse in terms of q."""
+        """Mobility of each solid: its motion per impulse, with impulses in the units of q."""
         shape = (self._parts, 2 * solids)
         self._responses = wp.zeros(shape, dtype=wp.vec3d, device=device)
         """Velocity and angular velocity that a vector causes in each solid, for each part of the

@@ -19,7 +19,7 @@ from phy124.mpm.tracks import Tracks
 
 
 class Measured:
-    """Combines forces or boundaries; if these have stages, others measure before and after."""
+    """Combines forces or boundaries; stages before and after theirs, if any, measure them."""
 
     def __init__(
         self,

@@ -173,7 +173,7 @@ class Sleep(Observer):
         return row._replace(name=f"{row.name}: asleep from frame {self.since}, {saved}")
 
     def _rests(self, index: int) -> bool:
-        """Return whether pictures would not change from a frame until the scene's next event."""
+        """Return whether pictures would stay the same from a frame to the scene's next event."""
         if not self.speeds:
             return False
         until = self._quiet_until((index - 1) / self._fps)

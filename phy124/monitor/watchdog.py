@@ -53,16 +53,16 @@ PROJECTED = 0.2
 Layers thinner than a cell press on walls with up to a quarter less than their weight.
 """
 CROWDED = 0.1
-"""A liquid by projection has too little room between its walls if its density has a larger mean
-excess.
+"""If the mean excess of density in a liquid by projection is above this, its walls leave it too
+little room.
 """
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 """Largest energy that rounding may lose, as a fraction of the sum of absolute work."""
 QUIET = 1e-9
 """Energies below this fraction of volume times stiffness count as rounding errors."""
 COLLAPSE = 0.8
-"""Impact speed, relative to the speed of sound, from which J of laws that may collapse comes close
-to 0.
+"""Laws that may collapse come close to J = 0 in impacts above this speed, relative to the speed of
+sound.
 """
 UNSEEN = 3e-4
 """Largest strain that is invisible in a frame: a tenth of a pixel in 300 pixels."""

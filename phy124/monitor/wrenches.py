@@ -186,7 +186,7 @@ class Wrenches(Observer):
         return Stage(STAGE, before), Stage(STAGE, after)
 
     def _worker_sums(self, name: str, grid: Grid, model: Model) -> wp.array:
-        """Return the array of sums for one wall and worker; each array has only one thread."""
+        """Return a worker's array of sums for one wall; only one thread adds to an array."""
         sums = self._sums[name]
         if grid.worker not in sums:
             sums[grid.worker] = wp.zeros(kernels.SUMS, dtype=wp.float64, device=model.device)

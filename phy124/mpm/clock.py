@@ -39,8 +39,8 @@ class Clock:
         self.strain_rate = 0.0
         """Largest recent |C| [1/s]; |C| alone would be zero at the turning point of a vibration."""
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
-        """Current number of substeps between measurements of speeds, and number since the last
-        measurement.
+        """Current number of substeps between measurements of speeds, and number of substeps since
+        the last one.
         """
         self.strain = self.travel = math.inf
         """Upper bounds of any particle's strain and displacement [m] since the last complete
@@ -83,7 +83,7 @@ class Clock:
         return -self.last_dt / 2 * power
 
     def uniform_work(self, momentum: NDArray) -> float:
-        """Return the share of `lag` that the uniform acceleration has done since the last kick [J].
+        """Return the part of `lag` that is work of the uniform acceleration since the kick [J].
 
         Args:
             momentum: Momentum of all particles after that kick [3], kg m/s.

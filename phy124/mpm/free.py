@@ -29,8 +29,8 @@ STAGE = "free"
 """Name of the stages of free bodies in reports."""
 SOLUTIONS = 3
 """Number of times that the six equations are solved in a substep. The first solution finds most of
-the nodes that approach, the second most of the friction. The next substep corrects the remaining
-error.
+the nodes that approach, and the second one most of the friction. The next substep corrects the
+remaining error.
 """
 MARGIN = 1.5
 """Largest distance [cells] from a solid at which nodes can be in contact with it."""

@@ -307,7 +307,7 @@ class State:
 
 
 def part_of(array: wp.array, part: slice) -> wp.array:
-    """Return a slice of an array, but an empty array, which no law needs, unchanged."""
+    """Return a slice of an array; an empty array (which no law needs) is returned unchanged."""
     return cast("wp.array", array[part]) if len(array) else array
 
 
@@ -354,7 +354,7 @@ def parameters(
 
 
 def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> list[tuple[int, int]]:
-    """Return first index and one past the last for each run of particles of one law in one body.
+    """Return the range (first index, one past the last) of each law's particles in each body.
 
     Raises:
         ValueError: Bodies or laws are mixed, or a body has no particle.

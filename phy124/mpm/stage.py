@@ -68,7 +68,7 @@ class Sums(Protocol):
 
 
 class Accumulator(Attachable, Sums, Protocol):
-    """Sums that stages at the end of a substep, after the boundaries, update."""
+    """Sums updated by stages that come last in a substep, after the boundaries."""
 
 
 Named = tuple[str, Callable[[], Any]]

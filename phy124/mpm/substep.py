@@ -165,7 +165,7 @@ class Recorder:
 
     @property
     def _grid(self) -> Grid:
-        """Some grid, for launches that need one but do not use its nodes."""
+        """A grid for launches that need one as an argument but do not use its nodes."""
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:

@@ -64,7 +64,10 @@ def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
 
 @wp.func
 def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
-    """Return the angular velocity change by impulse J at r; a, c: blocks of the inverse system."""
+    """Return the change of angular velocity by an impulse J at r.
+
+    a, b and c are blocks from the inversion of the six equations.
+    """
     return c @ (wp.cross(r, J) - wp.transpose(b) @ (a @ J))
 
 

@@ -74,7 +74,7 @@ def press_and_rub(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, frictio
 
 @wp.func
 def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that holds a point after touch, but lets it slide [N s]."""
+    """Return the impulse of a surface that holds points that touched it, but lets them slide."""
     if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
         press = wp.max(press, type(gap)(0.0))
     return press * n
@@ -82,7 +82,7 @@ def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction:
 
 @wp.func
 def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that holds a point after touch [N s]."""
+    """Return the impulse of a surface that holds points that touched it [N s]."""
     if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
         press = wp.max(press, type(gap)(0.0))
     if press == type(gap)(0.0):

@@ -13,8 +13,9 @@ from phy124.kernels.lattice.rows import Rows
 SIDEWAYS = 0.75
 """Largest distance along the surface between a point and the place opposite to it [cells]."""
 APART, FACING = wp.constant(3.0), wp.constant(1.0)
-"""`APART`: distance at rest from which on two points belong to different parts [cells]. `FACING`:
-depth at rest from which on each point counts as in front of the other, across a gap [cells].
+"""`APART`: points farther apart than this at rest belong to different parts [cells]. `FACING`:
+points face each other across a gap if, at rest, each is at least this far in front of the other
+[cells].
 """
 NEARER = wp.constant(0.6)
 """Sampled points may meet if they are closer than this fraction of their distance at rest."""

@@ -18,7 +18,7 @@ HAT = 7
 
 @build_once
 def sums(real: Any):
-    """Return the type of a cell's sums: three faces' momentum, `FILL`, their mass, `HAT`."""
+    """Return the type of a cell's sums: momenta of faces, `FILL`, masses of faces, `HAT`."""
     return wp.types.vector(8, real)
 
 

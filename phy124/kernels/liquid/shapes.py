@@ -19,7 +19,7 @@ from phy124.kernels.liquid.walls import GAP, SHUT, centre_of, halves, square
 
 @wp.func
 def spline(s: Any, cell: wp.vec3i, a: int, b: int, c: int):
-    """Return the value at a point of the B-spline of the cell at `cell` + (a, b, c) - 1."""
+    """Return the B-spline of the cell `cell` + (a, b, c) - 1 at a point."""
     weight = type(s[0])(1.0)
     at = wp.vec3i(a, b, c)
     for axis in range(3):
@@ -177,7 +177,7 @@ def make_body_volume(real: Any):
 
 @build_once
 def make_body_distance(real: Any):
-    """Kernel over points at half the spacing: stores each distance from a body if it is smaller."""
+    """Kernel over points at half the spacing: keeps the smaller of stored and body's distance."""
     t = types(real)
 
     @kernel(f"phy124_liquid_body_distance_{real.__name__}", real, seconds=0.3)

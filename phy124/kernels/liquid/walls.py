@@ -95,7 +95,7 @@ def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
 
 @build_once
 def make_wall_distance(shape: str, real: Any):
-    """Kernel over points at half the spacing: stores distances from some walls where smaller.
+    """Kernel over points at half the spacing: keeps the smaller of stored and walls' distances.
 
     `walls` has the walls' numbers, which are stored in the points nearest to them, and `geometries`
     their shapes. `slots` has the index of the displacement of every wall, or 0 for those that never
@@ -165,7 +165,7 @@ def centre_of(cell: wp.vec3i, lattice: Any, low: wp.vec3i):
 
 @wp.func
 def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
-    """Return the midpoint of that one of two opposite faces of a cell that is less open."""
+    """Return the midpoint of a cell's face: the less open one of two opposite faces."""
     at = wp.vec3i(1, 1, 1)
     at[axis] = 0
     if jump < type(jump)(0.0):
@@ -319,7 +319,7 @@ def make_openings(shape: str, real: Any):
 
 @build_once
 def make_eighths(shape: str, real: Any):
-    """Kernel over eighths of cells: multiplies open fractions by what walls leave open.
+    """Kernel over eighths of cells: multiplies open fractions by the walls' open fractions.
 
     The product is exact where walls are perpendicular to each other. The arguments are the same as
     for the kernel of distances.
@@ -426,7 +426,7 @@ def make_push_out(shape: str, real: Any):
 
     @wp.func
     def stop(v: t.vec3, u: t.vec3, normal: t.vec3, friction: real):
-        """Return what is left of v after a wall of velocity u has stopped motion into the wall."""
+        """Return velocity v without motion into a wall of velocity u, and after friction."""
         along = wp.dot(v - u, normal)
         if along >= real(0.0):
             return v
