@@ -132,9 +132,7 @@ class ExtraInputs:
         return self.views.bind(generator, name, lambda field, path: open_view(path, field=field))
 
     def data(self) -> list[Any]:
-        """Return the inputs on which the Gaussians depend, as plain data; a file's name identifies
-        it.
-        """
+        """Return the inputs on which Gaussians depend, as plain data; a name identifies a file."""
         sections = (self.depth, self.views, self.reading)
         return [section.model_dump(mode="json") for section in sections]
 

@@ -75,7 +75,7 @@ class Evaluate:
             return None, str(error)
 
     def _videos(self, clip: Clip, progress: Progress) -> dict[str, np.ndarray]:
-        """Return pictures [T,S,S,3] from the paper's four sides."""
+        """Return pictures [T,S,S,3] from the four sides that the paper uses."""
         view = Scene.of_clip(clip.scene, str(self.clip)).view
         usual = {
             "size": (self.size, self.size),
