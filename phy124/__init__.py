@@ -1,4 +1,4 @@
-"""phy124: one photograph in, a physically moving 3D object out.
+"""Turns one photograph into a 3D object that moves physically.
 
     import phy124
 

@@ -36,7 +36,7 @@ from phy124.schema.arguments.parsing import Answered
 from phy124.schema.arguments.words import split_operands
 
 GENERAL = ("--quiet", "--verbose")
-"""Options of every command."""
+"""Options that every command has."""
 
 
 def program() -> NoReturn:
@@ -51,7 +51,7 @@ def program() -> NoReturn:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status."""
+    """Run one command, and return the exit status."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     options, operands = split_operands(arguments)
     chosen = {name for name in GENERAL if name in options}
@@ -96,8 +96,8 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
 @contextmanager
 def _no_collection() -> Iterator[None]:
     """Turn the garbage collector off within this context: imports create many lasting objects.
-    Later garbage collections skip these objects as well. Otherwise, collections took 0.9 s of a
-    command of 6 s.
+    Later collections skip these objects, too. Otherwise, collections took 0.9 s of a command of 6
+    s.
     """
     was = gc.isenabled()
     gc.disable()
@@ -120,7 +120,7 @@ def _start(*, talkative: bool) -> None:
 
 
 def _parse(arguments: list[str]) -> Any:
-    """Return the command with its options; a request for a list of commands prints it and exits."""
+    """Parse the command and its options; a request for the list of commands prints it and exits."""
     from phy124.commands import COMMANDS, outline
     from phy124.schema.arguments.parsing import asks_for_commands, parse
 
@@ -141,12 +141,14 @@ def _parse(arguments: list[str]) -> Any:
 
 
 def _note(message: Warning | str, *_: object) -> None:
-    """Log a warning as one line, without its place in the code."""
+    """Log a warning as one line, without its position in the code."""
     print(f"phy124: {message}", file=sys.stderr)
 
 
 def _report(problem: BaseException, *, as_json: bool, verbose: bool) -> int:
-    """Explain an exception to the user, for --json on standard output too; return the status."""
+    """Explain an exception to the user (with --json on standard output, too), and return the
+    status.
+    """
     from phy124.runtime.installation import with_program
 
     cause = failure(problem)

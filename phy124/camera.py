@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 VIEWS = {"front": 0.0, "right": 90.0, "back": 180.0, "left": 270.0}
 """Azimuths of the paper's four views [degrees]: front is +x, right is +y."""
 FOV_Y = 49.1
-"""Default vertical field of view [degrees], the same as LGM's."""
+"""Default vertical field of view [degrees]; it is the same as LGM's."""
 
 
 @dataclass(frozen=True)

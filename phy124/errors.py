@@ -1,4 +1,6 @@
-"""Exceptions that end a run early but are not bugs: bad input, cancellation, partial results."""
+"""Declares exceptions that end a run early but are not bugs: bad input, cancellation, partial
+results.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from typing import Any, NamedTuple
 
 DISK_CODES = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQUOT") else [])}
 SHORT_CODES = {*DISK_CODES, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
-"""Error codes for a resource of the machine that ran out; the file's name is not at fault."""
+"""Error codes for a resource of the machine that ran out; the name of the file is not the cause."""
 DISK_WORDS = ("no space left", "disk quota exceeded", "os error 28", "os error 122")
 
 
@@ -19,11 +21,11 @@ class Remedy(NamedTuple):
     words: str
     """The change in words, such as "accuracy.cells = 24"."""
     changes: dict[str, Any]
-    """Dotted path -> value, as `Scene.replaced` takes them."""
+    """Dotted path -> value, in the form that `Scene.replaced` takes."""
 
 
 class InputError(ValueError):
-    """A choice of the user cannot be used; the message says which, why, and how to correct it.
+    """The user's input cannot be used; the message says which input, why, and how to correct it.
 
     The command line and the web page print only the message, never a traceback. `remedies` are
     changes of the scene, if any are known; each solves the problem by itself.
@@ -37,16 +39,16 @@ class InputError(ValueError):
         super().__init__(f"{field} = {value}: {limit} {remedy}".rstrip())
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        """Support pickle, which would otherwise pass the whole message as the field."""
+        """Support pickle; by default, pickle would pass the whole message as the field."""
         return type(self), (self.field, self.value, self.limit, self.remedy)
 
 
 class Cancelled(Exception):
-    """Raised from a progress callback to stop the work at once."""
+    """Raised by a progress callback in order to stop the work at once."""
 
 
 class Incomplete(Exception):
-    """Raised from the exception that ended the work, after some of the results were saved.
+    """Raised after some of the results were saved; its cause is the exception that ended the work.
 
     `kept` ends a sentence: it names the saved files and the command that continues the run.
     """
@@ -57,11 +59,13 @@ class Incomplete(Exception):
 
 
 def did_you_mean(word: str, known: Iterable[str], *, similarity: float = 0.6) -> str:
-    """Return the sentence "Did you mean ...?" if a known word is close, else an empty text."""
+    """Return the sentence "Did you mean ...?" if a known word is close; otherwise an empty text."""
     close = difflib.get_close_matches(word, [*known], 1, similarity)
     return f"Did you mean {close[0]}?" if close else ""
 
 
 def suggest(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") -> str:
-    """Return the sentence "Did you mean ...?" if a known word is close, else all known words."""
+    """Return the sentence "Did you mean ...?" if a known word is close; otherwise a list of known
+    words.
+    """
     return did_you_mean(word, known) or f"{otherwise} {', '.join(known)}."

@@ -1,4 +1,4 @@
-"""Gaussians, particles and frames: the data that the stages of the pipeline exchange.
+"""Declares Gaussians, particles and frames: the data that the stages of the pipeline exchange.
 
 Conventions: the world is right-handed, in metres, z up, and the object faces +x
 (docs/reference/conventions.md); quaternions are wxyz; values are post-activation (opacity 0..1,
@@ -41,7 +41,7 @@ SH_COEFFICIENTS = (1, 4, 9, 16)
 
 
 BLOCK = 1 << 15
-"""Number of rows that are processed at a time, so that they stay in the cache."""
+"""Number of rows that are processed at a time; this many stay in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,8 @@ class Gaussians:
     sh: Array
     """Spherical-harmonic colours [N,K,3], K in 1, 4, 9, 16."""
     object_id: NDArray[np.int32] | None = None
-    """Index of the scene's object to which each Gaussian belongs [N]; None: a single object."""
+    """Index of the scene's object to which each Gaussian belongs [N]; None if there is a single
+    object."""
 
     def __post_init__(self) -> None:
         for name in ("means", "quats", "scales", "opacities", "sh"):
@@ -94,7 +95,7 @@ class Gaussians:
     def from_rgb(
         cls, means: NDArray, quats: NDArray, scales: NDArray, opacities: NDArray, rgb: NDArray
     ) -> Gaussians:
-        """Return Gaussians of plain colours (spherical harmonics of degree 0).
+        """Return Gaussians with plain colours (spherical harmonics of degree 0).
 
         Args:
             means: Centres [N,3], m.
@@ -109,7 +110,9 @@ class Gaussians:
 
     @property
     def rgb(self) -> Array:
-        """Colours [N,3] in 0..1, independent of the viewing direction: the degree-0 part."""
+        """Degree-0 part of the colours [N,3] in 0..1, which does not depend on the viewing
+        direction.
+        """
         return np.clip(0.5 + SH_C0 * self.sh[:, 0], 0, 1)
 
     @property
@@ -118,7 +121,7 @@ class Gaussians:
         return SH_COEFFICIENTS.index(self.sh.shape[1])
 
     def select(self, which: NDArray | slice) -> Gaussians:
-        """Return the Gaussians selected by a boolean mask, an index array or a slice."""
+        """Return the Gaussians that a boolean mask, an index array or a slice selects."""
         if isinstance(which, np.ndarray) and which.dtype == bool and which.all():
             return self
         return Gaussians(
@@ -131,13 +134,15 @@ class Gaussians:
         )
 
     def of_object(self, index: int) -> Gaussians:
-        """Return the Gaussians of the object of this index, without `object_id`; may be empty."""
+        """Return the Gaussians of the object with this index, without `object_id`; there may be
+        none.
+        """
         if self.object_id is None:
             return self if index == 0 else self.select(np.zeros(0, int))
         return replace(self.select(self.object_id == index), object_id=None)
 
     def transform(self, scale: float, offset: NDArray) -> Gaussians:
-        """Return a copy scaled about the origin, then shifted by `offset [3]` m."""
+        """Return a copy that is scaled about the origin and then shifted by `offset [3]` m."""
         means = self.means * scale + np.asarray(offset)
         return replace(self, means=means, scales=self.scales * scale)
 
@@ -149,7 +154,9 @@ class Gaussians:
 
     @property
     def cover(self) -> Array:
-        """Visible area of each Gaussian [N], m^2: opacity times product of its two longest axes."""
+        """Visible area of each Gaussian [N], m^2: opacity times the product of its two longest
+        axes.
+        """
         x, y, z = self.scales.T
         return self.opacities * np.maximum(np.maximum(x * y, y * z), z * x)
 
@@ -179,7 +186,9 @@ def finite_rows(array: NDArray) -> NDArray[np.bool_]:
 
 
 def join(sets: Sequence[Gaussians]) -> Gaussians:
-    """Join several sets in order; lower harmonic degrees are padded with zeros to the highest."""
+    """Join several sets in order; missing coefficients of higher harmonics are filled with
+    zeros.
+    """
     most = max(item.sh.shape[1] for item in sets)
 
     def stack(name: str) -> NDArray:
@@ -192,7 +201,7 @@ def join(sets: Sequence[Gaussians]) -> Gaussians:
 
 
 def as_objects(objects: dict[int, Gaussians]) -> Gaussians:
-    """Join the Gaussians of several objects; `object_id` becomes each object's key."""
+    """Join the Gaussians of several objects; each object's key becomes its `object_id`."""
     return join(
         [
             replace(item, object_id=np.full(len(item), index, np.int32))
@@ -227,12 +236,14 @@ class Frame:
     """Force and torque of the object on each wall, by the wall's name, if requested."""
     carried: tuple[Array, Array] | None = None
     """Positions [C,3], m, and deformation gradients [C,3,3] of the particles that carry the
-    Gaussians, if the run keeps its frames."""
+    Gaussians; None unless the run keeps its frames."""
 
 
 @dataclass(frozen=True, eq=False)
 class Particles:
-    """P material points at rest, sorted so that neighbours in space are close in memory."""
+    """P material points at rest; points that are neighbours in space are stored close to each
+    other.
+    """
 
     x: NDArray[np.float32]
     """Positions [P,3], m."""
@@ -247,7 +258,7 @@ class Particles:
     body: NDArray[np.int32] | None = None
     """Index of the scene's object to which each particle belongs [P]; None for a single object."""
     surface: NDArray[np.float64] | None = None
-    """Surface points [m], their outward normals and indices of objects [S,7] of bodies on their
+    """Surface points [m], their outward normals and indices of objects [S,7], for bodies on their
     lattices at rest; None for other bodies.
     """
 
@@ -323,7 +334,7 @@ def sh_basis(directions: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
-    """Rotate each Gaussian's colour function with the Gaussian: c'(d) = c(R^T d).
+    """Rotate each Gaussian's colour as a function of direction with the Gaussian: c'(d) = c(R^T d).
 
     A rotation mixes only harmonics of equal degree. The matrix of each degree follows from
     requiring equality in fixed, well-spread directions; this is exact.
@@ -346,7 +357,9 @@ def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
 
 
 def mirror_signs(count: int) -> NDArray[np.float64]:
-    """Return the sign of each harmonic under mirroring along x [count]: each is odd or even."""
+    """Return the sign of each harmonic when x is mirrored [count]; each harmonic is odd or even in
+    x.
+    """
     direction = np.array([0.3, 0.5, np.sqrt(0.66)])
     return np.sign(sh_basis(direction * [-1, 1, 1], count) * sh_basis(direction, count))
 
@@ -360,11 +373,11 @@ def spread_directions(count: int) -> NDArray[np.float64]:
 
 
 def stack_wrenches(frames: Sequence[Frame]) -> NDArray[np.float64]:
-    """Return the wrenches of all frames [T,W,2,3], in the order of the walls."""
+    """Return the wrenches of all frames [T,W,2,3]; their order is that of the walls."""
     rows = [[[*wrench] for wrench in (frame.wrenches or {}).values()] for frame in frames]
     return np.array(rows, np.float64).reshape(len(frames), -1, 2, 3)
 
 
 def of_walls(walls: Sequence[str], wrenches: NDArray) -> dict[str, Wrench]:
-    """Return the wrenches of a frame [W,2,3] by the names of the walls."""
+    """Return the wrenches of a frame [W,2,3] in the order of the walls' names."""
     return {wall: Wrench(*wrench) for wall, wrench in zip(walls, wrenches, strict=True)}

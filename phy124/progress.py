@@ -1,4 +1,4 @@
-"""Progress of work is reported by a function called with stage, steps done, and total steps.
+"""Reports the progress of work by calling a function with stage, steps done, and total steps.
 
 A progress function may raise `Cancelled`. Callers do not catch it; so every loop that reports
 progress can also be stopped.

@@ -163,7 +163,7 @@ def test_finished_sides_stay_if_a_later_one_fails(tmp_path, monkeypatch, capsys,
         assert names(out) == {"front.mp4", "comparison.json"}
 
 
-@pytest.mark.filterwarnings("ignore:the frames are only in memory")
+@pytest.mark.filterwarnings("ignore:the frames are kept in memory only")
 @pytest.mark.parametrize("done", [3, None], ids=["interrupted", "whole"])
 def test_results_go_where_there_is_room(tmp_path, monkeypatch, temporary, done):
     def stop(stage: str, now: int, total: int) -> None:
@@ -183,7 +183,7 @@ def test_results_go_where_there_is_room(tmp_path, monkeypatch, temporary, done):
         assert names(kept) == RESULTS
 
 
-@pytest.mark.filterwarnings("ignore:the frames are only in memory")
+@pytest.mark.filterwarnings("ignore:the frames are kept in memory only")
 def test_it_is_said_if_nothing_can_be_kept(tmp_path, monkeypatch, temporary):
     with (
         full(monkeypatch, tmp_path),
@@ -195,7 +195,7 @@ def test_it_is_said_if_nothing_can_be_kept(tmp_path, monkeypatch, temporary):
 
 @pytest.mark.filterwarnings("ignore:the results need about")
 @pytest.mark.filterwarnings("ignore:the state of the run cannot be written")
-@pytest.mark.filterwarnings("ignore:the frames are only in memory")
+@pytest.mark.filterwarnings("ignore:the frames are kept in memory only")
 def test_results_of_a_full_disk_are_kept_elsewhere(tmp_path, temporary, every_frame):
     with small_disk(tmp_path / "disk", "300k") as disk:
         with pytest.raises(Incomplete, match=r"clip\.safetensors` films it") as told:
@@ -223,7 +223,7 @@ def test_too_little_room_is_said_before_work(tmp_path, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:the results need about")
-@pytest.mark.filterwarnings("ignore:the frames are only in memory")
+@pytest.mark.filterwarnings("ignore:the frames are kept in memory only")
 def test_an_interruption_while_the_disk_is_full_keeps_the_frames(tmp_path, temporary):
     def stop(stage: str, done: int, total: int) -> None:
         if (stage, done) == ("simulate", 5):

@@ -199,7 +199,7 @@ def test_what_overlaps_is_refused_with_both_names():
 
 
 def test_what_stands_beside_is_not_on_it():
-    with pytest.raises(InputError, match=r"copy.on = object: it is not above that object"):
+    with pytest.raises(InputError, match=r"copy.on = object: it is not above the object"):
         Simulation(
             prepare(ball(400), scene(objects=[{"name": "copy", "on": "object", "place": [0, 3]}]))
         )

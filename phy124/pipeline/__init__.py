@@ -1,4 +1,4 @@
-"""The whole chain: picture -> foreground -> Gaussians -> moving Gaussians -> files.
+"""Runs the whole chain: picture -> foreground -> Gaussians -> moving Gaussians -> files.
 
 `generate` makes Gaussians from a picture (`make_gaussians` in phy124/pipeline/gaussians.py) and
 calls `simulate`. `simulate` prepares the scene (`phy124.simulation.prepare`) and runs it, and
@@ -72,7 +72,7 @@ def generate(
     error: bool = True,
     **making: Any,
 ) -> Result:
-    """Turn a picture into moving Gaussians, videos and a report in a folder.
+    """Turn a picture into moving Gaussians, and write them, videos and a report into a folder.
 
     Args:
         image: The picture, or a picture for each object of the scene; ignored by a generator that
@@ -134,7 +134,8 @@ def simulate(
     each: Callable[[Simulation, Frame], object] | None = None,
     **fields: Unpack[ContextOptions],
 ) -> Result:
-    """Turn static Gaussians into moving Gaussians, videos and a report in a folder.
+    """Turn static Gaussians into moving Gaussians, and write them, videos and a report into a
+    folder.
 
     Args:
         gaussians: The object at any size, standing upright, facing +x.
@@ -216,7 +217,7 @@ def go_on(
     error: bool = True,
     **fields: Unpack[ContextOptions],
 ) -> Result:
-    """Continue an interrupted run in its folder; the result is that of an uninterrupted run.
+    """Continue an interrupted run in its folder; the result equals that of an uninterrupted run.
 
     The two are equal bit for bit with the same number of threads.
 
@@ -274,7 +275,9 @@ def go_on(
 
 
 def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) -> None:
-    """Refuse to continue if two scenes differ; the InputError names the field."""
+    """Refuse to continue a run if its scene differs from this scene; the InputError names the
+    field.
+    """
     asked, before = _flat(scene), _flat(paused)
     for name in {**asked, **before}:
         if asked.get(name) != before.get(name):
@@ -287,7 +290,7 @@ def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) 
 
 
 def _flat(data: Any, name: str = "") -> dict[str, Any]:
-    """Return nested data as a single level: "time.frames" -> 14."""
+    """Return nested data as a single level of keys: "time.frames" -> 14."""
     parts = data.items() if isinstance(data, dict) else enumerate(data)
     flat: dict[str, Any] = {}
     for key, value in parts:

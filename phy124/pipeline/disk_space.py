@@ -1,4 +1,4 @@
-"""Estimates the disk space that a run's results need, and warns if the disk has less."""
+"""Estimates the disk space for a run's results, and warns if the disk has less free space."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from phy124.budget.cost import BYTES_PER_GAUSSIAN
 from phy124.simulation import Simulation
 
 PLY = 4 * 17
-"""Size of a Gaussian in a PLY file [bytes]; 12 more per further colour coefficient."""
+"""Size of a Gaussian in a PLY file [bytes]; each further colour coefficient takes 12 more."""
 PARTICLE = 48
-"""Size of a particle that carries Gaussians, in one frame [bytes]."""
+"""Size, in one frame, of a particle that carries Gaussians [bytes]."""
 EXPORTED = {"usd": BYTES_PER_GAUSSIAN, "ply": PLY, "html": 8}
 """Format -> size of a Gaussian of one frame [bytes]."""
 PIXEL = {"png": 1.0, "gif": 0.5, "webp": 0.1, "mp4": 0.05, "webm": 0.05, "mov": 2.0}
 """Format -> approximate size of a rendered pixel [bytes]."""
 OUTPUT = 6
-"""Approximate size of a pixel of an output such as depth [bytes]."""
+"""Approximate size of a pixel in an output such as depth [bytes]."""
 
 
 def warn_of_disk_space(run: Simulation, out: Path, *, films: bool) -> None:
-    """Warn if the disk has less free space than the results are estimated to need."""
+    """Warn if the disk has less free space than the estimated size of the results."""
     needed = estimate_size(run, films=films)
     try:
         free = shutil.disk_usage(out).free
@@ -38,7 +38,7 @@ def warn_of_disk_space(run: Simulation, out: Path, *, films: bool) -> None:
 
 
 def estimate_size(run: Simulation, *, films: bool) -> float:
-    """Estimate the size of a run's files [bytes]; for films the estimate is rough.
+    """Estimate the size of a run's files [bytes]; for films the estimate is only rough.
 
     Until a run ends, a file holds its frames: the Gaussians, or only the particles in a light run.
     """

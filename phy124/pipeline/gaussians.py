@@ -1,4 +1,4 @@
-"""Turn pictures into static Gaussians; all options of this step are declared here, once."""
+"""Turns pictures into static Gaussians; all options of this step are declared here, once."""
 
 from __future__ import annotations
 
@@ -40,12 +40,14 @@ CLIP = ".safetensors"
 
 @dataclass(frozen=True)
 class StaticObject:
-    """Static Gaussians of a scene's objects, made from pictures, and facts about their making."""
+    """Static Gaussians that were made from the pictures of a scene's objects, and facts about their
+    making.
+    """
 
     gaussians: Gaussians
     """Gaussians of all objects, with `object_id` if there are several objects."""
     scene: Scene
-    """The scene; for a capture it contains the detected floor, and its regions are in metres."""
+    """The scene; for a capture it includes the detected floor, and its regions are in metres."""
     crop: Crop
     """Position of the first object in its picture."""
     cutout: Cutout | None
@@ -53,7 +55,7 @@ class StaticObject:
     about: dict[str, Any]
     """Entries of the report: cut-out methods and generator."""
     effort: Effort | None
-    """Forecast of the generator's time, if it takes long."""
+    """Forecast of the time that the generator takes, if it takes long."""
 
 
 class Objects(NamedTuple):
@@ -62,9 +64,9 @@ class Objects(NamedTuple):
     gaussians: Gaussians
     """Gaussians of these objects, with `object_id` if there are several."""
     scene: Scene
-    """The scene, in which each object has its crop of its picture."""
+    """The scene; each of its objects has the crop of its picture."""
     about: dict[str, Any]
-    """Entries of the report about the making of the objects."""
+    """Entries of the report about how the objects were made."""
 
 
 def make_gaussians(
@@ -146,7 +148,9 @@ def make_object(
     deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
 
     def cut_view(field: str, path: Path) -> Cutout:
-        """Cut the object out of a further picture; `field` names the picture's option in errors."""
+        """Cut the object out of a further picture; in errors, `field` names the option of this
+        picture.
+        """
         try:
             with watch.stage("image"):
                 way = method if mask is None else "auto"
@@ -205,7 +209,7 @@ def with_others(
     count: int | None = None,
     on_cutout: Callable[[Cutout], object] = lambda cutout: None,
 ) -> Objects:
-    """Return the first object and the objects that are made from pictures or files.
+    """Return the first object together with the other objects that are made from pictures or files.
 
     Args:
         first: The Gaussians of the first object, or of several objects, with `object_id`.
@@ -261,7 +265,7 @@ def with_others(
 
 
 def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLike, ...]]:
-    """Return the first picture and the tuple of the others."""
+    """Return the first picture, and a tuple of the other pictures."""
     if isinstance(image, (str, os.PathLike)):
         return image, ()
     first, *more = image
@@ -269,7 +273,7 @@ def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLik
 
 
 def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
-    """Refuse more further pictures than the scene has objects that need a picture.
+    """Refuse more further pictures than there are further objects that need a picture.
 
     Raises:
         InputError: There are too many pictures.

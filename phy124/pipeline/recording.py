@@ -1,4 +1,4 @@
-"""Records a run on disk: each frame as soon as it is computed, and the solver's state at intervals.
+"""Records a run on disk: each frame as soon as it is computed, and at intervals the solver's state.
 
 If the run is ended by anything (kill -9, lack of memory, an error), `resume` can continue from the
 last saved state. Frames are written once, to the file that becomes the clip. The intervals are long
@@ -29,17 +29,18 @@ from phy124.runtime.memory import trim
 from phy124.simulation import Simulation
 
 PAUSE = "pause.safetensors"
-"""File from which an interrupted run continues."""
+"""Name of the file from which an interrupted run continues."""
 FRAMES = "pause-{}.frames"
-"""File with the frames of a run that is in progress or was killed."""
+"""Name of the file with the frames of a run that is in progress or was killed."""
 COST = 0.01
-"""Largest fraction of the run's time that may be spent on writing the state."""
+"""Largest fraction of a run's time that may be spent on writing the solver's state."""
 GUESS = 4e8
-"""Assumed write speed of the state until a speed has been measured [bytes/s]."""
+"""Speed at which the state is assumed to be written, until a speed has been measured [bytes/s]."""
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 HEADER, PER_FRAME = 32_000, 120
-"""Space reserved in the clip for the report, and for the report's entries of each frame [bytes]."""
+"""Space in the clip's file for the report, and for the entries of each frame in the report
+[bytes]."""
 
 
 class Recording:
@@ -66,9 +67,9 @@ class Recording:
         self.out, self.path = out, (out or Path()) / PAUSE
         self.about, self.files, self.frames = about, files, frames
         self.failed = out is None or not disk.LOCKS_AVAILABLE
-        """True if no more is written."""
+        """True if nothing more will be written."""
         self.resumed, self.saved = saved > 0, saved
-        """Number of frames after which the run could be continued if it ended now."""
+        """Number of frames that would be kept if the run ended now."""
         self._run: Simulation | None = None
         self._put, self._last, self._cost = 0, time.perf_counter(), 0.0
 
@@ -83,7 +84,7 @@ class Recording:
                 self._write_frames(run)
             except (OSError, InputError) as error:
                 self.failed = True
-                self._complain("the frames are only in memory", error)
+                self._complain("the frames are kept in memory only", error)
             except Unlike:
                 self.failed = True
             if not self.failed and self._is_due(run):
@@ -113,7 +114,7 @@ class Recording:
         self._cost = self._last - begun
 
     def finish(self, clip: Clip, path: Path, packed: Packed | None) -> None:
-        """Complete the clip's file from its packed motion, or from the frames that are on disk.
+        """Complete the clip's file, either from its packed motion or from the frames on disk.
 
         Raises:
             OSError: The disk is full.
@@ -125,20 +126,22 @@ class Recording:
         clip.save(path, packed)
 
     def discard(self) -> None:
-        """Remove the files of pause and frames; in a folder that became read-only both stay."""
+        """Remove the files of the pause and of the frames; if the folder became read-only, both
+        stay.
+        """
         if self.out is not None:
             with suppress(OSError):
                 self.path.unlink(missing_ok=True)
         self.close()
 
     def close(self) -> None:
-        """Remove the frame file, because its frames are saved elsewhere or not needed."""
+        """Remove the file of frames, because its frames are saved elsewhere or not needed."""
         if self.frames is not None:
             self.frames.remove()
         self.frames, self.failed = None, True
 
     def drop(self) -> None:
-        """Remove the files of this run, but keep those of a run that was continued."""
+        """Remove the files of this run; if the run was continued, keep those of the earlier run."""
         if self.resumed or not self.saved:
             self.leave()
         else:
@@ -153,13 +156,13 @@ class Recording:
         return self.saved
 
     def leave(self) -> None:
-        """Keep the files of pause and frames on disk for `resume`."""
+        """Leave the files of the pause and of the frames on disk for `resume`."""
         if self.frames is not None:
             self.frames.close() if self.saved else self.frames.remove()
         self.frames, self.failed = None, True
 
     def _begin(self, run: Simulation) -> None:
-        """Switch to another run: a search for an accuracy makes several runs."""
+        """Begin to record another run: a search for an accuracy makes several runs."""
         first, self._run, self._last = self._run is None, run, time.perf_counter()
         if first:
             self._put = 0 if self.frames is None else self.saved
@@ -168,7 +171,9 @@ class Recording:
             self.frames, self._put, self.saved = None, 0, 0
 
     def _write_frames(self, run: Simulation) -> None:
-        """Write the new frames; later reads use the memory-mapped file, which saves memory."""
+        """Write the new frames; they are then read from the memory-mapped file, which saves
+        memory.
+        """
         for place in range(self._put, run.count):
             frame, turns = run.frames[place], run.rotations[place] if run.rotations else None
             if self.frames is None:
@@ -202,7 +207,7 @@ class Recording:
 
 
 def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, Recording]:
-    """Return the interrupted run in a folder, if it can be continued, and its recording.
+    """Return the interrupted run in a folder and its recording, if the run can be continued.
 
     Args:
         out: The folder; None: nothing is written.
@@ -224,7 +229,9 @@ def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, R
 
 
 def sweep(out: Path) -> None:
-    """Remove frame files of killed runs from a folder, except the file that its pause needs."""
+    """Remove the frame files of killed runs from a folder, but not the file that its pause
+    needs.
+    """
     leftover = list(out.glob(FRAMES.format("*")))
     if not leftover:
         return

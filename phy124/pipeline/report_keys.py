@@ -1,4 +1,4 @@
-"""The keys of report.json, which every run writes and stores in its clip.
+"""Declares the keys of report.json; every run writes this file and stores it in its clip.
 
 A `NotRequired` key exists only if the named option or field of the scene requests it. A user's
 observer may add keys. Keys are stable: the changelog names each key that a release removes.
@@ -10,7 +10,7 @@ from typing_extensions import NotRequired, TypedDict
 
 
 class CutOut(TypedDict):
-    """Method and quality of the cut-out, which `cutout.png` shows."""
+    """Method and quality of the cut-out that `cutout.png` shows."""
 
     method: str
     """alpha, birefnet, birefnet-512, isnet, u2net, u2netp, grabcut, mask or brush."""
@@ -23,15 +23,15 @@ class CutOut(TypedDict):
     unseen: float
     """Fraction of the outline that lies on the edge of the picture."""
     alike: float
-    """Fraction of the background whose colours resemble the object's."""
+    """Fraction of the background whose colours are similar to the object's."""
     undecided: float
     """Fraction of pixels that are half transparent although they are away from the outline."""
     frames: int
-    """Number of frames of an animation, of which the first is used."""
+    """Number of frames of an animation; the first frame is used."""
     objects: int
     """Number of separate objects detected."""
     touching: bool
-    """Whether the object may be two objects that touch."""
+    """Whether the object may consist of two objects that touch."""
     warnings: list[str]
     """Reasons to doubt the cut-out."""
     notes: list[str]
@@ -44,9 +44,9 @@ class Substep(TypedDict):
     mean: float
     """Mean length [s]."""
     asked: float | None
-    """`time.substep` requested by the scene [s]; null: none."""
+    """`time.substep` of the scene [s]; null if the scene sets none."""
     split: bool
-    """Whether substeps are shorter than `asked`."""
+    """Whether the substeps are shorter than `asked`."""
     fractions: dict[str, float]
     """Fraction of the substeps that each limit determined."""
     rejected: int
@@ -72,9 +72,10 @@ class Balance(TypedDict):
     """Results of the watchdog."""
 
     energy_gain: float | None
-    """Spurious energy as a fraction of the energy supplied; negative: lost; null: not balanced."""
+    """Spurious energy as a fraction of the supplied energy; negative if energy was lost, null if no
+    balance was made."""
     momentum_gain: float | None
-    """Spurious momentum as a fraction of the momentum exchanged; null: not balanced."""
+    """Spurious momentum as a fraction of the exchanged momentum; null if no balance was made."""
     min_J: float
     """Smallest volume ratio J of all particles."""
     max_J: float
@@ -84,7 +85,7 @@ class Balance(TypedDict):
     reset: int
     """Number of deformation gradients that were reset to the rest shape."""
     ballistic: int
-    """Number of particles outside the simulated space, which move without forces but gravity."""
+    """Number of particles outside the simulated space; gravity is the only force on them."""
     tearing: Tearing
     """Signs of numerical fracture."""
 
@@ -95,15 +96,15 @@ class Promise(TypedDict):
     error: float | None
     """Upper bound as a fraction of the object's size; null if not measured, torn or stopped."""
     why: str
-    """Reason for the value or for null, as a sentence."""
+    """Sentence that gives the reason for the value, or for null."""
     unmeasured: str
-    """Kind of scene for which no error was measured, if this is why `error` is null."""
+    """Kind of scene for which no error was measured, if `error` is null for this reason."""
     about: float | None
-    """Error estimated on this scene itself, as a fraction of the size; null if it was not."""
+    """Error that was estimated on this scene itself, as a fraction of the size; otherwise null."""
     seconds: float | None
-    """The bound holds from the start to this time [s]; null: for the whole clip."""
+    """Time up to which the bound holds [s]; null if it holds for the whole clip."""
     unestimated: str
-    """Reason why the run has no error of its own; empty if it has one."""
+    """Reason why the run did not estimate its own error; empty if it did."""
 
 
 class OwnError(TypedDict):
@@ -114,11 +115,12 @@ class OwnError(TypedDict):
     at_most: float | None
     """Bound on this error."""
     until: float | None
-    """Time from which the motion depends on the grid [s]; `about` holds before it; null: never."""
+    """Time from which the motion depends on the grid and `about` no longer holds [s]; null if it
+    never does."""
     cells: int | None
-    """Cells across the object on the coarser grid; null if it was not run."""
+    """Cells across the object on the coarser grid; null if there was no run on it."""
     cost: float | None
-    """Predicted time of the coarser grid, as a fraction of the time of the dynamics."""
+    """Predicted time of the run on the coarser grid, as a fraction of the time of the dynamics."""
     why_not: str
     """Reason why the error is unknown."""
 
@@ -145,13 +147,14 @@ class Goal(TypedDict):
     order: float
     """Observed order of convergence."""
     refined: bool
-    """Whether a finer grid was added after the first estimate."""
+    """Whether the search added a finer grid after the first estimate."""
     met: bool
     """Whether the target is met."""
     why_not: str
     """Reason why the target is not met; empty if it is."""
     torn: list[int]
-    """Cells of grids that were left out because they may have torn the material."""
+    """Cells across the object of grids that were left out because the material may have torn on
+    them."""
     particles_per_axis: float
     """Particles per cell and axis."""
 
@@ -162,7 +165,7 @@ class Forecast(TypedDict):
     predicted: float
     """Predicted time [s]."""
     span: list[float]
-    """Lowest and highest actual time expected [s]."""
+    """Lowest and highest time that were expected [s]."""
     spent: float
     """Actual time [s]."""
     ratio: float
@@ -181,15 +184,15 @@ class Energy(TypedDict):
     """Energy balance [J]."""
 
     turnover: float
-    """Largest sum of the energy at the start and the energy supplied up to a time."""
+    """Largest value over time of: energy at the start plus energy supplied since."""
     lost: float
-    """Energy lost since the start; the sum of the following three."""
+    """Energy that was lost since the start; the sum of `material`, `contact` and `numerical`."""
     material: float
     """Loss by viscosity and plasticity inside the material."""
     contact: float
     """Loss by friction at walls."""
     numerical: float
-    """Remaining loss, caused by the numerical method; negative if energy was gained."""
+    """Other losses, which the numerical method causes; negative if energy was gained."""
     kinetic: NotRequired[float]
     """Change of the kinetic energy: `forces` plus `walls` minus `lost`; this key and the following
     ones are for liquids by pressure projection.
@@ -214,11 +217,12 @@ class Report(TypedDict):
     stopped: str | None
     """Reason why the simulation stopped early."""
     interrupted: bool
-    """Whether Ctrl-C or SIGTERM ended the run; `--resume` continues it."""
+    """Whether Ctrl-C or SIGTERM ended the run, which `--resume` then continues."""
     files: list[str]
-    """Files and folders that the run wrote; the next run in this folder removes old files."""
+    """Files and folders that the run wrote; the next run in this folder removes them."""
     remedies: list[dict[str, Any]]
-    """Changes of the scene that prevent the stop, as field and value; each suffices alone."""
+    """Changes of the scene that would have prevented the stop, as field and value; each one
+    suffices."""
     foreground: str | None
     """Method that cut the object out; null without a picture."""
     cutout: CutOut | None
@@ -226,11 +230,12 @@ class Report(TypedDict):
     generator: str | None
     """Name of the generator, or the file of Gaussians."""
     effort: NotRequired[dict[str, Any]]
-    """Settings and predicted seconds of a generator that works for minutes."""
+    """Settings and predicted seconds of a generator that takes minutes."""
     gaussians: int
     """Number of Gaussians."""
     grains: int
-    """Number of additional Gaussians inside granular or torn material, hidden at the start."""
+    """Number of additional Gaussians inside granular or torn material; they are hidden at the
+    start."""
     particles: int
     """Number of particles."""
     frames: int
@@ -240,47 +245,53 @@ class Report(TypedDict):
     mass: float
     """Mass of all particles [kg]."""
     thickness: float | None
-    """Local thickness relative to the object's size, exceeded by nine tenths of its volume."""
+    """Local thickness relative to the object's size; in nine tenths of the object's volume it is
+    larger."""
     compliance: float | None
-    """Deflection of the object as a beam under its weight sideways (docs/lab/own-error.md)."""
+    """Deflection of the object as a beam if its weight acts sideways (docs/lab/own-error.md)."""
     objects: NotRequired[dict[str, Any]]
-    """Counts, mass [kg] and position [m] of each object, and poses of free rigid ones."""
+    """Counts, mass [kg] and position [m] of each object, and poses of free rigid objects."""
     pairs: NotRequired[dict[str, Any]]
-    """Largest force [N] and its time, and last force and torque, of each pair of objects."""
+    """For each pair of objects: the largest force [N] and its time, and the last force and
+    torque."""
     sources: NotRequired[dict[str, Any]]
-    """Source, cut-out, generator and cleaning of each further object from a picture or file."""
+    """For each further object from a picture or file: source, cut-out, generator and cleaning."""
     shapes: dict[str, Any]
-    """Per law: largest axis ratios of a Gaussian (`needle`, `axis_ratio`), and its `opacity`.
+    """Per law: the largest axis ratios of a Gaussian (`needle`, `axis_ratio`), and its `opacity`.
 
     If filming a long clip is cancelled or fails, only frames that were filmed count."""
     shine: dict[str, Any]
-    """Per law: index ranges of Gaussians that are drawn with gloss."""
+    """Per law: index ranges of the Gaussians that are drawn with gloss."""
     liquids: list[dict[str, Any]]
     """Per liquid: index ranges of its Gaussians (`runs`), and its `visibility` [m]."""
     static: int
     """Number of Gaussians of static parts, which are not simulated."""
     sleep: dict[str, Any] | None
-    """First frame at rest (`since`), number of `frames` at rest, and number of `substeps` saved."""
+    """Frame from which the scene is at rest (`since`), number of `frames` at rest, and number of
+    `substeps` that were saved."""
     walls: dict[str, Any] | None
-    """Largest and last force [N] and torque [N m] of each wall, with `wrenches` or `contacts`."""
+    """Largest and last force [N] and torque [N m] on each wall, if the run has `wrenches` or
+    `contacts`."""
     cleaning: list[str]
     """Gaussians that were dropped or repaired, as sentences."""
     notes: list[str]
     """Further remarks about files, materials and the run, as sentences."""
     unregistered: list[str]
-    """Classes used by the scene that are defined only in the program that made the run."""
+    """Classes that the scene uses although only the program that made the run defines them."""
     capture: NotRequired[dict[str, Any]]
-    """For a capture: rotation from the file's axes, and the floor detected with `--floor`."""
+    """For a capture: the rotation from the file's axes, and with `--floor` the detected floor."""
     playback: NotRequired[dict[str, Any]]
     """Pictures per second (`fps`), `speed` (1 is real time) and `seconds` of the videos."""
     departures: NotRequired[list[dict[str, Any]]]
-    """Views whose picture the object leaves, and the camera distance that shows all of it."""
+    """Views in which the object leaves the picture, and the camera distance that would show all of
+    it."""
     grid: dict[str, Any]
     """Cell width `dx` [m] and number of nodes of the last `window`."""
     threads: int
-    """CPU threads; the same number of threads gives the same result bit for bit."""
+    """Number of CPU threads; with the same number, the result is the same bit for bit."""
     limiters: dict[str, int]
-    """Substeps whose length each limit determined: elastic, speed, gradient, viscous, user."""
+    """Number of substeps whose length each limit determined: elastic, speed, gradient, viscous,
+    user."""
     substep: Substep
     """Length of the substeps."""
     balance: Balance
@@ -288,7 +299,8 @@ class Report(TypedDict):
     energy: NotRequired[Energy]
     """Energy balance, with `checks.energy`."""
     effects: dict[str, Any]
-    """Effects that were computed (`ran`) or not (`left_out`, with reason and saved seconds)."""
+    """Effects that were computed (`ran`), and effects that were not (`left_out`, with the reason
+    and the saved seconds)."""
     error: NotRequired[OwnError]
     """The run's own error."""
     promise: Promise
@@ -308,4 +320,4 @@ class Report(TypedDict):
     processor: str
     """Processor of the machine."""
     versions: dict[str, str]
-    """Versions of phy124 and of the libraries it computes with."""
+    """Versions of phy124 and of the libraries that it uses for computing."""

@@ -1,4 +1,4 @@
-"""Save a paused simulation as a safetensors file, and continue it later.
+"""Saves a paused simulation as a safetensors file, and continues it later.
 
 On a CPU the continued run is equal bit for bit. On a GPU, which sums in no fixed order, it is equal
 within rounding.
@@ -38,7 +38,7 @@ FILE = "file."
 """Prefix of the names of the result files that are saved with a run."""
 Tensors = dict[str, NDArray]
 ARRAY = "array"
-"""Placeholder in the metadata for an array, which is stored as a tensor."""
+"""Placeholder in the metadata for an array that is stored as a tensor."""
 
 
 def save(
@@ -96,7 +96,7 @@ def load(
     frames: Growing | None = None,
     observers: Sequence[type[Observer]] | None = None,
 ) -> Simulation:
-    """Load a paused run, ready to be iterated on.
+    """Load a paused run; it continues when its frames are requested.
 
     Args:
         path: The file.
@@ -136,7 +136,7 @@ def load(
 
 
 def frames_of(path: str | os.PathLike[str]) -> Growing | None:
-    """Open the frame file of a paused run; None if the frames are in the run's own file.
+    """Open the frame file of a paused run; return None if the run's own file contains the frames.
 
     Raises:
         InputError: The file is missing, or another process is continuing the run.
@@ -146,19 +146,21 @@ def frames_of(path: str | os.PathLike[str]) -> Growing | None:
 
 
 def read_frames(path: str | os.PathLike[str]) -> dict[str, Any] | None:
-    """Return the description of a separate file of frames; None if the run's file has them."""
+    """Return the description of a separate file of frames; None if the run's own file contains
+    them.
+    """
     return _read(Path(path), tensors=False)[0]["frames"].get("growing")
 
 
 def read_files(path: str | os.PathLike[str]) -> dict[str, bytes]:
-    """Return the result files that were saved with a run: name -> content."""
+    """Return the result files that were saved with a run, as a map from name to content."""
     tensors = _read(Path(path))[1]
     files = {name: array for name, array in tensors.items() if name.startswith(FILE)}
     return {name.removeprefix(FILE): array.tobytes() for name, array in files.items()}
 
 
 def _saved_frames(metadata: dict[str, Any], tensors: Tensors, frames: Growing | None) -> Tensors:
-    """Return the arrays of the frames so far, a row per frame."""
+    """Return the arrays of the frames so far, with one row per frame."""
     if frames is not None:
         count = metadata["frames"]["count"]
         return {name: rows[:count] for name, rows in frames.arrays.items() if name in MOVING}
@@ -167,17 +169,19 @@ def _saved_frames(metadata: dict[str, Any], tensors: Tensors, frames: Growing | 
 
 
 def _threads_differ(before: int, now: int) -> list[str]:
-    """Return a note if a run is continued with another number of threads."""
+    """Return a note if the number of threads differs from that of the paused run."""
     if before == now:
         return []
     return [
         f"The run was paused with {before} CPU thread(s) and continued with {now}: from then on it "
-        "equals the uninterrupted run to within rounding, not bit for bit."
+        "equals an uninterrupted run up to rounding errors, not bit for bit."
     ]
 
 
 def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return a saved run's `scene`, the number of `frames` so far, and the caller's entries."""
+    """Return the `scene` of a saved run, the number of `frames` so far, and the caller's
+    entries.
+    """
     metadata, _ = _read(Path(path), tensors=False)
     return {**metadata["about"], "scene": metadata["scene"], "frames": metadata["frames"]["count"]}
 
@@ -202,7 +206,7 @@ def _whole(tree: Any, tensors: Tensors, name: str) -> Any:
 
 
 def _frames(run: Simulation) -> Tensors:
-    """Return the arrays of the frames so far, a row per frame."""
+    """Return the arrays of the frames so far, with one row per frame."""
     tensors: Tensors = {"frames.times": np.array([f.time for f in run.frames])}
     if run.frames:
         for name in ("means", "quats", "scales"):
@@ -224,7 +228,7 @@ def _frames(run: Simulation) -> Tensors:
 
 
 def _put_frames(run: Simulation, kept: Tensors) -> None:
-    """Restore a run's frames so far from arrays with a row per frame."""
+    """Restore a run's frames so far from arrays that have one row per frame."""
     walls = kept.get("wrenches")
     wrenches_of = run.find(Wrenches)
     names = () if wrenches_of is None else wrenches_of.names
@@ -242,7 +246,7 @@ def _put_frames(run: Simulation, kept: Tensors) -> None:
 
 
 def _turn_last(run: Simulation) -> None:
-    """Rotate the colours of the last frame with the material; a resting run repeats this frame."""
+    """Rotate the colours of the last frame with the material; a run at rest repeats this frame."""
     if run.frames and run.rotations:
         last = run.frames[-1]
         turned = replace(last.gaussians, sh=rotate_sh(last.gaussians.sh, run.rotations[-1]))
@@ -274,7 +278,7 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
 
 
 def _checksum(tensors: Tensors) -> int:
-    """Return the CRC-32 of all arrays, sorted by name; files of older versions have none."""
+    """Return the CRC-32 of all arrays, sorted by name; files of older versions have no checksum."""
     total = 0
     for name in sorted(tensors):
         total = zlib.crc32(np.ascontiguousarray(tensors[name]).data, total)

@@ -1,4 +1,5 @@
-"""Write the folder of a run: clip, Gaussians, scene, videos and report, all or none of them.
+"""Writes the folder of a run: clip, Gaussians, scene, videos and report; either all of them or
+none.
 
 Results of an earlier run are removed after the new results are written. Only files that the earlier
 report lists are removed; files of the user stay.
@@ -46,7 +47,7 @@ from phy124.simulation import Interrupted, Simulation
 CLIP, SCENE, PLY, CUTOUT = "clip.safetensors", "scene.toml", "gaussians.ply", "cutout.png"
 REPORT = "report.json"
 LARGEST_REPORT = 1 << 26
-"""Size above which a report is not read [bytes]; a report usually has 10,000."""
+"""Largest size of a report that is read [bytes]; a usual report has 10,000 bytes."""
 INTERRUPTED = "it was interrupted; the same command with --resume continues it"
 
 
@@ -64,29 +65,29 @@ class Result:
 
 @dataclass
 class RunFolder:
-    """Writes the results of a run into a folder, with these options."""
+    """Writes the results of a run into a folder, using these options."""
 
     out: Path
     context: RunContext
     about: dict[str, Any]
-    """Entries that are added to the run's own entries of the report."""
+    """Entries that are added to the report besides the run's own."""
     keep: bool
-    """Whether the frames so far are saved when the context's `progress` cancels the run."""
+    """Whether the frames so far are saved if the context's `progress` cancels the run."""
     cutout: bytes | None = None
-    """The cut-out as a PNG file, to be saved with the results."""
+    """The cut-out as a PNG file that is saved with the results."""
     films: bool = True
-    """Whether videos are made."""
+    """Whether videos are rendered."""
     frames: Growing | None = None
-    """The frame file of the run that is continued, if it has one."""
+    """The frame file of the run that is being continued, if it has one."""
     continued: int = 0
-    """Number of frames of the run that is continued."""
+    """Number of frames of the run that is being continued."""
     rescues: bool = True
     """Whether finished frames are saved if the run fails or its folder has no space."""
     predicted: Forecast | None = None
     error: bool = True
     """Whether the run's own error is estimated, if that is cheap (`phy124.accuracy.companion`)."""
     packing: Future[Packed | None] = field(init=False)
-    """The clip's packed motion, which a second thread computes."""
+    """The packed motion of the clip, which a second thread computes."""
 
     def __post_init__(self) -> None:
         self.files = {CUTOUT: self.cutout} if self.cutout is not None else {}
@@ -95,7 +96,8 @@ class RunFolder:
         )
 
     def fill(self, simulate: Callable[[], tuple[Simulation, Clip]]) -> Result:
-        """Simulate, save and film; an unwritable folder is refused before the simulation.
+        """Simulate, save and film; a folder that cannot be written is refused before the
+        simulation.
 
         Raises:
             Incomplete: Not everything could be made or written; the message names the saved files.
@@ -152,7 +154,9 @@ class RunFolder:
         return Result(self.out, tuple(self.out / name for name in sorted(made)), report)
 
     def _with_error(self, run: Simulation, clip: Clip, interrupted: bool) -> Clip:
-        """Return the clip with the run's own error, or the reason for none, in its report."""
+        """Return the clip; its report contains the run's own error, or the reason why there is
+        none.
+        """
         omit, goal = why_broken(self.about).rstrip("."), self.about.get("goal")
         if interrupted:
             return with_own_error(run, clip, omit="the run was interrupted")
@@ -206,7 +210,7 @@ class RunFolder:
         return False, None
 
     def _save(self, folder: Path, run: Simulation, clip: Clip, interrupted: bool) -> dict[str, Any]:
-        """Write everything but the films, the most important files first; return the report."""
+        """Write everything except the films, the most important files first; return the report."""
         try:
             return self._write(folder, run, clip, interrupted)
         except Exception as error:
@@ -256,7 +260,9 @@ class RunFolder:
             write_json(listed, report)
 
     def _pause(self, folder: Path, run: Simulation) -> bool:
-        """Write the state of a run that ends early; return whether the run can be continued."""
+        """Write the state of a run that ends early; return whether the run can be continued from
+        it.
+        """
         try:
             resume.save(run, folder / PAUSE, about=self.about, files=self.files)
         except (OSError, InputError):
@@ -266,7 +272,9 @@ class RunFolder:
         return True
 
     def _elsewhere(self, run: Simulation, clip: Clip, interrupted: bool) -> Incomplete:
-        """Write the results to a temporary folder instead; return the exception that names it."""
+        """Write the results to a temporary folder instead; return an exception that names this
+        folder.
+        """
         folder = None
         try:
             folder = Path(tempfile.mkdtemp(prefix="phy124-kept-"))
@@ -290,7 +298,7 @@ class RunFolder:
         )
 
     def _end(self, made: Iterable[str], *, interrupted: bool) -> None:
-        """Remove the files that were needed only while the run was in progress."""
+        """Remove files that are needed only while the run is in progress."""
         if not interrupted:
             self.recording.discard()
         elif PAUSE in made:
@@ -320,7 +328,7 @@ class RunFolder:
 
 
 def _scene_file(scene: Scene) -> str:
-    """Format a scene as TOML, without classes of the user, which no file can name."""
+    """Format a scene as TOML, leaving out classes of the user that a file cannot name."""
     if not scene.unregistered:
         return scene.to_toml()
     left_out = ", ".join(scene.unregistered)
@@ -329,21 +337,21 @@ def _scene_file(scene: Scene) -> str:
 
 
 def _without_films(out: Path, made: Iterable[str], *, resumes: bool) -> Incomplete:
-    """Return the exception for a run whose clip is saved, but neither filmed nor exported."""
+    """Return the exception for a run whose clip was saved, but neither filmed nor exported."""
     names = ", ".join(sorted(made))
     more = ", or the same command with --resume makes the missing files" if resumes else ""
     return Incomplete(f"kept in {out}: {names}. `phy124 render {out / CLIP}` films it{more}")
 
 
 def _after_error(out: Path, frames: int) -> Incomplete:
-    """Return the exception for a run that failed after saving this number of frames."""
+    """Return the exception for a run that failed after this number of frames was saved."""
     return Incomplete(
         f"{frames} frames are kept in {out}; the same command with --resume continues from there"
     )
 
 
 def list_results(folder: Path) -> set[str]:
-    """Return the file names that the report in a folder lists; none without a report."""
+    """Return the file names in the report of a folder; an empty set without a report."""
     path = folder / REPORT
     try:
         large = path.stat().st_size > LARGEST_REPORT
@@ -354,7 +362,7 @@ def list_results(folder: Path) -> set[str]:
 
 
 def remove_results(folder: Path, names: Iterable[str]) -> None:
-    """Remove the named files and folders from a folder; missing names are ignored."""
+    """Remove files and folders from a folder by name; missing names are ignored."""
     for name in names:
         path = folder / name
         if path.is_dir() and not path.is_symlink():
@@ -364,19 +372,21 @@ def remove_results(folder: Path, names: Iterable[str]) -> None:
 
 
 def _is_plain(name: str) -> bool:
-    """Return whether a name stays within its folder; reports from elsewhere are not trusted."""
+    """Return whether a name stays within its folder; a report from elsewhere is not trusted."""
     return name not in ("", ".", "..") and "\0" not in name and Path(name).name == name
 
 
 def _source_notes(about: dict[str, Any]) -> list[str]:
-    """Return notes about the files that the objects were read from."""
+    """Return notes about the files from which the objects were read."""
     further = about.get("sources", {}).items()
     more = (f"{name}: {note}" for name, source in further for note in source.get("notes", ()))
     return [*about.get("notes", ()), *more]
 
 
 def view_report(clip: Clip, view: View) -> dict[str, Any]:
-    """Return the report's entries about films: playback rate, views that cut the object, notes."""
+    """Return the report's entries about films: playback rate, notes, and views in which the object
+    is cut.
+    """
     seen = describe_framing(clip, view)
     return {
         "playback": describe_playback(clip, view),
@@ -386,7 +396,9 @@ def view_report(clip: Clip, view: View) -> dict[str, Any]:
 
 
 def environment_info(context: RunContext) -> dict[str, Any]:
-    """Return the report's entries about machine and time: device, versions, durations of stages."""
+    """Return the report's entries about machine and time: device, versions, and duration of each
+    stage.
+    """
     packages = ("phy124", "numpy", "warp-lang", "opencv-python-headless", "imageio-ffmpeg")
     versions = {}
     for package in packages:

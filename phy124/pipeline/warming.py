@@ -1,4 +1,4 @@
-"""Compile the kernels of some scenes ahead of time, so that no run waits for them."""
+"""Compiles the kernels of some scenes ahead of time, so that no run waits for them."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ STAGE = {
     "cpu": (shadow.cover_simd, arrange, stage.blend_staged_simd),
     "cuda": (shadow.cover, arrange, stage.draw_setting),
 }
-"""A kernel from each module that draws a stage; compiling it compiles the module."""
+"""One kernel from each module that draws a stage; compiling the kernel compiles the module."""
 RELIEF = (INFLATED.project, HULL.project, push)
-"""A kernel from each module that `relief` uses; `relief` works on the CPU."""
+"""One kernel from each module that `relief` uses; `relief` runs on the CPU."""
 FEW = {"accuracy.cells": 8, "time.frames": 2, "time.fps": 240.0}
-"""Changes that make a run of any scene short; precision and solver are kept because kernels depend
-on them.
+"""Changes that make a run of any scene short; precision and solver stay, because kernels depend on
+them.
 """
 
 

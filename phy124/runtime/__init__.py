@@ -1,1 +1,3 @@
-"""Services of the process: starting Warp, signals, timing, work that can be killed."""
+"""Serves the whole process: starts Warp, handles signals, measures times, and runs work that can be
+killed.
+"""

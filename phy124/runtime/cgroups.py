@@ -1,4 +1,4 @@
-"""Read the memory and CPU limits that Linux control groups (containers) set for this process.
+"""Reads the memory and CPU limits that Linux control groups (containers) set for this process.
 
 Versions 1 and 2 are read, even if both are mounted. A group's limit applies to all groups below it:
 the smallest limit on the path to the root is the effective limit.
@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path("/")
-"""Root of the file system; tests use a temporary folder."""
+"""Root of the file system; tests replace it by a temporary folder."""
 RECLAIMED = ("inactive_file", "active_file", "total_inactive_file", "total_active_file")
-"""Entries of memory.stat for cached files, which the system can reclaim."""
+"""Entries of memory.stat that count cached files, which the system can reclaim."""
 
 
 class Mount(NamedTuple):
@@ -24,10 +24,12 @@ class Mount(NamedTuple):
     folder: Path
     """Mount point."""
     top: str
-    """The group at the mount point; in a container this is the container's group."""
+    """The group that is visible at the mount point; in a container this is the container's
+    group."""
     version: int
     controllers: frozenset[str]
-    """Controllers of this hierarchy (version 1); version 2 has all in one hierarchy."""
+    """Controllers of this hierarchy in version 1; version 2 has all controllers in one
+    hierarchy."""
 
 
 def memory_left(root: Path = ROOT) -> float:
@@ -41,7 +43,7 @@ def cpu_quota(root: Path = ROOT) -> float:
 
 
 def _left(group: Path) -> float:
-    """Return limit minus use of a group [bytes]; reclaimable memory counts as free."""
+    """Return a group's limit minus its use [bytes]; memory that can be reclaimed counts as free."""
     for limit, use in (
         ("memory.max", "memory.current"),
         ("memory.limit_in_bytes", "memory.usage_in_bytes"),
@@ -53,7 +55,9 @@ def _left(group: Path) -> float:
 
 
 def _reclaimable(group: Path) -> float:
-    """Return cached files in a group's use [bytes]; in version 1, total_ includes subgroups."""
+    """Return the size of cached files in a group's use [bytes]; in version 1, the prefix total_
+    includes subgroups.
+    """
     parts = dict(line.split() for line in _text(group / "memory.stat").splitlines())
     kept = {name: float(value) for name, value in parts.items() if name in RECLAIMED}
     totals = [value for name, value in kept.items() if name.startswith("total_")]
@@ -94,7 +98,9 @@ def _below(path: str, top: str) -> str:
 
 
 def _own_groups(root: Path) -> Iterator[tuple[str, str]]:
-    """Yield each controller of version 1 (version 2: "") with the path of this process's group."""
+    """Yield each controller of version 1 (version 2: "") and the path of this process's group in
+    it.
+    """
     for line in _text(root / "proc/self/cgroup").splitlines():
         _, _, rest = line.partition(":")
         controllers, _, path = rest.partition(":")
@@ -114,14 +120,14 @@ def _mounts(root: Path) -> Iterator[Mount]:
 
 
 def _number(path: Path) -> float:
-    """Return the number in a file; infinity for "max" or if there is none."""
+    """Return the number in a file; infinity for "max" or without a number."""
     with suppress(ValueError):
         return float(_text(path).replace("max", "inf"))
     return math.inf
 
 
 def _text(path: Path) -> str:
-    """Return the text of a file, empty if it cannot be read."""
+    """Return the text of a file; an empty text if the file cannot be read."""
     try:
         return path.read_text("utf-8", "replace")
     except OSError:

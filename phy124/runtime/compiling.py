@@ -1,4 +1,4 @@
-"""Compile missing kernels in parallel before they are needed; Warp compiles one after the other.
+"""Compiles missing kernels in parallel before they are needed; Warp itself compiles one at a time.
 
 Threads suffice, because the compiler releases Python's global lock. Processes that compile the same
 kernels do not disturb each other: each writes its own folder and renames it when it is complete.
@@ -69,7 +69,7 @@ def is_compiled(kernel: Any, device: str = "cpu") -> bool:
 
 @contextmanager
 def looking_up(kernels: Iterable[Any], device: str = "cpu") -> Iterator[None]:
-    """Look up kernels in Warp's cache, in a second thread, within this context.
+    """Look up kernels in Warp's cache in a second thread while the block runs.
 
     Warp then knows the hash of their code, so `compile_missing` takes less time after the context.
 

@@ -1,4 +1,6 @@
-"""Run context: the device of a computation, its threads, progress function and stopwatch."""
+"""The context of a run: the device of a computation, its threads, progress function and
+stopwatch.
+"""
 
 from __future__ import annotations
 
@@ -32,23 +34,26 @@ class RunContext:
     device: str = "cpu"
     """Warp device, "cpu" or "cuda:0"."""
     threads: int | None = None
-    """CPU threads that simulate and render; None: one per free core, as far as there is work."""
+    """CPU threads that simulate and render; None: one per free core, but no more than there is work
+    for."""
     progress: Progress = silent
-    """Function called with (stage, steps done, total steps); it may raise Cancelled."""
+    """Function that is called with (stage, steps done, total steps); it may raise Cancelled."""
     watch: Stopwatch = field(default_factory=Stopwatch)
     """Records the durations of stages."""
 
     @classmethod
     def of(cls, context: RunContext | None, **options: Unpack[ContextOptions]) -> RunContext:
-        """Return the context, or a new one, with the named fields replaced."""
+        """Return the context with the named fields replaced; without a context, a new one."""
         return replace(context or cls(), **options)
 
     @classmethod
     def pop(cls, context: RunContext | None, options: dict[str, Any]) -> RunContext:
-        """Return a context as `of` does; its fields are removed from `options`."""
+        """Return a context like `of`, and remove its fields from `options`."""
         fields = ContextOptions.__annotations__.keys() & options.keys()
         return replace(context or cls(), **{name: options.pop(name) for name in fields})
 
     def aside(self) -> RunContext:
-        """Return a context for a probe: same device and threads, no progress, no timing."""
+        """Return a context for a probe, with the same device and threads, but without progress and
+        timing.
+        """
         return replace(self, progress=silent, watch=Stopwatch())

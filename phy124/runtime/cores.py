@@ -1,4 +1,4 @@
-"""Count the CPU cores that this process may use, and those that are free."""
+"""Counts the CPU cores that this process may use, and those of them that are free."""
 
 from __future__ import annotations
 
@@ -12,16 +12,20 @@ from phy124.runtime.cgroups import cpu_quota
 MOST_THREADS = 256
 """Largest allowed number of threads of a run."""
 SIBLINGS = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
-"""Linux file that lists the hardware threads of a core."""
+"""Linux file that lists the hardware threads of one core."""
 
 
 def cores() -> int:
-    """Return the number of hardware threads this process may use, capped by its cgroups' quota."""
+    """Return the number of hardware threads that this process may use, limited by the quota of its
+    cgroups.
+    """
     return _within_quota(_hardware_threads())
 
 
 def physical_cores() -> int:
-    """Return the number of cores of these threads; if unknown, each thread counts as a core."""
+    """Return the number of cores that have these threads; if unknown, each thread counts as a
+    core.
+    """
     try:
         mine = os.sched_getaffinity(0)
         return _within_quota(len({Path(SIBLINGS.format(thread)).read_text() for thread in mine}))
@@ -30,7 +34,7 @@ def physical_cores() -> int:
 
 
 def free_cores() -> int:
-    """Return the number of these cores that no other program uses now, at least 1."""
+    """Return the number of these cores that no other program is using, at least 1."""
     # The quota limits only this process: other programs do not count against it.
     return max(1, min(physical_cores(), _hardware_threads() - _others_running()))
 
@@ -41,12 +45,14 @@ def _hardware_threads() -> int:
 
 
 def _within_quota(threads: int) -> int:
-    """Limit threads to the quota's whole CPUs; a fraction of one would delay the others."""
+    """Limit threads to the whole CPUs in the quota; a thread on a fraction of a CPU would delay the
+    others.
+    """
     return max(1, int(min(threads, cpu_quota())))
 
 
 def refuse_threads(threads: int | None) -> None:
-    """Refuse an impossible number of threads; None is chosen automatically.
+    """Refuse an impossible number of threads; None means that the number is chosen automatically.
 
     Raises:
         InputError: The number is below 1 or above `MOST_THREADS`.
@@ -59,7 +65,7 @@ def refuse_threads(threads: int | None) -> None:
 
 
 def _others_running() -> int:
-    """Return the number of other programs' running threads; 0 if unknown."""
+    """Return the number of running threads of other programs; 0 if unknown."""
     counts = []
     for _ in range(5):
         try:

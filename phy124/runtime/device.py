@@ -1,4 +1,4 @@
-"""Choose the computing device by name, and check the version of NVIDIA's driver."""
+"""Chooses the computing device by name, and checks the version of NVIDIA's driver."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from phy124.errors import InputError
 CHOICES = "auto, cpu, cuda:0 or another GPU."
 """Help text of the options that take a device."""
 KEPT = 2**30
-"""Freed GPU memory kept for the next frame [bytes], because allocation is slow."""
+"""Size of freed GPU memory that is kept for the next frame [bytes], because allocation is slow."""
 P = ParamSpec("P")
 Made = TypeVar("Made")
 Owner = TypeVar("Owner")
 _gpu = threading.RLock()
 Version = tuple[int, int]
 LIBRARIES = ("libcuda.so.1", "nvcuda.dll")
-"""The driver's library on Linux and on Windows."""
+"""Names of the driver's library on Linux and on Windows."""
 RELEASES = {12: 525, 13: 580}
-"""CUDA's major version -> the first release of the driver that supports it."""
+"""Major version of CUDA -> the first release of the driver that supports it."""
 
 
 def pick_device(name: str) -> str:
-    """Return Warp's name of the device; "auto" means CUDA if it is available.
+    """Return Warp's name of the device; "auto" means CUDA if a GPU is available.
 
     Raises:
         InputError: There is no such device.
@@ -55,7 +55,7 @@ def pick_device(name: str) -> str:
 def one_at_a_time(
     method: Callable[Concatenate[Owner, P], Made],
 ) -> Callable[Concatenate[Owner, P], Made]:
-    """Decorate a method so that on a GPU only one thread at a time runs any such method.
+    """Decorate methods so that, on a GPU, only one thread at a time runs any of them.
 
     While a thread captures a CUDA graph, Warp would record the launches of other threads in the
     graph.
@@ -71,14 +71,14 @@ def one_at_a_time(
 
 
 class Driver(NamedTuple):
-    """CUDA versions supported by the driver and needed by Warp; None if missing."""
+    """Version of CUDA that the driver supports, and version that Warp needs; None if missing."""
 
     supported: Version | None
     needed: Version | None
 
     @property
     def problem(self) -> str | None:
-        """Sentence that says that the driver is too old, or None."""
+        """A sentence if the driver is too old, otherwise None."""
         if self.supported is None or self.needed is None or self.supported >= self.needed:
             return None
         release = RELEASES.get(self.needed[0])
@@ -96,7 +96,7 @@ class Driver(NamedTuple):
 
 
 def driver() -> Driver:
-    """Return the versions of this machine's driver; Warp must have been started."""
+    """Return the versions for this machine's driver; call it only after Warp was started."""
     import warp as wp
 
     toolkit = wp.get_cuda_toolkit_version()
@@ -105,7 +105,7 @@ def driver() -> Driver:
 
 
 def _library_version() -> Version | None:
-    """Read the version from the driver's library: Warp itself does not load an old driver."""
+    """Read the version from the driver's library, because Warp does not load an old driver."""
     version = ctypes.c_int()
     for name in LIBRARIES:
         try:

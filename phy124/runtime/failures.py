@@ -1,4 +1,4 @@
-"""Explain any exception to users: its kind, the exit status and a sentence.
+"""Explains any exception to users: its kind, the exit status and an error message.
 
 The command line, the bridge and the web page all use this module: no user sees a traceback, and
 the same problem has the same message everywhere. Exceptions of libraries are recognised by their
@@ -18,9 +18,9 @@ from phy124.errors import DISK_CODES, DISK_WORDS, Cancelled, Incomplete, InputEr
 
 OWN = "phy124"
 OURS = (OWN, "phy124_demo", "phy124_bridge", "demo", "bridge", "__main__")
-"""Packages of this project, under every name by which they are imported."""
+"""Packages of this project, under all names by which they are imported."""
 LONGEST = 300
-"""Largest number of characters of a library's message that is repeated to the user."""
+"""Largest number of characters of a library's message that an error message repeats."""
 MEMORY_WORDS = (
     "out of memory",
     "failed to allocate",
@@ -31,13 +31,13 @@ MEMORY_WORDS = (
     "failed to map segment",
     "bad_alloc",
 )
-"""Words for lack of memory in the messages of libraries that raise no MemoryError."""
+"""Words by which libraries without MemoryError report a lack of memory."""
 NAMES = {"PIL": "Pillow", "warp": "Warp", "cv2": "OpenCV", "safetensors_rust": "safetensors"}
-"""Import name of a library -> the name that users know, if it differs."""
+"""Import name of a library -> the name that users know, if the two differ."""
 
 
 class Kind(Enum):
-    """The kinds of failure; each calls for a different action of the user."""
+    """The kinds of failure; each kind calls for a different action of the user."""
 
     REFUSED = "bad input"
     STOPPED = "stopped by the user"
@@ -48,7 +48,7 @@ class Kind(Enum):
 
 
 STATUS = {Kind.REFUSED: 2, Kind.STOPPED: 130}
-"""Kind of failure -> exit status; 1 for all other kinds."""
+"""Kind of failure -> exit status; all other kinds have status 1."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def _refusal(problem: BaseException) -> InputError | None:
 
 
 def _package(problem: BaseException) -> str:
-    """Return the package that defines the exception, else the package whose code raised it.
+    """Return the package that defines the exception, or else the package whose code raised it.
 
     Modules of Python's standard library are skipped: an error in `pathlib` is attributed to its
     caller.
@@ -186,7 +186,7 @@ def _place(problem: BaseException) -> str:
 
 
 def _modules(trace: TracebackType | None) -> Iterator[str]:
-    """Yield the names of the modules in a traceback, innermost last."""
+    """Yield the names of the modules in a traceback, the innermost last."""
     while trace is not None:
         yield str(trace.tb_frame.f_globals.get("__name__", OWN))
         trace = trace.tb_next

@@ -1,4 +1,4 @@
-"""Detect how phy124 was installed, and which command installs an optional extra."""
+"""Finds out how phy124 was installed, and which command installs an optional extra."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ def install_command(extra: str) -> str:
 
 
 def program() -> str:
-    """Return the command that starts the running program again: `phy124`, or its relative path."""
+    """Return the command that starts the running program again: `phy124`, or the program's relative
+    path.
+    """
     path = Path(sys.argv[0])
     if path.name == "__main__.py":
         return f"{_short(Path(sys.executable))} -m {PACKAGE}"
@@ -43,12 +45,12 @@ def program() -> str:
 
 
 def with_program(message: str) -> str:
-    """Return a message whose commands (`phy124 ...` in backquotes) name the running program."""
+    """Return a message in which commands (`phy124 ...` in backquotes) name the running program."""
     return message.replace(f"`{PACKAGE} ", f"`{program()} ")
 
 
 def clone() -> Path | None:
-    """Return the repository checkout that contains this code, or None."""
+    """Return the checkout of the repository that contains this code, or None."""
     root = Path(__file__).resolve().parents[2]
     return root if (root / "pyproject.toml").is_file() else None
 
@@ -80,7 +82,7 @@ def _pip() -> str:
 
 
 def _short(path: Path) -> str:
-    """Quote a path for a shell, relative to the current folder if it lies inside."""
+    """Quote a path for a shell; a path inside the current folder is made relative to it."""
     here = Path.cwd()
     path = path if path.is_absolute() else here / path
     return shlex.quote(str(path.relative_to(here) if path.is_relative_to(here) else path))

@@ -1,4 +1,4 @@
-"""Repair Warp's folder of compiled kernels, and reuse the compiler's precompiled headers.
+"""Repairs Warp's folder of compiled kernels, and reuses the compiler's precompiled headers.
 
 A module that cannot be loaded is compiled again, and incomplete modules are removed. On a full disk
 compilation is refused, because the compiler would crash the whole program.
@@ -30,17 +30,17 @@ except ImportError:  # Windows
     fcntl = None
 
 ROOM = 8_000_000
-"""Free disk space required to compile a module [bytes]; the headers take 5 MB."""
+"""Free disk space that is needed to compile a module [bytes]; the headers take 5 MB of it."""
 FOLDERS, HEADERS = "wp_phy124_*_p*_t*", "headers_*/*.tmp"
-"""Patterns of temporary files, which remain if the compiling process is killed."""
+"""Patterns of the names of temporary files; they remain if the compiling process is killed."""
 PROCESS = re.compile(r"_p(\d+)_t\d+$")
-"""Process id in the name of a temporary folder."""
+"""Pattern of the process id in the name of a temporary folder."""
 OLD = 600
-"""Age above which temporary headers count as abandoned [s]; compiling them takes seconds."""
+"""Age at which temporary headers count as abandoned [s]; compiling them takes only seconds."""
 
 
 def keep_sound() -> None:
-    """Make Warp repair its cache from now on, and remove files of killed programs.
+    """Make Warp repair its cache from now on, and remove files that killed programs left.
 
     Unknown versions of Warp are not changed.
     """
@@ -70,7 +70,9 @@ def keep_sound() -> None:
 
 
 def compiled_file(kernel: Any, device: str) -> Path | None:
-    """Return the compiled file of a kernel's module for this CPU or GPU; None without a cache."""
+    """Return the compiled file of a kernel's module for this CPU or GPU; None if there is no
+    cache.
+    """
     if wp.config.kernel_cache_dir is None:
         return None
     module = kernel.module
@@ -85,7 +87,7 @@ def compiled_file(kernel: Any, device: str) -> Path | None:
 def _load_mended(
     load: Any, module: Any, device: Any, block: Any = None, *rest: Any, **options: Any
 ) -> Any:
-    """Load a module; compile it again if its cached files are broken."""
+    """Load a module; if its cached files are broken, compile it again."""
     block = options.pop("block_dim", block)
     if rest or options:  # the caller names the file to load
         return load(module, device, block, *rest, **options)
@@ -112,7 +114,7 @@ def _discard(folder: Path) -> None:
 
 
 def _is_whole(file: Path) -> bool:
-    """Return whether a cached file looks complete, without loading it.
+    """Return whether a cached file looks complete; the file is not loaded for this.
 
     If the disk was full or the power failed while a file was written, the file is truncated or ends
     in zeros.
@@ -144,7 +146,7 @@ def _is_json(text: bytes) -> bool:
 
 @contextmanager
 def _building(folder: Path | None) -> Iterator[None]:
-    """Allow a module to be compiled in this context; remove the files of a failed compilation."""
+    """Let a module be compiled within this context; if it fails, remove its files."""
     with _lock(wait=True):
         if folder is not None and not folder.is_dir():
             _refuse_full(folder.parent)
@@ -168,7 +170,7 @@ def _refuse_full(cache: Path) -> None:
 
 
 def _sweep() -> None:
-    """Remove incomplete modules, unless a compilation is running.
+    """Remove incomplete modules, unless a compilation is in progress.
 
     A program that launches kernels without `start` compiles without the lock. The folders of
     running processes therefore stay: the compiler crashes if its folder is missing.
@@ -200,7 +202,7 @@ def _is_abandoned(folder: Path) -> bool:
 
 @contextmanager
 def _lock(*, wait: bool) -> Iterator[bool]:
-    """Lock the cache: shared for compiling, exclusive for cleaning up.
+    """Lock the cache: as a shared lock for compiling, as an exclusive one for cleaning up.
 
     Args:
         wait: True waits for the shared lock; False tries once to get the exclusive lock.

@@ -1,4 +1,4 @@
-"""Makes Warp declare the variants of its functions for Python code when Python first calls one.
+"""Makes Warp declare the Python variants of its functions only when Python first calls one of them.
 
 Warp declares each function of its language once for kernels, and about 2,300 variants for the
 types of values outside kernels, such as `wp.vec3`. Kernels do not use the variants, which took half
@@ -14,27 +14,31 @@ from collections.abc import Callable
 from typing import Any
 
 DECLARING = "warp._src.builtins"
-"""Module of Warp that declares its functions."""
+"""Name of the module in which Warp declares its functions."""
 
 
 class LateVariants:
-    """Finder of modules that finds none, but prepares Warp before it declares its functions."""
+    """A module finder that finds no module, but prepares Warp just before Warp declares its
+    functions.
+    """
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> None:
-        """Prepare Warp if this module declares its functions."""
+        """Prepare Warp if this is the module that declares its functions."""
         if name == DECLARING:
             sys.meta_path.remove(self)  # pyright: ignore[reportArgumentType]
             _declare_late()
 
 
 def declare_late() -> None:
-    """Make Warp declare variants late, if it is not imported yet."""
+    """Make Warp declare the variants late, if Warp is not imported yet."""
     if DECLARING not in sys.modules:
         sys.meta_path.insert(0, LateVariants())  # pyright: ignore[reportArgumentType]
 
 
 def _declare_late() -> None:
-    """Replace the function by which Warp declares functions; unknown versions are not changed."""
+    """Replace the function with which Warp declares functions; unknown versions of Warp are left
+    unchanged.
+    """
     from phy124.runtime.late_parsing import KNOWN
 
     try:

@@ -10,10 +10,10 @@ import threading
 from typing import Any
 
 KNOWN = "1.19."
-"""Start of the versions of Warp whose internals were read and tested."""
+"""First digits of the Warp versions whose internals were read and tested."""
 
 OURS = "phy124.kernels."
-"""Start of the names of the modules whose functions are parsed late."""
+"""Beginning of the names of the modules whose functions are parsed late."""
 
 
 def parse_late() -> None:
@@ -35,11 +35,11 @@ def parse_late() -> None:
     lock = threading.RLock()
 
     class LateAdjoint(usual):
-        """A function's text, which is parsed once one of its attributes is read."""
+        """A function's text that is parsed only when one of its attributes is read."""
 
         parses_late = True
         has_unresolved_static_expressions = False
-        """Only functions that use `wp.static` have such expressions."""
+        """Functions that use `wp.static` may have such expressions; they are parsed at once."""
 
         def __init__(self, func: Any, *arguments: Any, **options: Any) -> None:
             code = getattr(func, "__code__", None)

@@ -1,4 +1,4 @@
-"""Imports packages without the parts that only their documentation and their tests need.
+"""Imports packages without those parts that only their documentation and tests need.
 
 SciPy formats the docstrings of its functions while it is imported, and its copy of NumPy's names
 imports parts of NumPy that phy124 does not use. typeguard, which tyro uses, imports `unittest` for
@@ -22,25 +22,25 @@ UNUSED = {
     **{f"numpy.{name}": () for name in ("char", "ctypeslib", "f2py", "polynomial", "testing")},
     "unittest.mock": ("Mock", "patch"),
 }
-"""Modules that are not imported, with the classes that their importers need."""
+"""Name of a module that is not imported -> the classes that its importers need from it."""
 TYPED_ONLY = "pydantic_core.core_schema"
-"""Module whose typed dictionaries only type checkers read."""
+"""Name of the module whose typed dictionaries only type checkers read."""
 SCIPY = ("scipy.ndimage", "scipy.sparse.linalg", "scipy.spatial", "scipy.fft")
-"""Modules of SciPy that a run uses."""
+"""SciPy's modules that a run uses."""
 FILMING = ("scipy.fft", "scipy.special")
-"""Modules of SciPy that a film of a clip uses."""
+"""SciPy's modules that filming a clip uses."""
 _lock = Lock()
 
 
 class PlainDict(dict[str, Any]):
-    """Stands for a typed dictionary, without its fields."""
+    """Replaces a typed dictionary by one without fields."""
 
     def __init_subclass__(cls, **_: object) -> None:
-        """Accept the options of a typed dictionary."""
+        """Accept the options of a typed dictionary, and ignore them."""
 
 
 class PlainDocs(defaultdict[str, list[Any]]):
-    """Stands for the sections of a docstring: nothing is parsed, and changes are ignored."""
+    """Replaces the sections of a docstring: nothing is parsed, and changes are ignored."""
 
     def __init__(self, function: object) -> None:
         super().__init__(list)
@@ -51,7 +51,7 @@ class PlainDocs(defaultdict[str, list[Any]]):
 
 
 def import_lightly(*names: str) -> None:
-    """Import modules, with empty modules in place of those that they do not need."""
+    """Import modules; modules that they do not need are replaced by empty ones."""
     with _lock:
         missing = [name for name in names if name not in sys.modules]
         if missing:
@@ -62,7 +62,9 @@ def import_lightly(*names: str) -> None:
 
 @contextmanager
 def _stand_ins() -> Iterator[None]:
-    """Replace modules that are not imported yet, and not needed, by empty ones in this context."""
+    """Within this context, empty modules take the place of those that are neither imported nor
+    needed.
+    """
     added: list[tuple[str, ModuleType | None]] = []
     for name, classes in UNUSED.items():
         package, _, last = name.rpartition(".")
@@ -86,7 +88,7 @@ def _stand_ins() -> Iterator[None]:
 
 @contextmanager
 def _plain_docs(names: list[str]) -> Iterator[None]:
-    """Keep SciPy from formatting docstrings within this context."""
+    """Within this context, keep SciPy from formatting docstrings."""
     docs: Any = None
     if any(name.startswith("scipy") for name in names):
         with suppress(ImportError):
@@ -104,7 +106,7 @@ def _plain_docs(names: list[str]) -> Iterator[None]:
 
 @contextmanager
 def _plain_dicts(names: list[str]) -> Iterator[None]:
-    """Import `TYPED_ONLY` without the fields of its dictionaries within this context."""
+    """Within this context, import `TYPED_ONLY` without the fields of its dictionaries."""
     if TYPED_ONLY not in names:
         yield
         return

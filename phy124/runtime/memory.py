@@ -1,4 +1,4 @@
-"""Measure the memory available to this process, and refuse a `ulimit -v` that is too small."""
+"""Measures the memory available to this process, and refuses a `ulimit -v` that is too small."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ except ImportError:  # Windows
 MEMORY_FRACTION = 0.8
 """Maximum fraction of the free memory that a run may use."""
 M_ARENA_MAX = -8
-"""Constant of glibc's malloc.h."""
+"""Number of the option for `mallopt`, from glibc's malloc.h."""
 HEAPS = "MALLOC_ARENA_MAX"
-"""glibc's environment variable for the number of heaps."""
+"""Environment variable that limits the number of glibc's heaps."""
 
 
 def release(array: object) -> None:
-    """Return the memory of a memory-mapped array that was read to the system.
+    """Return the memory of a memory-mapped array to the system after the array was read.
 
     Otherwise a long run that reads all its frames from disk seems to need memory for all of them.
     """
@@ -36,7 +36,7 @@ def release(array: object) -> None:
 
 
 def trim() -> None:
-    """Return freed memory to the system.
+    """Return memory that was freed to the system.
 
     The C library keeps the gaps between small objects that are left by the arrays of each frame; in
     a long run they add up to the size of all frames.
@@ -72,7 +72,7 @@ def _of_machine() -> float:
 
 
 def _of_process() -> float:
-    """Return the address space that this process may still use [bytes]."""
+    """Return the size of the address space that this process may still use [bytes]."""
     if resource is None:
         return math.inf
     most, _ = resource.getrlimit(resource.RLIMIT_AS)
@@ -86,12 +86,12 @@ def _of_process() -> float:
 
 
 NEEDED = 1.2e9
-"""Measured address space of the libraries, the kernels and a small object [bytes]."""
+"""Address space that the libraries, the kernels and a small object take, as measured [bytes]."""
 THREADS = "OPENBLAS_NUM_THREADS"
 
 
 def share_heap() -> None:
-    """Make all threads share one heap, which keeps the memory of repeated runs constant.
+    """Make all threads share one heap, so that repeated runs do not use more and more memory.
 
     By default glibc opens up to eight heaps per core, and rarely returns their memory. Call this
     before the first thread starts, because existing heaps stay. MALLOC_ARENA_MAX takes precedence.
@@ -103,7 +103,7 @@ def share_heap() -> None:
 
 
 def refuse_narrow() -> None:
-    """Refuse a limit on the address space that is too small; call this before importing NumPy.
+    """Refuse an address-space limit that is too small; this must be called before importing NumPy.
 
     Under any larger limit, OpenBLAS gets a single thread, because each thread allocates buffers.
 
@@ -125,7 +125,9 @@ def refuse_narrow() -> None:
 
 
 def _take_buffers() -> None:
-    """Call each copy of OpenBLAS once, so that it allocates its buffers at once, not under load."""
+    """Call each copy of OpenBLAS once, so that it allocates its buffers now and not later under
+    load.
+    """
     import numpy as np
     import scipy.linalg
 

@@ -1,4 +1,4 @@
-"""Run work in parallel in spawned processes, while the caller continues."""
+"""Runs work in parallel in spawned processes, while the caller continues."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from phy124.runtime.memory import share_heap
 from phy124.runtime.startup import start
 
 BEAT = 0.2
-"""Longest time between two calls of `beat` [s]."""
+"""Longest time between two calls of the function `beat` [s]."""
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -41,7 +41,7 @@ def as_done(
     tasks: Iterable[Task],
     beat: Callable[[], object],
 ) -> Iterator[tuple[Task, Result]]:
-    """Yield each task with its result as soon as it is done.
+    """Yield each task, with its result, as soon as it is finished.
 
     Args:
         pool: The processes.
@@ -65,7 +65,7 @@ def as_done(
 
 
 def _begin() -> None:
-    """Start Warp, and ignore Ctrl-C, which the parent process handles."""
+    """Start Warp, and ignore Ctrl-C, because the parent process handles it."""
     share_heap()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     start()

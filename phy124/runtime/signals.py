@@ -1,4 +1,6 @@
-"""Signals that ask a process to end: Ctrl-C, a supervisor's SIGTERM, a closed terminal."""
+"""Handles the signals that ask a process to end: Ctrl-C, a supervisor's SIGTERM, a closed
+terminal.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ Handler = Callable[[int, FrameType | None], object]
 
 @contextmanager
 def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None]:
-    """Let these signals call `handler` within this context; only in the main thread.
+    """Let these signals call `handler` within this context; it works only in the main thread.
 
     Signals that the parent process has set to be ignored (nohup) stay ignored, except those in
     `always`: a shell without job control sets SIGINT to be ignored for background processes.
@@ -35,7 +37,7 @@ def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None
 
 
 interrupt: Handler = signal.default_int_handler
-"""Raises KeyboardInterrupt."""
+"""Handler that raises KeyboardInterrupt."""
 
 
 def ending(status: int, text: str = "") -> Handler:

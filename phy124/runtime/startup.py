@@ -1,4 +1,4 @@
-"""Start Warp without its messages, in a writable kernel folder."""
+"""Starts Warp without its messages, in a kernel folder that can be written."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ import warp as wp
 from phy124.runtime.kernel_cache import keep_headers, keep_sound
 
 NAMED = "WARP_CACHE_PATH"
-"""Warp's environment variable for the folder of compiled kernels."""
+"""Name of Warp's environment variable for the folder of compiled kernels."""
 NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
-"""Message of Warp on every machine without a GPU."""
+"""Message that Warp prints on every machine without a GPU."""
 
 
 def prepare() -> None:
-    """Prepare Warp's start: keep standard output free, and choose a writable kernel folder."""
+    """Prepare the start of Warp: keep standard output free of its messages, and choose a kernel
+    folder that can be written.
+    """
     keep_headers()
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
@@ -57,7 +59,7 @@ def kernel_folder() -> Path | None:
 
 
 def temporary_folder() -> Path:
-    """Return a folder for later runs of the same user, to which no other user may write."""
+    """Return a folder for later runs of the same user; no other user may write to it."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"phy124-kernels-{user}"
     try:
@@ -72,7 +74,7 @@ def temporary_folder() -> Path:
 
 
 def _usable(folder: Path) -> bool:
-    """Return whether files can be written in a folder, by writing a file."""
+    """Return whether files can be written in a folder; this is tested by writing one."""
     if folder.parts[:1] == ("~",):  # this user has no home folder
         return False
     try:
@@ -85,7 +87,7 @@ def _usable(folder: Path) -> bool:
 
 @contextmanager
 def _without_line(unwanted: bytes) -> Iterator[None]:
-    """Drop an unwanted line that native code writes to standard error within this context."""
+    """Within this context, drop an unwanted line that native code writes to standard error."""
     try:
         usual = os.dup(2)
     except OSError:  # standard error is closed

@@ -1,4 +1,4 @@
-"""Stopwatch: measures how long each stage of a run takes."""
+"""Measures how long each stage of a run takes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class Stopwatch:
-    """Adds up seconds and kernel launches per named stage; a stage may be entered several times.
+    """Sums up seconds and kernel launches per named stage; a stage may be entered several times.
 
     The time of a stage within another one counts only for the inner stage.
     """
@@ -25,7 +25,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Add the time spent in this context to the stage."""
+        """Add the time that is spent in this context to the stage."""
         before, self._thread.inner = getattr(self._thread, "inner", 0.0), 0.0
         start = time.perf_counter()
         try:
@@ -36,7 +36,7 @@ class Stopwatch:
             self._thread.inner = before + spent
 
     def each(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """Yield the items; the time to produce each item is added to the stage."""
+        """Yield the items; the time that it takes to produce each item is added to the stage."""
         iterator = iter(items)
         try:
             while True:
@@ -62,7 +62,7 @@ class Stopwatch:
         return time.perf_counter() - self.start
 
     def data(self) -> list[dict[str, Any]]:
-        """Return name, seconds and, if counted, launches of each stage, as plain data."""
+        """Return name, seconds and, if they were counted, launches of each stage, as plain data."""
         return [
             {"name": name, "seconds": seconds, "launches": self.launches.get(name)}
             for name, seconds in self.seconds.items()

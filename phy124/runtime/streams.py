@@ -1,4 +1,4 @@
-"""Standard streams whose errors never end a program: closed ones, broken pipes, poor encodings.
+"""Makes errors of the standard streams harmless: closed streams, broken pipes, poor encodings.
 
 Results matter more than messages. A stream that is closed or cannot be written therefore discards
 the remaining text, and a character that is missing in the encoding is written in ASCII.
@@ -17,14 +17,15 @@ from contextlib import contextmanager
 from typing import Any, TextIO
 
 PLAIN = "phy124-plain"
-"""Name of the error handler for characters that an encoding lacks."""
+"""Name of the error handler for characters that are missing in an encoding."""
 SPELLED = {"•": "*", "…": "...", "–": "-", "—": "-", "×": "x", "−": "-", "µ": "u"}
-"""Character -> ASCII replacement; other characters are written as their code point."""
+"""Character -> ASCII replacement; characters that are not listed are written as their code
+point."""
 
 
 @contextmanager
 def steady_streams() -> Iterator[list[OSError]]:
-    """Keep writing to standard output and standard error from failing within this context.
+    """Within this context, writing to standard output and standard error never fails.
 
     Yields a list of errors; an error is added when text for standard output is lost. A reader that
     closes the pipe has read enough: this is not an error.
@@ -55,7 +56,7 @@ def _occupy() -> None:
 
 
 def _steady(stream: TextIO | None, problems: list[OSError]) -> Any:
-    """Return a stream that writes to `stream` and never fails; None becomes the null device."""
+    """Return a stream that writes to `stream` and never fails; for None, the null device."""
     if stream is None:
         return open(os.devnull, "w", encoding="utf-8", errors=PLAIN)
     if not isinstance(stream, io.TextIOWrapper) or not _is_file(stream):
@@ -79,7 +80,7 @@ def _is_file(stream: TextIO) -> bool:
 
 
 class _Steady(io.RawIOBase):
-    """Writes to another raw stream until an error occurs, and discards all text afterwards."""
+    """Writes to a raw stream until an error occurs, and discards all text after that."""
 
     def __init__(self, raw: Any, problems: list[OSError]) -> None:
         self.raw, self.problems, self.ended = raw, problems, False
@@ -112,7 +113,8 @@ class _Steady(io.RawIOBase):
 
 
 def _spell(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Replace a character that the encoding lacks by bytes, an ASCII form or its code point.
+    """Replace a character that is missing in the encoding by bytes, an ASCII form or its code
+    point.
 
     File names that are not text contain lone surrogates; these are written as the original bytes.
     """

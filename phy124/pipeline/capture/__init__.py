@@ -1,4 +1,4 @@
-"""Turn a 3DGS capture of a real place into an object that stands on the detected floor.
+"""Turns a 3DGS capture of a real place into an object that stands on the detected floor.
 
 The floor is scenery: it is visible but never moves. The object itself touches the scene's ground,
 which is at the same height. The object's longest side becomes the scene's `object.size`, whatever
@@ -32,8 +32,8 @@ VISIBLE = 0.1
 """Smallest opacity of the Gaussians from which the floor is detected."""
 NEIGHBOURS = 8
 USUAL, LONG = 6.0, 3.0
-"""A floater's distance to its 8th neighbour is at least the first number times the median distance
-of all Gaussians, and at least the second number times its own largest standard deviation."""
+"""The distance of a floater to its 8th neighbour is at least the first number times the median of
+this distance, and at least the second number times the floater's own largest standard deviation."""
 
 
 @dataclass(frozen=True)
@@ -43,19 +43,20 @@ class Capture:
     gaussians: Gaussians
     """Gaussians of the object, followed by those of the floor."""
     scene: Scene
-    """The scene with the floor as a static part, and all regions in metres."""
+    """The scene; the floor is a static part of it, and all regions are in metres."""
     cleaning: list[str]
     """Sentences about dropped Gaussians."""
     about: dict[str, Any]
-    """Entries of the report: the file's rotation and the detected floor."""
+    """Entries of the report about the file's rotation and the detected floor."""
     notes: tuple[str, ...] = ()
-    """Sentences about parts of the file that are ignored or interpreted."""
+    """Sentences about those parts of the file that are ignored or interpreted."""
 
 
 def capture(
     file: PlyFile, scene: Scene, *, count: int | None = None, progress: Progress = silent
 ) -> Capture:
-    """Read a file for a scene; place the object on its floor if the file's `reading` requests this.
+    """Read a file for a scene, and place the object on its floor if the file's `reading` requests
+    this.
 
     Args:
         file: The file, and how to interpret it.
@@ -78,7 +79,8 @@ def capture(
 
 
 def adapt_scene(file: PlyFile, scene: Scene, *, count: int | None = None) -> Scene:
-    """Return the scene as `capture` adapts it; the file is read only if the result depends on it.
+    """Return the scene as `capture` adapts it; the file is read only if the result depends on the
+    file.
 
     Raises:
         InputError: The file cannot be read, or no floor is found.
@@ -89,20 +91,20 @@ def adapt_scene(file: PlyFile, scene: Scene, *, count: int | None = None) -> Sce
 
 
 def in_file_units(scene: Scene) -> bool:
-    """Return whether any part's region is in the units of the object's file."""
+    """Return whether the region of any part is in the units of the object's file."""
     return any(part.region and part.region.units == "file" for part in scene.parts)
 
 
 @dataclass(frozen=True)
 class _Read:
-    """Gaussians at the default position and size.
+    """Gaussians with the default position and size.
 
     A position y in the file becomes x = scale * rotation @ (y - origin) + offset.
     """
 
     gaussians: Gaussians
     count: int
-    """Number of Gaussians of the object; they precede those of the floor."""
+    """Number of Gaussians of the object; the Gaussians of the floor follow them."""
     rotation: NDArray[np.float64]
     scale: float
     offset: NDArray[np.float64]
@@ -111,7 +113,7 @@ class _Read:
 
 
 def _alone(opened: Opened, name: str) -> _Read:
-    """Return all Gaussians as the object, without a floor."""
+    """Return all Gaussians as the object, with no floor."""
     scale, offset = unit_transform(opened.gaussians, name)
     placed = opened.gaussians.transform(scale, offset)
     about = {"rotation": opened.rotation.tolist(), "floor": None}
@@ -149,7 +151,9 @@ def _on_floor(opened: Opened, *, has_up: bool) -> _Read:
 
 
 def find_floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Return a mask of the floaters [N]: Gaussians far from others relative to their size."""
+    """Return a mask of the floaters [N]: Gaussians that are far from others compared with their
+    size.
+    """
     few = min(NEIGHBOURS, len(gaussians) - 1)
     means = gaussians.means.astype(np.float64)
     near = scipy.spatial.KDTree(means).query(means, few + 1)[0].reshape(len(means), -1)[:, -1]
@@ -169,7 +173,7 @@ def _describe_floor(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> di
 
 
 def _with_floor(scene: Scene, read: _Read) -> Scene:
-    """Return the scene with the floor's Gaussians as a static part that belongs to no object."""
+    """Return the scene; the floor's Gaussians are a static part of it that belongs to no object."""
     if read.count == len(read.gaussians):
         return scene
     floor = Part(static=True, surroundings=True, gaussians=(read.count, len(read.gaussians)))
@@ -177,7 +181,7 @@ def _with_floor(scene: Scene, read: _Read) -> Scene:
 
 
 def _in_metres(scene: Scene, read: _Read, origin: tuple[float, float, float]) -> Scene:
-    """Return the scene with regions in the file's units converted to rotated boxes in metres.
+    """Return the scene, with regions in the file's units converted to rotated boxes in metres.
 
     Args:
         scene: The scene.
@@ -203,7 +207,7 @@ def _in_metres(scene: Scene, read: _Read, origin: tuple[float, float, float]) ->
 
 
 def _shift(region: PartRegion, origin: tuple[float, float, float]) -> PartRegion:
-    """Return the region relative to an origin, in the file's axes and units."""
+    """Return the region relative to an origin that is in the file's axes and units."""
     if not any(origin):
         return region
     # The corners are given in the region's own, rotated axes.
@@ -225,7 +229,10 @@ def _region_in_metres(
     corners = scale * np.array([region.lower, region.upper]) + both.T @ offset
     corners = np.clip(corners, -EVERYWHERE, EVERYWHERE)
     if (corners[0] >= corners[1]).any():
-        value, limit = region.model_dump(exclude_defaults=True), "the object is not that far away."
+        value, limit = (
+            region.model_dump(exclude_defaults=True),
+            "the object is not that far away.",
+        )
         remedy = "Give corners near the positions of the file's Gaussians."
         raise InputError(f"parts.{number}.region", value, limit, remedy)
     lower, upper = corners.tolist()

@@ -1,4 +1,4 @@
-"""The floor: the plane on which most of a captured scene lies, found by random sampling (RANSAC).
+"""Finds the floor: the plane on which most of a captured scene lies, by random sampling (RANSAC).
 
 Fischler and Bolles 1981, "Random sample consensus": each trial plane passes through three random
 points, and the plane with most points near it is chosen. This plane is then fitted to its points by
@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 
 TRIALS = 2000
-"""Number of trial planes: a floor with a fifth of all points is missed with probability 1e-7."""
+"""Number of trial planes; a floor that contains a fifth of all points is missed with probability
+1e-7."""
 SAMPLE = 4000
-"""Number of points for which trial planes are tested."""
+"""Number of points with which each trial plane is tested."""
 THICKNESS = 0.02
-"""Initial distance within which points belong to a plane, relative to the scene's spread."""
+"""Distance within which points belong to a trial plane, relative to the scene's spread."""
 SIGMAS = 3.0
-"""Final distance within which points belong to the floor, in standard deviations of its points."""
+"""Distance within which points belong to the final floor, in standard deviations of its points."""
 MIN_FRACTION = 0.1
 """Smallest fraction of the points that a floor must contain."""
 NEAR = 0.7071
@@ -33,7 +34,7 @@ Vectors = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Floor:
-    """A plane, normal . x = offset, and the points on it."""
+    """The plane normal . x = offset, and the thickness of the floor's points."""
 
     normal: Vectors
     """Unit vector that points up [3]."""
@@ -88,7 +89,7 @@ def find_floor(points: NDArray, up: Vectors | None = None, *, seed: int = 0) -> 
 
 
 def _trials(x: Vectors, up: Vectors | None, rng: np.random.Generator) -> tuple[Vectors, Vectors]:
-    """Return unit normals [T,3] and offsets [T] of planes through three random points each."""
+    """Return unit normals [T,3] and offsets [T] of planes, each through three random points."""
     a, b, c = x[rng.integers(0, len(x), (3, TRIALS))]
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
@@ -108,7 +109,7 @@ def _near(x: Vectors, normal: Vectors, offset: float, tolerance: float) -> int:
 
 
 def _fit(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, float]:
-    """Return the least-squares plane of the points near it, and the final distance limit."""
+    """Return the least-squares plane of the points near a plane, and the final distance limit."""
     tolerance = THICKNESS
     for _ in range(12):
         on = x[np.abs(x @ normal - offset) <= tolerance]
@@ -135,7 +136,9 @@ def _check(x: Vectors, floor: Floor) -> None:
 
 
 def _spread(x: Vectors) -> float:
-    """Return the median distance from the middle, 0 without points; outliers have little effect."""
+    """Return the median distance from the middle; outliers hardly affect it. It is 0 without
+    points.
+    """
     return float(np.median(np.linalg.norm(x, axis=1))) if len(x) else 0.0
 
 

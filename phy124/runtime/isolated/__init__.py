@@ -1,4 +1,4 @@
-"""Run native third-party code on a user's data in a separate process, which can be killed.
+"""Runs native third-party code on a user's data in a separate process that can be killed.
 
 An endless C++ loop cannot be interrupted from Python, neither by Ctrl-C nor by a thread. The
 process is started from a file of this package, not by `multiprocessing`. A user's script therefore
@@ -34,19 +34,20 @@ class Deadline(NamedTuple):
 
     seconds: float = 120.0
     beat: Callable[[], object] = lambda: None
-    """Called ten times a second; an exception raised by it ends the wait and the process."""
+    """Function that is called ten times a second; if it raises an exception, the process is
+    ended."""
 
 
 PATIENT = Deadline()
-"""Two minutes: a segmentation takes half a second on an otherwise idle machine."""
+"""Time limit [s]: two minutes. A segmentation takes half a second on an otherwise idle machine."""
 
 
 class Unfinished(Exception):
-    """The process took too long or crashed; the message is the end of a sentence."""
+    """Raised if the process took too long or crashed; its message is the end of a sentence."""
 
 
 class RemoteTraceback(Exception):
-    """Traceback of an exception in the other process."""
+    """Traceback of an exception that was raised in the other process."""
 
     def __str__(self) -> str:
         return "\n" + self.args[0]
@@ -114,7 +115,7 @@ def _answer(child: subprocess.Popen[bytes], order: bytes, deadline: Deadline) ->
 
 
 def _talk(child: subprocess.Popen[bytes], order: bytes, answers: queue.SimpleQueue[bytes]) -> None:
-    """Send the order and read the answer, in a thread, because both may block."""
+    """Send the order and read the answer; each happens in a thread, because both may block."""
     assert child.stdin is not None and child.stdout is not None
     answer = b""
     with suppress(OSError), child.stdin as orders, child.stdout as output:
@@ -127,7 +128,9 @@ def _talk(child: subprocess.Popen[bytes], order: bytes, answers: queue.SimpleQue
 
 
 def _log() -> IO[bytes]:
-    """Open a file for the process's error output; os.devnull if there can be no temporary file."""
+    """Open a file for the process's error output; os.devnull if no temporary file can be
+    created.
+    """
     try:
         return tempfile.TemporaryFile()
     except OSError:

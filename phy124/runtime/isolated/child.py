@@ -1,4 +1,4 @@
-"""The child process of `phy124.runtime.isolated.run`: call a function and write its result.
+"""The child process of `phy124.runtime.isolated.run`: calls a function and writes its result.
 
 The file is run by its path, which imports nothing of phy124.
 """
@@ -15,7 +15,7 @@ from contextlib import suppress
 
 
 def main() -> None:
-    """Read an order from standard input, write the pickled result to standard output."""
+    """Read an order from standard input, and write the pickled result to standard output."""
     # Ctrl-C reaches the whole process group, but the waiting process ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
@@ -55,7 +55,7 @@ def _pickle_error(error: Exception) -> bytes:
 
 
 def _end_with_parent() -> None:
-    """Exit when standard input ends, which shows that the waiting process has ended."""
+    """Exit when standard input ends, because the waiting process has then ended, too."""
     # Not through sys.stdin, whose lock would then be held for ever.
     while os.read(0, 1):
         pass
