@@ -51,7 +51,7 @@ class Doctor:
     all: bool = False
     """Also list every weights file: the places searched, its checksum, how to download it."""
     json: bool = False
-    """Print as JSON."""
+    """Print as JSON and nothing else."""
 
     def run(self) -> int:
         """Print the findings; return status 1 if a required part is missing."""

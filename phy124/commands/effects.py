@@ -25,7 +25,7 @@ class ShowEffects:
     """Preset or .toml file."""
     device: Device = "auto"
     json: bool = False
-    """Print as JSON."""
+    """Print as JSON and nothing else."""
 
     def run(self) -> int:
         """Print the effects."""

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from typing import Annotated
+
+import tyro
 
 from phy124.accuracy import Forecaster
 from phy124.accuracy.choose import Goal, in_time
-from phy124.accuracy.promises import promise
+from phy124.accuracy.companion import AFFORDABLE, ON_LATTICE
+from phy124.accuracy.promises import format_percent, promise
 from phy124.budget.limits import note_stiffest_part
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
@@ -34,8 +38,14 @@ class PlanOptions:
     """Use the coarsest grid whose estimated error is at most this: 2px, 1% (of the size) or 3mm."""
     max_seconds: float | None = None
     """Choose the finest accuracy whose total time [s] is at most this."""
-    error: bool = True
-    """Estimate the run's own error from a coarser grid, if that takes at most a fifth more time."""
+    error: Annotated[
+        bool,
+        tyro.conf.arg(
+            help="Estimate the run's own error from a coarser grid, if that takes at most "
+            f"{format_percent(AFFORDABLE)} of the time of the dynamics "
+            f"({format_percent(ON_LATTICE * AFFORDABLE)} on lattices)."
+        ),
+    ] = True
     resume: bool = False
     """Continue the interrupted run in the folder of the results."""
 

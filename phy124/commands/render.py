@@ -46,7 +46,7 @@ class Render:
     """Folder of the files; default: that of the clip."""
     device: Device = "auto"
     threads: int | None = None
-    """CPU threads that render; absent: one per core."""
+    """CPU threads that render; absent: one per free core."""
     json: bool = False
     """Print the files as JSON and nothing else."""
 

@@ -182,7 +182,7 @@ class Stress:
     device: Device | None = None
     """Device on which the cases run; absent: the CPU and then each CUDA device."""
     json: bool = False
-    """Print as JSON."""
+    """Print as JSON and nothing else."""
 
     def run(self) -> int:
         """Run the cases and print the table; return status 1 if a case fails.

@@ -38,7 +38,7 @@ class Weights:
     weights: Path | None = None
     """Folder to search first, and to download into."""
     json: bool = False
-    """Print as JSON."""
+    """Print as JSON and nothing else."""
 
     def run(self) -> int:
         """List or download; return status 1 if a listed file differs from the published file.

@@ -142,7 +142,7 @@ def tabulate_cutouts() -> str:
     return markdown(["", *columns], table)
 
 
-GOALS = {"preset": 0, "target": 1, "grid": 2, "estimated error": 3, "distance to a finer run": 4}
+GOALS = {"preset": 0, "target": 2, "grid": 3, "estimated error": 4, "distance to a finer run": 5}
 PROBLEMS = {"problem": 0, "quantity": 1, "cells": 2, "error": 3, "allowed": 4, "order": 5}
 PRESETS = {"preset": 0, "frames (length)": 1, "draft [s]": 2, "standard [s]": 3}
 STAGES = {"setting": 0, "simulate": 2, "shapes": 3, "render": 4, "encode": 5, "total": 6}
