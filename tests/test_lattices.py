@@ -5,6 +5,7 @@ import pytest
 
 from phy124.accuracy import companion, probe
 from phy124.budget.effects import Effects
+from phy124.lattice.shock import STALLED
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.scene.lattices import choose_solver, keep_lattice, reason_for_mpm
@@ -30,6 +31,8 @@ def scene(name="drop", **changes):
         ({"binding": "particles"}, "binding is particles"),
         ({"checks.energy": True}, "checks.energy is on"),
         ({"properties.file": "laws.npz"}, "in a file"),
+        ({"object.velocity": (0, 0, -40)}, "at 2.2 times its speed of sound"),
+        ({"object.lift": 4.0, "material.E": 500.0}, "at 9.9 times its speed of sound"),
     ],
 )
 def test_auto_chooses_mpm_for_a_reason(changes, reason):
@@ -88,3 +91,16 @@ def test_changes_coarse_grids_and_studies_keep_the_solver():
     bound = scene(binding="particles")
     assert not companion.coarsen(bound).on_lattice and companion.coarsen(before).on_lattice
     assert not probe.coarsen(bound).on_lattice and probe.coarsen(before).on_lattice
+
+
+def test_objects_that_are_all_held_stay_still():
+    held = scene(**{"object.held": True, "accuracy.solver": "lattice"})
+    clip = Simulation(prepare(ball(100), held, RunContext(threads=1))).run()
+    assert np.array_equal(clip.means[0], clip.means[-1])
+
+
+def test_an_impact_that_takes_too_many_substeps_ends():
+    fast = scene(**{"object.velocity": (0, 0, -1000), "accuracy.solver": "lattice"})
+    simulation = Simulation(prepare(ball(100), fast, RunContext(threads=1)))
+    simulation.run()
+    assert f"{STALLED} substeps lasted less than one at rest" in simulation.stopped

@@ -31,6 +31,8 @@ IMPACT = 0.3
 """A point that moves farther than this in a substep may be squeezed too much at a wall [cells]."""
 COLLAPSED = 1e-6
 """The motion is no longer sound if substeps are shorter than this fraction of a substep at rest."""
+STALLED = 1000
+"""Number of substeps that must together last at least as long as a substep at rest."""
 
 
 class LatticeClock(Clock):
@@ -44,6 +46,8 @@ class LatticeClock(Clock):
     """Largest closing rate in the last measurement, and largest recent one, which decays slowly
     [1/s].
     """
+    _marked = (0, 0.0)
+    """Number of substeps and time [s] at which the progress was last examined."""
 
     @property
     def _rate(self) -> float:
@@ -79,6 +83,18 @@ class LatticeClock(Clock):
             drift: Length of the substep [s].
         """
         return self.in_shock or speed * drift > IMPACT * self.dx
+
+    def stalls(self, usual: float) -> bool:
+        """Return whether the last `STALLED` substeps lasted less than a substep at rest.
+
+        Args:
+            usual: Length of a substep at rest [s].
+        """
+        taken, elapsed = self.substeps - self._marked[0], self.time - self._marked[1]
+        if 0 <= taken < STALLED and elapsed >= 0:
+            return False
+        self._marked = self.substeps, self.time
+        return taken >= STALLED and 0 <= elapsed < usual
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state from which to continue, as plain data."""

@@ -21,7 +21,7 @@ from phy124.lattice.meetings import Meetings
 from phy124.lattice.motion import make_nodes
 from phy124.lattice.phases import MEASURE, TRIAL, Phases
 from phy124.lattice.rest import RestLattice
-from phy124.lattice.shock import COLLAPSED, LatticeClock, in_shock_only, largest_calm_rate
+from phy124.lattice.shock import COLLAPSED, STALLED, LatticeClock, in_shock_only, largest_calm_rate
 from phy124.lattice.solids import Solids
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
@@ -418,15 +418,20 @@ class LatticeSolver:
             self.clock.expire()
 
     def _refuse_collapse(self) -> None:
-        """Raise Unstable if a number is not finite, or the substep is no longer sound.
+        """Raise Unstable if a number is not finite, or substeps became too short.
 
         The next attempt takes substeps of half the last length: a collapsed one would never end.
         """
-        lost, usual = int(self._crew.stray.numpy()[0]), self.substep_at_rest
-        if lost or self.clock.stable().dt < COLLAPSED * min(usual, self.clock.ceiling):
-            self.clock.last_dt = usual
-            points = f" ({lost} points)" if lost else ""
-            raise Unstable(f"the body was squeezed so fast that it turned inside out{points}")
+        clock, lost = self.clock, int(self._crew.stray.numpy()[0])
+        usual = min(self.substep_at_rest, clock.ceiling)
+        inverted = lost or clock.stable().dt < COLLAPSED * usual
+        if not inverted and not clock.stalls(usual):
+            return
+        clock.last_dt = self.substep_at_rest
+        what = f"{STALLED} substeps lasted less than one at rest"
+        if inverted:
+            what = "it turned inside out" + (f" ({lost} points)" if lost else "")
+        raise Unstable(f"the body was squeezed so fast that {what}")
 
     def _measure_frequency(self) -> None:
         """Measure the largest frequency; call this after forces are summed and before they act."""

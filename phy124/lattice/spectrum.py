@@ -74,6 +74,9 @@ class Spectrum:
         crew.accelerate(trial=True)
         crew.a.assign(crew.trial_a)
         self._least = self._iterate(0.0, ROUNDS)
+        if self._least == 0:  # All bodies are held, so no node moves; as in unbounded material.
+            fastest = max(section.sound_speed() for section in model.materials)
+            self._least = (2 * fastest / model.dx) ** 2
         self._delay = 0.0
         """Ratio of viscosity to stiffness in the fastest vibrations [s]."""
         if any(math.isfinite(section.viscous_limit(model.dx)) for section in model.materials):

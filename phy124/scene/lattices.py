@@ -5,9 +5,16 @@ An argument `scene` is a `Scene`, whose module imports this one.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from phy124.lattice.refusals import is_elastic, reason_for_particles
+
+HARDEST = 2.0
+"""Speed of an impact, relative to that of sound, up to which `auto` takes lattices. A duck that
+hits the ground at 2, 3 and 4 times the speed of sound takes 5, 9 and more than 13 times as many
+substeps as by MPM.
+"""
 
 
 def find_elastic(scene: Any) -> list[bool]:
@@ -39,8 +46,22 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
         return f"accuracy.precision is {accuracy.precision}, in which lattices are slower"
     if scene.properties is not None:
         return "its materials are in a file"
-    slow = "" if device == "cpu" else "lattices are slower on a GPU"
-    return reason_for_particles(scene) or slow
+    reason = reason_for_particles(scene)
+    if reason or device != "cpu":
+        return reason or "lattices are slower on a GPU"
+    mach = _impact_speed(scene) / min(section.sound_speed() for section in scene.materials)
+    if mach > HARDEST:
+        return f"an object may hit at {mach:.2g} times its speed of sound"
+    return ""
+
+
+def _impact_speed(scene: Any) -> float:
+    """Return the largest speed of an object after a fall from its lift to the floor [m/s]."""
+    pull = sum(math.hypot(*force.g) for force in scene.forces if force.kind == "gravity")
+    return max(
+        math.sqrt(math.hypot(*body.velocity) ** 2 + 2 * pull * body.lift)
+        for body in scene.every_object
+    )
 
 
 def choose_solver(scene: Any, device: str) -> Any:
