@@ -135,7 +135,7 @@ class Container(Movable):
         return self.sides()
 
     def part_names(self) -> list[str]:
-        """Return each wall's axis and end, low or high: `z_low` is a floor."""
+        """Return a name for each wall: its axis and end, low or high (`z_low` is a floor)."""
         normals = [side.normal for side in self.sides()]
         axes = [int(np.argmax(np.abs(normal))) for normal in normals]
         return [

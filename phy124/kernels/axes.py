@@ -68,7 +68,7 @@ def column(m: wp.mat33d, j: int) -> wp.vec3d:
 
 @wp.func
 def plane_rotation(a: wp.vec3d, b: wp.vec3d, tolerance: wp.float64) -> wp.vec2d:
-    """Return cosine and sine of the rotation that makes two columns orthogonal, or (1, 0)."""
+    """Return cosine and sine of the rotation that makes two columns orthogonal; (1, 0) if none."""
     unit = wp.float64(1.0)
     turn = wp.vec2d(unit, wp.float64(0.0))
     p = wp.dot(a, a)

@@ -109,7 +109,7 @@ class Partners:
         return wp.HashGrid(BUCKETS, BUCKETS, BUCKETS, device=device, dtype=real)
 
     def _bucket(self, x: wp.array, reach: float) -> Any:
-        """Sort points into the grid, whose identifier is returned."""
+        """Sort points into the grid, and return the grid's identifier."""
         self._grid.build(x, reach * self._model.dx)
         return self._grid.id
 

@@ -23,8 +23,8 @@ from phy124.mpm.model import Model
 
 ROUNDS, DAMPED, TRIAL = 60, 8, 1e-3
 """`ROUNDS`: power iterations for the largest frequency at rest. `DAMPED`: further iterations for
-the largest rate of damping, from the shape of the fastest vibration or, if materials differ, also
-from any shape. `TRIAL`: size of trial displacements [cells].
+the largest rate of damping. They start from the shape of the fastest vibration; if materials
+differ, others start from an arbitrary shape. `TRIAL`: size of trial displacements [cells].
 """
 FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
 """A measurement takes one iteration. It takes `FOLLOWED` if the squared frequency exceeds its value

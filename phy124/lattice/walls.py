@@ -151,7 +151,7 @@ class Walls:
         return bool(self._clamps or self._contacts)
 
     def keep_impulses(self) -> None:
-        """Sum impulses per surface point and node, in the launches that `stages` returns next."""
+        """Let the launches that `stages` returns next sum impulses per surface point and node."""
         self.impulses = Impulses(*self._around)
 
     def stages(self) -> list[list[Named]]:

@@ -176,7 +176,7 @@ class Bodies:
                     launch.launch()
 
     def _shape(self, cells: Cells, body: int, box: wp.array, count: int) -> None:
-        """Compute the distance from a body's surface, and shift it towards the body's volume."""
+        """Compute distances from a body's surface, and shift it to enclose the body's volume."""
         real, shift = self._model.real, float(np.nan_to_num(self._shifts[body]))
         self._volumes.zero_()
         inputs = [shift, cells.lattice, cells.window, box, self._full]

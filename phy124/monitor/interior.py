@@ -119,7 +119,7 @@ class Interior(Observer):
         self._opened[index] = {"ids": ids, "x": here.astype(np.float32)}
 
     def _find_lost(self, x: wp.array) -> NDArray[np.bool_]:
-        """Return a mask of the inner particles that are far from a particle next to them at rest.
+        """Return a mask of inner particles that are too far from one of their rest neighbours.
 
         The kernel is compiled only now, because most runs need none.
         """

@@ -319,7 +319,7 @@ def make_openings(shape: str, real: Any):
 
 @build_once
 def make_eighths(shape: str, real: Any):
-    """Kernel over eighths of cells: multiplies open fractions by the walls' open fractions.
+    """Kernel over eighths of cells: multiplies open fractions by those for each wall.
 
     The product is exact where walls are perpendicular to each other. The arguments are the same as
     for the kernel of distances.

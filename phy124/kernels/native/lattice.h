@@ -1,5 +1,5 @@
 // Stress of neo-Hookean bodies on their lattice, sixteen cells at a time: one AVX-512, two AVX2 or
-// four NEON registers hold the same number of sixteen cells. The forces of a cell's eight points on
+// four NEON registers hold a number for each cell. The forces of a cell's eight points on
 // its 27 nodes are added up before they are written. `order` lists the cells of each block, full
 // cells first. In a full cell the points are a product of two points per axis, so that values and
 // slopes are interpolated along one axis after another. Speeds are measured at the cells' centres.

@@ -1,6 +1,6 @@
 // Transfers of a liquid in float32. Rows of four cells along z fill one AVX-512 or two AVX2
 // registers with the three low faces and the centre of each cell; sums of eight numbers per cell
-// fill twice as many. Weights differ between these only by a shift of half a cell.
+// fill twice as many. The weights of faces and centres differ only by a shift of half a cell.
 // Plain form: `scatter`, `scatter_volume`, `gather` and `flow` of liquid/transfer.py.
 // Test: tests/test_liquid.py, test_simd_and_plain_transfers_agree.
 

@@ -1,5 +1,5 @@
-// Sums over the nodes of a surface point in float32: rows of three nodes, whose nine numbers are
-// consecutive in memory, are eight lanes and one number.
+// Sums over the nodes of a surface point in float32. The nine numbers of three nodes in a row are
+// consecutive in memory: eight of them fill the lanes of a register, and one remains.
 // Plain form: `moved_by`, `yielding` and `strike` of lattice/rows.py.
 // Test: tests/test_lattice.py, test_simd_and_plain_contact_agree.
 

@@ -1,6 +1,6 @@
 // Draws the surroundings of a tile around its Gaussians, before the Gaussians are stored. If the
-// corners of a tile see the same two faces of a box, away from the box's edges, so does the whole
-// tile, since faces are convex: the box then has one opacity over the tile.
+// corners of a tile see the same two faces of a box, away from the box's edges, the whole tile sees
+// them, because faces are convex. The box then has one opacity over the tile.
 // Plain form: `draw_setting` and `tint_splats` of splat/stage.py.
 // Test: tests/test_stage.py, test_every_form_of_the_renderer_draws_the_same_stage.
 

@@ -24,8 +24,8 @@ for (int j = 0; j < 256; ++j) {
 
 //: splats
 // Loops over the splats from front to back, until all pixels are finished. Macros define the work:
-// ON_SPLAT for splat `index`, ON_ROW for each row within its reach, whose first pixel is `at`,
-// ON_PIXEL for each pixel `x` of the row, with the splat's `weight`, AFTER_SPLAT after the splat.
+// ON_SPLAT for splat `index`; ON_ROW for each row within the splat's reach, with first pixel `at`;
+// ON_PIXEL for each pixel `x` of the row, with the splat's `weight`; AFTER_SPLAT after the splat.
 {
     alignas(64) float centres[16];
     for (int j = 0; j < 16; ++j) centres[j] = (float)(left + j) + 0.5f;
@@ -107,7 +107,7 @@ for (int y = 0; y < rows; ++y) {
 
 //: gather
 // The adjoint of blending: adds the pixels' values to each splat, weighted by its contribution.
-// Plain form: `gather_pixels` of splat/gather.py.
+// Plain form: `gather_pixels` of splat/blend.py.
 // Test: tests/test_compose.py, test_both_forms_of_the_sums_agree_gaussian_by_gaussian.
 
 for (int y = 0; y < rows; ++y)
@@ -140,7 +140,7 @@ const auto add = [&](int index) {
 
 //: bin
 // Appends every splat, front to back, to the lists of the tiles that it touches.
-// Plain form: `bin_parallel` of splat/bin.py, whose lists are then sorted.
+// Plain form: `bin_parallel` of splat/project.py, whose lists are then sorted.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
 
 int* __restrict slots = ends_out.data;
