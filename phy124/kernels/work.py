@@ -87,7 +87,7 @@ def make_push_sums_v(real: Any):
 
 @build_once
 def make_push_sums(real: Any):
-    """Kernel: adds the particles' changes since `push_copy` to the `GIVEN` sums."""
+    """Kernel: adds changes of momentum and energy since `push_copy` to `GIVEN` sums."""
     t = types(real)
 
     @kernel(f"phy124_push_sums_vC_{real.__name__}", real)

@@ -277,7 +277,7 @@ class LatticePairs(Observer):
     def finished_effect(self, subject: Subject) -> Effect:
         """Return the row of the effects report after a run."""
         most = sum(meeting.most for meeting in self._solver.meetings.of_pairs)
-        name = f"contact between objects at {most} surface points at most"
+        name = f"contact between objects, at most at {most} surface points"
         return Effect(name, most > 0, "no objects came near each other")
 
 

@@ -181,7 +181,7 @@ class Graph:
 
 
 class Mirrored:
-    """An array on the device with a mirror in the host's memory, and copies in both directions."""
+    """An array on the device that can be copied to and from a mirror in the host's memory."""
 
     def __init__(self, dtype: Any, count: int, device: str) -> None:
         """Allocate zeros.

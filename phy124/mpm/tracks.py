@@ -66,7 +66,7 @@ class Ramp(Table):
         default=0.5, ge=SHORTEST, le=LONGEST, description="Duration of the ramp [s]."
     )
     first: Factor = Field(default=0.0, description="Factor at the start.")
-    last: Factor = Field(default=1.0, description="Factor at the end and after.")
+    last: Factor = Field(default=1.0, description="Factor at the end of the ramp and afterwards.")
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return two keys."""
@@ -122,7 +122,7 @@ AnyProfile = Annotated[Constant | Ramp | Sine | Keyframes, Field(discriminator="
 
 
 def check_times(times: Sequence[float], values: int, name: str) -> None:
-    """Check that times begin at 0 or later, increase and match their values in number.
+    """Check that times increase from 0 or later, and that each time has a value.
 
     Raises:
         ValueError: A condition is not met.

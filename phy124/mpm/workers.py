@@ -241,7 +241,7 @@ class Slabs:
         self.runs = [self._nodes(starts[a], starts[b]) for a, b in itertools.pairwise(ends)]
 
     def _nodes(self, first: int, last: int) -> wp.array:
-        """Return nodes first <= i < last of the pool."""
+        """Return the nodes i of the pool with first <= i < last."""
         return cast("wp.array", self.pool[first:last])
 
     def snapshot(self) -> dict[str, Any]:
