@@ -410,7 +410,7 @@ def test_the_note_reaches_the_command_line_and_the_page(tmp_path, capsys):
     fast = ["material.law=fixed_corotated", "material.E=1e3", "object.velocity=[0, 0, 2]"]
     assert main([*arguments, "--out", str(tmp_path / "made"), "--set", *fast]) == 0
     said = capsys.readouterr().out
-    assert "note: The law fixed_corotated moved at 1." in said
+    assert "note: Material of the law fixed_corotated moved at 1." in said
     clip = Clip.load(tmp_path / "made/clip.safetensors")
     page = as_html({**clip.report, "seconds": 1.0, "device": "cpu"}, clip.scene, 1.0)
     assert "may stay squeezed flat without any other sign" in page
