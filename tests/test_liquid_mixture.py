@@ -7,8 +7,9 @@ from phy124.accuracy.expectation import features
 from phy124.boundaries import Container, HalfSpace
 from phy124.errors import InputError
 from phy124.forces import Gravity
+from phy124.liquid.mixed import MixedSolver
 from phy124.liquid.solver import LiquidSolver
-from phy124.materials import Fluid
+from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Model, State
 from phy124.scene import Scene
 from phy124.scene.liquids import refuse_unprojectable
@@ -118,11 +119,50 @@ def test_error_of_two_liquids_is_not_predicted():
     assert "liquids of different densities" not in features(Scene.named("water"))
 
 
-def test_different_densities_next_to_other_materials_are_refused():
+def with_body(density, bottom, cells, oil) -> MixedSolver:
+    """A tank with 4 cells of water below 4 cells of oil, and an elastic block in its middle."""
+    step = 1 / 16
+    low = np.array([(8 - cells[0]) / 2, (8 - cells[1]) / 2, bottom]) * step
+    high = low + np.array(cells) * step
+    x = block((0, 0, 0), (0.5, 0.5, 0.5), 16)
+    x = x[~((x > low) & (x < high)).all(axis=1)]
+    parts = [x[x[:, 2] < 0.25], x[x[:, 2] > 0.25], block(low, high, 16)]
+    x, number = np.concatenate(parts), np.repeat([0, 1, 2], [len(part) for part in parts])
+    materials = [Fluid(density=DENSITY), Fluid(density=oil), NeoHookean(density=density, E=1e5)]
+    volume, names = np.full(len(x), step**3 / 8), ["water", "oil", "block"]
+    model = Model.of(
+        x, volume, materials, dx=step, material=number, body=number, names=names, wet=[0, 1]
+    )
+    inside = Region(lower=(0, 0, 0), upper=(0.5, 0.5, 1e9))
+    pull, walls = [Gravity(g=(0, 0, -G))], Container(inside=inside, contact="slip")
+    options = {"forces": pull, "uniform": pull, "boundaries": [walls], "walls": [("tank", walls)]}
+    return MixedSolver(model, State.of(model), **options, threads=1)
+
+
+def test_block_between_two_densities_floats_at_the_interface():
+    """Half of it is in the water, which fills 64 columns of cells up to (232 + 16) / 64 cells."""
+    solver = with_body(0.9 * DENSITY, 2.5, (4, 4, 2), OIL)
+    for frame in range(24):
+        solver.advance((frame + 1) / 24)
+    heights = solver.state.x.numpy()[solver.model.particles(2), 2]
+    assert heights.mean() * 16 == pytest.approx(3.875, abs=0.4)
+
+
+def test_film_below_a_stone_bears_the_weights_of_both_layers():
+    solver = with_body(2.5 * DENSITY, 0, (4, 4, 4), 0.5 * DENSITY)
+    for frame in range(8):
+        solver.advance((frame + 1) / 24)
+    bodies = solver.liquid.snapshot()["bodies"]
+    film = bodies["films"][0][0][2] / bodies["kick"]
+    assert film == pytest.approx(0.75 * DENSITY * G * 0.5 * 0.25**2, rel=0.05)
+
+
+def test_oil_on_water_moves_with_other_materials_but_not_free_solids():
     data = Scene.named("oil").data()
-    stone = {"name": "stone", "shape": "sphere", "size": 0.2, "material": {"law": "sand"}}
-    data["objects"] = [*data["objects"], stone]
+    stone = {"name": "stone", "shape": "sphere", "size": 0.2, "place": [0.3, 0.0]}
+    data["objects"] = [*data["objects"], {**stone, "material": {"law": "sand"}}]
     data["accuracy"] = {"liquid": "projection"}
-    scene = Scene.from_data(data)
-    with pytest.raises(InputError, match="different densities next to other materials"):
-        refuse_unprojectable(scene, scene.materials)
+    refuse_unprojectable(Scene.from_data(data))
+    data["objects"].append({**stone, "name": "cork", "lift": 1.0, "motion": {"kind": "free"}})
+    with pytest.raises(InputError, match="floats or sinks as an elastic body"):
+        refuse_unprojectable(Scene.from_data(data))

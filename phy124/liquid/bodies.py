@@ -84,7 +84,7 @@ class Bodies:
         self._volumes = wp.zeros(3, dtype=wp.float64, device=device)
         self._shifts = np.full(model.bodies, np.nan)
         """Distance by which the surface of each body is shifted outwards [cells]."""
-        self._limit, self._kick = 0.0, 0.0
+        self._limit, self._kick, self._pull = 0.0, 0.0, np.zeros(3)
         stiff = np.array([_stiffness(model, body) for body in self.numbers])
         self._stiffness = wp.array(stiff, dtype=wp.float64, device=device)
         self._before: list[tuple[NDArray, NDArray]] = []
@@ -230,7 +230,7 @@ class Bodies:
         self.pressed.zero_()
         self._before = [(motion.momentum, motion.angular) for motion in motions]
         self._centres = centres[self.first :]
-        self._kick = kick
+        self._kick, self._pull = kick, pull
 
     def _other(
         self, index: int, motion: Motion, kick: float, pull: NDArray[np.float64]
@@ -281,19 +281,22 @@ class Bodies:
         outputs = [step, walls.motions, self._exchanged]
         return model.launch(kernels.make_answer(model.real), len(self.numbers), inputs, outputs)
 
-    def receive(self, cells: Cells, tracks: Tracks, sums: wp.array, drift: float) -> None:
+    def receive(
+        self, cells: Cells, tracks: Tracks, sums: wp.array, densities: wp.array | None, drift: float
+    ) -> None:
         """Compute the particles' accelerations by the pressure of a step.
 
         Args:
             cells: The cells.
             tracks: Quantities that change over time.
             sums: Sums of the walls' impulses, to which the impulses of films are added.
+            densities: Relative densities in the cells; None if the liquid has a single one.
             drift: Duration over which the pressure acts on the bodies [s].
         """
         model, real = self._model, self._model.real
         before = np.array(self._exchanged.numpy(), np.float64)[self.first :]
         for index in range(len(self.numbers)):
-            self._press_film(cells, tracks, sums, index)
+            self._press_film(cells, tracks, sums, densities, index)
         # Velocities of bodies are not half a step behind, so the first impulse is not halved.
         total = np.asarray(self._exchanged.numpy(), np.float64)[self.first :] * drift / self._kick
         self._films = total - before * drift / self._kick
@@ -314,22 +317,57 @@ class Bodies:
             self._launch(kernels.make_body_gather(real), run.stop - run.start, inputs, outputs)
         self._limit = float(self._most.numpy()[0])
 
-    def _press_film(self, cells: Cells, tracks: Tracks, sums: wp.array, index: int) -> None:
+    def _press_film(
+        self,
+        cells: Cells,
+        tracks: Tracks,
+        sums: wp.array,
+        densities: wp.array | None,
+        index: int,
+    ) -> None:
         """Add the pressure of the film between a body and fixed walls."""
         real, solid = self._model.real, self.first + index
         region = self._region(cells, self.numbers[index])
         count, box = int(np.prod(region.size)), region.box
         self._volumes.zero_()
+        layers = self._weigh_layers(cells, region, densities)
         grid = [box, cells.lattice, cells.window, tracks.clock, tracks.values]
         surface = [cells.which, cells.liquid, cells.jumps, cells.pressure]
-        inputs = [solid, *grid, *surface]
+        inputs = [solid, *layers, *grid, *surface]
         self._launch(kernels.make_head(real), count, inputs, [self._volumes])
         total, area, _ = np.asarray(self._volumes.numpy(), np.float64).tolist()
         if area > 0:
-            inputs = [solid, total / area, self._solids.scale, *grid, *surface]
+            inputs = [solid, total / area, self._solids.scale, *layers, *grid, *surface]
             inputs += [cells.still[1], self._contact]
             outputs = [self.pressed, sums, self._exchanged]
             self._launch(kernels.make_film(real), count, inputs, outputs)
+
+    def _weigh_layers(
+        self, cells: Cells, region: Region, densities: wp.array | None
+    ) -> tuple[float, wp.array]:
+        """Return the height of the lowest layer of liquid around a body, and the weight below each.
+
+        Heights are in cells; weights are relative to the mean density, and empty for one liquid.
+        """
+        model, strength = self._model, float(np.linalg.norm(self._pull))
+        if densities is None or strength == 0:
+            return 0.0, wp.zeros(0, dtype=model.real, device=model.device)
+        up = -self._pull / strength
+        corner = cells.origin / cells.dx + cells.low + np.asarray(region.box.numpy())[0]
+        low = float(corner @ up + np.minimum(up * region.size, 0).sum())
+        count = math.ceil(np.abs(up) @ region.size) + 1
+        layers = wp.zeros(count, dtype=wp.vec2d, device=model.device)
+        inputs = [types(model.real).vec3(*up), low, region.box, cells.lattice, cells.window]
+        inputs += [densities, cells.liquid]
+        kernel = kernels.make_layers(model.real)
+        self._launch(kernel, int(np.prod(region.size)), inputs, [layers])
+        totals = np.asarray(layers.numpy(), np.float64)
+        full = np.flatnonzero(totals[:, 1])
+        if len(full) == 0:
+            return 0.0, wp.zeros(0, dtype=model.real, device=model.device)
+        dense = np.interp(np.arange(count), full, totals[full, 0] / totals[full, 1])
+        heads = np.concatenate([[0.0], np.cumsum(dense)])
+        return low, model.array(heads, model.real)
 
     def push_out(self, cells: Cells, walls: Walls, model: Model, x: Any) -> wp.Launch | None:
         """Return the launch that moves particles of the liquid out of the bodies.

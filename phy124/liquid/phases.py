@@ -101,6 +101,11 @@ class Phases:
         self.fastest_diffusion = self._mixture.viscosity / (self._mixture.lightest * model.dx**2)
         """Upper bound of this rate [1/s]."""
 
+    @property
+    def densities(self) -> wp.array | None:
+        """Relative densities in the cells; None if the liquid has a single one."""
+        return self._mixture.densities if self._mixture.differ[0] else None
+
     def record(
         self,
         pushes: Sequence[Stage],

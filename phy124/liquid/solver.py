@@ -258,7 +258,8 @@ class LiquidSolver:
             self._join()
             if self._bodies is not None and self._advance_bodies is not None:
                 rows = self.impulses.rows(0)
-                self._bodies.receive(self.cells, self.tracks, rows, drift)
+                densities = self._phases.densities
+                self._bodies.receive(self.cells, self.tracks, rows, densities, drift)
                 self._advance_bodies(clock.time + drift)
             self._move_walls()
         self._group("fill")

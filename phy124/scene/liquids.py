@@ -5,15 +5,19 @@ An argument `scene` is a `Scene`, whose module imports this one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from phy124.errors import InputError, Remedy
-from phy124.materials import AnyMaterial
 from phy124.scene.accuracies import USUAL
 
 REMEDY = Remedy("accuracy.liquid = compressible", {"accuracy.liquid": "compressible"})
 """The solver that computes all scenes."""
+FREE = (
+    "free solids next to other materials, which move in shorter substeps than the solid; without "
+    "motion = free, the object floats or sinks as an elastic body"
+)
+"""Description of a free solid in a liquid with other materials."""
 
 
 def reason_for_compressible(scene: Any) -> str:
@@ -30,7 +34,7 @@ def reason_for_compressible(scene: Any) -> str:
         return "binding is particles"
     if scene.properties is not None:
         return "it does not support materials that vary from point to point"
-    limits = [limit for _, _, limit in _obstacles(scene, scene.materials, mixes=scene.has_solids)]
+    limits = [limit for _, _, limit in _obstacles(scene, mixes=scene.has_solids)]
     return f"it does not support {limits[0]}" if limits else ""
 
 
@@ -43,17 +47,16 @@ def keep_solver(scene: Any, before: Any) -> Any:
     return scene.model_copy(update={"accuracy": accuracy})
 
 
-def refuse_unprojectable(scene: Any, materials: Sequence[AnyMaterial]) -> None:
+def refuse_unprojectable(scene: Any) -> None:
     """Check that a scene has nothing that the solver of its liquids cannot compute.
 
     Args:
         scene: The scene, with solids on a path as walls.
-        materials: Materials of the particles.
 
     Raises:
         InputError: The scene has something that needs the compressible solver.
     """
-    for field, value, limit in _obstacles(scene, materials, mixes=scene.mixes):
+    for field, value, limit in _obstacles(scene, mixes=scene.mixes):
         raise InputError(
             field,
             value,
@@ -63,18 +66,13 @@ def refuse_unprojectable(scene: Any, materials: Sequence[AnyMaterial]) -> None:
         )
 
 
-def _obstacles(
-    scene: Any, materials: Sequence[AnyMaterial], *, mixes: bool
-) -> Iterator[tuple[str, object, str]]:
+def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
     """Yield field, value and description of everything that is not supported.
 
     Args:
         scene: The scene.
-        materials: Materials of the particles.
-        mixes: Whether some of them are not liquid.
+        mixes: Whether some materials are not liquid.
     """
-    if mixes:
-        yield from _of_densities(materials)
     yield from _of_objects(scene, mixes=mixes)
     for wall in () if mixes else scene.boundaries:
         if wall.holds:
@@ -89,14 +87,6 @@ def _obstacles(
     yield from ((field, "set", limit) for field, (wanted, limit) in asked.items() if wanted)
 
 
-def _of_densities(materials: Sequence[AnyMaterial]) -> Iterator[tuple[str, object, str]]:
-    """Yield the densities of the liquids among some materials, if they differ."""
-    values = sorted({section.density for section in materials if section.law == "fluid"})
-    if len(values) > 1:
-        limit = "liquids of different densities next to other materials"
-        yield "material.density", values, limit
-
-
 def _of_objects(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
     """Yield the features of the objects that are not supported."""
     wet = [_is_liquid(item) for item in (scene, *scene.objects)]
@@ -104,7 +94,7 @@ def _of_objects(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]
         if body.held and holds_liquid:
             yield "object.held", body.name, "liquids that are held"
         if getattr(body, "free", False) and mixes:
-            yield "object.free", body.name, "free solids next to other materials"
+            yield "object.free", body.name, FREE
         if holds_liquid is None:
             yield "material.law", body.name, "objects that are partly liquid"
     moving = [w for w, body in zip(wet, scene.every_object, strict=True) if not _is_scenery(body)]

@@ -149,7 +149,7 @@ class Simulation:
         scene = keep_lattice(scene, self.setup.scene)
         solid_scene = keep_solver(scene.with_solids(), self.setup.solid_scene)
         if solid_scene.projects:
-            refuse_unprojectable(solid_scene, self.setup.materials)
+            refuse_unprojectable(solid_scene)
         if scene.on_lattice:
             refuse_for_lattice(scene, self.setup.materials)
         self.solver.bind(**wrap(solid_scene, self.observers))

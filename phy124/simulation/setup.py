@@ -164,7 +164,7 @@ def prepare(
             look.particles, body.materials, body.stiffness, scene.dx, along
         )
         if solid_scene.projects:
-            refuse_unprojectable(solid_scene, body.materials)
+            refuse_unprojectable(solid_scene)
         free = tuple(make_free(scene, shown))
         refuse_solids(free, particles.x, scene)
         judged = costliest_scene(solid_scene, body.materials)

@@ -18,6 +18,7 @@ from phy124.kernels.liquid.active import EMPTY
 from phy124.kernels.liquid.conjugate import Vectors
 from phy124.kernels.liquid.faces import cell_at, cell_of, entry, inner, local, number, stride
 from phy124.kernels.liquid.impulses import Sums, take_row
+from phy124.kernels.liquid.mixture import CENTRE
 from phy124.kernels.liquid.shapes import spline
 from phy124.kernels.liquid.solids import put_motion
 from phy124.kernels.liquid.walls import centre_of, solid_face
@@ -242,15 +243,69 @@ def make_contact(real: Any):
 
 
 @build_once
+def make_layers(real: Any):
+    """Kernel over a region's cells: sums densities, and counts cells, in layers across `up`.
+
+    `low` is the height of the first layer [cells].
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_layers_{real.__name__}", real, seconds=0.2)
+    def layers(
+        up: t.vec3,
+        low: real,
+        region: Box,
+        lattice,
+        window,
+        densities: t.vec4s,
+        liquid: Ints,
+        layers_out: wp.array(dtype=wp.vec2d),
+    ):
+        cell = cell_of(wp.tid(), region[1]) + region[0]
+        size = window[1]
+        if not inner(cell, size, 2):
+            return
+        n = number(cell, size)
+        if liquid[n] == 1:
+            height = wp.dot(up, centre_of(cell, lattice, window[0])) / lattice[3] - low
+            k = wp.clamp(int(wp.floor(height)), 0, layers_out.shape[0] - 1)
+            dense = wp.float64(densities[n][CENTRE])
+            wp.atomic_add(layers_out, k, wp.vec2d(dense, wp.float64(1.0)))
+
+    return layers
+
+
+@wp.func
+def weight_at(x: Any, a: Any, dt: Any, dx: Any, low: Any, heads: wp.array(dtype=Any)):
+    """Return the hydrostatic q at a point, up to a constant.
+
+    `heads` has the weight of the liquid below each layer, relative to the mean density; it is empty
+    if there is a single density.
+    """
+    if heads.shape[0] == 0:
+        return dt / dx * wp.dot(a, x)
+    pull = wp.length(a)
+    if pull == type(dx)(0.0):
+        return type(dx)(0.0)
+    height = -wp.dot(a, x) / (pull * dx) - low
+    k = wp.clamp(int(wp.floor(height)), 0, heads.shape[0] - 2)
+    below = heads[k] + (height - type(dx)(k)) * (heads[k + 1] - heads[k])
+    return -dt * pull * below
+
+
+@build_once
 def make_head(real: Any):
-    """Kernel over cells: sums q - a x dt / dx over the surface of a body, weighted by area.
+    """Kernel over cells: sums q less its hydrostatic part over a body's surface, by area.
 
     `rows_out` gets the sum over all cells of the body's surface, and its area.
     """
+    t = types(real)
 
     @kernel(f"phy124_liquid_head_{real.__name__}", real, seconds=0.2)
     def head(
         solid: int,
+        low: real,
+        heads: t.reals,
         region: Box,
         lattice,
         window,
@@ -270,7 +325,7 @@ def make_head(real: Any):
         if liquid[n] == 1 and which[n] == solid:
             a = wp.vector(values[0][0], values[0][1], values[0][2])
             x = centre_of(cell, lattice, window[0])
-            weight = wp.float64(clock[0] / lattice[3] * wp.dot(a, x))
+            weight = wp.float64(weight_at(x, a, clock[0], lattice[3], low, heads))
             area = wp.length(jumps[n])
             wp.atomic_add(rows_out, 0, area * (x_guess[n] - weight))
             wp.atomic_add(rows_out, 1, area)
@@ -293,6 +348,8 @@ def make_film(real: Any):
         solid: int,
         rise: real,
         scale: real,
+        low: real,
+        heads: t.reals,
         region: Box,
         lattice,
         window,
@@ -321,7 +378,8 @@ def make_film(real: Any):
             if row != real(0.0):
                 x = centre_of(cell, lattice, window[0])
                 x[axis] = x[axis] - real(0.5) * lattice[3] * wp.sign(row)
-                q = wp.max(rise + clock[0] / lattice[3] * wp.dot(a, x), real(0.0))
+                q = rise + weight_at(x, a, clock[0], lattice[3], low, heads)
+                q = wp.max(q, real(0.0))
                 if liquid[n] == 1:
                     q = real(x_guess[n])
                 impulse = t.vec3()
@@ -400,6 +458,7 @@ def make_body_push(real: Any):
 def kernels(real: Any) -> list[Any]:
     """Return the kernels of bodies in a liquid."""
     makers = (make_moments, make_contact, make_head, make_film, make_yield, make_answer)
+    makers += (make_layers,)
     makers += (make_body_change, make_body_gather, make_body_push, shapes.make_body_scatter)
     makers += (shapes.make_body_level, shapes.make_body_volume, shapes.make_body_distance)
     makers += (shapes.make_body_openings, shapes.make_body_push_out)
