@@ -258,8 +258,8 @@ class Watchdog(Observer):
         if trembles:
             notes.append(
                 "The motion is so slow for the stiffness that rounding errors created "
-                f"{trembles:.0%} of the energy. The object trembles by less than {UNSEEN:g} of its "
-                "size, which is too little to see. accuracy.precision = float64 avoids it."
+                f"{trembles:.0%} of the energy. The tremor is less than {UNSEEN:g} of the object's "
+                "size, which is too small to see. accuracy.precision = float64 avoids it."
             )
         return notes
 
