@@ -27,6 +27,12 @@ def run(**changes) -> Simulation:
             "container",
         ),
         ([{"kind": "press", "top": 0.5}], "press"),
+        ([{"kind": "box", "lower": [-1, -1, 0], "upper": [1, 1, 1]}], "box"),
+        ([{"kind": "sphere", "radius": 0.6, "centre": [0, 0, 0.5]}], "sphere"),
+        (
+            [{"kind": "capsule", "radius": 0.5, "start": [0, -1, 0.5], "end": [0, 1, 0.5]}],
+            "capsule",
+        ),
         (
             [{"kind": "ground", "motion": {"kind": "path", "points": [[0, 0, 1], [0, 0, 0]]}}],
             "ground",

@@ -165,6 +165,14 @@ class Boundary(Section):
         """Return half the thickness of the solid [m]."""
         return np.inf
 
+    def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
+        """Return the depth of points [P,3] inside the solid before it moves [P], m.
+
+        It is negative outside; -inf for boundaries that are not solids, such as clamps.
+        """
+        del model
+        return np.full(len(x), -np.inf)
+
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the boundary's stages: its collider, and settling of nodes in crossing columns.
 

@@ -6,6 +6,7 @@ import math
 from typing import Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from phy124.boundaries.base import Boundary, Corners, Movable, Rest, half_bounds, vector
@@ -25,6 +26,11 @@ class Plane(Boundary):
         """Return the corners [m] of a half-space if the normal is an axis, else of all space."""
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)
+
+    def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
+        """Return the depth of points [P,3] behind the plane before it moves [P], m."""
+        point, normal, _ = self.geometry(model)
+        return (np.array(point) - x) @ np.array(normal)
 
 
 class HalfSpace(Plane, Movable):

@@ -6,6 +6,7 @@ import math
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from phy124.boundaries.base import Boundary, Corners, Movable, Rest, box_of, vector
@@ -40,6 +41,11 @@ class Box(Movable):
         """Return the corners of the box [m]."""
         return np.array(self.lower), np.array(self.upper)
 
+    def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
+        """Return the distance of points [P,3] from the nearest face before it moves [P], m."""
+        del model
+        return np.minimum(x - self.lower, self.upper - x).min(axis=1)
+
     def thickness(self) -> float:
         """Return half of the shortest side [m]."""
         return float(np.subtract(self.upper, self.lower).min()) / 2
@@ -60,6 +66,11 @@ class Sphere(Movable):
     def extent(self, model: Model) -> Corners:
         """Return the corners of the sphere's bounding box [m]."""
         return np.array(self.centre) - self.radius, np.array(self.centre) + self.radius
+
+    def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
+        """Return the depth of points [P,3] inside the ball before it moves [P], m."""
+        del model
+        return self.radius - np.linalg.norm(x - self.centre, axis=1)
 
     def thickness(self) -> float:
         """Return the radius [m]."""
@@ -91,6 +102,13 @@ class Capsule(Movable):
         """Return the corners of the capsule's bounding box [m]."""
         ends = np.array([self.start, self.end])
         return ends.min(axis=0) - self.radius, ends.max(axis=0) + self.radius
+
+    def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
+        """Return the depth of points [P,3] inside the rod before it moves [P], m."""
+        del model
+        start, axis = np.array(self.start), np.subtract(self.end, self.start)
+        along = np.clip((x - start) @ axis / (axis @ axis), 0, 1)
+        return self.radius - np.linalg.norm(x - start - along[:, None] * axis, axis=1)
 
     def thickness(self) -> float:
         """Return the radius [m]."""

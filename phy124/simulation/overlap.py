@@ -44,7 +44,7 @@ class Buried(NamedTuple):
 
 
 def refuse_buried(boundaries: Sequence[Boundary], model: Model) -> None:
-    """Check that an object does not start inside a flat wall.
+    """Check that an object does not start inside a wall.
 
     Raises:
         InputError: More than the fraction `MOST` of the material starts inside a wall.
@@ -57,26 +57,27 @@ def refuse_buried(boundaries: Sequence[Boundary], model: Model) -> None:
 
 
 def notes(boundaries: Sequence[Boundary], model: Model) -> list[str]:
-    """Return a note for each flat wall that has a little of the material inside it at the start."""
+    """Return a note for each wall that has a little of the material inside it at the start."""
     return [
         f"The {wall.kind}: {wall.what}, and stays there." for wall in find_buried(boundaries, model)
     ]
 
 
 def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried]:
-    """Yield the flat walls that have material behind their surface at the start."""
+    """Yield the walls that have material behind their surface at the start.
+
+    A bounded solid with sticky contact may be in the material: it is a clamp.
+    """
     moves = model.moves
     for boundary in boundaries:
         for wall in boundary.parts():
-            if not isinstance(wall, Plane):
+            if wall.contact == "sticky" and not isinstance(wall, Plane):
                 continue
-            point, normal, _ = wall.geometry(model)
             track = wall.track(model)
             shift = np.zeros(3) if track is None else track.values(np.zeros(1))[0]
             subject = np.zeros(len(model), bool)
             subject[model.named(wall.object)] = True
-            x = model.rest[subject & moves]
-            depth = -((x - (np.asarray(point) + shift)) @ np.asarray(normal))
+            depth = wall.measure_depth(model.rest[subject & moves] - shift, model)
             deep = depth > DEEPEST * model.dx
             if deep.any():
                 kind = type(boundary).__name__.lower()
