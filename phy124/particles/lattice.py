@@ -25,8 +25,8 @@ PER_CELL = 8
 SMALLEST = 1e-3
 """Smallest filled fraction of a cell that gets integration points."""
 HAZE = 0.005
-"""Filled fraction of a cell below which it has no surface points: it holds single Gaussians around
-a body."""
+"""Filled fraction of a cell below which the cell has no surface points, because it holds only
+single Gaussians around a body."""
 TRACE = 0.1
 """Fraction below which a voxel has no surface points if a neighbour has at least twice its
 fraction."""

@@ -30,8 +30,7 @@ class Proportions(NamedTuple):
     """Proportions of an object, independent of its size."""
 
     thickness: float
-    """Local thickness relative to the longest side; in nine tenths of the object's volume it is
-    larger."""
+    """Local thickness relative to the longest side; nine tenths of the volume are thicker."""
     compliance: float
     """Mean deflection under the object's weight acting sideways, relative to its size L and to rho
     g L / E."""

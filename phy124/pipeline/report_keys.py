@@ -245,8 +245,8 @@ class Report(TypedDict):
     mass: float
     """Mass of all particles [kg]."""
     thickness: float | None
-    """Local thickness relative to the object's size; in nine tenths of the object's volume it is
-    larger."""
+    """Local thickness relative to the object's size; nine tenths of the object's
+    volume are thicker."""
     compliance: float | None
     """Deflection of the object as a beam if its weight acts sideways (docs/lab/own-error.md)."""
     objects: NotRequired[dict[str, Any]]

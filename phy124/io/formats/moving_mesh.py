@@ -139,7 +139,7 @@ def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float
 
 
 def _fit_rotations(correlation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotations [V,3,3] b = R a that fit the sums of w a b^T [V,3,3] best."""
+    """Return the rotations R [V,3,3], b = R a, that best fit the sums of w a b^T [V,3,3]."""
     u, _, vt = np.linalg.svd(correlation)
     sign = np.linalg.det(u) * np.linalg.det(vt)
     u[:, :, 2] *= sign[:, None]
