@@ -95,7 +95,7 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
 
 @contextmanager
 def _no_collection() -> Iterator[None]:
-    """Turn the garbage collector off within this context, since imports create many lasting objects.
+    """Turn the garbage collector off within this context, as imports create many lasting objects.
 
     Later collections skip these objects, too. Without this, collections took 0.9 s of a command
     that took 6 s.
