@@ -83,7 +83,7 @@ def check_words(refusal: InputError) -> None:
     """Short, whole, and nobody else's words."""
     said = str(refusal)
     assert not FOREIGN.search(said), said
-    assert len(said) < 420 and said.endswith((".", "?")), said
+    assert len(said) < 480 and said.endswith((".", "?")), said
 
 
 def check_remedy(leaf: Leaf, refusal: InputError) -> None:

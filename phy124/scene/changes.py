@@ -48,7 +48,10 @@ def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
 
 
 def _check_path(path: str) -> None:
-    """Refuse too long a path, before tables are created for it."""
+    """Refuse a path that is too long or lacks a name, before tables are created for it."""
+    if "" in path.split("."):
+        limit = "a name is empty, before or after a dot."
+        raise InputError(shorten(path), "a path", limit, REFERENCE)
     keys = path.count(".") + 1
     if keys > DEEPEST:
         limit = f"it has {keys:,} names; a path in a scene has at most {DEEPEST}."
@@ -131,7 +134,8 @@ def _item(section: Any, key: str, path: str, value: Any) -> Any:
     if number == len(section):
         section.append({})
     if not 0 <= number < len(section):
-        limit = f"there is no item {key!r}; the list has {len(section)} items."
+        items = "1 item" if len(section) == 1 else f"{len(section)} items"
+        limit = f"there is no item {key!r}; the list has {items}."
         raise InputError(
             path, value, limit, f"Items are counted from 0; use {len(section)} to add one."
         )

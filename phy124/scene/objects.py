@@ -202,14 +202,13 @@ def check_objects(first: Object, others: Sequence[SceneObject]) -> None:
     for name, item in objects.items():
         if name in (FLOOR, ANY):
             raise ValueError(f"no object can be called {name}; give it another name")
-        seen = {name}
+        seen = [name]
         while item.on != FLOOR:
             check_name(item.on, [FLOOR, *objects])
-            if item.on in seen:
-                raise ValueError(
-                    f"{name} stands on {item.on}, which stands on it; lift one of them"
-                )
-            seen.add(item.on)
+            seen.append(item.on)
+            if item.on in seen[:-1]:
+                circle = " on ".join(seen[seen.index(item.on) :])
+                raise ValueError(f"objects cannot stand in a circle ({circle}); lift one of them")
             item = objects[item.on]
 
 

@@ -57,9 +57,13 @@ def explain_options(error: ValidationError) -> InputError:
 
 
 def shorten(value: Any) -> str:
-    """Return a value as text for a message, shortened to `LONGEST` characters."""
+    """Return a value as text for a message, shortened to `LONGEST` characters.
+
+    Of a section, it has only the names of the values.
+    """
     try:
-        text = str(value)
+        section = isinstance(value, dict) and value
+        text = f"a section with {', '.join(map(str, section))}" if section else str(value)
     except ValueError:  # Python refuses to print integers of more than 4300 digits
         text = "a number of thousands of digits"
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
