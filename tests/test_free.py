@@ -479,5 +479,5 @@ def test_a_free_solid_falls_rests_is_kept_and_goes_on(tmp_path):
     live.push((0.5, 0, 0))
     live.step()
     assert live.centres["box"][2] > 0.1
-    with pytest.raises(InputError, match=r"push.object = box: it has no particles that a hand"):
+    with pytest.raises(InputError, match=r"push.object = box: it has no particles to hold"):
         live.push((1, 0, 0), object="box")
