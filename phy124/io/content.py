@@ -365,8 +365,8 @@ def describe_coarseness(means: NDArray, step: float) -> str | None:
         return None
     across = max(round(extent / step), 1)
     return (
-        f"The file stores positions in steps of {step:.2g}, about {across:,} across the object, "
-        "which is too coarse. Export it in double precision, or nearer to the origin."
+        f"The file stores positions in steps of {step:.2g}. With about {across:,} steps across "
+        "the object, this is too coarse. Export it in double precision, or nearer to the origin."
     )
 
 

@@ -108,7 +108,7 @@ def _lattice(shape: Solid, room: _Room, spacing: float) -> NDArray[np.float64]:
         raise InputError(
             "spacing",
             f"{spacing:.3g} m",
-            f"the object would take up to {len(cells) * n**3:.3g} particles, "
+            f"the object would take up to {len(cells) * n**3:.3g} particles; "
             f"the limit is {MAX_PARTICLES:,}.",
             "Choose a coarser grid (a lower accuracy) or fewer particles per cell.",
         )

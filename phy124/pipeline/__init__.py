@@ -275,9 +275,7 @@ def go_on(
 
 
 def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) -> None:
-    """Refuse to continue a run if its scene differs from this scene; the InputError names the
-    field.
-    """
+    """Refuse to continue a run with another scene; the InputError names the field that differs."""
     asked, before = _flat(scene), _flat(paused)
     for name in {**asked, **before}:
         if asked.get(name) != before.get(name):
