@@ -210,7 +210,7 @@ def test_a_mesh_far_away_in_double_precision_keeps_its_shape(tmp_path, name):
 def test_a_mesh_whose_numbers_are_too_coarse_is_noted(tmp_path):
     one = ball()
     one.vertices += EARTH
-    with pytest.warns(UserWarning, match="steps of 0.5, about 4 across"):
+    with pytest.warns(UserWarning, match="steps of 0.5. With about 4 steps across"):
         mesh(saved(tmp_path / "far.stl", one), RED)
 
 
