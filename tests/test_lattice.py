@@ -147,6 +147,15 @@ def test_needle_has_surface_points():
     assert len(surface_points(tip, DX)) >= len(surface_points(solid, DX))
 
 
+def test_sharp_parts_touch_with_their_inner_points():
+    for size, inner in (((0.4, 0.4, 0.4), False), ((0.4, 0.03, 0.03), True)):
+        solver = make(block(size, low=(0.05, 0.05, 0.05), per=20))
+        bare = ~solver.surface.normal.any(axis=1)
+        assert bare.any() == inner
+        rest = KDTree(solver.model.rest)
+        assert not bare.any() or rest.query(solver.surface.x[bare])[0].max() < 1e-6
+
+
 def test_ties_extrapolate_linear_motions():
     solid = block((0.35, 0.325, 0.325), low=(0.075, 0.075, 0.0875), per=8)
     x, volume = integration_points(solid, DX)

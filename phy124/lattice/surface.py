@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 
 from phy124.kernels.lattice.partners import OTHER
 from phy124.lattice.rest import STEPS, RestLattice, splines
-from phy124.particles.lattice import APART
+from phy124.particles.lattice import APART, PER_CELL
 
 INSIDE = 0.25
 """Depth below the surface at which a point's weights are computed [cells]."""
@@ -27,6 +27,10 @@ SUPPORTED = 0.5
 """Smallest sum of a point's weights on free nodes; points with a smaller sum are dropped."""
 FLAT = 0.9
 """A point is at an edge if the mean of the normals within a cell is shorter than this."""
+SHARP, CLOSEST = 0.6, 24
+"""Mean length of the normals within a cell below which a part is a tip, a hair or a sheet, and
+largest number of normals in a mean.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +103,7 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
         points: Positions [m], outward normals and indices of bodies [S,7].
         lattice: The lattices at rest.
     """
+    points = np.concatenate([points, _points_in_tips(points, lattice)])
     parity = np.floor(points[:, :3] / (APART * lattice.dx) - 1e-6).astype(np.int64) % 2
     points = points[np.argsort(parity @ [4, 2, 1], kind="stable")]
     x, normal, body = points[:, :3], points[:, 3:6], points[:, 6].astype(np.int64)
@@ -122,6 +127,35 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     weights /= weights.sum(axis=1, keepdims=True)
     nodes, weights = _consecutive(nodes, weights, len(lattice))
     return Surface(x, normal, body, nodes, weights, lattice.x, lattice.dx)
+
+
+def _points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.float64]:
+    """Return the integration points in sharp parts as surface points without a normal [K,7].
+
+    The motion of a cell with tied nodes is extrapolated, so that a tip of less than a cell can turn
+    into a wall although its surface points, whose weights leave tied nodes out, are outside.
+
+    Args:
+        points: Positions [m], outward normals and indices of bodies [S,7].
+        lattice: The lattices at rest.
+    """
+    nodes = (lattice.rows[:, :, None] + np.arange(3)).reshape(-1, 27)
+    cells = np.flatnonzero(np.isin(nodes, lattice.tied).any(axis=1))
+    if not len(cells) or not len(points):
+        return np.zeros((0, 7))
+    first = lattice.rows[cells, 0]
+    offset = lattice.offset.reshape(-1, PER_CELL, 3)[cells]
+    x = ((lattice.index[first][:, None] + offset + 0.5) * lattice.dx).reshape(-1, 3)
+    body = np.repeat(lattice.body[first], PER_CELL)
+    count = min(CLOSEST, len(points))
+    distance, near = KDTree(points[:, :3]).query(x, k=count, distance_upper_bound=lattice.dx)
+    distance, near = distance.reshape(len(x), count), near.reshape(len(x), count)
+    near = np.minimum(near, len(points) - 1)
+    same = np.isfinite(distance) & (points[near, 6] == body[:, None])
+    total = (points[near, 3:6] * same[:, :, None]).sum(axis=1)
+    sharp = np.linalg.norm(total, axis=1) < SHARP * same.sum(axis=1)
+    rows: NDArray[np.float64] = np.concatenate([x, np.zeros_like(x), body[:, None]], axis=1)
+    return rows[sharp]
 
 
 def _consecutive(
