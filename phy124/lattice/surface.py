@@ -154,8 +154,8 @@ def _points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.float64
     same = np.isfinite(distance) & (points[near, 6] == body[:, None])
     total = (points[near, 3:6] * same[:, :, None]).sum(axis=1)
     sharp = np.linalg.norm(total, axis=1) < SHARP * same.sum(axis=1)
-    rows: NDArray[np.float64] = np.concatenate([x, np.zeros_like(x), body[:, None]], axis=1)
-    return rows[sharp]
+    rows = np.concatenate([x, np.zeros_like(x), body[:, None]], axis=1)
+    return rows[sharp].astype(np.float64)
 
 
 def _consecutive(
