@@ -206,7 +206,7 @@ def _numbers(field: str, point: Any) -> np.ndarray:
 
 
 def _static(options: Options) -> Any:
-    """Return the TFMessage that the sinks publish, as an input."""
+    """Return an input with the TFMessage that the sinks publish."""
     x, y, z = options.translation
     qx, qy, qz, qw = options.rotation
     transform = SimpleNamespace(

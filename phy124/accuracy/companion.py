@@ -294,7 +294,7 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
         raise Lost(f"the companion on D/{cells} failed: {why}") from error
     expected = expect(run.scene, run.setup.proportions).error
     about, at_most, until = estimate(distances, clip.times, factors_of(scene, cells), expected)
-    why_not = "" if about is not None else "on other grids the motion differs from the start"
+    why_not = "" if about is not None else "on other grids the first frames already differ"
     return OwnError(about, at_most, until, cells, round(cost, 4), why_not)
 
 

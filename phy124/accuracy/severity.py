@@ -21,7 +21,7 @@ MEASURED = {"repose_angle": (30.0, 36.0), "extension": (0.003, 0.0075)}
 LOOKS = {"tint", "visibility"}
 """Fields of a material that do not affect the motion."""
 FILLED = 0.4
-"""Typical ratio of an object's volume to size^3 times its relative thickness."""
+"""Typical value of volume / (size^3 * relative thickness) of an object."""
 USUAL_THICKNESS = 0.2
 """Relative thickness of an object whose thickness is unknown."""
 

@@ -17,7 +17,7 @@ WAIT = "wait"
 
 
 class Stage(NamedTuple):
-    """How often a stage is called in some substeps, and for how long."""
+    """Number of calls of a stage in a series of substeps, and the time that they took."""
 
     calls: float
     """Number of calls per substep."""

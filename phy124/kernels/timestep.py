@@ -164,7 +164,7 @@ def limiter(s: Progress, bounds: Limits):
 
 @wp.func
 def violent(dt: wp.float64, s: Progress, bounds: Limits):
-    """Return whether a substep may move something too far, by about a cell."""
+    """Return whether something may move more than about a cell in a substep, which is too far."""
     two = wp.float64(2.0)
     return (
         two * wp.max(s.speed, bounds.wall) * dt > bounds.stride

@@ -59,7 +59,7 @@ class RestLattice:
     """Position of each point relative to its cell's first node [P,3], in cells, about 0.5 to 1.5.
     """
     mass: NDArray[np.float64]
-    """Mass of each node, including the mass of tied nodes; 0 for tied nodes [N], kg."""
+    """Mass of each node plus that of the nodes tied to it; 0 for a tied node [N], kg."""
     tied: NDArray[np.int64]
     """Indices of the tied nodes [T]."""
     ties: scipy.sparse.csr_matrix

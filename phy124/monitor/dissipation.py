@@ -65,7 +65,7 @@ class Dissipation(Observer):
         yield from (make_dissipation(law, real) for law in subject.laws)
 
     @classmethod
-    def effect(cls, subject: Subject) -> Effect:
+    def effect(cls, subject: Subject) -> Effect | None:
         """Return the row of the effects report for the work of the stress."""
         why = "checks.energy is off: the lost energy is not divided by cause"
         return Effect("work of the stress", cls.called_for(subject), why)

@@ -88,7 +88,7 @@ class ExternalWork(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row for the balance; uniform, steady forces alone need no sums."""
+        """Return the row for the balance; it needs no sums if all forces are uniform and steady."""
         scene, why = (
             subject.scene,
             "checks.balance is off: an unstable run is detected only when values become NaN",
@@ -265,7 +265,7 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum less the open sums, because these include the walls' last impulse."""
+        """Store the momentum minus the sums still open, which include the walls' last impulse."""
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         walls = [
             self._open(name)[IMPULSES] if name in self._device else np.zeros(3)
@@ -276,7 +276,7 @@ class ExternalWork(Observer):
     def _attach_push(
         self, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """Return the stages before and after the `stages` of forces on particles."""
+        """Return a stage before the `stages` of forces on particles, and a stage after them."""
         keeps_C = all(stage.keeps_C for stage in stages)
         copied = [wp.empty_like(state.v), wp.empty_like(state.C[:0] if keeps_C else state.C)]
         copy, sums = push_kernels(model.real, keeps_C)
@@ -305,7 +305,7 @@ class ExternalWork(Observer):
     def _attach_walls(
         self, walls: Sequence[Boundary], stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """Return the stages before and after the `stages` of walls."""
+        """Return a stage before the `stages` of walls, and a stage after them."""
         del stages, state
         near, (copy, sums) = NodesNear(walls, model), wall_kernels(model.real)
 

@@ -196,7 +196,7 @@ class Mirrored:
         self._values: Any = self._staged.numpy()
 
     def upload(self, fields: dict[str, Any]) -> None:
-        """Set the given fields of the items, and all other fields to zero."""
+        """Set these fields of the items to their values; set all other fields to zero."""
         self._values[:] = np.zeros_like(self._values)
         for name, value in fields.items():
             self._values[name] = value

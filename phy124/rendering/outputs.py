@@ -302,7 +302,7 @@ def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Valu
 
 
 def spread(values: Array, points: Array, camera: Camera, blur: float) -> Array:
-    """Distribute values over pixels [H,W,C]; their sum is that over all points inside the picture.
+    """Distribute values of points over pixels [H,W,C]; the sum over the picture stays the same.
 
     Args:
         values: Value of each point [N,C].

@@ -233,7 +233,7 @@ def sort_for_slabs(
 
 
 def costliest_scene(scene: Scene, materials: Sequence[AnyMaterial]) -> Scene:
-    """Return the scene for the cost estimate; if it has a file of properties, with the fastest
+    """Return the scene for the cost estimate; a file of properties is replaced by its fastest
     material.
     """
     if scene.properties is None:

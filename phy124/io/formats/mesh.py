@@ -146,7 +146,7 @@ def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.
 
 
 def _fill_cavities(density: NDArray[np.float32]) -> None:
-    """Raise the density above the surface's level at all nodes that the surface encloses."""
+    """Raise the density of all nodes inside the surface above the value at the surface."""
     from scipy import ndimage
 
     labels: Any = ndimage.label(density <= LEVEL)

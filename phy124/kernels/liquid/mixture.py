@@ -18,7 +18,7 @@ CENTRE = wp.constant(3)
 
 @wp.func
 def between(a: Any, b: Any):
-    """Return the harmonic mean of two values, at least one of which may be zero.
+    """Return the harmonic mean of two values; one or both may be zero.
 
     It is the viscosity between two layers that have the same shear stress.
     """

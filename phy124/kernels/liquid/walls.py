@@ -18,7 +18,7 @@ from phy124.kernels.free.numbers import PLACE, at3, axes
 from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number, stride
 
 SHUT = wp.constant(1.0e-3)
-"""Open share below which a face is closed."""
+"""A face counts as closed if a smaller share of it is open."""
 GAP = wp.constant(0.02)
 """Particles inside a wall are moved out, to this distance in front of the wall [cells]."""
 NEAR = wp.constant(1.5)

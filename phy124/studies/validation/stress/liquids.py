@@ -110,7 +110,7 @@ def _join(setting: Setting, water: Array, body: Array, material: NeoHookean) -> 
 
 
 def _advance(solver: LiquidSolver | MixedSolver, time: float) -> float:
-    """Simulate for a time [s] in frames; return the largest speed in the last quarter [m/s]."""
+    """Simulate a duration [s] in frames; return the largest speed in its last quarter [m/s]."""
     fastest, frames = 0.0, round(24 * time)
     for frame in range(frames):
         solver.advance((frame + 1) / 24)
