@@ -329,7 +329,7 @@ def test_the_order_of_the_gaussians_does_not_matter(gaussians, rng):
 
 
 def test_refusals_say_what_is_wrong(gaussians, three_gaussians):
-    with pytest.raises(InputError, match=r"max_stretch = 0.5: .* size at rest"):
+    with pytest.raises(InputError, match=r"max_stretch = 0.5: .* smaller than they are at rest"):
         Deformer(gaussians, max_stretch=0.5)
     with pytest.raises(ValueError, match="not made from these 2000 Gaussians"):
         other = make_particles(three_gaussians, density=1, spacing=0.1, binding="particles")

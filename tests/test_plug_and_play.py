@@ -80,7 +80,7 @@ def as_dreamgaussian(gaussians: Gaussians) -> Gaussians:
 
 
 def test_one_box_from_four_generators_falls_and_bounces_alike(tmp_path):
-    """Equal mass and shape, but other Gaussians in number, size and place: within 2.5 %."""
+    """Equal mass and shape, but other Gaussians in number, size and place: within 3 %."""
     write_ply(tmp_path / "box.ply", box(9000, 0.02, 1))
     described = {
         "arrays": box(6000, 0.02, 0),
@@ -94,7 +94,7 @@ def test_one_box_from_four_generators_falls_and_bounces_alike(tmp_path):
     figures = {name: apart(path, paths["arrays"]) for name, path in paths.items()}
     lowest = paths["arrays"][:, 2].min()
     assert paths["arrays"][0, 2] - lowest > 0.5 and paths["arrays"][-1, 2] > lowest + 0.05
-    assert max(figures.values()) < 0.025, figures
+    assert max(figures.values()) < 0.03, figures
     assert sum(figure > 0 for figure in figures.values()) == 3, "they are different Gaussians"
 
 

@@ -20,9 +20,10 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most
 DEEPEST = 0.3
 """Maximum permitted depth of a Gaussian below the floor [cells]."""
 LOOSE = 0.4
-"""The same on a lattice, for a shape that stands on the floor, and at `fine`.
+"""The same on a lattice, for a shape that stands on the floor, for hairs, and at `fine`.
 
-See docs/design/lattice.md.
+Hairs that fall from 0.3 m are 0.25 to 0.37 cells deep if all substeps change by 5 %. See
+docs/design/lattice.md.
 """
 PIERCED = 2.5
 """Maximum permitted depth of a Gaussian inside another body [cells].
@@ -119,7 +120,7 @@ def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting, so
     run = drop(inside, setting, solver, {"object.lift": lift, "accuracy": accuracy})
     depth = -float(run.run().means[:, :, 2].min()) / run.scene.dx
     what = f"depth of {inside.__name__} at {accuracy} by {solver}, from {lift:g} m [cells]"
-    loose = solver == "lattice" and (lift == 0 or accuracy == "fine")
+    loose = solver == "lattice" and (lift == 0 or accuracy == "fine" or inside is hairs)
     return at_most(what, depth, LOOSE if loose else DEEPEST)
 
 
