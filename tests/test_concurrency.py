@@ -29,13 +29,15 @@ HARMLESS = {f"read-atomic {array}" for array in EXTREMES}
 """What may race: a value is compared with a maximum before it is raised, atomically."""
 MASSES = {
     *(f"phy124_pair_float32/pair: read-write {nodes}" for nodes in ("first_out", "second_out")),
+    "phy124_liquid_spread_float32/spread: read-write velocity_out",
     *(
         f"phy124_contact_half_space_{wall}_float32/contact: read-write grid_out"
         for wall in map("_".join, product(("held", "separate", "slip", "sticky"), MOTIONS))
     ),
 }
 """So may this: of the nodes around it a thread reads the masses alone, and those that write the
-velocities of these nodes leave their masses as they are, to the last bit."""
+velocities of these nodes leave their masses as they are, to the last bit. In the same way, `spread`
+reads the known components of a velocity, whose unknown ones another thread writes."""
 ALONE = {
     "meet": "the barrier of two CPU threads",
     "blend_tiles_simd": "rows for the vector units of a CPU",

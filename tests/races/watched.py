@@ -7,6 +7,7 @@ tests/test_concurrency.py fail if they change.
 """
 
 import re
+import threading
 from collections.abc import Callable
 from itertools import product
 from typing import Any
@@ -86,6 +87,8 @@ def install(launch: Launch, cache: str) -> None:
         cache: Folder for the kernels, apart from those that are not changed.
     """
     wp.config.kernel_cache_dir = cache
+    # Accesses are noted in one record, so threads of Python launch one after another.
+    launching = threading.RLock()
     write, hooks_of = context.ModuleBuilder.codegen, context.ModuleExec.get_kernel_hooks
 
     def with_notes(self: Any, device: str) -> str:
@@ -95,7 +98,7 @@ def install(launch: Launch, cache: str) -> None:
     def with_launch(self: Any, kernel: Any) -> Any:
         hooks = hooks_of(self, kernel)
         if not isinstance(hooks.forward, _Forward):
-            hooks.forward = _Forward(kernel, hooks.forward, launch)
+            hooks.forward = _Forward(kernel, hooks.forward, launch, launching)
         return hooks
 
     context.ModuleBuilder.codegen = with_notes
@@ -105,12 +108,13 @@ def install(launch: Launch, cache: str) -> None:
 class _Forward:
     """Called as the native entry of a kernel."""
 
-    def __init__(self, kernel: Any, native: Any, launch: Launch) -> None:
-        self._kernel, self._native, self._launch = kernel, native, launch
+    def __init__(self, kernel: Any, native: Any, launch: Launch, lock: threading.RLock) -> None:
+        self._kernel, self._native, self._launch, self._lock = kernel, native, launch, lock
 
     def __call__(self, bounds: Any, arguments: Any) -> None:
         given = Given(self._kernel, bounds._obj, arguments._obj)
-        self._launch(given, lambda: self._native(bounds, arguments))
+        with self._lock:
+            self._launch(given, lambda: self._native(bounds, arguments))
 
 
 class Given:
