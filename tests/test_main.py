@@ -78,7 +78,8 @@ def test_the_report_has_the_documented_keys(made):
     assert {"image", "generate", "particles", "simulate", "deform", "render"} <= set(stages)
     assert stages["simulate"]["launches"] > 4 * report["substeps"]
     covered = sum(stage["seconds"] for stage in report["stages"])
-    assert 0.7 * report["seconds"] < covered <= 1.01 * report["seconds"]
+    # Stages of two threads may overlap a little.
+    assert 0.7 * report["seconds"] < covered <= 1.1 * report["seconds"]
     assert report == Clip.load(made / "clip.safetensors").report
 
 
