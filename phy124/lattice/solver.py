@@ -135,9 +135,7 @@ class LatticeSolver:
         self._probing = False
         """Whether the next substep measures the largest frequency."""
         self._strain, self._probed = math.inf, 0
-        """Bound of the strain since the frequency was last measured, and the number of the substep
-        in which it was measured.
-        """
+        """Bound of the strain since the frequency was measured, and the substep of measurement."""
         self._travel, self._measured = 0.0, 0.0
         """Bound of any point's or wall's displacement since points near walls were listed [m], and
         the time of the last measurement [s].

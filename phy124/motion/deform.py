@@ -1,5 +1,4 @@
-"""Moves the Gaussians with the material: computes a frame from particle states and Gaussians at
-rest.
+"""Moves the Gaussians with the material: a frame follows from particles and Gaussians at rest.
 
 Phy124 (arXiv 2409.07179): Sigma_t = F Sigma_0 F^T with the total F; then Sigma = Q Lambda Q^T gives
 the rotation and the scales of the 4D representation. Here the axes are computed from A = F R_0 S_0
@@ -101,8 +100,7 @@ class Deformer:
             raise InputError("max_stretch", least, limit, "Give 1 or more, or leave it out.")
         self.gaussians = gaussians
         self.rotations: Array | None = None
-        """Polar rotations of the material at the last frame [N,4] wxyz; None if the colours have
-        degree 0."""
+        """Polar rotations of the material in the last frame [N,4] wxyz; None for `sh` of degree 0."""
         n = len(gaussians)
         self.binding = bind(gaussians, particles) if binding is None else binding
         self._device, self._share = device, _Share(n, device, threads)
@@ -272,8 +270,7 @@ class Step(NamedTuple):
 
     kernel: Any
     mine: list[Any]
-    """First arguments: arrays with an entry for each Gaussian. `DEFORMATION` stands for the
-    Gaussians' F."""
+    """First arguments: arrays with an entry for each Gaussian; `DEFORMATION` stands for F."""
     shared: list[Any]
     """Next arguments: arrays of which each Gaussian may read any entry."""
     out: list[Any]
@@ -383,9 +380,7 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
 def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the carriers [N,K] of each Gaussian, all from the Gaussian's object, and their weights
-    [N,K].
-    """
+    """Return each Gaussian's carriers [N,K], which are of its object, and their weights [N,K]."""
     if particles.body is None or gaussians.object_id is None:
         return _carriers_within(gaussians.means, particles.x, particles.volume)
     neighbours = np.zeros((len(gaussians), CARRIERS), np.int32)
@@ -480,9 +475,7 @@ def _on(array: Any, dtype: Any, device: str) -> wp.array:
 
 
 def of_gaussians(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
-    """Return, for each Gaussian, the value [N] of its particle or, without one, of the nearest
-    particle [P].
-    """
+    """Return each Gaussian's value [N], of its particle or the nearest one, from values [P]."""
     # Equal values, for example of a single material, need no search.
     if len(values) and (values == values[0]).all():
         return np.repeat(values[:1], len(gaussians), axis=0)
@@ -490,10 +483,8 @@ def of_gaussians(gaussians: Gaussians, particles: Particles, values: NDArray) ->
     if particle is None:
         particle = np.zeros(len(gaussians), np.int64)
         for ours, theirs in by_object(gaussians, particles):
-            nearest = scipy.spatial.KDTree(particles.x[theirs]).query(
-                gaussians.means[ours], workers=-1
-            )[1]
-            particle[ours] = theirs[nearest]
+            tree = scipy.spatial.KDTree(particles.x[theirs])
+            particle[ours] = theirs[tree.query(gaussians.means[ours], workers=-1)[1]]
     return values[particle]
 
 
