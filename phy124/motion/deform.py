@@ -100,7 +100,7 @@ class Deformer:
             raise InputError("max_stretch", least, limit, "Give 1 or more, or leave it out.")
         self.gaussians = gaussians
         self.rotations: Array | None = None
-        """Polar rotations of the material in the last frame [N,4] wxyz; None for `sh` of degree 0."""
+        """Polar rotations of the material in the last frame [N,4] wxyz; None if sh has degree 0."""
         n = len(gaussians)
         self.binding = bind(gaussians, particles) if binding is None else binding
         self._device, self._share = device, _Share(n, device, threads)
