@@ -224,6 +224,12 @@ def test_file_larger_than_the_memory_is_refused(tmp_path, three_gaussians, monke
             read_gaussians(tmp_path / name)
 
 
+def test_random_bytes_are_no_splat(tmp_path):
+    (tmp_path / "a.splat").write_bytes(np.random.default_rng(0).bytes(3200))
+    with pytest.raises(InputError, match="of another kind"):
+        read_gaussians(tmp_path / "a.splat")
+
+
 def head_of(name: str, count: int) -> bytes:
     """The first bytes of a file that states a number of Gaussians."""
     if name == "a.spz":

@@ -30,7 +30,8 @@ def read(path: Path) -> Content:
     """Read the Gaussians of a `.splat` file.
 
     Raises:
-        InputError: If the file is missing, cut short or too large, or no Gaussian is finite.
+        InputError: If the file is missing, cut short, too large or of another kind, or no Gaussian
+            is finite.
     """
     check_opens("splat", path)
     size = path.stat().st_size
@@ -43,6 +44,12 @@ def read(path: Path) -> Content:
         raise refusal("splat", path, limit)
     check_count("splat", path, count, ROW.itemsize, size)
     rows = np.fromfile(path, ROW)
+    if _sound_share(rows[:LOOKED_AT]) < 0.5:
+        limit = (
+            "most of its rows lack a finite centre, scales from 0, or a rotation of length 1: "
+            "it is of another kind."
+        )
+        raise refusal("splat", path, limit)
     colour = rows["colour"].astype(np.float32) / 255
     raw = {
         "means": rows["centre"].copy(),
@@ -70,11 +77,15 @@ def likely(path: Path) -> bool:
     size = path.stat().st_size
     if not size or size % ROW.itemsize:
         return False
-    rows = np.fromfile(path, ROW, LOOKED_AT)
+    return _sound_share(np.fromfile(path, ROW, LOOKED_AT)) > 0.9
+
+
+def _sound_share(rows: NDArray) -> float:
+    """Return the share of rows with a finite centre, no negative scale and a unit quaternion."""
     with np.errstate(invalid="ignore", over="ignore"):
         unit = np.abs(np.linalg.norm(_quats(rows), axis=1) - 1) < 0.1
         sound = np.isfinite(rows["centre"]).all(axis=1) & (rows["scale"] >= 0).all(axis=1)
-    return float((unit & sound).mean()) > 0.9
+    return float((unit & sound).mean())
 
 
 def _quats(rows: NDArray) -> NDArray[np.float32]:
