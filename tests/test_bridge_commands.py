@@ -48,7 +48,7 @@ def test_two_minuses_end_the_options(capsys):
     assert main(["record", "--overwrite", "--", "--clip.safetensors"]) == 2
     assert "clip = --clip.safetensors: there is no such file." in capsys.readouterr().err
     assert main(["record", "clip.safetensors", "--output", "x"]) == 2
-    usage = "takes it without a name. Write `python -m bridge record SOURCE OUTPUT`."
+    usage = "takes this value without a name. Write `python -m bridge record SOURCE OUTPUT`."
     assert usage in capsys.readouterr().err
 
 

@@ -114,7 +114,7 @@ def test_two_minuses_with_nothing_after_them_change_nothing(capsys):
 def test_a_name_for_what_has_none_is_explained(typed, usage, capsys):
     assert main(typed.split()) == 2
     said = capsys.readouterr().err
-    assert f"takes it without a name. Write `phy124 {usage}`." in said
+    assert f"takes this value without a name. Write `phy124 {usage}`." in said
 
 
 def test_a_parser_of_another_version_speaks_for_itself(monkeypatch, capsys):

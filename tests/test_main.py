@@ -248,7 +248,10 @@ def test_scenes_and_effects_and_doctor_print(capsys):
         (["generate", str(DUCK), "--generator", "magic"], "generator = magic: There is no such"),
         (["generate", str(DUCK), "--foreground", "magic"], "magic"),
         (["generate", str(DUCK), "--device", "cuda:9"], "device = cuda:9: this machine has no"),
-        (["generate", str(DUCK), "--size", "64", "--size", "65"], "size = 65: it is given twice"),
+        (
+            ["generate", str(DUCK), "--size", "64", "--size", "65"],
+            "size = 65: the option has two values",
+        ),
         (
             ["generate", str(DUCK), "--set", "seed=1", "--set", "seed=2"],
             "seed = 2: it is also set to 1. Give one of the two.",

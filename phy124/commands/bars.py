@@ -59,7 +59,7 @@ class Bars:
         """The exception that ended the work early, including Ctrl-C."""
         self._stage, self._next_line = "", 0.0
         self._lines: dict[str, str] = {}
-        """Stage -> its last line."""
+        """Last line printed for each stage."""
         self._signals = handling(self._remember)
 
     def __enter__(self) -> Bars:

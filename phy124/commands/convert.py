@@ -98,7 +98,7 @@ class Export:
     out: Path | None = None
     """File to write, or with --all a folder or a name ending in .zip; default next to the clip."""
     merge: Annotated[int | None, MERGE] = None
-    """Largest number of Gaussians; those that stay neighbours in all frames are merged."""
+    """Largest number of Gaussians; only those that stay neighbours in all frames are merged."""
     surface: Path | None = None
     """With --to moving-mesh: the mesh from which the object was made; its triangles and its
     texture are moved, instead of a surface of the Gaussians."""

@@ -123,8 +123,7 @@ class PictureOptions:
     )
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None
-    """Number of Gaussians: approximate for relief (default 50,000), the largest for other
-    generators."""
+    """Number of Gaussians: approximate for relief (default 50,000), a limit for others."""
     cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
     depth: Annotated[DepthMap, tyro.conf.arg(name="")] = field(default_factory=DepthMap)
     views: Annotated[OtherViews, tyro.conf.arg(name="")] = field(default_factory=OtherViews)

@@ -11,7 +11,7 @@ from phy124.mpm.timestep import beside_rpic
 from phy124.schema.section import Section
 
 USUAL = {"transfer": "apic", "gradient": "affine", "rpic_damping": 0.0}
-"""Settings of the transfers and their defaults; liquids by projection and lattices have none."""
+"""Settings of MPM's transfers, with their defaults; the other solvers do not use them."""
 
 
 class Accuracy(Section):
@@ -32,37 +32,39 @@ class Accuracy(Section):
     precision: Literal["float32", "float64", "auto"] = Field(
         default="float32",
         description="Floating-point precision of the simulation. auto: float32 if everything that "
-        "moves is on lattices, whose strain collects no rounding errors; otherwise float64.",
+        "moves is on lattices, where rounding errors of the strain do not add up; otherwise "
+        "float64.",
     )
     transfer: Literal["apic", "aflip", "xpic2", "xpic3", "xpic4", "xpic5"] = Field(
         default="apic",
         exclude_if=lambda value: value == "apic",
         description="Transfer of velocities between particles and grid. apic damps most and costs "
-        "least; xpic2 to xpic5 damp vibrations less for 2 to 5 more passes over the grid; aflip "
-        "takes one more pass and leaves noise. Only apic conserves angular momentum.",
+        "least; xpic2 to xpic5 damp vibrations less, but need 2 to 5 more passes over the grid; "
+        "aflip needs one more pass and leaves noise. Only apic conserves angular momentum.",
     )
     blend: float = Field(
         default=0.95,
         ge=0,
         le=1,
         exclude_if=lambda value: value == 0.95,
-        description="Fraction that aflip keeps of the velocities that the grid cannot represent; "
-        "for transfer = aflip only.",
+        description="For transfer = aflip only: particles keep this fraction of the velocities "
+        "that the grid cannot represent.",
     )
     gradient: Literal["affine", "spline"] = Field(
         default="affine",
         exclude_if=lambda value: value == "affine",
-        description="Velocity gradient for stress and strain. affine: the affine fit around each "
-        "particle (MLS-MPM), with which objects that bend over several cells are too soft. spline: "
-        "gradients of the weights, which takes 1.7 to 4 times as long; for transfer = apic only.",
+        description="Velocity gradient for stress and strain. affine: from the affine fit around "
+        "each particle (MLS-MPM); objects that bend by several cells are then too soft. spline: "
+        "from the gradients of the weights, for transfer = apic only; this takes 1.7 to 4 times "
+        "as long.",
     )
     solver: Literal["auto", "mpm", "lattice"] = Field(
         default="auto",
         exclude_if=lambda value: value == "auto",
-        description="Solver of elastic objects. auto: lattice where it is supported and measured "
-        "better; otherwise mpm, and the report says why. mpm: the material point method. lattice: "
-        "the nodes of a lattice at rest move with the object, which bends right and cannot tear; "
-        "for transfer = apic only.",
+        description="Solver of elastic objects. auto: lattice, if it is supported and "
+        "measurements showed it to be better; otherwise mpm, and the report gives the reason. "
+        "mpm: the material point method. lattice: a lattice in the undeformed object, whose nodes "
+        "move with it; bending is accurate, but the object cannot tear. For transfer = apic only.",
     )
     rpic_damping: float = Field(
         default=0.0,
@@ -70,18 +72,18 @@ class Accuracy(Section):
         le=1e6,
         exclude_if=lambda value: value == 0,
         description="Rate at which the symmetric part of each particle's C decays, for apic only "
-        "[1/s]. PhysGaussian's r at a substep dt is -ln(1 - r)/dt. It acts like a viscosity of "
-        "rate x density x dx^2/8, so its effect depends on the grid. Substeps become 0.71 times "
-        "as long.",
+        "[1/s]. PhysGaussian's damping r at a substep dt equals a rate of -ln(1 - r)/dt. The "
+        "decay acts like a viscosity of rate x density x dx^2/8, so its effect depends on the "
+        "grid. A rate above 0 makes substeps 0.71 times as long.",
     )
     liquid: Literal["compressible", "projection"] | None = Field(
         default=None,
         examples=["projection"],
         exclude_if=lambda value: value is None,
-        description="Solver of the law fluid. compressible: particles with a pressure of their "
-        "own. projection: incompressible flow, which keeps its volume and takes longer steps; for "
-        "one liquid, also among others that move. Absent: projection where it is supported; the "
-        "report's effects say why it is not.",
+        description="Solver of the law fluid. compressible: each particle's pressure follows from "
+        "its volume. projection: incompressible flow, with constant volume and longer steps; for "
+        "a single liquid, which may move together with other materials. Absent: projection if it "
+        "is supported; otherwise the report's effects give the reason.",
     )
 
     @property
@@ -97,7 +99,7 @@ class Accuracy(Section):
 
     @property
     def share(self) -> float:
-        """Fraction of the velocities that the grid cannot represent which particles keep."""
+        """Fraction that particles keep of the velocities that the grid cannot represent."""
         return self.blend if self.transfer == "aflip" else 1.0
 
 
@@ -109,15 +111,15 @@ NAMED = {
     ),
     "standard": (
         Accuracy(cells=32),
-        "most purposes: cells are half as wide, so bending is more accurate; a smaller substep "
-        "would not help, since the loss per transfer does not depend on it",
+        "most purposes: cells are half as wide, so bending is more accurate; shorter substeps "
+        "would not help, since each transfer loses as much at any length",
     ),
     "fine": (
         Accuracy(cells=48, precision="auto"),
         "final results: cells are a third as wide, and no rounding errors build up",
     ),
 }
-"""Name -> settings and purpose. docs/lab/accuracy.md has the measured errors."""
+"""Settings and purpose of each named accuracy. For measured errors see docs/lab/accuracy.md."""
 PRESETS = {name: accuracy for name, (accuracy, _) in NAMED.items()}
 GOOD_FOR = {name: use for name, (_, use) in NAMED.items()}
 AccuracyName = Literal["draft", "standard", "fine"]

@@ -72,10 +72,12 @@ class _Circling(Section):
     """Fields shared by the cameras whose position is set by angles and distance around a target."""
 
     elevation: Elevation | None = Field(
-        default=None, examples=[30], description="Height angle [deg]; absent: the view's."
+        default=None, examples=[30], description="Elevation [deg]; absent: the view's elevation."
     )
     fov: FieldOfView | None = Field(
-        default=None, examples=[40], description="Vertical field of view [deg]; absent: the view's."
+        default=None,
+        examples=[40],
+        description="Vertical field of view [deg]; absent: fov of the view.",
     )
     target: Target = Field(
         default=(0.0, 0.0, 0.0),
@@ -84,7 +86,7 @@ class _Circling(Section):
 
     @property
     def end(self) -> float:
-        """End time of the camera's path [s]; 0, because the path adapts to the clip's length."""
+        """End time of the camera's path [s]; always 0, since the path lasts as long as the clip."""
         return 0.0
 
 
@@ -95,10 +97,15 @@ class TurntableCamera(_Circling):
     name: Name = Field(default="turntable", description="Name of its files.")
     start: Turn = Field(default=0.0, description="Azimuth in the first frame [deg].")
     turns: float = Field(
-        default=1.0, ge=-100, le=100, description="Turns in the whole clip; negative: clockwise."
+        default=1.0,
+        ge=-100,
+        le=100,
+        description="Number of turns during the clip; negative: clockwise.",
     )
     distance: Distance | None = Field(
-        default=None, examples=[1.5], description="Distance, in object sizes; absent: the view's."
+        default=None,
+        examples=[1.5],
+        description="Distance, in object sizes; absent: the view's distance.",
     )
 
     @property
@@ -163,8 +170,8 @@ class CameraKey(Section):
     azimuth: Turn | None = Field(
         default=None,
         examples=[90],
-        description="Azimuth [deg]: 0 is the front, 90 the right; after "
-        "350, 370 continues the rotation.",
+        description="Azimuth [deg]: 0 is the front, 90 the right. It may exceed 360: 370 after "
+        "350 continues the rotation.",
     )
     elevation: Elevation | None = Field(
         default=None, examples=[30], description="Height angle [deg]."

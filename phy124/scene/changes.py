@@ -48,9 +48,9 @@ def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
 
 
 def _check_path(path: str) -> None:
-    """Refuse a path that is too long or lacks a name, before tables are created for it."""
+    """Refuse a path that is too long or contains an empty name."""
     if "" in path.split("."):
-        limit = "a name is empty, before or after a dot."
+        limit = "the name before or after a dot is empty."
         raise InputError(shorten(path), "a path", limit, REFERENCE)
     keys = path.count(".") + 1
     if keys > DEEPEST:

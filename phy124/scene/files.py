@@ -20,7 +20,7 @@ else:
 
 
 DEEPEST = 32
-"""Largest nesting depth of tables and lists, because reading them recurses; a scene has eight."""
+"""Maximum nesting depth of tables and lists; it limits recursion. A scene needs eight levels."""
 
 
 def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:

@@ -11,9 +11,8 @@ from typing import Any
 from phy124.lattice.refusals import is_elastic, reason_for_particles
 
 HARDEST = 2.0
-"""Speed of an impact, relative to that of sound, up to which `auto` takes lattices. A duck that
-hits the ground at 2, 3 and 4 times the speed of sound takes 5, 9 and more than 13 times as many
-substeps as by MPM.
+"""Maximum Mach number of an impact for which `auto` chooses lattices. For a duck that hits the
+ground at Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as MPM.
 """
 
 
@@ -30,7 +29,7 @@ def find_elastic(scene: Any) -> list[bool]:
 
 
 def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
-    """Return why no object of a scene is on a lattice on a device; empty if elastic objects are.
+    """Return the reason why a scene does not use lattices on a device; "" if it uses them.
 
     By `accuracy.solver = "auto"` they are where lattices are supported and were measured better
     (docs/lab/solvers.md). Among other objects they are not faster, and support less. On a GPU a
@@ -65,20 +64,20 @@ def _impact_speed(scene: Any) -> float:
 
 
 def choose_solver(scene: Any, device: str) -> Any:
-    """Return a scene that names its solver if `auto` chooses another one on a device."""
+    """Return the scene for a device; if `auto` means another solver there, the scene names it."""
     if device == "cpu" or scene.resolution.solver != "auto":
         return scene
     return _with_solver(scene, "mpm")
 
 
 def keep_lattice(scene: Any, before: Any) -> Any:
-    """Return the next scene of a run with the solver of its elastic objects chosen as before."""
+    """Return the next scene of a run, in which elastic objects keep their solver."""
     if scene.solver == before.solver:
         return scene
     return _with_solver(scene, before.solver)
 
 
 def _with_solver(scene: Any, solver: str) -> Any:
-    """Return a scene that names its solver."""
+    """Return the scene with the solver set by name."""
     accuracy = scene.resolution.model_copy(update={"solver": solver})
     return scene.model_copy(update={"accuracy": accuracy})

@@ -12,7 +12,7 @@ from phy124.errors import InputError, Remedy
 from phy124.scene.accuracies import USUAL
 
 REMEDY = Remedy("accuracy.liquid = compressible", {"accuracy.liquid": "compressible"})
-"""The solver that computes all scenes."""
+"""Remedy that is always possible: the compressible solver supports all scenes."""
 FREE = (
     "free solids next to other materials, which move in shorter substeps than the solid; without "
     "motion = free, the object floats or sinks as an elastic body"
@@ -21,7 +21,7 @@ FREE = (
 
 
 def reason_for_compressible(scene: Any) -> str:
-    """Return why a scene's liquid is computed as compressible; empty if it is projected."""
+    """Return the reason why a scene's liquid is computed as compressible; "" if by projection."""
     accuracy = scene.resolution
     if accuracy.liquid is not None:
         return "" if accuracy.liquid == "projection" else "accuracy.liquid is compressible"
@@ -39,7 +39,7 @@ def reason_for_compressible(scene: Any) -> str:
 
 
 def keep_solver(scene: Any, before: Any) -> Any:
-    """Return the next scene of a run with the solver of its liquid chosen as before."""
+    """Return the next scene of a run, in which the liquid keeps its solver."""
     if not any(section.law == "fluid" for section in scene.materials):
         return scene
     liquid = "projection" if before.projects else "compressible"
@@ -48,7 +48,7 @@ def keep_solver(scene: Any, before: Any) -> Any:
 
 
 def refuse_unprojectable(scene: Any) -> None:
-    """Check that a scene has nothing that the solver of its liquids cannot compute.
+    """Check that the solver of a scene's liquids supports everything in the scene.
 
     Args:
         scene: The scene, with solids on a path as walls.

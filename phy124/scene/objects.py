@@ -60,8 +60,7 @@ class SceneObject(Object):
     )
     sides: tuple[_Side, _Side, _Side] = Field(
         default=(1.0, 1.0, 1.0),
-        description="Sides of the shape along x, y and z relative to each other; the longest is "
-        "`size` [m].",
+        description="Proportions of the shape along x, y and z; its longest side is `size` [m].",
     )
     colour: RGB = Field(
         default=CREAM,
@@ -74,16 +73,17 @@ class SceneObject(Object):
     motion: OwnMotion | None = Field(
         default=None,
         exclude_if=lambda motion: motion is None,
-        description="Motion of a rigid shape. path or swing: a prescribed displacement; it pushes "
-        "other objects, and nothing pushes it. free: gravity, walls and other objects push it, and "
-        "it pushes them back.",
+        description="Motion of a rigid shape. path or swing: a prescribed displacement; the shape "
+        "pushes other objects, but nothing pushes the shape. free: gravity, walls and other "
+        "objects push the shape, and it pushes them back.",
     )
     material: AnyMaterial = Field(default=NeoHookean(), description="Constitutive law.")
     parts: tuple[Part, ...] = Field(default=(), description="Parts made of other materials.")
     crop: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = Field(
         default=(0.0, 0.0, 1.0, 1.0),
-        description="Rectangle of the object in the picture on which masks of its parts were "
-        "painted: left, top, right, bottom; determined automatically for its own picture.",
+        description="Rectangle of the object (left, top, right, bottom) in the picture on which "
+        "masks of its parts were painted; determined automatically if the object has its own "
+        "picture.",
     )
 
     @model_validator(mode="after")
@@ -208,7 +208,9 @@ def check_objects(first: Object, others: Sequence[SceneObject]) -> None:
             seen.append(item.on)
             if item.on in seen[:-1]:
                 circle = " on ".join(seen[seen.index(item.on) :])
-                raise ValueError(f"objects cannot stand in a circle ({circle}); lift one of them")
+                raise ValueError(
+                    f"objects cannot stand on each other in a circle ({circle}); lift one of them"
+                )
             item = objects[item.on]
 
 
@@ -257,7 +259,7 @@ def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
             raise ValueError(f"`between` names {pair.between[0]} twice; name two different objects")
         if two in seen:
             about = " and ".join(pair.between)
-            raise ValueError(f"two entries of pairs are for {about}; leave one out")
+            raise ValueError(f"two entries of `pairs` are for {about}; remove one")
         seen.add(two)
 
 

@@ -51,7 +51,7 @@ from phy124.schema.refusals import explain
 from phy124.schema.section import Section
 
 MOST_OBJECTS = 16
-"""Largest number of objects in a scene; objects that touch need a velocity field each."""
+"""Maximum number of objects in a scene; each object in contact needs its own velocity field."""
 
 
 class Scene(Section):
@@ -88,8 +88,8 @@ class Scene(Section):
     )
     properties: Properties | None = Field(
         default=None,
-        description="Material properties from a file, which vary from point "
-        "to point; absent: uniform material.",
+        description="Material properties that vary from point to point, from a file; absent: "
+        "uniform material.",
     )
     forces: tuple[AnyForce, ...] = Field(default=(Gravity(),), description="Forces on particles.")
     boundaries: tuple[AnyBoundary, ...] = Field(
@@ -164,7 +164,7 @@ class Scene(Section):
 
     @property
     def _is_liquid(self) -> bool:
-        """Whether liquids by pressure projection are all that moves, except walls."""
+        """Whether only walls and liquids by pressure projection move."""
         free = any(item.free for item in self.objects)
         return self.projects and not self.has_solids and not free
 
@@ -192,7 +192,7 @@ class Scene(Section):
 
     @property
     def particles_per_axis(self) -> float:
-        """Particles per cell and axis: the number set, or the largest that a material needs."""
+        """Particles per cell and axis: as set, or else the largest number that a material needs."""
         chosen = self.resolution.particles_per_axis
         return chosen or max(section.particles_per_axis for section in self.materials)
 
@@ -204,7 +204,7 @@ class Scene(Section):
 
     @property
     def has_solids(self) -> bool:
-        """Whether the particles of some object are not those of a liquid."""
+        """Whether some object has particles of another material than a liquid."""
         return any(section.law != "fluid" for section in self.materials)
 
     @property
@@ -232,7 +232,7 @@ class Scene(Section):
 
     @property
     def on_lattices(self) -> list[bool]:
-        """Whether each object moves on its lattice at rest: it is elastic as a whole."""
+        """For each object, whether it moves on a lattice; only elastic objects do."""
         return find_elastic(self) if self.on_lattice else [False] * len(self.names)
 
     @property
@@ -331,7 +331,7 @@ class Scene(Section):
 
     @classmethod
     def of_clip(cls, data: dict[str, Any], source: str = "clip") -> Scene:
-        """Read the scene of a clip for filming, without classes that this program does not know.
+        """Read a clip's scene for filming; leave out sections of classes that are not known here.
 
         Another program may have defined such classes. Forces and boundaries of unknown classes are
         left out, and unknown materials are replaced by the default.
@@ -386,7 +386,7 @@ class Scene(Section):
 
     @property
     def unregistered(self) -> dict[str, str]:
-        """Users' classes that have no name in files -> entry-point group to register them in."""
+        """Users' classes without a name in files, with the entry-point group for each."""
         sections = ((LAWS, self.materials), (FORCES, self.forces), (BOUNDARIES, self.boundaries))
         return {
             type(section).__name__: kinds.group
@@ -396,7 +396,7 @@ class Scene(Section):
         }
 
     def require_serialisable(self) -> None:
-        """Refuse a scene with a user's class that has no name in files.
+        """Refuse a scene that uses a class without a name in scene files.
 
         Raises:
             InputError: A user's class is not registered under a name.
@@ -443,7 +443,7 @@ def preset_folder() -> Path:
 
 
 def _known_part(data: dict[str, Any]) -> dict[str, Any]:
-    """Return plain data of a scene without sections of classes that this program does not know."""
+    """Return plain data of a scene without sections of unknown classes."""
     data = _with_known_laws(data)
     for kinds in (FORCES, BOUNDARIES):
         if kinds.group in data:
@@ -452,7 +452,7 @@ def _known_part(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_known_laws(section: dict[str, Any]) -> dict[str, Any]:
-    """Return a section without unknown materials; the same applies to its parts and objects."""
+    """Return a section, its parts and its objects without unknown materials."""
     section = dict(section)
     if not LAWS.knows(section.get("material", {})):
         section.pop("material", None)

@@ -56,8 +56,8 @@ class Object(Section):
     on: Name = Field(
         default=FLOOR,
         exclude_if=_is(FLOOR),
-        description="Support of the object, from which `lift` is measured: the floor at z = 0, or "
-        "the name of another object, which it then touches.",
+        description="What the object stands on: the floor at z = 0, or the name of another "
+        "object. `lift` is the gap between the two.",
     )
     held: bool = Field(
         default=False,
@@ -85,15 +85,16 @@ class Timing(Section):
     )
     sleep: bool = Field(
         default=True,
-        description="Skip substeps while the object rests; position error at most 3e-4 of its "
-        "size.",
+        description="Skip substeps while the object rests; this changes positions by at most 3e-4 "
+        "of its size.",
     )
     budget: float = Field(
         default=7200.0,
         ge=1e-3,
         le=1e8,
-        description="Longest computing time [s]: a simulation predicted to take longer is refused, "
-        "and one whose busiest thread has taken twice that is stopped.",
+        description="Maximum computing time [s]. A simulation that is predicted to take longer is "
+        "refused. A running simulation is stopped when its busiest thread has used twice this "
+        "time.",
     )
 
     @model_validator(mode="before")
@@ -125,14 +126,15 @@ class Checks(Section):
         default=16,
         ge=1,
         le=32,
-        description="Substeps between two measurements of the stable limit; more than 4 are used "
-        "only while no particle can be strained enough to stiffen much in between.",
+        description="Maximum number of substeps between two measurements of the stable limit. "
+        "More than 4 are used only while no particle can stiffen much before the next "
+        "measurement.",
     )
     balance: bool = Field(
         default=True,
-        description="Balance energy and momentum against the work and impulse of forces and walls, "
-        "and stop the run if they are violated; off: only non-finite values and inverted particles "
-        "stop it.",
+        description="Compare the changes of energy and momentum with the work and impulse of "
+        "forces and walls, and stop the run if they do not agree; off: only non-finite values and "
+        "inverted particles stop the run.",
     )
     energy: bool = Field(
         default=False,
@@ -170,7 +172,8 @@ class Part(Section):
     )
     surroundings: bool = Field(
         default=False,
-        description="Static Gaussians, such as a floor, that do not count for the object's size.",
+        description="The part is surroundings, such as a floor: static, and not counted in the "
+        "object's size.",
     )
     region: PartRegion | None = Field(default=None, description="Box that contains it [m].")
     mask: FileName | None = Field(
@@ -181,7 +184,7 @@ class Part(Section):
     gaussians: tuple[Number, Number] | None = Field(
         default=None,
         examples=[[0, 2000]],
-        description="Range of its Gaussians: index of the first, and of the last plus one.",
+        description="Range of its Gaussians: index of the first, and index after the last.",
     )
 
     @model_validator(mode="after")

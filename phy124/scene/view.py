@@ -88,13 +88,16 @@ class View(Section):
         default=(512, 512), description="Width and height, or one number for both [pixels]."
     )
     elevation: float = Field(
-        default=10.0, ge=-89, le=89, description="Camera height angle, positive looks down [deg]."
+        default=10.0,
+        ge=-89,
+        le=89,
+        description="Elevation of the camera [deg]; positive: it looks down.",
     )
     distance: float = Field(
         default=1.9,
         ge=0.6,
         le=100,
-        description="Camera distance, in object sizes; at the default, fit chooses it.",
+        description="Camera distance, in object sizes; the default lets `fit` choose the distance.",
     )
     fit: bool = Field(
         default=True,
@@ -104,8 +107,8 @@ class View(Section):
     follow: bool | None = Field(
         default=None,
         examples=[False],
-        description="Let the camera follow the object and keep it in the centre; absent: only if a "
-        "fixed camera that fits the whole motion would show most of it too small.",
+        description="Let the camera follow the object and keep it in the centre; absent: follow "
+        "only if a fixed camera that shows the whole motion would show the object too small.",
     )
     fov: float = Field(default=FOV_Y, ge=1, le=120, description="Vertical field of view [deg].")
     filter: Literal["dilate", "mip"] = Field(
@@ -156,9 +159,9 @@ class View(Section):
 
     seamless: bool = Field(
         default=False,
-        description="Make videos that end as they begin: the last pictures fade into the first "
-        "ones if the object nearly returns to its first pose, otherwise the motion runs forth and "
-        "back.",
+        description="Make videos that repeat without a jump. If the object nearly returns to its "
+        "first pose, the last pictures fade into the first ones; otherwise the motion runs "
+        "forwards and then backwards.",
     )
     megabytes: float | None = Field(
         default=None,

@@ -1,4 +1,4 @@
-"""Bounds of a scene's numbers, within the range of float32 and of a grid of cells.
+"""Limits of the numbers in a scene, chosen for the ranges of float32 and of the grid.
 
 The bounds are wider than any scene needs, but narrow enough that no product of two numbers
 overflows.
@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BeforeValidator, Field
 
 LONGEST = 1e5
-"""Largest time [s]; a clip may last up to 1e4 s."""
+"""Maximum time in a scene [s]; the duration of a clip is limited to 1e4 s."""
 SHORTEST = 1e-6
 """Smallest duration [s]; shorter than any substep of a visible object."""
 FARTHEST = 1e5
@@ -41,7 +41,7 @@ Colour = Annotated[float, Field(ge=0, le=1)]
 
 
 def _named_colour(value: Any) -> Any:
-    """Convert a CSS name or #rrggbb to channels; validation checks anything else."""
+    """Convert a CSS name or #rrggbb to red, green and blue; return other values unchanged."""
     if not isinstance(value, str):
         return value
     from PIL import ImageColor
@@ -86,4 +86,4 @@ def _check_file_name(path: Path) -> Path:
 FileName = Annotated[
     Path, AfterValidator(_check_file_name), Field(json_schema_extra={"maxLength": NAME_LENGTH})
 ]
-"""Path of a file to read. The web page refuses values of this type from outside."""
+"""Path of a file to read. The web page does not accept such paths from browsers."""

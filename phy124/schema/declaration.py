@@ -19,7 +19,7 @@ class Declaration:
         self.schema: Node = root.model_json_schema()
 
     def resolve(self, node: Node) -> Node:
-        """Follow references; for an optional field, return the schema of its value."""
+        """Return the schema to which references lead; for an optional field, that of its value."""
         while True:
             options = [option for option in node.get("anyOf", []) if option != {"type": "null"}]
             if "$ref" in node:
@@ -31,7 +31,7 @@ class Declaration:
             node = {**inner, **{k: v for k, v in node.items() if k not in ("$ref", "anyOf")}}
 
     def kinds(self, node: Node) -> dict[str, Node]:
-        """Return law or kind -> section, for the sections that a field accepts."""
+        """Return the sections that a field accepts, by their law or kind."""
         mapping = self.resolve(node).get("discriminator", {}).get("mapping", {})
         return {name: self.resolve({"$ref": ref}) for name, ref in mapping.items()}
 
@@ -65,7 +65,7 @@ class Declaration:
 
 @cache
 def read_declaration(root: type[BaseModel]) -> Declaration:
-    """Return the declaration of a section class; cached, because reading takes 0.2 s."""
+    """Return the declaration of a section class. It is cached, since it takes 0.2 s to make."""
     return Declaration(root)
 
 

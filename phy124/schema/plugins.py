@@ -93,7 +93,7 @@ class Kinds:
 
     @cached_property
     def by_name(self) -> dict[str, type[Any]]:
-        """Name -> class, for phy124's own kinds in the order of the union."""
+        """The classes of phy124's own kinds by name, in the order of the union."""
         return {kind.model_fields[self.tag].default: kind for kind in get_args(self.union)}
 
     def is_foreign(self, section: Section) -> bool:
@@ -101,7 +101,7 @@ class Kinds:
         return type(section) not in get_args(self.union)
 
     def knows(self, data: dict[str, Any]) -> bool:
-        """Return whether plain data is a section of phy124's own or of a registered class."""
+        """Return whether plain data is a section of a class that phy124 or a plugin defines."""
         name = str(data.get(self.tag, ""))
         kind = self.by_name.get(name) or load_plugin(self.group, name)
         return kind is not None and data.keys() <= kind.model_fields.keys()

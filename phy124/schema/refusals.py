@@ -1,4 +1,4 @@
-"""Turn validation errors of pydantic into single sentences, with the section's declaration."""
+"""Turn validation errors of pydantic into messages that state limit and remedy."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def explain(error: ValidationError, source: str, root: type[BaseModel]) -> Input
 
 
 def explain_options(error: ValidationError) -> InputError:
-    """Return the error of a section of options, found by the class name in pydantic's error."""
+    """Return the error of an options section, whose class is looked up by the error's title."""
     kinds, sections = [Section], {}
     while kinds:
         kind = kinds.pop()
@@ -102,7 +102,7 @@ def _find_place(declared: Declaration, location: tuple[int | str, ...]) -> _Plac
 
 
 def _find_inner(declared: Declaration, node: Node, part: int | str) -> Node | None:
-    """Return the schema under a key: {} if no such key exists, None if it names an alternative."""
+    """Return the schema under a key: {} if there is none, None if the key names a type."""
     choices = declared.choices(node)
     if isinstance(part, int):
         for choice in choices:

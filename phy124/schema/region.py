@@ -31,7 +31,8 @@ class Region(Section):
     )
     cylinder: AxisName | None = Field(
         default=None,
-        description="Axis of a cylinder inscribed in the box, which replaces it; absent: the box.",
+        description="Replace the box by the cylinder inscribed in it along this axis; absent: "
+        "keep the box.",
     )
 
     @model_validator(mode="after")
@@ -73,11 +74,11 @@ def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector
 
 
 class PartRegion(Region):
-    """A region that selects a part of the object; it may be rotated, or in the units of a file."""
+    """A region that selects a part of the object; it may be rotated, or in axes of a file."""
 
     units: Literal["metres", "file"] = Field(
         default="metres",
-        description="metres: the object as placed in the scene; file: units and axes of its file.",
+        description="metres: coordinates in the scene; file: coordinates in the object's file.",
     )
     turn: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = Field(
         default=(1.0, 0.0, 0.0, 0.0),

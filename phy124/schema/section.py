@@ -16,7 +16,7 @@ class Section(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
     AS_TEXT: ClassVar[bool] = False
-    """Whether values are text, in which case "yes" is accepted as a boolean."""
+    """Whether all values come as text; "yes" is then accepted as a boolean."""
 
     # Not a validator per field, because pydantic allows none for discriminators.
     @model_validator(mode="before")

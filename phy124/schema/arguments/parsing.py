@@ -23,17 +23,15 @@ from phy124.schema.arguments.words import (
 )
 
 NARROWEST = 40
-"""Smallest number of columns for which help texts are laid out."""
+"""Minimum width for which help texts are laid out [characters]."""
 SIMILAR = 0.75
-"""Similarity of an unknown option to a known one that is suggested instead."""
+"""Minimum similarity, 0 to 1, at which a known option is suggested for an unknown one."""
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 Commands = Mapping[str, type]
 
-"""The parser has already printed the answer, for instance to --help."""
-
 
 class Answered(SystemExit):
-    """The parser has printed the answer itself, for instance to --help."""
+    """Ends the program after the parser has printed its answer, such as the help text."""
 
 
 def parse(
@@ -111,7 +109,7 @@ def _translate_errors(arguments: Sequence[str], commands: Commands, program: str
 
 @contextmanager
 def _no_help_texts() -> Iterator[None]:
-    """Keep the parser from reading help texts from source code, which takes long."""
+    """Keep the parser from searching the source code for help texts, since this is slow."""
     try:
         from tyro import _docstrings
     except ImportError:  # another version of tyro
@@ -130,7 +128,7 @@ def _no_help_texts() -> Iterator[None]:
 
 @contextmanager
 def _ensure_width() -> Iterator[None]:
-    """Use at least `NARROWEST` columns within this context; with fewer, --help never ends."""
+    """Lay out help texts at least `NARROWEST` characters wide; for less, tyro never finishes."""
     usual = os.environ.get("COLUMNS")
     if shutil.get_terminal_size().columns < NARROWEST:
         os.environ["COLUMNS"] = str(NARROWEST)
@@ -141,11 +139,8 @@ def _ensure_width() -> Iterator[None]:
         os.environ.update({} if usual is None else {"COLUMNS": usual})
 
 
-"""Carries an InputError through the parser, which catches ValueError."""
-
-
 class _Refused(Exception):
-    """Carries an InputError through the parser, which catches ValueError."""
+    """Wraps an InputError; the parser would catch the error itself, since it is a ValueError."""
 
     def __init__(self, error: InputError) -> None:
         self.error = error
@@ -183,7 +178,7 @@ def _refuse_named_positionals(options: Sequence[str], commands: Commands, progra
             continue
         if option[2:].replace("-", "_") in unnamed:
             usage = " ".join([program, name, *(field.upper() for field in unnamed)])
-            limit = f"`{program} {name}` takes it without a name."
+            limit = f"`{program} {name}` takes this value without a name."
             raise InputError("option", option, limit, f"Write `{usage}`.")
 
 

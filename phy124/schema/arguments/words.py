@@ -1,4 +1,4 @@
-"""Prepare the words of a command line for the parser: home folders, `--`, repeated options."""
+"""Prepare a command line for the parser: expand `~`, split at `--`, merge repeated options."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from phy124.errors import InputError
 END = "--"
 """Marks the end of options: later words are operands, even if they look like options."""
 _BEFORE_HOME = re.compile(r"(?:[\w.-]+=)*(?=~)")
-"""Text that may precede a path within a word: --out=, object.file=, --set=object.file=."""
+"""Matches the text before a `~`, such as --out=, object.file= or --set=object.file=."""
 
 
 def expand_home(word: str) -> str:
-    """Expand `~` at the start of a path, which shells leave unchanged after an equals sign.
+    """Expand `~` at the start of a path; shells do not expand it after an equals sign.
 
     The word is unchanged if the home folder does not exist.
     """
@@ -28,14 +28,14 @@ def expand_home(word: str) -> str:
 
 
 def split_operands(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Split the words at `--`; the second list starts with `--`, and is empty without operands."""
+    """Split the words at `--`. The second list starts with `--`; without operands it is empty."""
     end = list(arguments).index(END) if END in arguments else len(arguments)
     operands = list(arguments[end:])
     return list(arguments[:end]), [] if operands == [END] else operands
 
 
 def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str]:
-    """Return the command line's words with each option once: lists are joined, equal values merged.
+    """Return the words with each option once; join repeated lists and drop repeated equal values.
 
     Otherwise argparse, which reads the command line, would silently use only the last value.
     Operands are rewritten so that none looks like an option (`-x.png` becomes `./-x.png`), because
@@ -58,7 +58,7 @@ def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list
             continue
         value = values[0] if values else None
         if name and single.setdefault(name, value) != value:
-            limit = f"it is given twice, as {single[name]} and as {value}."
+            limit = f"the option has two values, {single[name]} and {value}."
             raise InputError(name.removeprefix("--"), value, limit, "Give it once.")
         if name and value and value.startswith("-") and value != "-h":
             # Otherwise the parser would take the value for an option: `--front -y`.
@@ -107,7 +107,7 @@ def _strip_annotated(annotation: Any) -> Any:
 
 
 def _group_by_option(arguments: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Return each option with the words after it; words before any option belong to ""."""
+    """Return pairs of an option and the words after it; words before any option follow ""."""
     groups: list[tuple[str, list[str]]] = [("", [])]
     for word in arguments:
         if not word.startswith("--"):

@@ -52,7 +52,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class Outlook:
-    """The predicted numbers of runs and times of a fit."""
+    """Forecast of a fit: its workers, and the time of a run on each grid."""
 
     grids: tuple[int, ...]
     each: tuple[float, ...]

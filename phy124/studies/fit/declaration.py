@@ -14,7 +14,7 @@ from phy124.schema.section import Section
 from phy124.studies.sweep.declaration import LogUniform, Uniform
 
 DECADE = 10.0
-"""Smallest ratio of a range's ends at which a range such as 1e4..1e6 is sampled logarithmically."""
+"""Minimum ratio of a range's ends (1e4..1e6: 100) for which its sampling is logarithmic."""
 
 
 def parse_range(data: Any) -> Any:
@@ -99,7 +99,8 @@ class Fit(Section):
         default=(16, 24),
         min_length=1,
         max_length=4,
-        description="Cells across the object: the first grid for the search, others to refine.",
+        description="Cells across the object on each grid: the first for the search, the others "
+        "to refine its result.",
     )
     seconds: float = Field(
         default=300.0, ge=1, le=1e7, description="Maximum duration of the fit [s]."

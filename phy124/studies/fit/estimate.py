@@ -32,7 +32,7 @@ shorter step, this scatter dominates the differences: with 0.01, the derivatives
 for a pressed duck were up to nine times too large.
 """
 END = 0.005
-"""A note warns of values closer than this to an end of their range, as a fraction of the range."""
+"""Distance from an end of the range, as a fraction of the range, below which a note warns."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def _notes(problem: Problem, places: tuple[Values, ...]) -> list[str]:
 
 
 def _refuse_unseen(problem: Problem, distance: Distance, slopes: Values) -> None:
-    """Refuse values that these measurements cannot determine, however accurate they are."""
+    """Refuse values that even exact measurements of this kind cannot determine."""
     spread = distance.residual(np.zeros_like(problem.measured))
     blind = find_unseen(problem.names, distance.weigh(slopes), float(np.linalg.norm(spread)))
     if blind is not None:

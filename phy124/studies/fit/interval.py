@@ -65,7 +65,7 @@ def bootstrap(
 
 
 def _draw(groups: Groups, kinds: Sequence[Kind], count: int, random: np.random.Generator) -> Values:
-    """Return how often each draw contains each group [DRAWS,G]."""
+    """Return how often each bootstrap sample contains each group [DRAWS,G]."""
     taken = np.zeros((DRAWS, count))
     for kind in kinds:
         members = np.unique(groups[kind.place])
@@ -101,7 +101,7 @@ def extrapolate(
 def find_unexplained(
     grids: Sequence[int], coarse: Sequence[float], fine: Sequence[float]
 ) -> Values:
-    """Estimate the finest grid's error in each kind of measurement, as a fraction of its misfit.
+    """Return the finest grid's error in each kind of measurement, as a fraction of the misfit.
 
     A misfit m is modelled as m^2 = a^2 + (c h)^2. The errors of the measurements, a, are equal on
     all grids. The grid's error c h is proportional to the spacing h. Two grids determine c.
@@ -139,7 +139,7 @@ def shift_values(
 
 
 DEAD = 1e-3
-"""Relative effect below which a value is undetermined.
+"""Relative effect on the measurements below which a value is undetermined.
 
 It is the change of the measurements over the value's range, divided by the measurements' norm.
 """
@@ -155,7 +155,7 @@ known. The singular value is then 0.04 to 0.08 on grids of 16 and 20 cells. For 
 0.93.
 """
 SHARE = 0.3
-"""Minimum component of a value in the weakest direction for the value to count as undetermined."""
+"""Minimum component in the weakest direction from which a value counts as undetermined."""
 VAGUE = 1 / 3
 """Half-width of a 95 % interval, as a fraction of the range, from which a value is undetermined.
 
@@ -196,7 +196,7 @@ class Undecided(InputError):
 
 
 class Blind(NamedTuple):
-    """Values that cannot be determined, and the reason."""
+    """Values that the measurements do not determine, and the reason."""
 
     names: tuple[str, ...]
     why: str

@@ -115,7 +115,7 @@ def distances(shown: dict[str, Any]) -> str:
 
 
 def trials(report: dict[str, Any], name: str) -> str:
-    """Plot the misfit of each run over the run's value of one parameter, as SVG.
+    """Plot the misfit of each run against one of the fitted values, as SVG.
 
     The plot also shows the interval of the fitted value.
     """

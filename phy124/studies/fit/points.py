@@ -17,7 +17,7 @@ NEIGHBOURS = 4
 FAR = 0.2
 """Maximum distance of a point from the object, as a fraction of the object's size."""
 FEW = 8
-"""Number of points below which errors at different times count as independent."""
+"""Number of points below which errors at different times are treated as independent."""
 
 
 class Points:
@@ -100,7 +100,7 @@ def _nearest(first: Values, rest: Values) -> tuple[NDArray[np.int64], Values]:
 
 
 def _seen(first: Values, rest: Values, camera: Camera) -> tuple[NDArray[np.int64], Values]:
-    """Return the front Gaussians nearest to each pixel, and their weights [K,NEIGHBOURS]."""
+    """Return the visible Gaussians nearest to each point's pixel, and weights [K,NEIGHBOURS]."""
     from scipy.spatial import KDTree
 
     pixels, depth = camera.project(rest)
@@ -123,5 +123,6 @@ def _refuse_far(distance: Values, of_what: str) -> None:
         limit = (
             f"a point is {distance[worst]:.2g} {of_what} away from the object at the first time."
         )
-        remedy = "Give metres of the scene (z up, the object over the origin), or pixels of --side."
+        remedy = "Give positions in the scene (metres, z up, the object over the origin), or in "
+        "the pictures of --side (pixels)."
         raise InputError("target", f"{len(distance)} points", limit, remedy)

@@ -1,4 +1,4 @@
-"""Minimises the distance: Sobol points, then CMA-ES (Hansen 2016), then Gauss-Newton steps.
+"""Minimises the misfit by Sobol points, then CMA-ES (Hansen 2016), then Gauss-Newton steps.
 
 The search with CMA-ES runs on the coarsest grid. The Gauss-Newton steps on a grid may start with
 derivatives from a coarser grid.

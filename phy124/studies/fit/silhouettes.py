@@ -23,7 +23,7 @@ from phy124.studies.fit.observation import Groups, Values, at_times
 from phy124.studies.fit.video import SIDE, Film, shrunk
 
 LONGEST = 64
-"""Longest side of the compared silhouettes [pixels]; a cell of a draft grid is about 2 wide."""
+"""Longest side of the compared silhouettes [pixels]; a cell at `draft` is about 2 pixels wide."""
 BLUR = 1.0
 """Standard deviation of the blur of silhouettes [pixels].
 
@@ -144,8 +144,8 @@ def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, 
     masks = np.stack([_warp(mask.astype(np.float32), matrix, size) > 0.5 for mask in film.masks])
     shared = float(np.sum(masks[0] & wanted) / max(np.sum(masks[0] | wanted), 1))
     if shared < LEAST:
-        limit = f"its first outline and the object's at rest share {shared:.0%} of their area."
-        remedy = "Begin the video with the object at rest, seen from the given side."
+        limit = f"its first outline and that of the object share {shared:.0%} of their area."
+        remedy = "Begin the video with the object at rest, seen from --side."
         raise InputError("align", True, limit, remedy)
     pictures = np.stack(
         [_warp(picture, matrix, size, cv2.BORDER_REPLICATE) for picture in film.pictures]

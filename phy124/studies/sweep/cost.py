@@ -103,9 +103,9 @@ def _forecast_clip(plan: Plan, item: Item, forecaster: Forecaster) -> tuple[floa
 
 
 SAMPLED = 256
-"""Maximum number of evenly spaced clips whose mean work stands for that of all clips."""
+"""Maximum number of evenly spaced clips from which the mean work of all clips is estimated."""
 ORIGIN = 1e-3
-"""Weight per clip, in the least-squares fit, of the assumption that zero work takes zero time."""
+"""Weight per clip of the added data point (no work, no time) in the least-squares fit."""
 FEWEST = 3
 """Minimum number of finished clips for an estimate of the remaining time."""
 

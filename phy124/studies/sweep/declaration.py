@@ -31,7 +31,7 @@ class Counted(Section, ABC):
         """Return the value with an index, from 0."""
 
     def draw(self, u: float) -> Any:
-        """Return the value for a number u in 0..1; uniform u make all values equally likely."""
+        """Return the value for a number u in 0..1; a uniform u makes all equally likely."""
         return self.value(min(int(u * self.count), self.count - 1))
 
 
@@ -196,7 +196,7 @@ def _refuse_descending(ends: Sequence[float]) -> None:
 
 
 KIND = re.compile(rf"\.({'|'.join(NAMED.values())})\b")
-"""Matches the type of an axis, which pydantic adds to the name of a field in its errors."""
+"""Matches the names of axis types, which pydantic adds to the names of fields in its errors."""
 Texts = Annotated[
     tuple[str, ...], BeforeValidator(lambda data: (data,) if isinstance(data, str) else data)
 ]

@@ -57,7 +57,7 @@ def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
 
 
 def key_of_request(picture: str, generator: str, changes: dict[str, Any]) -> str:
-    """Return the key of a request, which exists even if the request is invalid.
+    """Return the key of a request; an invalid request has a key, too.
 
     Args:
         picture: Address of the picture.

@@ -26,7 +26,7 @@ MANIFEST = "manifest.parquet"
 BATCH = 2048
 """Number of rows that are read before they are converted to columns."""
 FOLDERS = [f"rows/{digit:x}" for digit in range(16)]
-"""Folders of the row files, one for each first digit of a key, which keeps the folders small."""
+"""Folders of the row files: one per first digit of the keys, so that each stays small."""
 
 
 def keys_in(storage: Storage) -> Iterator[str]:

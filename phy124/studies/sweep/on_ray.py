@@ -33,7 +33,7 @@ AHEAD = 3
 BEAT = 0.2
 """Time between two checks for cancellation [s]."""
 SHARED = 64
-"""Maximum number of sources whose Gaussians are stored for further clips."""
+"""Maximum number of sources whose Gaussians are kept in memory for further clips."""
 
 
 def on_ray(

@@ -23,9 +23,9 @@ BARS = 12
 MEASURES = (
     ("seconds.clip", "seconds of one core per clip"),
     ("largest_force", "largest force on a wall [N]"),
-    ("own_error", "own error, at most [object sizes]"),
-    ("expected_error", "expected error, without an own one [sizes]"),
-    ("energy_gain", "energy gained, of the energy supplied (below 0: lost)"),
+    ("own_error", "error measured for the clip itself, at most [object sizes]"),
+    ("expected_error", "expected error, without a measured one [object sizes]"),
+    ("energy_gain", "energy gained / energy supplied (below 0: energy lost)"),
     ("bytes", "bytes per clip"),
 )
 STYLE = """

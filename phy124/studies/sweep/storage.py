@@ -16,7 +16,7 @@ from phy124.runtime.installation import install_command
 
 
 class Filling(NamedTuple):
-    """A local folder whose files are then moved to a storage."""
+    """A local folder for files that are moved to the storage later."""
 
     place: Path
     """The local folder."""

@@ -40,11 +40,11 @@ PROCESS = 4e8
 CONTEXT = 6e8
 """GPU memory of CUDA per process [bytes]."""
 UNSURE = 2.0
-"""Safety factor on memory, since the fraction of its cube that an object fills is unknown."""
+"""Safety factor on memory; it is unknown how much of its bounding cube an object fills."""
 STEP = 1 << 28
 """Unit of reserved memory [bytes]; the amount is rounded up, so similar tasks reserve the same."""
 SHARERS = 8
-"""Maximum number of tasks per GPU; with more tasks, they would wait for each other."""
+"""Maximum number of tasks per GPU; more tasks would wait for each other."""
 
 
 class Needs(NamedTuple):

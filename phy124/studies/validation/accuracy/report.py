@@ -1,4 +1,4 @@
-"""What a study found: the time and the error of each setting, and which setting it recommends."""
+"""The result of a study: time and error of each setting, and the setting that it recommends."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from phy124.particles.thickness import Proportions
 from phy124.scene import PRESETS, Scene
 
 COARSEST = 8
-"""Minimum number of cells across the object of a level that is recommended."""
+"""Minimum number of cells across the object for a level to be recommended."""
 KNOWN = 0.5
 """Minimum fraction of the frames whose errors must be known to recommend a level."""
 MOVING = 2
@@ -43,7 +43,7 @@ class Row:
     seconds: float
     """Measured time of simulation and shapes [s], without the time to split the energy loss."""
     limiters: dict[str, float]
-    """Name of a limit of the substep -> fraction of the substeps that it determines."""
+    """Fraction of the substeps that each limit determines, by the limit's name."""
     energy_lost: float
     """Energy that was lost, as a fraction of the energy supplied."""
     lost_to: dict[str, float] | None
@@ -59,8 +59,7 @@ class Row:
     torn: str = ""
     """Reason why the grid may have torn the material; a torn setting has no error."""
     stated: dict[str, Any] | None = None
-    """The error that a run of this level states for itself, as `error` of its report; None for
-    other settings, and without a thorough study."""
+    """The `error` in the report of a run at this level; None if not a level or not thorough."""
 
     @property
     def level(self) -> bool:
@@ -96,7 +95,7 @@ class Report:
 
     @property
     def _extent(self) -> str:
-        """A sentence about the limits of the errors; empty if they hold for the whole motion."""
+        """A sentence about the time up to which errors are known; empty if for the whole motion."""
         if self.until is not None:
             return (
                 f"The motions on different levels diverge after {self.until:.3g} s. "

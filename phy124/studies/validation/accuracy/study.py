@@ -320,7 +320,7 @@ def _lost_to(energy: dict[str, float] | None) -> dict[str, float] | None:
 
 
 def _without_torn(rows: list[Row], convergence: Convergence) -> Convergence:
-    """If there are no errors, add the names of torn levels to the reason."""
+    """If no error is known, add the names of torn levels to the reason."""
     torn = ", ".join(row.name for row in rows if row.level and row.torn)
     if not torn or not convergence.why_not:
         return convergence

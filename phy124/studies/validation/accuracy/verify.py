@@ -26,7 +26,7 @@ class Verdict:
     quantity: str
     """Name of the quantity whose error is measured."""
     value: float
-    """Measured error: that on the finest grid, or the largest error on all grids."""
+    """Measured error: on the finest grid, or the largest of all grids."""
     limit: float
     """Maximum permitted error."""
     levels: tuple[int, ...] = ()

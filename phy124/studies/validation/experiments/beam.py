@@ -200,7 +200,7 @@ def measure_lattice_drops(
     stiffer: float = 1.0,
     beyond: float = 0.0,
 ) -> Values:
-    """Measure the same on the lattice solver, with a beam as wide as thick.
+    """Measure the tip deflections by the lattice solver, for a beam as wide as it is thick.
 
     Args:
         cells: Cells across the beam's thickness.
@@ -264,8 +264,8 @@ ELASTICA = Experiment(
     source="Euler's elastica by elliptic integrals, as tabulated by Bisshopp and Drucker 1945",
     measured="Tip deflection divided by the length, at rest, for seven weights. The linear theory "
     "of small bending overestimates it by 11 % at PL²/EI = 1 and by 311 % at 10.",
-    band="from a slender beam to a beam with twice the shear of this beam, which is 12 times "
-    "as long as thick",
+    band="from the deflection without shear to the deflection with twice the shear of this beam, "
+    "which is 12 times as long as it is thick",
     published=partial(make_band, TIP_LOADS, elastica_drop, "PL²/EI"),
     run=partial(measure_drops, loads=TIP_LOADS, bending=load_tip),
     control=partial(measure_drops, loads=TIP_LOADS, bending=load_tip, stiffer=1.2),
@@ -299,7 +299,7 @@ LATTICE_ELASTICA = replace(
     title="Elastica on the lattice solver",
     measured='The loads of `elastica` again, with accuracy.solver = "lattice".',
     published=partial(make_band, TIP_LOADS, elastica_drop, "PL²/EI", 1.0),
-    band="as for `elastica`, and longer by up to the stretch of a hanging beam",
+    band="as for `elastica`, with the upper end raised by the stretch of a hanging beam",
     run=_on_tip,
     control=partial(_on_tip, stiffer=1.2),
     seconds=50,
@@ -325,7 +325,7 @@ LATTICE_HEAVY_ELASTICA = replace(
     title="Heavy elastica on the lattice solver",
     measured='The loads of `heavy-elastica`, with accuracy.solver = "lattice".',
     published=partial(make_band, OWN_LOADS, heavy_elastica_drop, "ρgAL³/EI", 0.5),
-    band="as for `elastica`, and longer by up to the stretch of a hanging beam",
+    band="as for `elastica`, with the upper end raised by the stretch of a hanging beam",
     run=_on_all,
     control=partial(_on_all, stiffer=1.4),
     quick=True,

@@ -180,12 +180,12 @@ EXPERIMENT = Experiment(
     "dZ/dT between two positions and between two times, and the height of the water at the wall "
     "divided by the initial height at times T/√2. The front ends at the first gap wider than a "
     "cell.",
-    band="inviscid front: ±3 %; speeds: between the lowest and the highest of the three data sets, "
-    "and 2 % for reading positions to 0.02; "
-    "heights: ±0.02, since the table's heights have steps of 0.05 to 0.06. The front's position "
-    "is not compared with the experiment, in which a gate of finite speed and a floor with "
-    "friction hold the water back at first: it arrives 9 to 20 % less far at each time. A delay "
-    "of T = 0.25 explains all but 2 % of this, so speeds agree, best between given positions",
+    band="inviscid front: ±3 %; speeds: from the lowest to the highest of the three data sets, "
+    "widened by 2 %, since positions were read to 0.02; heights: ±0.02, since the table's heights "
+    "have steps of 0.05 to 0.06. The front's positions are not compared with the experiment, in "
+    "which the opening of the gate and the friction of the floor delay the water: at each time, "
+    "the front is 9 to 20 % less far. A delay of T = 0.25 explains this to within 2 %. The "
+    "front's speeds are therefore compared; they agree best between two positions",
     published=publish,
     run=lambda cells: release(cells, 0.0),
     control=lambda cells: release(cells, PASTE),

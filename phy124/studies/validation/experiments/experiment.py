@@ -59,7 +59,7 @@ class Experiment:
     run: Callable[[int], Values]
     """Returns the values that are simulated with N cells across the length `across`."""
     control: Callable[[int], Values]
-    """Returns the values of a simulation with a deliberate mistake, which must leave a band."""
+    """Returns values simulated with a deliberate mistake; at least one must leave its band."""
     mistake: str
     """Description of the control's mistake."""
     grids: tuple[int, int, int]
@@ -150,7 +150,7 @@ class Outcome:
 
     @property
     def control_holds(self) -> bool:
-        """Whether the control leaves at least one band, which means the mistake is detected."""
+        """Whether the control leaves at least one band, so that its mistake is detected."""
         return any(each.control_outside for each in self.estimates)
 
     @property
@@ -160,7 +160,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether all runs succeeded, the control run failed, and deviations are explained."""
+        """Whether all runs succeeded, the control left a band, and all deviations have a reason."""
         explained = not self.missed or bool(self.experiment.reason)
         return not self.failures and self.control_holds and explained
 

@@ -126,7 +126,7 @@ def control(cells: int) -> Values:
 
 EXPERIMENT = Experiment(
     name="hertz",
-    title="Hertz: force on a pressed ball, and time of contact of one that bounces",
+    title="Hertz: force on a pressed ball, and contact time of a bouncing ball",
     source="finite elements of the whole neo-Hookean ball, which approach Hertz's law (1882) for "
     "small depths (`phy124/studies/validation/experiments/elastic_ball.py`)",
     measured="The force on the plate at two depths, from the plate's impulses; each force is the "

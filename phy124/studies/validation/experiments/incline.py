@@ -19,7 +19,7 @@ CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
 SIZE, SETTLING, SLIDING = 0.4, 1.4, 0.4
 """Edge of the block [m], and the durations of settling and sliding [s]."""
 SAMPLES = 41
-"""Number of times to which a parabola is fitted; the fit averages over the block's rocking."""
+"""Number of instants to which a parabola is fitted; this averages over the block's rocking."""
 
 
 def acceleration(slope: float, friction: float) -> float:

@@ -18,7 +18,7 @@ from phy124.studies.validation.accuracy.problems import GRAVITY
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 DEPTH, WAVE, PERIODS = 0.5, 0.05, 5
-"""Depth of the tank, amplitude of the wave, both in tank lengths, and number of periods."""
+"""Depth of the tank and amplitude of the wave, in tank lengths; and number of periods."""
 SAMPLES = 60
 """Samples per period."""
 GAP, NU, PULL, FALL = 0.5, 0.1, 2.0, 0.5
@@ -33,7 +33,7 @@ SIMILARITY = (1024 / (81 * np.pi**3)) ** 0.125
 
 
 def fill(size: tuple[float, float, float], cells: int) -> NDArray[Any]:
-    """Return particles, eight in a cell, in a box from the origin on [P,3], m.
+    """Return particles [P,3], m, eight per cell, in a box with a corner at the origin.
 
     Args:
         size: Sides of the box [m].
@@ -162,9 +162,9 @@ SLOSHING = Experiment(
     name="sloshing",
     title="Sloshing in a tank",
     source="Linear theory of waves (Lamb 1932, § 228): ω² = g k tanh(k h), k = π / L",
-    measured="The first mode of water, half as deep as its smooth tank is long, starts with an "
-    "amplitude of 5 % of the length. Measured are its frequency over 5 periods [Hz] and the "
-    "height of the centre of mass, relative to half the depth, at the end.",
+    measured="Water in a smooth tank, half as deep as the tank is long, oscillates in its first "
+    "mode with an initial amplitude of 5 % of the length. Measured are the frequency over 5 "
+    "periods [Hz], and the final height of the centre of mass divided by the depth.",
     band="±1 %; a wave of this height is slower than a small one by about 0.3 %",
     published=lambda: (
         Quantity.within("frequency", frequency(), 0.01),
@@ -185,7 +185,7 @@ CHANNEL = Experiment(
     measured="A slab with a viscosity of 0.1 m²/s falls with 2 m/s² between sticky plates that are "
     "0.5 m apart. "
     "Its speed after 0.5 s is measured in the middle fifth of the gap and across the gap [m/s].",
-    band="±5 %: the slab ends, so the flow is not quite that of an endless one",
+    band="±5 %, since the slab has ends, but the theory is for an infinitely long one",
     published=lambda: tuple(
         Quantity.within(name, speed, 0.05)
         for name, speed in zip(("speed in the middle", "mean speed"), started_flow(), strict=True)

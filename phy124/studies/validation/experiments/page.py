@@ -63,7 +63,7 @@ def save_plot(outcome: Outcome, path: PathLike) -> None:
 
 
 def _draw_curve(axes: Any, outcome: Outcome) -> None:
-    """Draw the values over the positions of the quantities."""
+    """Plot the published and the simulated values against the position of each quantity."""
     experiment, estimates = outcome.experiment, outcome.estimates
     places = [each.quantity.at for each in estimates]
     low, high = ([getattr(f.quantity, side) for f in estimates] for side in ("low", "high"))
@@ -82,7 +82,7 @@ def _draw_curve(axes: Any, outcome: Outcome) -> None:
 
 
 def _draw_rows(axes: Any, outcome: Outcome) -> None:
-    """Draw a row per quantity with its relative deviation from the published value [%].
+    """Draw a row for each quantity, with the relative deviations from its published value [%].
 
     If the published value is zero, the deviation is absolute.
     """
@@ -227,7 +227,7 @@ def _overview(outcomes: Sequence[Outcome]) -> str:
 
 
 def _worst(outcome: Outcome) -> str:
-    """Describe the value outside its band with the largest deviation; empty if there is none."""
+    """Describe the value that is farthest outside its band; empty if there is none."""
     if not outcome.missed:
         return ""
     worst = max(outcome.missed, key=lambda each: abs(each.deviation))

@@ -18,7 +18,7 @@ RATE, STREAM = 5.0, 1.0
 TIMES = (0.5, 1.0, 2.0, 6.0)
 """Times of the measurements, in units of 1 / rate."""
 LIMIT = STREAM - GRAVITY / RATE
-"""Terminal upward velocity u - g / rate [m/s], which is negative."""
+"""Terminal velocity u - g / rate [m/s], positive upwards; the body falls, so it is negative."""
 
 
 def way(time: float) -> float:

@@ -117,7 +117,7 @@ def run(cells: int) -> Values:
 
 
 def control(cells: int) -> Values:
-    """Measure the same with gravity increased by 5 %."""
+    """Measure the acceleration and the period with gravity increased by 5 %."""
     return roll(cells, 1.05 * GRAVITY), swing(cells, 1.05 * GRAVITY)
 
 
@@ -128,7 +128,7 @@ EXPERIMENT = Experiment(
     measured="On the lattice solver: acceleration of a ball that rolls down a slope of "
     "tan θ = 0.3, in units of gravity; and period of a plate of 0.4 × 0.1 × 0.0125 m that swings "
     "in its plane, about a point 0.15 m from its centre.",
-    band="±1 %; the finest grid, that of `standard`, is also within it",
+    band="±1 %; the value on the finest grid, that of `standard`, is also within this band",
     published=publish,
     run=run,
     control=control,

@@ -19,7 +19,7 @@ SMALL: dict[str, Any] = {
 }
 LONG: dict[str, Any] = {"frames": 400, "fps": 24.0, "budget": 1e8}
 EXCESS = 1.4
-"""Ratio of the estimated time to the time budget of a scene that is refused, on every device."""
+"""Ratio of a scene's estimated time to its time budget, for which every device refuses it."""
 REFUSED: dict[str, dict[str, Any]] = {
     "stiff": {"material": {"law": "neo_hookean", "E": 1e12}, "time": LONG},
     "rubbing": {"material": {"law": "neo_hookean", "damping": 1e7}, "time": LONG},

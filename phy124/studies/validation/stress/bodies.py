@@ -19,7 +19,7 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 Array = NDArray[np.float64]
 REORDERED = {"float32": 1e-5, "float64": 1e-12}
-"""Largest relative difference due to another order of summation, in short runs."""
+"""Maximum relative difference that another order of summation causes in a short run."""
 DX = 0.125
 """Grid spacing of the bodies [m]; a power of two."""
 JELLY = NeoHookean(E=1e4, nu=0.3)
@@ -28,7 +28,7 @@ JELLY = NeoHookean(E=1e4, nu=0.3)
 def body(
     x: Array, setting: Setting, material: Material = JELLY, *, size: float = 0.375, **options: Any
 ) -> Solver:
-    """Create a solver for particles that have equal shares of a cube's volume.
+    """Create a solver for particles that share the volume of a cube equally.
 
     Args:
         x: Positions [P,3], m.

@@ -59,7 +59,7 @@ class Case(NamedTuple):
     name: str
     measure: Callable[[Setting], list[Check]]
     precise: bool = True
-    """Whether the name of the case in the table includes precision and device."""
+    """Whether the table states precision and device after the name of the case."""
 
 
 class Row(NamedTuple):

@@ -134,7 +134,7 @@ def _endure(setting: Setting, fraction: float, count: int) -> Meter:
 
 
 def slow_drift(setting: Setting) -> list[Check]:
-    """Check that a very slow body keeps moving, although rounding in float32 could stop it."""
+    """Check that a very slow body keeps moving; rounding in float32 could stop it."""
     x = block(2, 0.125, middle=(0.7, 0.7, 0.7))
     s = body(x, setting, size=0.125, v=np.tile([1e-3, 0, 0], (8, 1)))
     count = 100_000 if setting.long else 10_000
@@ -149,7 +149,7 @@ def slow_drift(setting: Setting) -> list[Check]:
 FLAT = (0.01, 0.01, 1e-4)
 """Scales of a flat Gaussian with an aspect ratio of 100 [m]."""
 APART = 0.05
-"""Relative difference between the lengths of axes above which their directions are well defined."""
+"""Minimum relative difference between two axes' lengths for well-defined directions."""
 
 
 def _whirl(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver, Gaussians]:

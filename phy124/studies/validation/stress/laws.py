@@ -190,7 +190,7 @@ def friction_angle(setting: Setting) -> list[Check]:
 
 
 def series_strain(setting: Setting) -> list[Check]:
-    """Check Hencky stress, which is computed without an SVD, against the exact stress.
+    """Check the Hencky stress, computed without an SVD, against the exact stress.
 
     The principal strains are at most 20 %.
     """

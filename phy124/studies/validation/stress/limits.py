@@ -109,7 +109,7 @@ def _stiffness(material: NeoHookean) -> float:
 
 
 def stiff(setting: Setting) -> list[Check]:
-    """Check the number of substeps and that values are finite, for E from 1e2 to 1e13 Pa."""
+    """Check, for E from 1e2 to 1e13 Pa, the number of substeps and that values are finite."""
     checks = []
     for E in (1e2, 1e7, 1e9, 1e12, 1e13):
         x = block(4, 0.25)

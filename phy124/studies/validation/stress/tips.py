@@ -20,7 +20,7 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most
 DEEPEST = 0.3
 """Maximum permitted depth of a Gaussian below the floor [cells]."""
 LOOSE = 0.4
-"""The same on a lattice, for a shape that stands on the floor, for hairs, and at `fine`.
+"""Maximum depth on a lattice, if the shape stands on the floor, is hairs, or runs at `fine`.
 
 Hairs that fall from 0.3 m are 0.25 to 0.37 cells deep if all substeps change by 5 %. See
 docs/design/lattice.md.
@@ -53,14 +53,14 @@ def edge(x: Array) -> NDArray[np.bool_]:
 
 
 def table(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a table whose four legs are one cell thick on 16 cells."""
+    """Return whether points are in a table with four legs; a leg is 6 % of the size thick."""
     across = np.abs(x[:, :2])
     leg = (np.abs(across - 0.33).max(axis=1) < 0.03) & (x[:, 2] < 0.6)
     return leg | ((across.max(axis=1) < 0.4) & (np.abs(x[:, 2] - 0.57) < 0.07))
 
 
 def hairs(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a ball with 61 hairs, which are 0.64 cells thick on 16 cells."""
+    """Return whether points are in a ball with 61 hairs; a hair is 4 % of the size thick."""
     ways = np.random.default_rng(1).normal(size=(60, 3))
     ways = np.vstack([(0, 0, -1), ways / np.linalg.norm(ways, axis=1, keepdims=True)])
     from_middle = x - (0, 0, 0.5)
@@ -168,7 +168,7 @@ def tips(setting: Setting) -> list[Check]:
 
 
 def tips_on_body(setting: Setting) -> list[Check]:
-    """Check that tips, edges and hairs penetrate another body at most by the known depth."""
+    """Check that tips, edges and hairs enter another body by no more than the known depth."""
     return [
         at_most(
             f"depth of {inside.__name__} at {accuracy} by {solver} in a cushion [cells]",

@@ -90,7 +90,7 @@ def window(setting: Setting) -> list[Check]:
 
 
 def repeats(setting: Setting) -> list[Check]:
-    """Check that repeated runs are equal, and that the number of threads hardly matters."""
+    """Check that repeated runs are equal, and that results depend little on the thread count."""
     x = block(8, 0.5, middle=(0, 0, 0.4))
     v = np.random.default_rng(0).normal(size=x.shape)
 
