@@ -292,3 +292,11 @@ def test_more_frames_per_second_keep_the_length():
     assert SceneOptions(fps=30, set=("time.seconds=2",)).resolve().time.frames == 60
     assert SceneOptions(set=("time.fps=48",)).resolve().time.frames == 22
     assert SceneOptions(view=ViewOptions(speed=0.5)).resolve().view.speed == 0.5
+
+
+def test_help_states_values_and_no_python(capsys):
+    with pytest.raises(SystemExit):
+        main(["generate", "--help"])
+    text = capsys.readouterr().out
+    assert "--frames INT" in text and "{draft,standard,fine}" in text
+    assert "None" not in text

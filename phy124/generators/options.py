@@ -26,7 +26,7 @@ Precision = Literal["float32", "bfloat16", "float16"]
 
 
 class GeneratorOptions(Section):
-    """Options of a generator; an option that is None has the generator's default."""
+    """Options of a generator; an absent option has the generator's default."""
 
     steps: int | None = Field(
         default=None,

@@ -11,7 +11,11 @@ import os
 import shutil
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from typing import Any
+from dataclasses import replace
+from functools import reduce
+from operator import or_
+from types import NoneType, UnionType
+from typing import Any, Union, get_args
 
 from phy124.errors import InputError, did_you_mean, suggest
 from phy124.schema.arguments.words import (
@@ -27,6 +31,8 @@ NARROWEST = 40
 SIMILAR = 0.75
 """Minimum similarity, 0 to 1, at which a known option is suggested for an unknown one."""
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
+ABSENT = "absent"
+"""Default of an option without a value, in help texts."""
 Commands = Mapping[str, type]
 
 
@@ -69,6 +75,7 @@ def parse(
                 prog=program,
                 description=description,
                 args=join_repeats(arguments, commands),
+                registry=_registry(),
             )
 
     if not any(word.startswith(("-h", "--help", "--tyro-")) for word in arguments):
@@ -80,6 +87,31 @@ def parse(
 def asks_for_commands(arguments: Sequence[str]) -> bool:
     """Return whether the words ask for the list of all commands."""
     return not arguments or arguments[0] in ("-h", "--help")
+
+
+def _registry() -> Any:
+    """Return the parser's rules: an option that may be absent is described by its values alone."""
+    from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+
+    registry = ConstructorRegistry()
+
+    @registry.primitive_rule
+    def optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+        kinds = get_args(info.type)
+        if info.type_origin not in (Union, UnionType) or NoneType not in kinds:
+            return None
+        rest = reduce(or_, (kind for kind in kinds if kind is not NoneType))
+        spec = registry.get_primitive_spec(PrimitiveTypeInfo.make(rest, info.markers))
+        if not isinstance(spec, PrimitiveConstructorSpec):
+            return None
+        known, text = spec.is_instance, spec.str_from_instance
+        return replace(
+            spec,
+            is_instance=lambda value: value is None or known(value),
+            str_from_instance=lambda value: [ABSENT] if value is None else text(value),
+        )
+
+    return registry
 
 
 @contextmanager
@@ -224,9 +256,9 @@ def _explain_number_of_values(event: Any) -> InputError:
 
 
 def _explain_choice(event: Any) -> InputError:
-    choices = [choice for choice in event.choices if choice != "None"]
     limit = "there is no such choice."
-    return InputError(_name(event.argument), event.value, limit, suggest(event.value, choices))
+    remedy = suggest(event.value, event.choices)
+    return InputError(_name(event.argument), event.value, limit, remedy)
 
 
 def _explain_type(event: Any) -> InputError:
