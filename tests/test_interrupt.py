@@ -24,7 +24,7 @@ from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
 from phy124.io.files import staging
 from phy124.io.ply import write_ply
-from phy124.motion.deform import THREADS
+from phy124.motion.blocks import THREADS
 from phy124.mpm.threads import Barrier
 from phy124.scene import Scene
 from phy124.studies.validation import stress

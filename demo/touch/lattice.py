@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians
 from phy124.live import Live
-from phy124.motion.deform import carriers
+from phy124.motion.binding import find_carriers
 from phy124.rendering.stage.solids import floor_heights, place_walls
 
 MOST = 5000
@@ -73,11 +73,11 @@ def _bound(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
     """Return the particles that carry Gaussians, and eight of them with weights per Gaussian."""
     nodes = np.arange(len(rest))
-    near, weights = carriers(gaussians.means, rest)
+    near, weights = find_carriers(gaussians.means, rest)
     used = np.unique(near)
     if len(used) > most:
         nodes = np.sort(np.random.default_rng(0).permutation(used)[:most])
-        near, weights = carriers(gaussians.means, rest[nodes])
+        near, weights = find_carriers(gaussians.means, rest[nodes])
         used = np.unique(near)
     return nodes[used], np.searchsorted(used, near), weights
 

@@ -12,38 +12,19 @@ the material, to within 1e-5 of the covariance.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import scipy
 import warp as wp
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.gaussians import Array, Frame, Gaussians, Particles, by_object, rotate_sh
-from phy124.kernels import deform as field
+from phy124.gaussians import Array, Frame, Gaussians, Particles, rotate_sh
+from phy124.kernels import carriers, deform
 from phy124.kernels.arguments import types
-from phy124.kernels.carriers import CARRIERS, find_carriers
-from phy124.runtime.cores import cores
-
-PER_CELL, MOST_CELLS = 2, 256
-"""Parameters of the search for the particles that carry each Gaussian: mean number of particles in
-a cell of their bounding box, and largest number of cells per axis.
-"""
-BLOCK = 1 << 15
-"""Number of Gaussians that a CPU thread processes at once."""
-DEFORMATION = "F"
-"""Placeholder for the deformation gradients of the Gaussians in the arguments of a step."""
-THREADS = "shapes"
-"""Prefix of the names of the threads that process the Gaussians."""
-FARTHEST = 4.0
-"""Distance, in mean distances of particles, beyond which a particle carries a Gaussian only if no
-particle is nearer, because the grid does not connect material so far apart.
-"""
+from phy124.motion.binding import Binding, bind
+from phy124.motion.blocks import DEFORMATION, BlockLauncher, Step
 
 
 class Deformer:
@@ -103,8 +84,8 @@ class Deformer:
         """Polar rotations of the material in the last frame [N,4] wxyz; None if sh has degree 0."""
         n = len(gaussians)
         self.binding = bind(gaussians, particles) if binding is None else binding
-        self._device, self._share = device, _Share(n, device, threads)
-        block = self._share.block
+        self._device, self._blocks = device, BlockLauncher(n, device, threads)
+        block = self._blocks.block
         self._count = n if particles is None else len(particles.x)
         self._broken = wp.zeros(2, dtype=wp.int32, device=device)
 
@@ -177,10 +158,10 @@ class Deformer:
         quats = wp.empty(n, dtype=vec4, device=device)
         real = _precision(F)
         if self.binding.weights is None:
-            carry, shared = field.make_follow(real), [x, F]
+            carry, shared = deform.make_follow(real), [x, F]
         else:
             # Particles keep their precision; the kernel converts the values that it reads.
-            carry, shared = field.make_carry(real), [self._rest, x, F]
+            carry, shared = deform.make_carry(real), [self._rest, x, F]
         shapes, each = shapes_of(device)
         rest = [self._quats0, self._scales0, *self._limits, self._quats]
         steps = [
@@ -188,8 +169,8 @@ class Deformer:
             Step(shapes, rest, [DEFORMATION], [self._inner, quats, scales], each),
         ]
         if self.gaussians.sh_degree:
-            steps.append(Step(field.turn_of_material, [DEFORMATION], [], [self._turned]))
-        self._share.run(steps)
+            steps.append(Step(deform.turn_of_material, [DEFORMATION], [], [self._turned]))
+        self._blocks.run(steps)
         self._quats = quats
         frame = replace(
             self.gaussians,
@@ -242,7 +223,7 @@ class Deformer:
         t = types(real)
         x, F = _on(x, t.vec3, self._device), _on(F, t.mat33, self._device)
         self._broken.zero_()
-        kernel = field.make_count_broken(real)
+        kernel = deform.make_count_broken(real)
         wp.launch(kernel, self._count, [x, F], [self._broken], device=self._device)
         for broken in self._broken.numpy().tolist():
             self._refuse_broken(broken)
@@ -263,193 +244,6 @@ class Deformer:
         self.rotations = turned = _host(self._turned).copy()
         still = not rotated or (turned == (1, 0, 0, 0)).all()
         return rest.sh if still else rotate_sh(rest.sh, turned)
-
-
-class Step(NamedTuple):
-    """A kernel that is launched over the Gaussians."""
-
-    kernel: Any
-    mine: list[Any]
-    """First arguments: arrays with an entry for each Gaussian; `DEFORMATION` stands for F."""
-    shared: list[Any]
-    """Next arguments: arrays of which each Gaussian may read any entry."""
-    out: list[Any]
-    """Last arguments: arrays with an entry for each Gaussian."""
-    each: int = 1
-    """Number of Gaussians that a thread of the kernel processes."""
-
-
-class _Share:
-    """Launches kernels over the Gaussians in blocks that are divided among CPU threads.
-
-    The deformation gradients of a block stay in the cache from one step to the next. The threads
-    are reused, because new threads for every launch often all started on one core.
-    """
-
-    def __init__(self, count: int, device: str, threads: int) -> None:
-        self.device, self._count = device, count
-        threads = max(1, min(threads, count)) if device == "cpu" else 1
-        self._runs = [
-            range(count * k // threads, count * (k + 1) // threads) for k in range(threads)
-        ]
-        matrix: Any = wp.mat33d
-        self.block = BLOCK if device == "cpu" else max(count, 1)
-        most = min(self.block, max(len(run) for run in self._runs))
-        self._deformation = [wp.empty(most, dtype=matrix, device=device) for _ in range(threads)]
-        self._others = ThreadPoolExecutor(threads - 1, THREADS) if threads > 1 else None
-
-    def run(self, steps: Sequence[Step]) -> None:
-        """Run all steps for each block of Gaussians."""
-        work = [
-            [
-                self._record(step, range(first, min(first + self.block, run.stop)), F)
-                for first in range(run.start, run.stop, self.block)
-                for step in steps
-            ]
-            for run, F in zip(self._runs, self._deformation, strict=True)
-        ]
-        # Recording a launch loads its kernel, which several threads must not do at the same time.
-        first, *others = work
-        started = [self._others.submit(_launch, items) for items in others] if self._others else []
-        _launch(first)
-        for future in started:
-            future.result()
-
-    def _record(self, step: Step, block: range, F: wp.array) -> Any:
-        """Return the launch of a step for a block of Gaussians."""
-        count = len(block)
-
-        def part(array: Any) -> Any:
-            if isinstance(array, str):
-                return F[:count]
-            whole = len(array) == self._count
-            return array[block.start : block.stop] if whole else array[:count]
-
-        mine, out = ([part(array) for array in arrays] for arrays in (step.mine, step.out))
-        shared = [F[:count] if isinstance(array, str) else array for array in step.shared]
-        return wp.launch(
-            step.kernel,
-            dim=-(-count // step.each),
-            inputs=[*mine, *shared, *out],
-            device=self.device,
-            record_cmd=True,
-        )
-
-
-def _launch(launches: list[Any]) -> None:
-    for launch in launches:
-        launch.launch()
-
-
-class Binding(NamedTuple):
-    """The particles that carry each Gaussian, and their weights."""
-
-    particles: NDArray[np.int32]
-    """Indices of the K particles of each Gaussian [N,K], or of its single particle [N]."""
-    weights: NDArray[np.float32] | None
-    """Weights that sum to 1 [N,K]; None if each Gaussian follows a single particle."""
-
-    def interpolate(self, values: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return weighted means [N,3] of values on the particles [P,3]."""
-        if self.weights is None:
-            return values[self.particles].astype(np.float32)
-        out = np.zeros((len(self.weights), 3))
-        for k in range(self.weights.shape[1]):
-            out += self.weights[:, k, None] * values[self.particles[:, k]]
-        return out.astype(np.float32)
-
-    def select(self, chosen: NDArray) -> Binding:
-        """Return the binding of some Gaussians."""
-        return Binding(
-            self.particles[chosen], None if self.weights is None else self.weights[chosen]
-        )
-
-
-def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
-    """Find the particles that carry each Gaussian.
-
-    Raises:
-        ValueError: The particles belong to other Gaussians.
-    """
-    if particles is None:
-        return Binding(np.arange(len(gaussians), dtype=np.int32), None)
-    bound = _bound_particles(len(gaussians), particles)
-    return Binding(*_carriers_of(gaussians, particles)) if bound is None else Binding(bound, None)
-
-
-def _carriers_of(
-    gaussians: Gaussians, particles: Particles
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return each Gaussian's carriers [N,K], which are of its object, and their weights [N,K]."""
-    if particles.body is None or gaussians.object_id is None:
-        return _carriers_within(gaussians.means, particles.x, particles.volume)
-    neighbours = np.zeros((len(gaussians), CARRIERS), np.int32)
-    weights = np.zeros((len(gaussians), CARRIERS), np.float32)
-    for ours, theirs in by_object(gaussians, particles):
-        means, x, volume = gaussians.means[ours], particles.x[theirs], particles.volume[theirs]
-        index, weights[ours] = _carriers_within(means, x, volume)
-        neighbours[ours] = theirs[index]
-    return neighbours, weights
-
-
-def _carriers_within(
-    means: NDArray, x: NDArray, volume: NDArray
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the carriers [N,K] and weights [N,K] of the Gaussians of one object."""
-    # Rounded, so that equal volumes and their mean give the same weights.
-    index, weights = carriers(means, x, float(np.float32(FARTHEST * np.cbrt(volume.mean()))))
-    if len(x) < CARRIERS:
-        # Few particles do not determine the motion far from them: use the nearest one alone.
-        weights[:] = np.eye(1, CARRIERS)
-    return index, weights
-
-
-def carriers(
-    points: NDArray, particles: NDArray, farthest: float = math.inf
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
-
-    w = (1 - (d / R)^2)^2. R is the distance of the nearest particle that is not chosen. R is at
-    most twice the distance of the farthest chosen particle, and at most the larger of `farthest`
-    and twice the distance of the nearest particle [m]. The weights vary smoothly over the points,
-    since a particle enters and leaves the chosen set with weight 0. With fewer than K particles,
-    the last weights are 0.
-    """
-    low, high = particles.min(axis=0).astype(np.float64), particles.max(axis=0)
-    extent = np.maximum(high - low, 1e-9)
-    cell = max(float(np.cbrt(extent.prod() * PER_CELL / len(particles))), extent.max() / MOST_CELLS)
-    shape = np.floor(extent / cell).astype(np.int64) + 1
-    place = np.minimum(((particles - low) / cell).astype(np.int64), shape - 1)
-    flat = np.ravel_multi_index(tuple(place.T), tuple(shape))
-    order = np.argsort(flat, kind="stable").astype(np.int32)
-    starts = np.zeros(shape.prod() + 1, np.int32)
-    np.cumsum(np.bincount(flat, minlength=shape.prod()), out=starts[1:])
-    neighbours = np.empty((len(points), CARRIERS), np.int32)
-    weights = np.empty((len(points), CARRIERS), np.float32)
-    ordered, sorted_x = (np.ascontiguousarray(a, np.float32) for a in (points, particles[order]))
-    written: list[Any] = [wp.array(a, device="cpu", copy=False) for a in (neighbours, weights)]
-    shared = [wp.array(sorted_x, dtype=wp.vec3, device="cpu", copy=False)]
-    shared += [wp.array(a, device="cpu", copy=False) for a in (order, starts)]
-    numbers = [wp.vec3i(*shape.tolist()), wp.vec3d(*low.tolist()), cell, min(farthest, 1e100)]
-    mine = [wp.array(ordered, dtype=wp.vec3, device="cpu", copy=False)]
-    _Share(len(points), "cpu", cores()).run(
-        [Step(find_carriers, mine, [*shared, *numbers], written)]
-    )
-    return neighbours, weights
-
-
-def _bound_particles(count: int, particles: Particles | None) -> NDArray[np.int32] | None:
-    """Return the particle of each Gaussian [N]; None if they have the same order, or with
-    `lattice`.
-    """
-    if particles is None or (particles.gaussian < 0).all():
-        return None
-    bound = np.flatnonzero(particles.gaussian >= 0)
-    if not np.array_equal(np.sort(particles.gaussian[bound]), np.arange(count)):
-        raise ValueError(f"the particles were not made from these {count} Gaussians")
-    particle = np.empty(count, np.int32)
-    particle[particles.gaussian[bound]] = bound
-    return particle
 
 
 def _host(array: Any) -> NDArray:
@@ -474,27 +268,13 @@ def _on(array: Any, dtype: Any, device: str) -> wp.array:
     return wp.array(np.ascontiguousarray(_host(array)), dtype=dtype, device=device)
 
 
-def of_gaussians(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
-    """Return each Gaussian's value [N], of its particle or the nearest one, from values [P]."""
-    # Equal values, for example of a single material, need no search.
-    if len(values) and (values == values[0]).all():
-        return np.repeat(values[:1], len(gaussians), axis=0)
-    particle = _bound_particles(len(gaussians), particles)
-    if particle is None:
-        particle = np.zeros(len(gaussians), np.int64)
-        for ours, theirs in by_object(gaussians, particles):
-            tree = scipy.spatial.KDTree(particles.x[theirs])
-            particle[ours] = theirs[tree.query(gaussians.means[ours], workers=-1)[1]]
-    return values[particle]
-
-
 def shapes_of(device: str) -> tuple[Any, int]:
     """Return the kernel that deforms shapes, and the number of Gaussians per kernel thread."""
-    return (field.deform_shapes_simd, 8) if device == "cpu" else (field.deform_shapes, 1)
+    return (deform.deform_shapes_simd, 8) if device == "cpu" else (deform.deform_shapes, 1)
 
 
 def kernels(real: Any, binding: str, device: str) -> list[Any]:
     """Return the kernels that deform the Gaussians of a frame."""
-    bound = [field.make_carry(real), find_carriers] if binding == "lattice" else []
-    carry = bound or [field.make_follow(real)]
-    return [shapes_of(device)[0], *carry, field.make_count_broken(real)]
+    bound = [deform.make_carry(real), carriers.find_carriers] if binding == "lattice" else []
+    carry = bound or [deform.make_follow(real)]
+    return [shapes_of(device)[0], *carry, deform.make_count_broken(real)]

@@ -24,7 +24,8 @@ from phy124.runtime.cores import cores
 from phy124.runtime.memory import release, trim
 
 if TYPE_CHECKING:
-    from phy124.motion.deform import Binding, Deformer
+    from phy124.motion.binding import Binding
+    from phy124.motion.deform import Deformer
 
 KEPT = 256e6
 """Size up to which all computed frames of a clip are kept [bytes]."""
@@ -228,7 +229,8 @@ class Recorded:
 
     def _prepare(self) -> None:
         """Bind the Gaussians to the particles that carry them."""
-        from phy124.motion.deform import Deformer, bind  # loads Warp
+        from phy124.motion.binding import bind  # loads Warp
+        from phy124.motion.deform import Deformer
 
         motion, chosen = self.motion, self.chosen
         gaussians, moves = motion.gaussians, motion.moves

@@ -13,7 +13,7 @@ from phy124.materials import AnyMaterial
 from phy124.materials.base import FLOWING
 from phy124.materials.fluid import Fluid
 from phy124.monitor.tearing import APART
-from phy124.motion.deform import of_gaussians
+from phy124.motion.binding import pick_values
 from phy124.particles import Particles
 from phy124.particles.grains import add_grains, tint, vary_brightness
 from phy124.scene import Scene
@@ -159,7 +159,7 @@ def make_appearance(
     if scene.grains:
         gaussians, particles = add_grains(gaussians, particles, moves, materials, spacing)
     moves = np.append(moves, np.ones(len(gaussians) - surface, bool))
-    kinds = of_gaussians(gaussians.select(moves), particles, particles.material)
+    kinds = pick_values(gaussians.select(moves), particles, particles.material)
     flows = np.array([section.rounds for section in materials])[kinds]
     shades = np.zeros(len(gaussians))
     if scene.grains:

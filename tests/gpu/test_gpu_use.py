@@ -10,7 +10,8 @@ from demo.work import Done, steps
 from phy124.__main__ import main
 from phy124.camera import Camera
 from phy124.io.ply import write_ply
-from phy124.motion.deform import BLOCK, Deformer
+from phy124.motion.blocks import BLOCK
+from phy124.motion.deform import Deformer
 from phy124.rendering.film import film
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import make_stage

@@ -1,0 +1,92 @@
+"""Launches kernels over Gaussians in blocks, which are divided among the CPU's threads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import warp as wp
+
+BLOCK = 1 << 15
+"""Number of Gaussians that a CPU thread processes at once."""
+DEFORMATION = "F"
+"""Placeholder for the deformation gradients of the Gaussians in the arguments of a step."""
+THREADS = "shapes"
+"""Prefix of the names of the threads that process the Gaussians."""
+
+
+class Step(NamedTuple):
+    """A kernel that is launched over the Gaussians."""
+
+    kernel: Any
+    mine: list[Any]
+    """First arguments: arrays with an entry for each Gaussian; `DEFORMATION` stands for F."""
+    shared: list[Any]
+    """Next arguments: arrays of which each Gaussian may read any entry."""
+    out: list[Any]
+    """Last arguments: arrays with an entry for each Gaussian."""
+    each: int = 1
+    """Number of Gaussians that a thread of the kernel processes."""
+
+
+class BlockLauncher:
+    """Launches kernels over the Gaussians in blocks that are divided among CPU threads.
+
+    The deformation gradients of a block stay in the cache from one step to the next. The threads
+    are reused, because new threads for every launch often all started on one core.
+    """
+
+    def __init__(self, count: int, device: str, threads: int) -> None:
+        self.device, self._count = device, count
+        threads = max(1, min(threads, count)) if device == "cpu" else 1
+        self._runs = [
+            range(count * k // threads, count * (k + 1) // threads) for k in range(threads)
+        ]
+        matrix: Any = wp.mat33d
+        self.block = BLOCK if device == "cpu" else max(count, 1)
+        most = min(self.block, max(len(run) for run in self._runs))
+        self._deformation = [wp.empty(most, dtype=matrix, device=device) for _ in range(threads)]
+        self._others = ThreadPoolExecutor(threads - 1, THREADS) if threads > 1 else None
+
+    def run(self, steps: Sequence[Step]) -> None:
+        """Run all steps for each block of Gaussians."""
+        work = [
+            [
+                self._record(step, range(first, min(first + self.block, run.stop)), F)
+                for first in range(run.start, run.stop, self.block)
+                for step in steps
+            ]
+            for run, F in zip(self._runs, self._deformation, strict=True)
+        ]
+        # Recording a launch loads its kernel, which several threads must not do at the same time.
+        first, *others = work
+        started = [self._others.submit(_launch, items) for items in others] if self._others else []
+        _launch(first)
+        for future in started:
+            future.result()
+
+    def _record(self, step: Step, block: range, F: wp.array) -> Any:
+        """Return the launch of a step for a block of Gaussians."""
+        count = len(block)
+
+        def part(array: Any) -> Any:
+            if isinstance(array, str):
+                return F[:count]
+            whole = len(array) == self._count
+            return array[block.start : block.stop] if whole else array[:count]
+
+        mine, out = ([part(array) for array in arrays] for arrays in (step.mine, step.out))
+        shared = [F[:count] if isinstance(array, str) else array for array in step.shared]
+        return wp.launch(
+            step.kernel,
+            dim=-(-count // step.each),
+            inputs=[*mine, *shared, *out],
+            device=self.device,
+            record_cmd=True,
+        )
+
+
+def _launch(launches: list[Any]) -> None:
+    for launch in launches:
+        launch.launch()
