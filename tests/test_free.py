@@ -437,7 +437,7 @@ def test_depth_is_that_below_its_surface(shape):
         "box": [0.2, 0.05, -0.2, -0.1],
         "capsule": [0.1, 0.1, -0.1, -0.2],
     }
-    np.testing.assert_allclose(one.depth(along), deep[shape], atol=1e-12)
+    np.testing.assert_allclose(one.measure_depth(along), deep[shape], atol=1e-12)
 
 
 @pytest.mark.slow

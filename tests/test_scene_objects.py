@@ -374,6 +374,7 @@ def test_an_object_with_a_motion_is_a_wall_where_it_is_drawn(changes, lower, upp
         ({"turn": [0, 0, 30]}, "cannot be rotated. Leave turn out"),
         ({"shape": "sphere"}, "Give 3 equal sides"),
         ({"shape": "capsule", "sides": [0.4, 0.3, 1]}, "Give 2 equal sides"),
+        ({"shape": "capsule", "sides": [1, 1, 1]}, "Lengthen one side, or use a sphere"),
     ],
 )
 def test_a_motion_that_no_wall_can_follow_is_refused(changes, said):

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from phy124.boundaries.base import Boundary, Corners, Movable, Rest, half_bounds, vector
 from phy124.boundaries.motion import Path
 from phy124.mpm import Model, Stage, State
+from phy124.mpm.depth import measure_depth
 from phy124.mpm.tracks import Track, Tracks
 from phy124.schema.bounds import FARTHEST, LONGEST, SHORTEST, Direction, Position
 from phy124.schema.region import Region, Vector
@@ -29,8 +30,7 @@ class Plane(Boundary):
 
     def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
         """Return the depth of points [P,3] behind the plane before it moves [P], m."""
-        point, normal, _ = self.geometry(model)
-        return (np.array(point) - x) @ np.array(normal)
+        return measure_depth(self.shape, self.geometry(model), x)
 
 
 class HalfSpace(Plane, Movable):

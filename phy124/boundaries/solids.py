@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from phy124.boundaries.base import Boundary, Corners, Movable, Rest, box_of, vector
 from phy124.boundaries.motion import Path
 from phy124.mpm import Model, Stage, State
+from phy124.mpm.depth import measure_depth
 from phy124.mpm.tracks import Tracks
 from phy124.schema.bounds import LONGEST, SHORTEST, Position
 from phy124.schema.region import Vector
@@ -19,7 +20,15 @@ from phy124.schema.region import Vector
 Axis = Literal["x", "y"]
 
 
-class Box(Movable):
+class Solid(Movable):
+    """A solid of finite size."""
+
+    def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
+        """Return the depth of points [P,3] inside the solid before it moves [P], m."""
+        return measure_depth(self.shape, self.geometry(model), x)
+
+
+class Box(Solid):
     """A box aligned with the axes."""
 
     shape: ClassVar[str] = "box"
@@ -41,17 +50,12 @@ class Box(Movable):
         """Return the corners of the box [m]."""
         return np.array(self.lower), np.array(self.upper)
 
-    def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
-        """Return the distance of points [P,3] from the nearest face before it moves [P], m."""
-        del model
-        return np.minimum(x - self.lower, self.upper - x).min(axis=1)
-
     def thickness(self) -> float:
         """Return half of the shortest side [m]."""
         return float(np.subtract(self.upper, self.lower).min()) / 2
 
 
-class Sphere(Movable):
+class Sphere(Solid):
     """A ball."""
 
     shape: ClassVar[str] = "sphere"
@@ -67,17 +71,12 @@ class Sphere(Movable):
         """Return the corners of the sphere's bounding box [m]."""
         return np.array(self.centre) - self.radius, np.array(self.centre) + self.radius
 
-    def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
-        """Return the depth of points [P,3] inside the ball before it moves [P], m."""
-        del model
-        return self.radius - np.linalg.norm(x - self.centre, axis=1)
-
     def thickness(self) -> float:
         """Return the radius [m]."""
         return self.radius
 
 
-class Capsule(Movable):
+class Capsule(Solid):
     """A rod with round ends."""
 
     shape: ClassVar[str] = "capsule"
@@ -102,13 +101,6 @@ class Capsule(Movable):
         """Return the corners of the capsule's bounding box [m]."""
         ends = np.array([self.start, self.end])
         return ends.min(axis=0) - self.radius, ends.max(axis=0) + self.radius
-
-    def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
-        """Return the depth of points [P,3] inside the rod before it moves [P], m."""
-        del model
-        start, axis = np.array(self.start), np.subtract(self.end, self.start)
-        along = np.clip((x - start) @ axis / (axis @ axis), 0, 1)
-        return self.radius - np.linalg.norm(x - start - along[:, None] * axis, axis=1)
 
     def thickness(self) -> float:
         """Return the radius [m]."""

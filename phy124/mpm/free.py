@@ -19,6 +19,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Wrench, rotation_matrices
 from phy124.kernels import free as kernels
 from phy124.kernels.arguments import types
+from phy124.mpm.depth import measure_depth
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.pairs import fill_of
@@ -102,14 +103,10 @@ class FreeBody(NamedTuple):
         """Local axes as columns [3,3]."""
         return rotation_matrices(np.array([self.turn]))[0]
 
-    def depth(self, x: NDArray) -> NDArray[np.float64]:
+    def measure_depth(self, x: NDArray) -> NDArray[np.float64]:
         """Return the initial depth of points [P,3] inside the solid [P], m; negative outside."""
-        local = np.abs((np.asarray(x, np.float64) - self.place) @ self.axes)
-        if self.shape == "box":
-            return np.min(self.half - local, axis=1, initial=np.inf)
-        least = min(self.half)
-        core = np.maximum(local - (np.array(self.half) - least), 0.0)
-        return least - np.linalg.norm(core, axis=1)
+        local = (np.asarray(x, np.float64) - self.place) @ self.axes
+        return measure_depth(self.shape, self.geometry(), local)
 
     def geometry(self) -> Vector3:
         """Return the three vectors that the shape's distance function reads [3,3], m."""

@@ -121,6 +121,11 @@ class SceneObject(Object):
                 f"{self.name} has a motion, so its cross-section must be "
                 f"round; give {len(round_)} equal sides"
             )
+        if self.shape == "capsule" and min(self.sides) == max(self.sides):
+            raise ValueError(
+                f"{self.name} is a capsule as long as it is thick; lengthen one side, or use a "
+                "sphere"
+            )
         return self
 
     @property

@@ -96,7 +96,7 @@ def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
         InputError: Some material is inside; the message gives the depth.
     """
     for solid in solids:
-        deepest = solid.depth(x).max(initial=-np.inf)
+        deepest = solid.measure_depth(x).max(initial=-np.inf)
         if deepest > DEEPEST * scene.dx:
             limit = f"it overlaps the object or wall that it would touch by {deepest:.2g} m."
             remedy = 'Change place or lift, or let the object stand on that object: on = "...".'
