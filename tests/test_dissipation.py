@@ -91,7 +91,11 @@ def test_metal_loses_its_plastic_work(rng):
     [
         ({"checks": {"energy": True, "balance": False}}, "checks.energy needs checks.balance"),
         (
-            {"checks": {"energy": True}, "objects": [{"name": "cup", "place": [2.0, 0.0]}]},
+            {
+                "checks": {"energy": True},
+                "accuracy": {"solver": "mpm"},
+                "objects": [{"name": "cup", "place": [2.0, 0.0]}],
+            },
             "checks.energy does not support objects",
         ),
     ],

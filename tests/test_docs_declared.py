@@ -70,6 +70,7 @@ def test_report_has_only_declared_keys(tmp_path):
 
     write_ply(tmp_path / "ball.ply", ball(300))
     settings = ["accuracy.cells=8", "time.frames=2", "checks.energy=true", "wrenches=true"]
+    settings.append("accuracy.solver=mpm")
     options = ["--scene", "drop", "--views", "front", "--size", "32", "--forecast"]
     words = ["simulate", str(tmp_path / "ball.ply"), *options, "--out", str(tmp_path / "out")]
     assert main([*words, "--set", *settings]) == 0

@@ -30,7 +30,6 @@ def scene(*objects, **changes):
 CASES = [
     ([], {"material": {"law": "sand"}}, "material.law"),
     ([], {"binding": "particles"}, "binding"),
-    ([], {"checks": {"energy": True}}, "checks.energy"),
     ([], {"accuracy": {**ALONE["accuracy"], "particles_per_axis": 3}}, "accuracy.particles"),
     ([], {"boundaries": [SLIPPERY]}, "boundaries.foot.contact"),
     ([SAND], {"forces": [WIND]}, "forces.0"),

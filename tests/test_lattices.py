@@ -29,7 +29,6 @@ def scene(name="drop", **changes):
         ({"accuracy.transfer": "xpic2"}, "accuracy.transfer is xpic2"),
         ({"accuracy.solver": "mpm"}, "accuracy.solver is mpm"),
         ({"binding": "particles"}, "binding is particles"),
-        ({"checks.energy": True}, "checks.energy is on"),
         ({"properties.file": "laws.npz"}, "in a file"),
         ({"object.velocity": (0, 0, -40)}, "at 2.2 times its speed of sound"),
         ({"object.lift": 4.0, "material.E": 500.0}, "at 9.9 times its speed of sound"),
@@ -60,9 +59,9 @@ def test_fine_computes_in_float32_on_lattices_alone():
 
 
 def test_effects_tell_why_there_is_no_lattice():
-    chosen = scene(**{"checks.energy": True})
+    chosen = scene(**{"checks.energy": True, "accuracy.precision": "float64"})
     omitted = {row.effect: row.why for row in Effects.of(chosen).left_out}
-    assert omitted["rest lattice"].startswith("checks.energy is on")
+    assert omitted["rest lattice"].startswith("accuracy.precision is float64")
     (sand,) = (row for row in Effects.of(scene("sand")).left_out if row.effect == "rest lattice")
     assert sand.why == "lattices are for elastic materials"
 
@@ -85,7 +84,7 @@ def test_auto_is_mpm_on_a_gpu():
 
 
 def test_changes_coarse_grids_and_studies_keep_the_solver():
-    before, after = scene(), scene(**{"checks.energy": True})
+    before, after = scene(), scene(**{"accuracy.precision": "float64"})
     assert keep_lattice(after, before).on_lattice and keep_lattice(before, before) is before
     assert not keep_lattice(before, after).on_lattice
     bound = scene(binding="particles")

@@ -36,7 +36,8 @@ def make(solids, *materials, v=None, held=(), precision="float64", **options):
     model = Model.of(x, volume, materials, dx=DX, **chosen)
     motion = None if v is None else np.asarray(v, float)[body]
     state = State.of(model, motion)
-    return LatticeSolver(model, np.concatenate(surfaces), state, threads=1, **options)
+    options = {"threads": 1, **options}
+    return LatticeSolver(model, np.concatenate(surfaces), state, **options)
 
 
 def test_the_most_viscous_body_limits_substeps():

@@ -21,9 +21,11 @@ from scipy.spatial import KDTree
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice.contact import NODES, make_exchange, make_meet, make_resist
 from phy124.kernels.lattice.partners import SIDEWAYS
+from phy124.kernels.lattice.work import ITSELF, PAIRS
 from phy124.lattice.partners import REACH, Partners
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
+from phy124.lattice.work import ContactWork
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
@@ -92,6 +94,7 @@ class Meeting:
         """Points that have a partner [K]."""
         self.most = 0
         """Largest number of pairs so far."""
+        self._work: ContactWork | None = None
         self._reserve(0)
         self._seen: NDArray[np.float64] = surface.x[sample]
         self._flagged: NDArray[np.bool_] = np.zeros(len(sample), bool)
@@ -147,13 +150,24 @@ class Meeting:
             place = [pairs["nodes"], pairs["weights"], nodes.rest, nodes.u]
             inputs = [0, pairs["sign"], *place, pairs["force"], clock]
             self._launches.append((model.launch(make_exchange(real), 1, inputs, [self._sums]), 0))
+        if self._work is not None:
+            at, points = PAIRS if self._between else ITSELF, (pairs["nodes"], pairs["weights"])
+            self._launches.append((self._work.of(at, every, points, gap, pairs["force"]), 1))
 
-    def record(self) -> list[Named]:
-        """Return the stages that apply the previous impulses, correct them and sum them."""
+    def record(self, work: ContactWork | None) -> list[Named]:
+        """Return the stages that apply the previous impulses, correct them and sum them.
 
-        def stage(number: int) -> Named:
+        Args:
+            work: Records the launch that sums their work; None if it is not summed.
+        """
+        if work is not self._work:
+            kept, self._work = self.snapshot(), work
+            self._reserve(len(self._points))
+            self._fill(self._points, kept)
+
+        def stage(*numbers: int) -> Named:
             def act() -> None:
-                if len(self._points):
+                for number in numbers if len(self._points) else ():
                     launch, place = self._launches[number]
                     launch.set_param_at_index(place, len(self._points))
                     if number == 0 and self._response == "separate":
@@ -162,7 +176,8 @@ class Meeting:
 
             return "self-contact" if self._sums is None else "pairs", act
 
-        return [stage(number) for number in range(2 if self._sums is None else 3)]
+        sums = range(2, 2 + (self._sums is not None) + (work is not None))
+        return [stage(0), stage(1), *([stage(*sums)] if sums else [])]
 
     def follow(self, x: NDArray[np.float64]) -> None:
         """List the pairs again if parts have moved relative to each other.

@@ -18,6 +18,7 @@ from phy124.lattice.itself import FRICTION, Meeting
 from phy124.lattice.partners import FAR, Partners
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
+from phy124.lattice.work import ContactWork
 from phy124.mpm.model import Model
 from phy124.mpm.pairs import Pairs
 from phy124.mpm.stage import Named
@@ -49,6 +50,8 @@ class Meetings:
             pairs: Friction of pairs of bodies, and the sums of their impulses.
             restore: Gain by which points come out of each other [1/s].
         """
+        self.work: ContactWork | None = None
+        """Records launches that sum the work of contact; None: it is not summed."""
         self._dx = model.dx
         cube = np.floor(surface.x / (SAMPLED * model.dx)).astype(np.int64)
         _, sample = np.unique(np.column_stack([surface.body, cube]), axis=0, return_index=True)
@@ -94,7 +97,7 @@ class Meetings:
 
     def stages(self) -> list[list[Named]]:
         """Return the launches of a substep that apply earlier impulses, correct and sum them."""
-        stages = [meeting.record() for meeting in self.every]
+        stages = [meeting.record(self.work) for meeting in self.every]
         return [[each[k] for each in stages if len(each) > k] for k in range(3)]
 
     def follow(self, step: float) -> None:

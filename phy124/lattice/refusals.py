@@ -75,10 +75,6 @@ def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
     yield from _refusals_of_materials(scene, materials)
     if scene.binding != "lattice":
         yield Refusal("binding", scene.binding, "its particles are not on a lattice.")
-    if scene.checks.energy:
-        yield Refusal(
-            "checks.energy", "on", "the lattice solver does not yet divide its losses by cause."
-        )
     accuracy = scene.resolution
     if accuracy.particles_per_axis not in (None, 2.0):
         limit = "a lattice always has two points per cell and axis."

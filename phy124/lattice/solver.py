@@ -8,8 +8,8 @@ on particles act, when limits are measured, and at the end of `advance`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -17,6 +17,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.lattice.energies import Energies
 from phy124.lattice.meetings import Meetings
 from phy124.lattice.motion import make_nodes
 from phy124.lattice.phases import MEASURE, TRIAL, Phases
@@ -113,9 +114,9 @@ class LatticeSolver:
         self.surface = make_surface(surface, self.lattice)
         self.nodes_state = make_nodes(model, self.lattice, self.state, vectors=vectors)
         count = usable_workers(len(model), model.device, threads)
-        self._crew = Crew(model, self.state, self.lattice, self.nodes_state, count, vectors=vectors)
-        self.workers = self._crew.workers
-        self.phases = Phases(self.workers)
+        self.crew = Crew(model, self.state, self.lattice, self.nodes_state, count, vectors=vectors)
+        self.workers = self.crew.workers
+        self.phases, self.energies = Phases(self.workers), Energies(self)
         self.grid = Grid(model.origin, model.dx, real=model.real, device=model.device)
         self.grid.size = np.ptp(self.lattice.index, axis=0) + 1
         self.pairs = Pairs(model, pairs, 1)
@@ -127,7 +128,7 @@ class LatticeSolver:
         self.softened = 1.0
         """Factor by which all stiffnesses are currently scaled."""
         self.spectrum = Spectrum(
-            model, self._crew, self.nodes_state, self.lattice, lambda: self.phases.run_task(TRIAL)
+            model, self.crew, self.nodes_state, self.lattice, lambda: self.phases.run_task(TRIAL)
         )
         """The largest frequency of the bodies, which limits the substep."""
         self.substep_at_rest = self.clock.cfl * self.spectrum.substep_at_rest
@@ -188,7 +189,8 @@ class LatticeSolver:
 
     def record(self) -> None:
         """Record the launches of one substep."""
-        crew, pushed = self._crew, bool(self._forces)
+        crew, pushed = self.crew, bool(self._forces)
+        self.energies.attach()
         for index, worker in enumerate(self.workers):
             before = [crew.locate(worker), self._push(index)] if pushed else []
             worker.phases = [
@@ -202,6 +204,7 @@ class LatticeSolver:
         last = [(stage.name, stage.record(self.grid)) for stage in self._sums]
         last += self.free.drift()
         self.workers[0].phases[-1] += launches(last)
+        self.energies.extend(pushed=pushed)
         self._summed = 2 if pushed else 0
         """Index of the phase after which the forces on all nodes are known."""
 
@@ -270,7 +273,7 @@ class LatticeSolver:
 
     def follow(self) -> None:
         """Compute x, v, C and F of the points from the nodes."""
-        self.workers[0].run(self._crew.follow())
+        self.workers[0].run(self.crew.follow())
 
     def carry_nodes(
         self, carry: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]], body: int = 0
@@ -290,7 +293,7 @@ class LatticeSolver:
         nodes.v.assign(v)
         nodes.residue.zero_()
         self.walls.forget()
-        self._crew.stray.zero_()
+        self.crew.stray.zero_()
         self._look()
         self.clock.expire()
         self.follow()
@@ -329,7 +332,7 @@ class LatticeSolver:
         self.phases.join()
         self.phases.run_task(MEASURE)
         # They are not reset: where the stress measures, the end of the substep reads them, too.
-        speed, gradient, self.clock.closing = self._crew.maxima()
+        speed, gradient, self.clock.closing = self.crew.maxima()
         self.clock.extremes = self.clock.extremes._replace(speed=speed, gradient=gradient)
         self.clock.expire()
         return min(drift, STRAIN_PER_STEP / max(gradient, 1e-30))
@@ -355,19 +358,16 @@ class LatticeSolver:
         self.phases.run(len(self.workers[0].phases) - 1)
         self.phases.join()
         self.clock.finish(drift)
-        if self._crew.measuring:
+        if self.crew.measuring:
             self._read(drift)
 
-    @contextmanager
-    def _threads(self) -> Iterator[None]:
-        """Run each worker on its own thread within this context."""
+    def _threads(self) -> AbstractContextManager[None]:
+        """Return a context within which each worker runs on its own thread."""
         if len(self.workers) == 1:
-            yield
-            return
+            return nullcontext()
         # Loading kernels is not thread-safe: this loads those of the measurement.
         self.measure_if_due()
-        with self.phases.team.running():
-            yield
+        return self.phases.team.running()
 
     def measure_if_due(self) -> bool:
         """Measure the limits of the substep if necessary; return whether this was necessary."""
@@ -378,7 +378,7 @@ class LatticeSolver:
 
     def _measure(self) -> None:
         """Measure the limits of the substep; raises Unstable."""
-        if not self._crew.measuring or not self.clock.substeps:
+        if not self.crew.measuring or not self.clock.substeps:
             self.phases.run_task(MEASURE)
             self._read(self.clock.time - self._measured)
             self._measured = self.clock.time
@@ -403,7 +403,7 @@ class LatticeSolver:
         Args:
             elapsed: Time since the last measurement [s].
         """
-        speed, gradient, self.clock.closing = self._crew.take_maxima()
+        speed, gradient, self.clock.closing = self.crew.take_maxima()
         self._refuse_collapse()
         extremes, pull = self.clock.extremes, self.rejection.acceleration
         fastest = max(speed, extremes.speed) + self.rejection.wall
@@ -420,7 +420,7 @@ class LatticeSolver:
 
         The next attempt takes substeps of half the last length: a collapsed one would never end.
         """
-        clock, lost = self.clock, int(self._crew.stray.numpy()[0])
+        clock, lost = self.clock, int(self.crew.stray.numpy()[0])
         usual = min(self.substep_at_rest, clock.ceiling)
         inverted = lost or clock.stable().dt < COLLAPSED * usual
         if not inverted and not clock.stalls(usual):
@@ -490,8 +490,8 @@ class LatticeSolver:
         for name in PARTS:
             getattr(self, name).restore(snapshot[name])
         self._strain, self._probed = snapshot["probed"]
-        self._crew.stray.zero_()
-        self._crew.take_maxima()
+        self.crew.stray.zero_()
+        self.crew.take_maxima()
         # Distances from moving walls are those at the time of the snapshot.
         self.clock.begin(0.0, 0.0)
         self._sample.launch()

@@ -33,9 +33,11 @@ from phy124.kernels.lattice.contact import (
 from phy124.kernels.lattice.nodes import make_hold, make_pin
 from phy124.kernels.lattice.partners import make_expose, make_flag, make_partner
 from phy124.kernels.lattice.rows import Rows, rows_for
+from phy124.kernels.lattice.work import WALLS
 from phy124.lattice.impulses import Impulses
 from phy124.lattice.rest import RestLattice, splines
 from phy124.lattice.surface import Surface
+from phy124.lattice.work import ContactWork
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Track, Tracks
@@ -131,6 +133,10 @@ class Walls:
         """
         self.impulses: Impulses | None = None
         """Sums per surface point and node; None unless `keep_impulses` was called."""
+        self.work: ContactWork | None = None
+        """Records launches that sum the work of contact; None: it is not summed."""
+        self.holding = [number for number, (holds, _) in enumerate(simple) if holds]
+        """Rows of `sums` that belong to clamps."""
         self._dx, self._listed = model.dx, 0
         self._around = model, surface.count, nodes, tracks
         points = _Points.of(surface, lattice, model, substep)
@@ -163,7 +169,7 @@ class Walls:
         if clamps and self.impulses is not None:
             held = np.unique(np.concatenate([clamp.nodes for clamp in self._clamps]))
             clamps = self.impulses.hold(clamps, held)
-        stages = [contact.record(self.impulses) for contact in self._contacts]
+        stages = [contact.record(self.impulses, self.work) for contact in self._contacts]
         touch, resist, account = (
             [("contact", contact[number]) for contact in stages] for number in range(3)
         )
@@ -366,12 +372,10 @@ class _Contact:
                 self._list[: len(near)].assign(self._near)
             self._count()
 
-    def record(self, impulses: Impulses | None = None) -> list[Callable[[], None]]:
-        """Return the stages that find touching points, correct impulses and sum these.
-
-        Args:
-            impulses: Sums per surface point; None if they are not kept.
-        """
+    def record(
+        self, impulses: Impulses | None, work: ContactWork | None
+    ) -> list[Callable[[], None]]:
+        """Return the stages that find touching points, correct impulses, and sum them and work."""
 
         def account() -> None:
             for launch in sums if len(self._near) else ():
@@ -384,20 +388,26 @@ class _Contact:
                 first.set_param_at_index(2, self.reach)
                 first.launch()
 
-        self._launches = [self._touch(), self._resist(), self._yield(), self._account()]
+        self._of_each = [self._yield(), self._account()]
         if impulses is not None:
-            self._launches.append(impulses.press(self._list, self.force))
+            self._of_each.append(impulses.press(self._list, self.force))
+        self._of_all = [self._touch(), self._resist()]
+        if work is not None:
+            points = self._points.nodes, self._points.weights
+            known = self._gap, self.force, self._slot if self._moving else 0
+            self._of_all.append(work.of(WALLS, self._list, points, *known))
         self._count()
-        first, second, yields, *sums = self._launches
+        (yields, *sums), (first, second, *works) = self._of_each, self._of_all
+        sums += works
         return [touch, lambda: second.launch() if len(self._near) else None, account]
 
     def _count(self) -> None:
         """Pass the number of listed points to the launches, and compute the points' response."""
-        for launch in self._launches[:2]:
+        for launch in self._of_all:
             launch.set_param_at_index(1, len(self._near))
-        for launch in self._launches[2:]:
+        for launch in self._of_each:
             launch.set_dim(max(1, len(self._near)))
-        self._launches[2].launch()
+        self._of_each[0].launch()
 
     def _yield(self) -> wp.Launch:
         """Record the launch that computes how impulses change the points' velocities."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -21,6 +21,7 @@ from phy124.kernels.lattice import nodes as node_kernels
 from phy124.kernels.lattice import points as point_kernels
 from phy124.kernels.lattice import simd
 from phy124.kernels.lattice.stress import MAXIMA, make_lattice_measure, make_shock, make_stress
+from phy124.kernels.lattice.work import PUSHED, STRESS, make_node_work
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Group, Model, State
@@ -112,6 +113,8 @@ class Crew:
         spans = [_span_of_cells(lattice, int(a), int(b)) for a, b in itertools.pairwise(cells)]
         room = [-(-(span.stop - span.start) // LINE) * LINE for span in spans]
         begin = np.cumsum([0, *room])
+        self._parts = [slice(int(b), int(b) + r) for b, r in zip(begin[:-1], room, strict=True)]
+        """Each worker's part of a pool, which holds the forces of all workers."""
         self._pool, self._pushes, self._trial_pool = (
             wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(3)
         )
@@ -124,17 +127,17 @@ class Crew:
                 slice(PER_CELL * int(cells[w]), PER_CELL * int(cells[w + 1])),
                 slice(int(edges[w]), int(edges[w + 1])),
                 spans[w],
-                cast("wp.array", self._pool[int(begin[w]) : int(begin[w]) + room[w]]),
-                cast("wp.array", self._pushes[int(begin[w]) : int(begin[w]) + room[w]]),
+                self.part_of(self._pool, w),
+                self.part_of(self._pushes, w),
                 wp.zeros(MAXIMA, dtype=model.real, device=device),
-                cast("wp.array", self._trial_pool[int(begin[w]) : int(begin[w]) + room[w]]),
+                self.part_of(self._trial_pool, w),
             )
             for w in range(count)
         ]
         self._tied = self._sparse(lattice, lattice.ties.tocsr())
         self._donors = self._sparse(lattice, lattice.ties.T.tocsr())
         self._push_donors = self._sparse(lattice, lattice.pushes)
-        self.stray = wp.zeros(1, dtype=int, device=device)
+        self.stray, self._uncounted = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
         self.a, self.trial_a, self.trial_u = (
             wp.zeros(len(lattice), dtype=t.vec3, device=device) for _ in range(3)
         )
@@ -192,20 +195,82 @@ class Crew:
             trial: Whether the forces are those of trial displacements.
         """
         out = worker.trial if trial else worker.forces
-        records = [self._stress(worker, group, trial=trial) for group in self._model.groups]
+        motion = self.trial_u if trial else self._nodes.u, self._nodes.v
+        outputs = [out, self._unread if trial else worker.maxima, self.stray]
+        records = [self._stress(worker, group, motion, outputs) for group in self._model.groups]
         stress = [("clear", out.zero_), *launches(records)]
         if pushes is None:
             return stress
         return [("clear", worker.pushes.zero_), *launches([self._push(worker, pushes)]), *stress]
 
-    def shock(self, worker: Worker) -> list[Named]:
-        """Return the launch that adds the force of the artificial viscosity to the nodes."""
+    def shock(self, worker: Worker, out: wp.array | None = None) -> list[Named]:
+        """Return the launch that adds the force of the artificial viscosity to the nodes.
+
+        Args:
+            worker: The worker.
+            out: The worker's part of a pool to which the force is added after the kick; None: it is
+                added to the worker's forces before the kick.
+        """
         nodes, span, model = self._nodes, worker.points, self._model
         inputs = [span.start, worker.touched.start, model.mass, model.dx, self._rows]
-        inputs += [self._offset, nodes.u, nodes.v]
-        kernel = make_shock(model.real)
-        launch = model.launch(kernel, span.stop - span.start, inputs, [worker.forces])
+        inputs += [self._offset, nodes.u, nodes.v if out is None else nodes.before]
+        kernel, outputs = make_shock(model.real), [worker.forces if out is None else out]
+        launch = model.launch(kernel, span.stop - span.start, inputs, outputs)
         return launches([("shock", launch)])
+
+    @property
+    def viscous(self) -> list[Group]:
+        """The groups whose stress depends on the rate of strain."""
+        return [group for group in self._model.groups if is_viscous(group, self._model)]
+
+    def viscosity(self, worker: Worker, out: wp.array) -> list[Named]:
+        """Return the launches that add the force of viscosity to the nodes, after the kick.
+
+        It is the stress of material without stiffness.
+
+        Args:
+            worker: The worker.
+            out: The worker's part of a pool.
+        """
+        records, motion = [], (self._nodes.u, self._nodes.before)
+        for group in self.viscous:
+            theta = np.array(group.theta.numpy())
+            theta[:, : max(section.scaled for section in _sections(group, self._model))] = 0
+            soft = replace(group, theta=wp.array(theta, dtype=group.theta.dtype, device=out.device))
+            outputs = [out, self._unread, self._uncounted]
+            records.append(self._stress(worker, soft, motion, outputs))
+        return launches(records)
+
+    def new_pool(self) -> wp.array:
+        """Return zero forces of all workers."""
+        return wp.zeros_like(self._pool)
+
+    def part_of(self, pool: wp.array, index: int) -> wp.array:
+        """Return the part of a pool that belongs to a worker."""
+        return cast("wp.array", pool[self._parts[index]])
+
+    def work(
+        self, worker: Worker, at: int, tracks: Tracks, out: wp.array, pool: wp.array | None = None
+    ) -> list[Named]:
+        """Return the launch that adds the work of forces on a worker's nodes, after all contact.
+
+        Args:
+            worker: The worker.
+            at: Index of the sum (phy124/kernels/lattice/work.py).
+            tracks: The tracks, which hold the clock and the uniform acceleration.
+            out: The sums.
+            pool: The forces; None: those of the stress, or those of pushes if `at` is `PUSHED`.
+        """
+        pushed = at == PUSHED
+        if pool is None:
+            pool = self._pushes if pushed else self._pool
+        nodes, span, model = self._nodes, worker.nodes, self._model
+        donors = self._push_donors if pushed else self._donors
+        uniform = tracks.values if at == STRESS else self._still
+        inputs = [span.start, at, nodes.inverse, pool, *self._spans, *donors, tracks.clock]
+        inputs += [uniform, nodes.before, nodes.v]
+        kernel = make_node_work(model.real)
+        return launches([("work", model.launch(kernel, span.stop - span.start, inputs, [out]))])
 
     def _push(self, worker: Worker, tracks: Tracks) -> Recorded:
         span, state = worker.points, self._state
@@ -227,22 +292,34 @@ class Crew:
             self._blocks[key] = blocks.full, [order, packed]
         return self._blocks[key]
 
-    def _stress(self, worker: Worker, group: Group, *, trial: bool) -> Recorded:
-        model, nodes = self._model, self._nodes
-        u, out = (self.trial_u, worker.trial) if trial else (nodes.u, worker.forces)
-        span = _common(worker.points, group.particles)
+    def _stress(
+        self,
+        worker: Worker,
+        group: Group,
+        motion: tuple[wp.array, wp.array],
+        outputs: list[wp.array],
+    ) -> Recorded:
+        """Record the launch that adds the forces of a group's stress to the nodes.
+
+        Args:
+            worker: The worker.
+            group: The group, whose points also belong to other workers.
+            motion: Displacements and velocities of the nodes.
+            outputs: Forces on nodes, maxima of the motion, and number of points that are not
+                finite; only vector units compute the latter two.
+        """
+        model, span = self._model, _common(worker.points, group.particles)
         name = f"stress {group.law.name}"
         if self.vectors(group) and span.stop > span.start:
             full, blocks = self._block(span)
             inputs = [full, group.start, worker.touched.start, model.dx, group.theta]
-            inputs += [*blocks, self._rows, u, nodes.v]
+            inputs += [*blocks, self._rows, *motion]
             kernel = simd.make_stress_simd(group.law, is_viscous(group, model))
-            outputs = [out, self._unread if trial else worker.maxima, self.stray]
             return name, model.launch(kernel, len(blocks[0]) // simd.CELLS, inputs, outputs)
         inputs = [span.start, group.start, worker.touched.start, group.theta, model.volume]
-        inputs += [model.dx, self._rows, self._offset, u, nodes.v]
+        inputs += [model.dx, self._rows, self._offset, *motion]
         kernel = make_stress(group.law, model.real, is_viscous(group, model))
-        return name, model.launch(kernel, span.stop - span.start, inputs, [out])
+        return name, model.launch(kernel, span.stop - span.start, inputs, outputs[:1])
 
     def vectors(self, group: Group) -> bool:
         """Return whether a group's stress runs on the vector units of a CPU."""
@@ -366,8 +443,13 @@ class Crew:
 
 def is_viscous(group: Group, model: Model) -> bool:
     """Return whether a group's stress depends on the rate of strain."""
-    laws = [section for section in model.materials if section.device_law.name == group.law.name]
-    return any(np.isfinite(section.viscous_limit(model.dx)) for section in laws)
+    sections = _sections(group, model)
+    return any(np.isfinite(section.viscous_limit(model.dx)) for section in sections)
+
+
+def _sections(group: Group, model: Model) -> list[Any]:
+    """Return the materials with a group's law."""
+    return [section for section in model.materials if section.device_law.name == group.law.name]
 
 
 def kernels(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -> Iterator[Any]:

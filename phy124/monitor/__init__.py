@@ -21,6 +21,7 @@ from phy124.monitor.lattice import (
     LatticeWork,
     LatticeWrenches,
 )
+from phy124.monitor.lattice_dissipation import LatticeDissipation
 from phy124.monitor.liquid import LiquidDissipation
 from phy124.monitor.observer import Observer
 from phy124.monitor.sleep import Sleep
@@ -57,6 +58,7 @@ LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeWrenches,
     LatticeContacts,
     LatticeWork,
+    LatticeDissipation,
     LatticeWatchdog,
     Sleep,
 )

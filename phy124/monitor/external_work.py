@@ -115,6 +115,8 @@ class ExternalWork(Observer):
         """Sums of each worker since its launches were last recorded [W,ROOM]; they are not yet
         collected.
         """
+        self.stored = 0.0
+        """Energy received without motion since the start [J]."""
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.GIVEN) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
         """Momentum of the object at the start of the frame [kg m/s], without the open sums. Time
@@ -167,10 +169,11 @@ class ExternalWork(Observer):
             self._closed[name] = np.zeros(kernels.GIVEN)
         for sums in self._device.values():
             sums.zero_()
-        self._opened = clock.time - clock.behind
+        self._opened, self.stored = clock.time - clock.behind, 0.0
 
     def store(self, energy: float) -> None:
         """Add energy [J] that the object receives without motion, for example by stiffening."""
+        self.stored += energy
         self._closed[PUSH] = self._closed[PUSH].copy()
         self._closed[PUSH][[kernels.WORK, kernels.TURNED]] += energy, abs(energy)
 
@@ -214,6 +217,7 @@ class ExternalWork(Observer):
             "open": {name: sums.numpy().tolist() for name, sums in self._device.items()},
             "momentum": self._momentum.tolist(),
             "opened": self._opened,
+            "stored": self.stored,
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -228,6 +232,7 @@ class ExternalWork(Observer):
         for name in self._device.keys() - snapshot["open"].keys():
             self._device[name].zero_()
         self._momentum, self._opened = np.array(snapshot["momentum"]), snapshot["opened"]
+        self.stored = snapshot.get("stored", 0.0)
 
     def _sum(self, *names: str) -> Sums:
         """Return the total of all sums so far, or the total for the named causes."""

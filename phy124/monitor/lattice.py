@@ -24,6 +24,7 @@ from phy124.lattice import impulses
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.diagnostics import Diagnostics, Totals
 from phy124.monitor.external_work import WALL, ExternalWork
+from phy124.monitor.lattice_dissipation import LatticeDissipation
 from phy124.monitor.observer import Cost, Effect, Observed, Observer, Subject
 from phy124.monitor.watchdog import Watchdog
 from phy124.monitor.wrenches import Wrenches, wall_names
@@ -74,6 +75,14 @@ class LatticeWatchdog(Watchdog):
     def totals_of(self, solver: Any) -> Totals:
         """Return the sums over the solver's nodes and points."""
         return LatticeTotals(solver)
+
+    def _energy(self) -> dict[str, Any]:
+        """Return the energy [J] lost to each cause, and the largest energy supplied [J]."""
+        divided = self._dissipation
+        if not isinstance(divided, LatticeDissipation):
+            return {}
+        losses = divided.divide(self.first, self.last)
+        return {"energy": {"turnover": self.balance.turnover, **losses}}
 
 
 class LatticeWork(ExternalWork):

@@ -190,19 +190,45 @@ class Energy(TypedDict):
     material: float
     """Loss by viscosity and plasticity inside the material."""
     contact: float
-    """Loss by friction at walls."""
+    """Loss by friction at walls; on lattices, by all contact."""
     numerical: float
     """Other losses, which the numerical method causes; negative if energy was gained."""
     kinetic: NotRequired[float]
-    """Change of the kinetic energy: `forces` plus `walls` minus `lost`; this key and the following
-    ones are for liquids by pressure projection.
+    """Change of the kinetic energy. This key, `forces` and `walls` are for lattices and for liquids
+    by pressure projection. `kinetic` plus `elastic` is the sum of all works minus `lost`.
+    """
+    elastic: NotRequired[float]
+    """Change of the elastic energy; this key and the following ones up to `unexplained` are for
+    lattices.
     """
     forces: NotRequired[float]
     """Work of gravity and other forces."""
     walls: NotRequired[float]
     """Work of walls by their motion."""
+    held: NotRequired[float]
+    """Work of boundaries that hold a part of the object, by their motion."""
+    solids: NotRequired[float]
+    """Work of free solids, including their friction."""
+    stiffening: NotRequired[float]
+    """Energy received by changes of Young's modulus."""
+    friction: NotRequired[float]
+    """Part of `contact`: loss by friction at walls."""
+    impacts: NotRequired[float]
+    """Part of `contact`: loss along the normals of walls, and where parts are seized."""
+    pairs: NotRequired[float]
+    """Part of `contact`: loss between objects."""
+    itself: NotRequired[float]
+    """Part of `contact`: loss between parts of an object."""
+    shock: NotRequired[float]
+    """Part of `numerical`: loss by the artificial viscosity in fast compression."""
+    substeps: NotRequired[float]
+    """Part of `numerical`: elastic energy lost because substeps have a finite length."""
+    unexplained: NotRequired[float]
+    """Part of `numerical`: `kinetic` without all works, which is a rounding error."""
     projection: NotRequired[float]
-    """Part of `numerical`: loss by the pressure equation."""
+    """Part of `numerical`: loss by the pressure equation; this key and the following ones are for
+    liquids by pressure projection.
+    """
     density: NotRequired[float]
     """Part of `numerical`: potential energy lost to the displacements that restore the density."""
     transfers: NotRequired[float]

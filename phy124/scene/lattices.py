@@ -46,7 +46,7 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     if scene.properties is not None:
         return "its materials are in a file"
     reason = reason_for_particles(scene)
-    if reason or device != "cpu":
+    if reason or (device != "cpu" and not _only_on_lattice(scene)):
         return reason or "lattices are slower on a GPU"
     mach = _impact_speed(scene) / min(section.sound_speed() for section in scene.materials)
     if mach > HARDEST:
@@ -65,9 +65,16 @@ def _impact_speed(scene: Any) -> float:
 
 def choose_solver(scene: Any, device: str) -> Any:
     """Return the scene for a device; if `auto` means another solver there, the scene names it."""
-    if device == "cpu" or scene.resolution.solver != "auto":
+    if device == "cpu" or scene.resolution.solver != "auto" or _only_on_lattice(scene):
         return scene
     return _with_solver(scene, "mpm")
+
+
+def _only_on_lattice(scene: Any) -> bool:
+    """Return whether only lattices can divide the energy that a scene of elastic objects loses."""
+    moves = any(wall.moves for wall in scene.boundaries)
+    harder = bool(scene.objects) or moves or scene.stiffness_profile is not None
+    return bool(scene.checks.energy and harder and scene.on_lattice)
 
 
 def keep_lattice(scene: Any, before: Any) -> Any:

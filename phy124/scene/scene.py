@@ -143,14 +143,16 @@ class Scene(Section):
     def _check_together(self) -> Scene:
         check_objects(self.object, self.objects)
         check_transfer(self.resolution)
+        splits = self.on_lattice and not self.couples
+        whole = splits or self._is_liquid
         moves = any(wall.moves for wall in self.boundaries)
         check_energy(
             self.checks,
             {
-                "objects": bool(self.objects) and not self._is_liquid,
+                "objects": bool(self.objects) and not whole,
                 "accuracy.gradient = spline": self.resolution.gradient != "affine",
-                "a boundary that moves": moves and not self._is_liquid,
-                "stiffness_profile": self.stiffness_profile is not None,
+                "a boundary that moves": moves and not whole,
+                "stiffness_profile": self.stiffness_profile is not None and not splits,
                 "accuracy.rpic_damping and a viscous material": self._damped_twice,
             },
         )

@@ -38,9 +38,10 @@ LOOSE = wp.constant(0.5)
 """Walls act on a point only if clamps leave it at least this fraction of its mobility."""
 NODES = 27
 """Largest number of nodes that carry a surface point."""
-MOMENT, SUMS = GIVEN, 16
-"""Index of the moment of all impulses about the origin [N m s], and numbers reserved for each wall.
-The first `GIVEN` sums are those of phy124/kernels/work.py.
+MOMENT, DRIVEN, SUMS = GIVEN, GIVEN + 3, 16
+"""Index of the moment of all impulses about the origin [N m s] and, for clamps, of the work by
+their motion [J], and numbers reserved for each wall. The first `GIVEN` sums are those of
+phy124/kernels/work.py.
 """
 
 

@@ -12,7 +12,7 @@ import warp as wp
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import ANGULAR, KINETIC, MIDDLE, MOMENTUM, add3, wide
-from phy124.kernels.lattice.contact import MOMENT
+from phy124.kernels.lattice.contact import DRIVEN, MOMENT
 from phy124.kernels.reduction import add_to
 from phy124.kernels.work import add_given
 
@@ -143,6 +143,7 @@ def make_hold(real: Any):
                 work = wp.float64(0.5) * wp.dot(impulse, wide(rate) + wide(v_before[n]))
                 add_given(sums_out, impulse, work, wp.length(impulse), wp.abs(work))
                 add3(sums_out, wp.static(MOMENT), wp.cross(at, impulse))
+                add_to(sums_out, wp.static(DRIVEN), wp.dot(impulse, wide(rate)))
             v_out[n] = rate
             movable_out[n] = real(0.0)
         else:
@@ -207,6 +208,7 @@ def make_pin(real: Any):
             moment = wp.cross(wide(rest[held]) + wide(u[held]), first)
             moment += wp.cross(wide(rest[free]) + wide(u[free]), second)
             add3(sums_out, wp.static(MOMENT), moment)
+            add_to(sums_out, wp.static(DRIVEN), wp.dot(impulse, wall))
 
     return pin
 

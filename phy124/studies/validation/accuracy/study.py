@@ -303,8 +303,6 @@ class Study:
 
 def _can_split(scene: Scene) -> bool:
     """Return whether the energy loss of a scene can be split by cause."""
-    if scene.on_lattice:
-        return False
     try:
         scene.replaced({"checks.balance": True, "checks.energy": True})
     except InputError:

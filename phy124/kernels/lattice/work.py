@@ -1,0 +1,124 @@
+"""Sums the work of forces on nodes, and of contact, by cause.
+
+The work of an impulse is its product with the mean of the velocities before and after the substep.
+The works of all impulses then add up to the change of the nodes' kinetic energy, in every substep.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.arguments import Ints, types
+from phy124.kernels.build import build_once, kernel
+from phy124.kernels.columns import xyz
+from phy124.kernels.diagnostics import wide
+from phy124.kernels.lattice.nodes import sum_workers
+from phy124.kernels.reduction import add_to
+
+STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
+"""Index of the work of each force: of all stress, the uniform acceleration, forces on points, and
+the parts of the stress that are viscosity and artificial viscosity [J].
+"""
+WALLS, ITSELF, PAIRS = 5, 8, 11
+"""Index of the first of three works of each kind of contact: with walls, of a body with itself, and
+between bodies [J].
+"""
+DRIVEN, PRESSED, RUBBED = 0, 1, 2
+"""The three works: by the motion of the wall, and by impulses along and across the normal, with the
+velocity relative to the wall.
+"""
+COUNT = 14
+"""Number of sums."""
+
+
+@build_once
+def make_node_work(real: Any):
+    """Kernel over nodes from `start` on: adds the work of their forces to the sum `at`.
+
+    The work of the uniform acceleration is added to the sum `UNIFORM`. `pool` and the ties are
+    those of phy124/kernels/lattice/nodes.py. Tied nodes move with their donors, which get their
+    forces.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_node_work_{real.__name__}", real, seconds=0.3)
+    def node_work(
+        start: int,
+        at: int,
+        inverse: t.reals,
+        pool: t.vec3s,
+        low: Ints,
+        high: Ints,
+        begin: Ints,
+        donor_starts: Ints,
+        donor_nodes: Ints,
+        donor_weights: t.reals,
+        clock,
+        values,
+        v_before: t.vec3s,
+        v: t.vec3s,
+        sums_out,
+    ):
+        n = start + wp.tid()
+        forced = wp.float64(0.0)
+        uniform = wp.float64(0.0)
+        if inverse[n] > real(0.0):
+            force = sum_workers(pool, low, high, begin, n)
+            for k in range(donor_starts[n], donor_starts[n + 1]):
+                force += donor_weights[k] * sum_workers(pool, low, high, begin, donor_nodes[k])
+            way = wp.float64(0.5) * wp.float64(clock[0]) * (wide(v_before[n]) + wide(v[n]))
+            forced = wp.dot(wide(force), way)
+            uniform = wp.dot(wide(values[0]), way) / wp.float64(inverse[n])
+        add_to(sums_out, at, forced)
+        add_to(sums_out, wp.static(UNIFORM), uniform)
+
+    return node_work
+
+
+@build_once
+def make_contact_work(real: Any):
+    """Kernel of one thread: adds the three works of the impulses on surface points from `at` on.
+
+    `gap` holds the normals, `rates[slot]` the velocity of the wall. Impulses do not act on nodes
+    for which `inverse` is zero.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_contact_work_{real.__name__}", real, seconds=0.3)
+    def contact_work(
+        near: Ints,
+        count,
+        at: int,
+        slot,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        inverse: t.reals,
+        gap: t.vec4s,
+        force: t.vec3s,
+        clock,
+        rates,
+        v_before: t.vec3s,
+        v: t.vec3s,
+        sums_out,
+    ):
+        wall = wide(rates[slot])
+        for a in range(count):
+            s = near[a]
+            impulse = wp.float64(clock[0]) * wide(force[s])
+            if wp.dot(impulse, impulse) > wp.float64(0.0):
+                share = wp.float64(0.0)
+                mean = wp.vec3d()
+                for k in range(weights.shape[1]):
+                    n = nodes[s, k]
+                    if inverse[n] > real(0.0):
+                        w = wp.float64(weights[s, k])
+                        share += w
+                        mean += wp.float64(0.5) * w * (wide(v_before[n]) + wide(v[n]))
+                normal = wide(xyz(gap[s]))
+                driven = share * wp.dot(impulse, wall)
+                pressed = wp.dot(impulse, normal) * wp.dot(normal, mean - share * wall)
+                sums_out[at] = sums_out[at] + driven
+                sums_out[at + 1] = sums_out[at + 1] + pressed
+                sums_out[at + 2] = sums_out[at + 2] + wp.dot(impulse, mean) - driven - pressed
+
+    return contact_work

@@ -1,0 +1,184 @@
+"""Energies: sums the work on bodies by cause, in every substep of a run that requests it.
+
+Two phases are inserted before the drift: the first sums the forces of viscosity alone, the second
+multiplies all forces by the mean velocities of the substep. Contact and clamps sum their own work.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.free import WORK as FREE_WORK
+from phy124.kernels.lattice import work as at
+from phy124.kernels.lattice.contact import DRIVEN
+from phy124.kernels.work import WORK
+from phy124.lattice.shock import in_shock_only
+from phy124.lattice.walls import Walls
+from phy124.lattice.work import ContactWork
+from phy124.mpm.stage import Named
+
+STAGE = "dissipation"
+"""Name of the stages, the same as for other materials."""
+ROOM = 16
+"""Length of a worker's array of sums; with this length, no two workers write to the same cache
+line.
+"""
+
+
+class Works(NamedTuple):
+    """Work on all bodies since the start [J]; negative if they lost energy."""
+
+    forces: float
+    """Uniform acceleration, and forces on points."""
+    walls: float
+    """Walls, by their motion."""
+    held: float
+    """Clamps, by their motion."""
+    solids: float
+    """Free solids, with their friction."""
+    elastic: float
+    """Elastic stress."""
+    viscous: float
+    """Viscosity."""
+    shock: float
+    """Artificial viscosity."""
+    friction: float
+    """Impulses of walls across their normals."""
+    impacts: float
+    """Impulses of walls along their normals, and of clamps, relative to their motion."""
+    itself: float
+    """Contact of bodies with themselves."""
+    pairs: float
+    """Contact of bodies with each other."""
+
+
+class Energies:
+    """Adds the launches that sum work; there are none before `start` is called."""
+
+    def __init__(self, solver: Any) -> None:
+        """Refer to a solver, whose launches are not recorded yet."""
+        self._solver, shape = solver, (len(solver.workers), ROOM)
+        self._walls: Walls | None = None
+        self._sums = wp.zeros(shape, dtype=wp.float64, device=solver.model.device)
+        self._on = False
+        self._others = np.zeros(3)
+        """Work of earlier walls' clamps, its part by their motion, and work of free solids, minus
+        the values at the start [J].
+        """
+
+    def start(self) -> None:
+        """Sum the work from now on."""
+        crew = self._solver.crew
+        self._on, self._pools = True, {at.SHOCK: crew.new_pool()}
+        if crew.viscous:
+            self._pools[at.VISCOUS] = crew.new_pool()
+        self._solver.record()
+
+    def attach(self) -> None:
+        """Let the contact that is recorded next sum its work."""
+        solver = self._solver
+        self._others[:2] += self._of_clamps() if self._walls is not solver.walls else 0
+        self._walls = solver.walls
+        if self._on:
+            first = cast("wp.array", self._sums[0])
+            work = ContactWork(solver.model, solver.nodes_state, solver.tracks, first)
+            solver.walls.work = solver.meetings.work = work
+
+    def extend(self, *, pushed: bool) -> None:
+        """Insert the phases before the drift of a substep.
+
+        Args:
+            pushed: Whether forces act on points.
+        """
+        if not self._on:
+            return
+        solver = self._solver
+        for index, worker in enumerate(solver.workers):
+            forces = [at.STRESS, at.PUSHED] if pushed else [at.STRESS]
+            worker.phases[-1:-1] = [self._fill(index), self._multiply(index, forces)]
+
+    def _fill(self, index: int) -> list[Named]:
+        """Return a worker's launches that sum the forces of viscosity alone."""
+        solver, crew = self._solver, self._solver.crew
+        worker = solver.workers[index]
+        pools = {key: crew.part_of(pool, index) for key, pool in self._pools.items()}
+        shock = [("clear", pools[at.SHOCK].zero_), *crew.shock(worker, pools[at.SHOCK])]
+        filled = in_shock_only(solver.clock, shock)
+        if at.VISCOUS in pools:
+            filled += [("clear", pools[at.VISCOUS].zero_)]
+            filled += crew.viscosity(worker, pools[at.VISCOUS])
+        return _rename(filled)
+
+    def _multiply(self, index: int, forces: Sequence[int]) -> list[Named]:
+        """Return a worker's launches that sum the work of forces on its nodes."""
+        solver, crew = self._solver, self._solver.crew
+        known = solver.tracks, cast("wp.array", self._sums[index])
+        worker, works = solver.workers[index], []
+        for key in forces:
+            works += crew.work(worker, key, *known)
+        for key, pool in self._pools.items():
+            work = crew.work(worker, key, *known, pool)
+            works += in_shock_only(solver.clock, work) if key == at.SHOCK else work
+        return _rename(works)
+
+    def read(self) -> Works:
+        """Return the work so far."""
+        total: NDArray[Any] = np.asarray(self._sums.numpy()).sum(axis=0)
+        walls = total[at.WALLS : at.WALLS + 3]
+        clamps, held, solids = self._others + self._of_others()
+        viscous, shock = total[at.VISCOUS], total[at.SHOCK]
+        works = Works(
+            forces=total[at.UNIFORM] + total[at.PUSHED],
+            walls=walls[at.DRIVEN],
+            held=held,
+            solids=solids,
+            elastic=total[at.STRESS] - viscous - shock,
+            viscous=viscous,
+            shock=shock,
+            friction=walls[at.RUBBED],
+            impacts=walls[at.PRESSED] + clamps - held,
+            itself=total[at.ITSELF : at.ITSELF + 3].sum(),
+            pairs=total[at.PAIRS : at.PAIRS + 3].sum(),
+        )
+        return Works(*map(float, works))
+
+    def clear(self) -> None:
+        """Start all sums at zero."""
+        self._sums.zero_()
+        self._others = -self._of_others()
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the sums as plain data."""
+        rows: list[list[float]] = np.asarray(self._sums.numpy()).tolist()
+        return {"rows": rows, "others": self._others.tolist()}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Restore the sums; if the number of workers differs, the first worker gets all sums."""
+        kept, rows = np.array(snapshot["rows"]), np.zeros(self._sums.shape)
+        if rows.shape == kept.shape:
+            rows[:] = kept
+        else:
+            rows[0] = kept.sum(axis=0)
+        self._sums.assign(rows)
+        self._others = np.array(snapshot["others"])
+
+    def _of_clamps(self) -> NDArray[np.float64]:
+        """Return the work of the clamps, and its part by their motion, as their walls sum them."""
+        if self._walls is None:
+            return np.zeros(2)
+        rows = np.asarray(self._walls.sums.numpy(), np.float64)[self._walls.holding]
+        return np.asarray(rows[:, [WORK, DRIVEN]].sum(axis=0), np.float64)
+
+    def _of_others(self) -> NDArray[np.float64]:
+        """Return the same two works, and the work of free solids, as they sum it."""
+        return np.array([*self._of_clamps(), self._solver.free.impulses()[FREE_WORK]])
+
+
+def _rename(launches: Sequence[Named]) -> list[Named]:
+    """Return launches whose time counts as that of the sums."""
+    return [(STAGE, launch) for _, launch in launches]

@@ -1,0 +1,79 @@
+"""LatticeDissipation: energy that bodies on lattices lose, by cause.
+
+The solver sums the work of each cause in every substep (phy124/lattice/energies.py). Together they
+are the change of the kinetic energy up to rounding; the report shows the difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from phy124.kernels.lattice.work import make_contact_work, make_node_work
+from phy124.monitor.diagnostics import Diagnostics
+from phy124.monitor.dissipation import Loss
+from phy124.monitor.external_work import ExternalWork
+from phy124.monitor.liquid import LiquidDissipation
+from phy124.monitor.observer import Effect, Observer, Subject, find
+
+
+class LatticeDissipation(LiquidDissipation):
+    """Work on bodies on lattices, summed in every substep."""
+
+    @classmethod
+    def called_for(cls, subject: Subject) -> bool:
+        """Return whether the scene requests the energy lost to each cause."""
+        return subject.scene.checks.energy
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernels that sum the work of each cause."""
+        del subject
+        yield from (make_node_work(real), make_contact_work(real))
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row of the effects report for the work of each cause."""
+        why = "checks.energy is off: the lost energy is not divided by cause"
+        return Effect("work of forces, stress and contact", cls.called_for(subject), why)
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, which sums the work from its first substep on."""
+        self._energies, self._external = solver.energies, find(observers, ExternalWork)
+        self._energies.start()
+
+    def divide(self, first: Diagnostics, last: Diagnostics) -> dict[str, float]:
+        """Return the section of the report [J]: losses, changes of energy, and works.
+
+        All values are at the time of the velocities, half a substep before that of the positions.
+
+        Args:
+            first: The state at the start.
+            last: The state now.
+        """
+        works = self._energies.read()
+        stiffened = self._external.stored if self._external is not None else 0.0
+        kinetic = last.kinetic - first.kinetic
+        elastic = last.elastic + last.lag - first.elastic - first.lag
+        unexplained = sum(works) - kinetic
+        substeps = stiffened - works.elastic - elastic
+        contact = works.friction + works.impacts + works.itself + works.pairs
+        loss = Loss(-works.viscous, -contact, unexplained + substeps - works.shock)
+        return {
+            "lost": loss.total,
+            **loss._asdict(),
+            "kinetic": kinetic,
+            "elastic": elastic,
+            "forces": works.forces,
+            "walls": works.walls,
+            "held": works.held,
+            "solids": works.solids,
+            "stiffening": stiffened,
+            "friction": -works.friction,
+            "impacts": -works.impacts,
+            "pairs": -works.pairs,
+            "itself": -works.itself,
+            "shock": -works.shock,
+            "substeps": substeps,
+            "unexplained": unexplained,
+        }
