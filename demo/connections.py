@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import uvicorn
 from uvicorn.protocols.http import auto
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
@@ -23,6 +24,8 @@ read [s]."""
 FILES, UNLIMITED = 16_384, 512
 """Number of open files and connections that the page asks the system for, and the number assumed if
 the system has no such limit."""
+AT_ONCE = 2048
+"""Largest number of connections that are accepted at once; this is uvicorn's default."""
 
 
 def allow_connections() -> int:
@@ -41,17 +44,20 @@ def limit_connections(most: int) -> Iterator[None]:
     """Within this context, servers start with a limited number of connections.
 
     Gradio starts uvicorn without options. If the protocol were replaced after the start,
-    connections made before would have neither a deadline nor a limit.
+    connections made before would have neither a deadline nor a limit. Up to three batches of new
+    connections are accepted before the excess connections of the first batch are closed. If a batch
+    were as large as the limit, a burst could use up all open files, and Gradio's start would fail.
 
     Args:
         most: Largest number of connections.
     """
-    usual = auto.AutoHTTPProtocol
+    usual, batch = (auto.AutoHTTPProtocol, uvicorn.Config), min(AT_ONCE, most // 4)
     auto.AutoHTTPProtocol = partial(Patient, most=most)  # pyright: ignore[reportAttributeAccessIssue]
+    uvicorn.Config = partial(uvicorn.Config, backlog=batch)  # pyright: ignore[reportAttributeAccessIssue]
     try:
         yield
     finally:
-        auto.AutoHTTPProtocol = usual
+        auto.AutoHTTPProtocol, uvicorn.Config = usual
 
 
 class Patient(H11Protocol):

@@ -96,6 +96,15 @@ def test_servers_are_limited_from_their_first_connection():
     assert protocols[1] is not Patient and not hasattr(protocols[1], "keywords")
 
 
+def test_bursts_leave_files_open_for_the_server():
+    """Three batches may be open above the limit, which is half of the files."""
+    for files in (64, 1024, 16_384, 10**6):
+        with limit_connections(files // 2):
+            batch = uvicorn.Config(lambda: None).backlog
+        assert files // 2 + 3 * batch < files and batch <= 2048
+    assert uvicorn.Config(lambda: None).backlog == 2048
+
+
 def _protocol():
     config = uvicorn.Config(lambda: None)
     config.load()

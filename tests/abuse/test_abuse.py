@@ -76,6 +76,7 @@ def slow_sockets(server):
 
 @pytest.fixture
 def attacker(server) -> Attacker:
+    server.check_running()
     return Attacker(server)
 
 
@@ -427,6 +428,11 @@ def test_slow_sockets_are_given_up(server, slow_sockets):
         with contextlib.suppress(ConnectionResetError):
             while connection.recv(1000):
                 pass
+
+
+def test_slow_sockets_never_took_the_last_file(server):
+    """Otherwise one burst could end the server while it starts."""
+    assert "Too many open files" not in server.log.read_text()
 
 
 def test_an_honest_visitor_is_served_after_all_that(server):

@@ -31,6 +31,7 @@ class Server:
         self.url = f"http://127.0.0.1:{port}"
 
     def health(self) -> dict:
+        self.check_running()
         with urllib.request.urlopen(f"{self.url}/health", timeout=TIMEOUT) as answer:
             return json.load(answer)
 
@@ -72,11 +73,16 @@ class Server:
         """The end of the server's log."""
         return self.log.read_text(errors="replace")[-TAIL:]
 
+    def check_running(self) -> None:
+        """Assert that the server runs; otherwise show how it ended and what it said last."""
+        status = self.process.poll()
+        assert status is None, f"the server ended with status {status}:\n{self.said()}"
+
     def until(self, condition, what: str = "it") -> None:
         """Wait for something to become true; a failure shows what the server said meanwhile."""
         end = time.monotonic() + TIMEOUT
         while not condition():
-            assert self.process.poll() is None, f"the server has ended:\n{self.said()}"
+            self.check_running()
             assert time.monotonic() < end, f"{what} did not happen in {TIMEOUT} s:\n{self.said()}"
             time.sleep(0.2)
 
@@ -100,7 +106,9 @@ def serving(
     `warm` is used while it still loads kernels and measures the machine. `port` 0 is a free one.
     """
     port = port or free_port()
-    given = {f"PHY124_{name.upper()}": str(value) for name, value in settings.items()}
+    # After a native crash the log has the stack of each thread.
+    given = {"PYTHONFAULTHANDLER": "1"}
+    given |= {f"PHY124_{name.upper()}": str(value) for name, value in settings.items()}
     root, written = folder / "files", folder / "log.txt"
     environment = {**os.environ, "PHY124_PORT": str(port), "PHY124_FOLDER": str(root), **given}
     with open(written, "wb") as log:
