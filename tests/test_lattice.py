@@ -114,6 +114,17 @@ def test_surface_points_lie_on_a_box():
     assert {tuple(x) for x in np.round(rows[:, :3], 9)} >= {(0.4, 0.3, 0.3)}
 
 
+@pytest.mark.parametrize("side", [1.27, 1.52])
+def test_voxels_larger_than_cells_keep_the_substep(side):
+    """If voxels lay across cells, some nodes would have stiffness but hardly any mass."""
+    steps = (np.arange(-5, 5) + 0.5) * side * DX
+    distance = np.linalg.norm(np.stack(np.meshgrid(steps, steps, steps)), axis=0)
+    filled = np.clip((0.42 - distance) / (side * DX) + 0.5, 0, 1).astype(np.float32)
+    ball = Solid(np.full(3, -5), side * DX, filled).resample(DX / 2, per_cell=2)
+    usual = make(block((0.8, 0.8, 0.8))).substep_at_rest
+    assert make(ball).substep_at_rest > 0.9 * usual
+
+
 @pytest.mark.parametrize("per", [1.3, 1.7, 2.3, 3.1])
 def test_surface_points_cover_a_ball_of_resampled_voxels(per):
     radius, fine = 0.42, DX / per

@@ -99,13 +99,19 @@ class Solid:
         at = np.floor(np.asarray(points) / self.voxel).astype(np.int64) - self.first
         return ~thick[tuple(np.clip(at, 0, np.array(thick.shape) - 1).T)]
 
-    def resample(self, spacing: float) -> Solid:
+    def resample(self, spacing: float, *, per_cell: int = 1) -> Solid:
         """Resample to voxels of about the same size that are aligned with a lattice of particles.
 
         Several lattices may have the same voxels, which are computed once.
+
+        Args:
+            spacing: Distance of the particles [m].
+            per_cell: Voxels of more than one spacing have a multiple of this many, so that none
+                lies across the faces of a cell of this many spacings.
         """
         ratio = spacing / self.voxel
-        step = spacing / round(ratio) if ratio > 1 else spacing * round(1 / ratio)
+        count = round(1 / ratio) if ratio <= 1 else 1
+        step = spacing / round(ratio) if ratio > 1 else spacing * max(1, count - count % per_cell)
         if step not in self._resampled:
             self._resampled[step] = self._on_voxels(step)
         return self._resampled[step]

@@ -268,8 +268,8 @@ def _with_particles(placed: Placed, spacing: float) -> Body:
     alone, points = gaussians.select(belonging), None
     interior = placed.interior or find_interior(alone)
     if all(scene.on_lattices):
-        density = scene.material.density
-        points = lattice_of(interior.resample(spacing), density=density, dx=2 * spacing)
+        density, solid = scene.material.density, interior.resample(spacing, per_cell=2)
+        points = lattice_of(solid, density=density, dx=2 * spacing)
         particles = cells_of(points)
     else:
         particles = make_particles(
