@@ -8,6 +8,7 @@ import pytest
 from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.forces import Gravity
 from phy124.kernels.work import IMPULSE
+from phy124.lattice.partners import Partners
 from phy124.lattice.solver import LatticeSolver
 from phy124.materials import NeoHookean
 from phy124.monitor.lattice import LatticeTotals
@@ -208,3 +209,19 @@ def fork_at(x):
     root = np.abs(x - [0.2, 0.1, 0.05]) - [0.2, 0.1, 0.05]
     prongs = np.abs(np.abs(x - [0.2, 0.1, 0.4]) - [0.15, 0, 0]) - [0.05, 0.1, 0.4]
     return np.minimum(root.max(axis=-1), prongs.max(axis=-1))
+
+
+def test_outer_sides_of_thin_parts_do_not_meet():
+    """Two sheets, half a cell thick, come to a tenth of a cell from each other."""
+    solid = block((0.4, 0.4, 0.5), per=4)
+    solid.fraction[:, :, 2:-2] = 0
+    solver = make([solid])
+    upper = solver.lattice.x[:, 2] > 0.25
+    solver.nodes_state.u.assign(np.outer(upper, [0, 0, -0.39]))
+    surface = solver.surface
+    every = np.arange(surface.count)
+    pairs = Partners(surface, solver.model, solver.nodes_state).find(every, between=False)
+    x = surface.x - np.outer(surface.x[:, 2] > 0.25, [0, 0, 0.39])
+    gaps = ((x[pairs["a"]] - x[pairs["b"]]) * pairs["normal"]).sum(axis=1)
+    assert len(gaps) > 100
+    assert gaps.min() > -0.05 * DX  # The outer sides are 1.1 cells behind each other.

@@ -23,6 +23,10 @@ BEYOND = wp.constant(0.05)
 """A point farther than this beyond the edge of a flat side cannot touch that side [cells]."""
 OTHER = wp.constant(-0.2)
 """Smallest cosine between the normals of two points that are on the same side of a part."""
+DEEPEST = wp.constant(0.5)
+"""A point deeper below a surface is not inside that part [cells]. Otherwise the outer sides of two
+thin parts that lie on each other would be pushed through them, which creates energy.
+"""
 
 
 @wp.func
@@ -172,7 +176,8 @@ def make_partner(real: Any):
                 if at_edge:
                     n = -turned[i]
                 sideways = way - wp.dot(way, n) * n
-                fits = opposed and wp.length(sideways) < real(wp.static(SIDEWAYS)) * dx
+                near = wp.length(sideways) < real(wp.static(SIDEWAYS)) * dx
+                fits = opposed and near and wp.dot(way, n) > -real(DEEPEST) * dx
                 if at_edge and wp.dot(sideways, turned[j]) >= real(BEYOND) * dx:
                     fits = False
                 # The order in which the grid lists points must not matter.
