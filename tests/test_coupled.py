@@ -15,7 +15,7 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import lattice, surface_of_ball
-from test_lattice import DX, block
+from support.lattices import DX, block
 
 DAMPED = NeoHookean(E=1e5, nu=0.3, density=1000, damping=300.0)
 

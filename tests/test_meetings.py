@@ -18,7 +18,7 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import fill_solid, surface_of_ball
-from test_lattice import DX, block, lattice_scene
+from support.lattices import DX, block, lattice_scene
 
 DAMPED = NeoHookean(E=1e5, nu=0.3, density=1000, damping=300.0)
 

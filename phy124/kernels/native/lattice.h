@@ -4,7 +4,7 @@
 // cells first. In a full cell the points are a product of two points per axis, so that values and
 // slopes are interpolated along one axis after another. Speeds are measured at the cells' centres.
 // Plain form: `lattice_stress` and `lattice_measure` of lattice/stress.py.
-// Test: tests/test_lattice.py, test_simd_and_plain_stress_agree.
+// Test: tests/test_lattice_kernels.py, test_simd_and_plain_stress_agree.
 
 typedef float Lanes __attribute__((vector_size(64)));
 typedef int Ints16 __attribute__((vector_size(64)));

@@ -1,0 +1,38 @@
+"""Solids, and the solver of their lattice."""
+
+import numpy as np
+
+from phy124.lattice.solver import LatticeSolver
+from phy124.materials import NeoHookean
+from phy124.mpm import Model, State
+from phy124.particles.lattice import lattice_of
+from phy124.particles.solid import Solid
+from phy124.scene import Scene
+
+DX = 0.1
+SOFT = NeoHookean(E=1e5, nu=0.3, density=1000)
+
+
+def block(size, low=(0, 0, 0), per=2, dx=DX):
+    """Return a solid box; all lengths are multiples of dx / per."""
+    counts = [round(length * per / dx) for length in size]
+    first = np.array([round(x * per / dx) for x in low])
+    return Solid(first, dx / per, np.ones(counts, np.float32))
+
+
+def make(solid, material=SOFT, *, v=None, C=None, precision="float64", **options):
+    """Return a solver of a solid's lattice."""
+    points = lattice_of(solid, density=material.density, dx=DX)
+    x = points.x.astype(np.float64)
+    model = Model.of(x, points.volume, [material], dx=DX, precision=precision)
+    motion = None if v is None else np.tile(np.asarray(v, float), (len(x), 1))
+    options = {"threads": 1, **options}
+    return LatticeSolver(model, points.surface, State.of(model, motion, C), **options)
+
+
+def lattice_scene(name="drop", frames=4, **accuracy):
+    """Return a preset on the lattice at 8 cells."""
+    data = Scene.named(name).data()
+    data["accuracy"] = {"cells": 8, "solver": "lattice", **accuracy}
+    data["time"]["frames"] = frames
+    return Scene.from_data(data)

@@ -1,0 +1,103 @@
+"""The lattice's kernels: SIMD and plain forms, and CUDA."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from phy124.boundaries import Ground, HalfSpace, Held
+from phy124.forces import Acceleration
+from phy124.kernels.lattice import points
+from phy124.kernels.lattice.stress import CLOSING, GRADIENT, SPEED
+from phy124.lattice import impulses, material, solids, workers
+from phy124.lattice import walls as lattice_walls
+from phy124.lattice.phases import MEASURE, TRIAL
+from phy124.materials import Hencky, NeoHookean
+from phy124.schema.region import Region
+from support.lattices import SOFT, block, make
+
+
+@pytest.mark.parametrize("damping", [0.0, 100.0])
+def test_simd_and_plain_stress_agree(damping):
+    material = NeoHookean(E=1e5, nu=0.3, density=1000, damping=damping)
+    solid = block((0.7, 0.5, 0.3), low=(0.025, 0.05, 0.025), per=4)
+    forces, limits = [], []
+    for vectors in (True, False):
+        solver = make(solid, material, precision="float32", vectors=vectors)
+        rng = np.random.default_rng(1)
+        solver.nodes_state.u.assign(0.02 * rng.normal(size=(solver.nodes, 3)))
+        solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
+        solver.crew.trial_u.assign(solver.nodes_state.u)
+        solver.phases.run_task(TRIAL)
+        solver.crew.accelerate(trial=True)
+        forces.append(solver.crew.trial_a.numpy().copy())
+        solver.phases.run_task(MEASURE)
+        limits.append(solver.crew.take_maxima())
+    assert np.abs(forces[0] - forces[1]).max() < 2e-6 * np.abs(forces[1]).max()
+    for which in (GRADIENT, CLOSING):
+        assert limits[0][which] == pytest.approx(limits[1][which], rel=1e-3)
+    assert limits[0][SPEED] >= limits[1][SPEED]
+
+
+def test_simd_and_plain_points_agree():
+    solid = block((0.7, 0.5, 0.3), low=(0.025, 0.05, 0.025), per=4)
+    region = Region(lower=(-1, -1, 0.2), upper=(2, 2, 2))
+    states = []
+    for vectors in (True, False):
+        push = Acceleration(a=(1, 0, 0), region=region)
+        solver = make(solid, forces=[push], precision="float32", vectors=vectors)
+        rng = np.random.default_rng(1)
+        solver.nodes_state.u.assign(0.02 * rng.normal(size=(solver.nodes, 3)))
+        solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
+        for worker in solver.workers:
+            worker.run(solver.crew.locate(worker))
+        assert (solver.state.v.numpy() == solver.crew._kept.numpy()).all()
+        located = solver.state.x.numpy().copy(), solver.state.v.numpy().copy()
+        solver.follow()
+        followed = (getattr(solver.state, name).numpy() for name in ("x", "v", "C", "F"))
+        states.append((*located, *followed))
+    for simd, plain in zip(*states, strict=True):
+        assert np.abs(simd - plain).max() < 3e-6 * np.abs(plain).max()
+
+
+def test_simd_and_plain_contact_agree():
+    solid = block((0.425, 0.5, 0.325), low=(0.025, 0.05, 0.0), per=4)
+    found = []
+    for vectors in (True, False):
+        walls = [Ground(friction=0.4), HalfSpace(point=(0, 0, 0.3), normal=(0, 0.2, -1))]
+        v = (1.0, 0.5, -2.0)
+        solver = make(solid, v=v, boundaries=walls, precision="float32", vectors=vectors)
+        solver.walls.keep_impulses()
+        solver.record()
+        for _ in range(5):
+            solver.step(5e-4, 5e-4)
+        sums, kept = solver.walls.sums.numpy(), solver.walls.impulses.sums.numpy()
+        assert np.allclose(kept.sum(axis=0), sums[:, :3].sum(axis=0), rtol=1e-12)
+        found.append([array.copy() for array in (solver.nodes_state.v.numpy(), sums, kept)])
+        snapshot = solver.snapshot()
+        solver.step(5e-4, 5e-4)
+        solver.restore(snapshot)
+        assert np.array_equal(solver.walls.impulses.sums.numpy(), found[-1][2])
+    for simd, plain in zip(*found, strict=True):
+        assert np.abs(plain).max() > 0.1
+        assert np.abs(simd - plain).max() < 1e-4 * np.abs(plain).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arch", [75, 80, 86, 90, 100])
+def test_lattice_compiles_for_cuda(arch, tmp_path):
+    walls = [Ground(), Held()]
+    laws = [(SOFT.device_law, False), (Hencky(damping=1.0).device_law, True)]
+    kind = wp.float32, "cuda"
+    made = *workers.kernels(laws, *kind), *lattice_walls.kernels(walls, *kind, several=True)
+    made += *solids.kernels_of(["box", "sphere"], *kind), *material.kernels_of(*kind)
+    made += (
+        *impulses.kernels(wp.float32),
+        points.make_locate(wp.float32),
+        points.make_push(wp.float32),
+    )
+    modules = {kernel.module.name: kernel.module for kernel in made}
+    for name, module in modules.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        wp.compile_aot_module(module, arch=arch, module_dir=str(folder), use_ptx=True)
+        assert list(folder.glob("*.ptx")), name

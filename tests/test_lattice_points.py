@@ -1,0 +1,117 @@
+"""Integration points of a solid on its lattice, and the points of its surface."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from phy124.particles.lattice import integration_points, surface_points
+from phy124.particles.solid import Solid
+from phy124.studies.validation.bodies import fill_solid
+from support.lattices import DX, block, make
+
+
+def test_full_cells_have_gauss_points():
+    x, volume = integration_points(block((0.2, 0.1, 0.1)), DX)
+    offset = np.abs(x[:8] - 0.05)
+    assert np.allclose(offset, DX / (2 * math.sqrt(3)))
+    assert np.allclose(volume, DX**3 / 8)
+
+
+def test_points_of_full_cells_have_one_order():
+    solid = block((0.7, 0.5, 0.3), low=(0.025, 0.05, 0.025), per=4)
+    x, volume = integration_points(solid, DX)
+    full = np.isclose(volume.reshape(-1, 8).sum(axis=1), DX**3)
+    cells = x.reshape(-1, 8, 3)[full]
+    assert np.allclose(cells - cells[:, :1], (cells - cells[:, :1])[0])
+
+
+def test_cut_cells_keep_volume_centre_and_moments():
+    solid = block((0.25, 0.35, 0.075), low=(0.075, 0.05, 0.025), per=4)
+    x, volume = integration_points(solid, DX)
+    low, size = np.array([0.075, 0.05, 0.025]), np.array([0.25, 0.35, 0.075])
+    assert np.isclose(volume.sum(), size.prod())
+    centre = volume @ x / volume.sum()
+    assert np.allclose(centre, low + size / 2)
+    second = np.einsum("p,pi,pj->ij", volume, x - centre, x - centre) / volume.sum()
+    assert np.allclose(second, np.diag(size**2 / 12), atol=1e-12)
+
+
+def test_grids_of_which_one_is_twice_as_fine_share_their_voxels():
+    rough = Solid(np.zeros(3, int), 0.051, np.linspace(0, 1, 64).reshape(4, 4, 4))
+    assert rough.resample(0.1).voxels is rough.resample(0.05).voxels
+    fresh = Solid(rough.first, rough.voxel, rough.fraction).resample(0.1)
+    assert np.array_equal(fresh.voxels.spread, rough.resample(0.05).voxels.spread)
+
+
+@pytest.mark.parametrize(("thick", "degrees"), [(0.5, 20), (0.5, 45), (1.0, 20), (1.0, 45)])
+def test_turned_plates_keep_their_moments(thick, degrees):
+    """Plates of 0.5 and 1 cells on voxels of half a cell, as the pipeline makes them."""
+    half = np.array([0.6, 0.2, thick * DX / 2])
+    angle, middle = math.radians(degrees), np.array([0.013, 0.02, 0.031])
+    turn = np.array([[math.cos(angle), 0, -math.sin(angle)], [0, 1, 0], [math.sin(angle), 0, 0]])
+    turn[2, 2] = math.cos(angle)
+
+    def distance(x):
+        return (np.abs((x - middle) @ turn) - half).max(axis=-1)
+
+    reach = np.abs(turn) @ half
+    solid = fill_solid(distance, middle - reach, middle + reach, DX / 2)
+    x, volume = integration_points(solid, DX)
+    place = (x - middle) @ turn
+    inner = np.abs(place[:, 0]) < 0.4
+    second = volume[inner] @ place[inner, 2] ** 2 / volume[inner].sum()
+    assert second == pytest.approx((thick * DX) ** 2 / 12, rel=0.08)
+
+
+def test_surface_points_lie_on_a_box():
+    rows = surface_points(block((0.4, 0.3, 0.3)), DX)
+    out = np.maximum(-rows[:, :3], rows[:, :3] - (0.4, 0.3, 0.3))
+    assert np.allclose(out.max(axis=1), 0)
+    assert {tuple(x) for x in np.round(rows[:, :3], 9)} >= {(0.4, 0.3, 0.3)}
+
+
+@pytest.mark.parametrize("side", [1.27, 1.52])
+def test_voxels_larger_than_cells_keep_the_substep(side):
+    """If voxels lay across cells, some nodes would have stiffness but hardly any mass."""
+    steps = (np.arange(-5, 5) + 0.5) * side * DX
+    distance = np.linalg.norm(np.stack(np.meshgrid(steps, steps, steps)), axis=0)
+    filled = np.clip((0.42 - distance) / (side * DX) + 0.5, 0, 1).astype(np.float32)
+    ball = Solid(np.full(3, -5), side * DX, filled).resample(DX / 2, per_cell=2)
+    usual = make(block((0.8, 0.8, 0.8))).substep_at_rest
+    assert make(ball).substep_at_rest > 0.9 * usual
+
+
+@pytest.mark.parametrize("per", [1.3, 1.7, 2.3, 3.1])
+def test_surface_points_cover_a_ball_of_resampled_voxels(per):
+    radius, fine = 0.42, DX / per
+    steps = (np.arange(-20, 20) + 0.5) * fine
+    distance = np.linalg.norm(np.stack(np.meshgrid(steps, steps, steps)), axis=0)
+    filled = np.clip((radius - distance) / fine + 0.5, 0, 1).astype(np.float32)
+    ball = Solid(np.full(3, -20), fine, filled).resample(DX / 2)
+    rows = surface_points(ball, DX)
+    away = np.linalg.norm(rows[:, :3], axis=1) - radius
+    assert np.abs(away).max() < 0.2 * DX
+    rng = np.random.default_rng(1)
+    around = rng.normal(size=(2000, 3))
+    around *= radius / np.linalg.norm(around, axis=1, keepdims=True)
+    gap, _ = KDTree(rows[:, :3]).query(around)
+    assert gap.max() < 0.6 * DX
+
+
+def test_needle_has_surface_points():
+    """A needle fills 1 % of each of its cells."""
+    solid = block((1.0, 0.01, 0.01), dx=0.02)
+    assert len(surface_points(solid, DX)) > 10
+    tip = block((1.0, 0.02, 0.01), dx=0.02)  # fills 2 % of each cell; haze fills less than 0.5 %
+    assert len(surface_points(tip, DX)) >= len(surface_points(solid, DX))
+
+
+def test_sharp_parts_touch_with_their_inner_points():
+    for size, inner in (((0.4, 0.4, 0.4), False), ((0.4, 0.03, 0.03), True)):
+        solver = make(block(size, low=(0.05, 0.05, 0.05), per=20))
+        bare = ~solver.surface.normal.any(axis=1)
+        assert bare.any() == inner
+        rest = KDTree(solver.model.rest)
+        assert not bare.any() or rest.query(solver.surface.x[bare])[0].max() < 1e-6

@@ -1,0 +1,47 @@
+"""The lattice at rest: masses of its nodes, and ties of light nodes to heavy ones."""
+
+import numpy as np
+
+from phy124.lattice.rest import RestLattice
+from phy124.particles.lattice import integration_points
+from phy124.particles.solid import Solid
+from support.lattices import DX, block
+
+
+def test_ties_extrapolate_linear_motions():
+    solid = block((0.35, 0.325, 0.325), low=(0.075, 0.075, 0.0875), per=8)
+    x, volume = integration_points(solid, DX)
+    lattice = RestLattice.of(x, volume, volume, DX)
+    assert len(lattice.tied) > 10
+    assert np.allclose(lattice.ties @ lattice.x, lattice.x[lattice.tied])
+    assert np.isclose(lattice.mass.sum(), volume.sum())
+    assert np.allclose(lattice.mass @ lattice.x, volume @ x)
+
+
+def test_light_nodes_get_mass_from_heavy_ones():
+    solid = block((0.35, 0.325, 0.325), low=(0.075, 0.075, 0.0875), per=8)
+    x, volume = integration_points(solid, DX)
+    lattice = RestLattice.of(x, volume, volume, DX)
+    assert lattice.mass[lattice.mass > 0].min() > 0.0199 * DX**3
+
+
+def test_ties_leave_no_node_without_mass():
+    rng = np.random.default_rng(47)
+    fraction = (rng.random((7, 7, 7)) < 0.35).astype(np.float32)
+    fraction *= rng.random((7, 7, 7)).astype(np.float32)
+    x, volume = integration_points(Solid(np.zeros(3, int), DX / 2, fraction), DX)
+    lattice = RestLattice.of(x, volume, volume, DX)
+    free = np.setdiff1d(np.arange(len(lattice)), lattice.tied)
+    assert lattice.mass[free].min() > 0
+
+
+def test_sliver_at_a_corner_joins_the_cell_behind_it():
+    """By itself it would hang on one node, and its own nodes would have no mass and no ties."""
+    fraction = np.zeros((6, 6, 6), np.float32)
+    fraction[:4, :4, :4] = 1
+    fraction[3, 3, 3], fraction[4, 4, 4] = 0.3, 0.003
+    x, volume = integration_points(Solid(np.zeros(3, int), DX, fraction), DX)
+    assert volume.reshape(-1, 8).sum(axis=1).min() > 0.3 * DX**3
+    assert len(x) == 8 * 4**3
+    lattice = RestLattice.of(x, volume, volume, DX)
+    assert lattice.mass[lattice.mass > 0].min() > 1e-3 * DX**3

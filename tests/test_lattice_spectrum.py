@@ -1,0 +1,68 @@
+"""What limits a lattice's substep: frequencies, damping, shocks."""
+
+import math
+
+import numpy as np
+import pytest
+
+from support.lattices import DX, SOFT, block, make
+
+
+def test_frequency_without_a_trial_stays():
+    solver = make(block((0.2, 0.2, 0.2)))
+    square = solver.spectrum.square
+    solver.spectrum._shape.zero_()
+    solver.spectrum.follow()
+    assert solver.spectrum.square == square
+
+
+def test_frequency_follows_a_squeezed_body():
+    solver = make(block((0.4, 0.3, 0.3)))
+    squeezed = 0.5
+    solver.nodes_state.u.assign((squeezed - 1) * solver.lattice.x)
+    at_rest = solver.spectrum.square
+    for _ in range(30):
+        solver.workers[0].run(solver.workers[0].phases[0])
+        solver._measure_frequency()
+    # dP/ds of mu (s - 1/s) + lam log(J) / s along each axis, with J = s^3.
+    lam, mu = 0.3 / (1.3 * 0.4), 1 / 2.6
+    stiffer = mu * (1 + 1 / squeezed**2) + lam * (1 - math.log(squeezed**3)) / squeezed**2
+    assert solver.spectrum.square / at_rest == pytest.approx(stiffer / (lam + 2 * mu), rel=0.15)
+
+
+def test_measured_damping_covers_the_fastest_decay():
+    solver = make(block((0.4, 0.3, 0.3)), SOFT.model_copy(update={"damping": 200.0}))
+    spectrum = solver.spectrum
+    assumed = 2 * spectrum._delay * spectrum._least
+    start = np.random.default_rng(1).normal(size=(solver.nodes, 3))
+    start[solver.lattice.tied] = 0
+    spectrum._shape.assign(start)
+    largest = spectrum._iterate(0.0, 150, velocities=solver.nodes_state.v)
+    assert largest < assumed < 1.25 * largest
+
+
+def test_a_stiffer_body_takes_shorter_substeps_at_once():
+    solver = make(block((0.3, 0.2, 0.2)))
+    limits = []
+    for factor in (1.0, 25.0, 0.1):
+        solver.softened = factor
+        solver.clock.expire()
+        solver.measure_if_due()
+        limits.append(solver.spectrum.substep_at_rest)
+        assert solver.clock.stable().dt <= solver.clock.cfl * limits[-1] * (1 + 1e-9)
+    assert limits == pytest.approx([limits[0], limits[0] / 5, limits[0]])
+
+
+@pytest.mark.parametrize(
+    ("damping", "speed", "shock"),
+    [(0, 0.2, False), (0, 0.3, True), (300, 0.3, True), (400, 0.25, False)],
+)
+def test_slow_motion_of_flat_material_is_no_shock(damping, speed, shock):
+    """The sides of a cell squeezed to a tenth approach at `speed` times the speed of sound."""
+    solver = make(block((0.4, 0.3, 0.3)), SOFT.model_copy(update={"damping": damping}))
+    flat = np.diag([1, 1, 0.1]) - np.eye(3)
+    rate = speed * SOFT.wave_speed() / DX
+    solver.nodes_state.u.assign(solver.lattice.x @ flat)
+    solver.nodes_state.v.assign(solver.lattice.x * [0, 0, -rate])
+    solver.measure_if_due()
+    assert solver.clock.in_shock == shock

@@ -1,0 +1,113 @@
+"""Lattices at walls, against analytic cases."""
+
+import math
+
+import numpy as np
+import pytest
+
+from phy124.boundaries import Ground, HalfSpace, Held
+from phy124.boundaries.motion import Path
+from phy124.forces import Gravity
+from phy124.kernels.work import IMPULSE, WORK
+from phy124.materials import NeoHookean
+from phy124.monitor.lattice import LatticeTotals
+from phy124.studies.validation.experiments.pressed_block import stress
+from support.lattices import DX, SOFT, block, make
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.5])
+def test_block_on_a_slope_obeys_friction(friction):
+    angle = math.radians(20)
+    g = 0.5
+    pull = Gravity(g=(g * math.sin(angle), 0, -g * math.cos(angle)))
+    damped = NeoHookean(E=1e5, nu=0.3, density=1000, damping=300.0)
+    ground = Ground(friction=friction)
+    solver = make(block((0.4, 0.3, 0.3)), damped, forces=[pull], boundaries=[ground])
+    totals = LatticeTotals(solver)
+    solver.advance(1.0)
+    before = totals.read(solver.clock)
+    solver.advance(2.0)
+    gained = totals.read(solver.clock).momentum[0] - before.momentum[0]
+    slides = math.sin(angle) - friction * math.cos(angle)
+    expected = max(slides, 0.0) if friction < math.tan(angle) else 0.0
+    assert gained / 36 / g == pytest.approx(expected, abs=2e-3)
+    assert solver.state.x.numpy()[:, 2].min() > 0.015
+
+
+@pytest.mark.parametrize("contact", ["separate", "sticky", "slip"])
+def test_undamped_block_stands_still_at_a_wall(contact):
+    """Gravity acts at once; a slip wall holds the block against it."""
+    up = -1.0 if contact == "slip" else 1.0
+    floor = HalfSpace(contact=contact)
+    solver = make(block((0.6, 0.6, 0.6)), forces=[Gravity(g=(0, 0, -9.0 * up))], boundaries=[floor])
+    solver.advance(2.0)
+    bottom = solver.model.rest[:, 2] < DX
+    moved = (solver.state.x.numpy() - solver.model.rest)[bottom].mean(axis=0)
+    assert abs(moved[2]) < 0.2 * DX
+    assert contact == "slip" or np.abs(moved[:2]).max() < 0.1 * DX
+    assert np.abs(solver.state.v.numpy()).max() < 0.6
+
+
+def test_pressed_block_has_the_exact_force():
+    """A block between smooth walls on five sides is pressed by 1 % within 0.2 s."""
+    walls = [HalfSpace(normal=tuple(np.eye(3)[axis]), contact="slip") for axis in range(3)]
+    walls += [HalfSpace(point=(0.4, 0, 0), normal=(-1, 0, 0), friction=0)]
+    walls += [HalfSpace(point=(0, 0.4, 0), normal=(0, -1, 0), friction=0)]
+    path = Path(times=(0.0, 0.2), points=((0, 0, 0), (0, 0, -0.004)))
+    plate = HalfSpace(point=(0, 0, 0.4), normal=(0, 0, -1), friction=0, motion=path)
+    rubber = SOFT.model_copy(update={"damping": 200.0})
+    solver = make(block((0.4, 0.4, 0.4)), rubber, boundaries=[plate, *walls])
+    solver.advance(0.5)
+    before = solver.walls.sums.numpy()[0].copy()
+    solver.advance(0.6)
+    pressure = (solver.walls.sums.numpy()[0] - before)[IMPULSE + 2] / 0.1 / 0.16
+    exact, _ = stress(0.99, 1.0)
+    assert -pressure == pytest.approx(-exact * SOFT.E, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("damping", "strain"), [(0.0, 0.7), (300.0, 0.05)])
+def test_block_comes_back_from_a_fifth_of_its_height(damping, strain):
+    path = Path(times=(0.0, 0.6, 1.6), points=((0, 0, 0), (0, 0, -0.8), (0, 0, 0.1)))
+    plate = HalfSpace(point=(0, 0, 1), normal=(0, 0, -1), friction=0.3, motion=path)
+    rubber = SOFT.model_copy(update={"damping": damping})
+    walls = [plate, HalfSpace(friction=0.3)]
+    solver = make(block((1, 1, 1)), rubber, boundaries=walls, precision="float32")
+    solver.advance(0.6)
+    heights = solver.state.x.numpy()[:, 2]  # the plates are 0.2 m apart, and a cell is 0.1 m
+    assert heights.min() > -0.04 and heights.max() < 0.24
+    solver.advance(2.1)
+    stretch = np.linalg.svd(solver.state.F.numpy(), compute_uv=False)
+    assert np.abs(stretch - 1).max() < strain
+
+
+def test_very_short_substep_throws_no_point_off_a_wall():
+    floor = HalfSpace(contact="sticky")
+    solver = make(block((0.4, 0.4, 0.4)), forces=[Gravity(g=(0, 0, -9.0))], boundaries=[floor])
+    solver.advance(0.05)
+    solver.advance(0.05 + 1e-10)
+    assert np.abs(solver.state.v.numpy()).max() < 1
+
+
+def test_slip_wall_holds_a_clamped_beam():
+    clamp = Held(lower=(-1, -1, -1), upper=(0.15, 1, 1))
+    wall = HalfSpace(normal=(0, 1.0, 0), contact="slip")
+    solver = make(
+        block((1.0, 0.1, 0.2)), forces=[Gravity(g=(0, 1e-3, 1e-3))], boundaries=[clamp, wall]
+    )
+    solver.advance(1.0)
+    assert np.abs(solver.state.v.numpy()[:, 1]).max() < 1e-4
+
+
+def test_walls_impulse_and_work_close_the_balance():
+    damped = NeoHookean(E=1e5, nu=0.3, density=1000)
+    solid = block((0.35, 0.3, 0.3), low=(0, 0, 0.025), per=4)
+    solver = make(solid, damped, v=(0.3, 0, -0.5), boundaries=[Ground()])
+    totals = LatticeTotals(solver)
+    start = totals.read(solver.clock)
+    solver.advance(0.2)
+    end = totals.read(solver.clock)
+    sums = solver.walls.sums.numpy()[0]
+    assert np.allclose(end.momentum - start.momentum, sums[IMPULSE : IMPULSE + 3], atol=1e-12)
+    assert sums[WORK] < 0
+    assert end.energy - start.energy - sums[WORK] == pytest.approx(0, abs=0.05 * start.energy)
