@@ -77,8 +77,9 @@ def check_address(settings: Settings) -> None:
         InputError: The port is in use, or this machine has no such address.
     """
     host, port = settings.host.strip("[]"), settings.port
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
-        socket.create_server((host, port), family=_family(host)).close()
+        socket.create_server((host, port), family=family).close()
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             limit, remedy = "Another program listens there.", f"Try --port {port % 65535 + 1}."
@@ -90,10 +91,6 @@ def check_address(settings: Settings) -> None:
         raise InputError(
             "host", host, limit, "127.0.0.1 admits only this machine, 0.0.0.0 every network."
         ) from None
-
-
-def _family(host: str) -> socket.AddressFamily:
-    return socket.AF_INET6 if ":" in host else socket.AF_INET
 
 
 class Assets(StaticFiles):

@@ -16,7 +16,7 @@ from phy124.commands.options import Device
 from phy124.errors import InputError
 from phy124.io.clip import Clip
 from phy124.io.files import replacing
-from phy124.metrics import Evaluation, evaluate, similarity
+from phy124.metrics import evaluate, similarity
 from phy124.progress import Progress
 from phy124.rendering.film import cameras
 from phy124.rendering.frames import render_frames
@@ -56,7 +56,9 @@ class Evaluate:
             model, missing = self._model()
             videos = self._videos(clip, bars)
             result = evaluate(clip, videos, model=model, missing=missing)
-            data = {**self._data(result), "notes": clip.flaws()}
+            pictures = {"size": self.size, "elevation": self.elevation}
+            data = {"clip": str(self.clip), **result.data(), "pictures": pictures}
+            data["notes"] = clip.flaws()
             path.write_text(json.dumps(data, indent=2) + "\n", "utf-8")
         lines = [result.table(), *(f"note: {note}" for note in data["notes"]), str(out)]
         print(json.dumps(data) if self.json else "\n".join(lines))
@@ -99,8 +101,3 @@ class Evaluate:
             device=device,
             progress=progress,
         )
-
-    def _data(self, result: Evaluation) -> dict:
-        return {"clip": str(self.clip), **result.data()} | {
-            "pictures": {"size": self.size, "elevation": self.elevation}
-        }

@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -357,13 +358,10 @@ class LiquidSolver:
         self.walls.centre(self.cells)
         _launch_all(self._following)
         self._group("move")
-        if self._bodies is not None:
+        if (bodies := self._bodies) is not None:
             self._join()
-            run_timed(self.timings, "bodies", lambda: self._describe_bodies(ahead))
-
-    def _describe_bodies(self, ahead: float) -> None:
-        if self._bodies is not None:
-            self._bodies.describe(self.cells, self.walls, ahead)
+            describe = partial(bodies.describe, self.cells, self.walls, ahead)
+            run_timed(self.timings, "bodies", describe)
 
     def _group(self, name: str) -> None:
         """Run all phases of a group."""

@@ -107,7 +107,9 @@ class Dissipation(Observer):
             rubbed: Energy lost to friction at walls [J].
             stored: Elastic energy now, minus the elastic energy at the start [J].
         """
-        total = self._total()
+        assert self._sums is not None
+        rows: NDArray[Any] = self._sums.numpy()
+        total = rows[:, :LOST].sum(axis=0)
         material = float(total[RUBBED])
         if self._plastic:
             material += float(total[STRAINED]) - stored
@@ -141,11 +143,6 @@ class Dissipation(Observer):
             rows = whole
         self._sums.assign(rows)
         self._stress.assign(snapshot["stress"])
-
-    def _total(self) -> NDArray[np.float64]:
-        assert self._sums is not None
-        rows: NDArray[Any] = self._sums.numpy()
-        return rows[:, :LOST].sum(axis=0)
 
 
 def split_seconds(timings: Mapping[str, Sequence[float]]) -> float:

@@ -196,7 +196,10 @@ class Deformer:
 
     def snapshot(self) -> dict[str, NDArray]:
         """Return the axes of the Gaussians, from which the next frame continues."""
-        return {name: array.numpy().copy() for name, array in self._axes().items()}
+        axes = {"quats": self._quats, "inner": self._inner}
+        if self.gaussians.sh_degree:
+            axes["turned"] = self._turned
+        return {name: array.numpy().copy() for name, array in axes.items()}
 
     def restore(self, snapshot: dict[str, NDArray]) -> None:
         """Return to the state right after the frame at which a snapshot was taken."""
@@ -204,10 +207,6 @@ class Deformer:
         self._inner.assign(snapshot["inner"])
         if self.gaussians.sh_degree:
             self._turned.assign(snapshot["turned"])
-
-    def _axes(self) -> dict[str, wp.array]:
-        turned = {"turned": self._turned} if self.gaussians.sh_degree else {}
-        return {"quats": self._quats, "inner": self._inner, **turned}
 
     def _alias(self, array: NDArray, dtype: Any) -> wp.array:
         """Return an array on the device, without a copy on a CPU."""

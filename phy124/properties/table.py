@@ -74,7 +74,8 @@ def read_table(path: Path) -> Table:
     columns = {name: raw[name] for name in EVERY if name in raw}
     if not columns:
         raise _refusal(path, "it holds none of E, nu, density, damping, fraction and law.", FORMS)
-    sizes = {np.shape(value) for value in (*columns.values(), *_first(points))}
+    places = [] if points is None else [points[:, 0]]
+    sizes = {np.shape(value) for value in (*columns.values(), *places)}
     if len(sizes) > 1 or len(size := sizes.pop()) != 1:
         raise _refusal(path, "its columns have different lengths.", "Write one value per point.")
     (count,) = size
@@ -145,11 +146,6 @@ def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArra
         if name != "law" and np.issubdtype(value.dtype, np.floating):
             full &= ~np.isnan(value)
     return {name: value[full] for name, value in dense.items()}, middles[full.ravel()]
-
-
-def _first(points: NDArray | None) -> list[NDArray]:
-    """Return the points' first coordinates in a list; an empty list if there are no points."""
-    return [] if points is None else [points[:, 0]]
 
 
 def _bounds(path: Path, *ends: Any) -> list[NDArray[np.float64]]:

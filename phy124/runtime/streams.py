@@ -97,19 +97,15 @@ class _Steady(io.RawIOBase):
     def write(self, data: Any) -> int:
         if not self.ended:
             try:
-                return self._written(data)
+                while (count := self.raw.write(data)) is None:  # A pipe is full.
+                    select.select([], [self.raw], [])
+                return count
             except OSError as problem:
                 self.ended = True
                 if problem.errno != errno.EPIPE:
                     problem.filename = "standard output"
                     self.problems.append(problem)
         return len(data)
-
-    def _written(self, data: Any) -> int:
-        """Write data to the raw stream, waiting while a pipe is full; return the bytes written."""
-        while (count := self.raw.write(data)) is None:
-            select.select([], [self.raw], [])
-        return count
 
 
 def _spell(error: UnicodeError) -> tuple[str | bytes, int]:

@@ -208,32 +208,22 @@ def fetch(
         endpoint: Address of the server, if it is not huggingface.co.
 
     Raises:
-        InputError: If the name is unknown, huggingface_hub is missing, the server cannot be
-            reached, or a file differs from the published file (and is then deleted).
+        InputError: If the name is unknown, huggingface_hub is missing, nothing can be written to
+            the folder, the server cannot be reached, or a file differs from the published file
+            (and is then deleted).
     """
     files = list_files(name)
     target = folder or _named.get() or os.environ.get("PHY124_WEIGHTS")
-    if target:
-        _refuse_unwritable(Path(os.path.expanduser(target)))
+    into = Path(os.path.expanduser(target)) if target else None
+    if into is not None and not writable(into):
+        limit = "files cannot be written to this folder."
+        raise InputError("weights", into, limit, "Choose another folder.")
     paths = []
     for i, file in enumerate(files):
         progress(f"fetch {file.repo}/{file.path}", i, len(files))
-        paths.append(
-            _fetch(name, file, Path(os.path.expanduser(target)) if target else None, endpoint)
-        )
+        paths.append(_fetch(name, file, into, endpoint))
     progress(f"fetch {name}", len(files), len(files))
     return paths
-
-
-def _refuse_unwritable(folder: Path) -> None:
-    """Check, before anything is downloaded, that files can be written to a folder.
-
-    Raises:
-        InputError: If they cannot be written.
-    """
-    if not writable(folder):
-        limit = "files cannot be written to this folder."
-        raise InputError("weights", folder, limit, "Choose another folder.")
 
 
 def _fetch(name: str, file: WeightFile, folder: Path | None, endpoint: str | None) -> Path:

@@ -103,10 +103,10 @@ def distances(shown: dict[str, Any]) -> str:
     highest = max((max(line) for line in lines.values()), default=0.0) or 1.0
     x = _scale(times, MARGIN, WIDTH - MARGIN)
     y = _scale([0.0, highest], BOTTOM, TOP)
-    drawn = [
-        f'<polyline class="{name}" points="{" ".join(_point(x(t), y(v)) for t, v in rows)}"/>'
-        for name, rows in ((name, zip(times, line, strict=True)) for name, line in lines.items())
-    ]
+    drawn = []
+    for name, line in lines.items():
+        points = " ".join(f"{x(t):.1f},{y(v):.1f}" for t, v in zip(times, line, strict=True))
+        drawn.append(f'<polyline class="{name}" points="{points}"/>')
     places = " ".join(f"{x(time):.1f}" for time in times)
     mark = f'<line class="now" y1="{TOP}" y2="{BOTTOM}" data-places="{places}"/>'
     was = ", ".join(f"{value:g}" for value in shown["was"].values())
@@ -146,10 +146,6 @@ def _plot(label: str, drawn: Sequence[str], first: str, last: str) -> str:
         f'<text x="0" y="{HEIGHT - 4}">{escape(first)}</text>'
         f'<text x="{WIDTH}" y="{HEIGHT - 4}" text-anchor="end">{escape(last)}</text></svg></div>'
     )
-
-
-def _point(x: float, y: float) -> str:
-    return f"{x:.1f},{y:.1f}"
 
 
 def _scale(

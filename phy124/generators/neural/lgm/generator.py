@@ -128,7 +128,8 @@ class Lgm:
         Raises:
             InputError: If weights are missing.
         """
-        self._prepare_model()
+        if self.model is None:
+            self.model = load(self._file(), self.option, device=self.device, dtype=self.dtype)
         rows, views = self._reconstruct(views, progress)
         if self.align and image is not None:
             azimuth = find_front(rows, image, step=self.align_step, progress=progress)
@@ -152,10 +153,6 @@ class Lgm:
             warnings.warn(OLD_GENERATION, stacklevel=2)
         progress("lgm", 1, 1)
         return (remove_rotations(rows) if model.rotations == "all" else rows), views
-
-    def _prepare_model(self) -> None:
-        if self.model is None:
-            self.model = load(self._file(), self.option, device=self.device, dtype=self.dtype)
 
     def _file(self) -> Path:
         """Return the file of LGM's weights.

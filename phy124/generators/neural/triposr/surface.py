@@ -127,12 +127,9 @@ def _evaluate(
     parts = []
     for start in range(0, total, BATCH):
         step(start, total)
-        parts.append(_log(decode(places[start : start + BATCH])))
+        density = np.maximum(decode(places[start : start + BATCH]), 1e-12)
+        parts.append(np.log(density / THRESHOLD).astype(np.float32))
     return np.concatenate(parts) if parts else np.empty(0, np.float32)
-
-
-def _log(density: NDArray) -> NDArray[np.float32]:
-    return np.log(np.maximum(density, 1e-12) / THRESHOLD).astype(np.float32)
 
 
 def _zoom(values: NDArray[np.float32], index: NDArray) -> NDArray[np.float32]:

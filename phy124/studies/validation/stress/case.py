@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, SupportsFloat
 
@@ -87,7 +86,7 @@ def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
     return Row(
         name,
         "; ".join(check.bound for check in checks),
-        "; ".join(_number(check.measured) for check in checks),
+        "; ".join(f"{check.measured:.3g}" for check in checks),
         verdict,
     ), checks
 
@@ -105,7 +104,3 @@ def at_least(what: str, measured: SupportsFloat, limit: float) -> Check:
 def equal(what: str, holds: bool) -> Check:
     """Check a condition that is true or false."""
     return Check(what, float(holds), 1.0, at_least=True)
-
-
-def _number(value: float) -> str:
-    return "nan" if math.isnan(value) else f"{value:.3g}"

@@ -101,9 +101,10 @@ def endurance(setting: Setting) -> list[Check]:
     The substeps are 0.5 and 0.9 of the stability limit.
     """
     count = 100_000 if setting.long else 2000
+    precisions = ["float64"] if setting.double else ["float32", "float64"]
     checks = []
     for fraction in (0.5, 0.9):
-        meters = [_endure(setting._replace(precision=p), fraction, count) for p in _pair(setting)]
+        meters = [_endure(setting._replace(precision=p), fraction, count) for p in precisions]
         meter = meters[0]
         checks += [
             at_most(f"k {fraction}: largest / first energy", meter.max_energy, 1.001),
@@ -114,10 +115,6 @@ def endurance(setting: Setting) -> list[Check]:
             apart = abs(meter.last - meters[1].last) / meters[1].first
             checks.append(at_most(f"k {fraction}: float32 against float64 energy", apart, 1e-3))
     return checks
-
-
-def _pair(setting: Setting) -> list[str]:
-    return ["float64"] if setting.double else ["float32", "float64"]
 
 
 def _endure(setting: Setting, fraction: float, count: int) -> Meter:
