@@ -11,9 +11,11 @@ import pytest
 from PIL import Image
 
 from demo.jobs import Studio
+from demo.line import Job
 from demo.settings import Settings
 from demo.source import Cutout
 from demo.visitors import Visitors
+from demo.work import Done
 from phy124.scene import Scene
 
 gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
@@ -50,6 +52,21 @@ def test_a_forgotten_job_is_answered(studio, handlers):
     assert GONE in answer["message"] and (answer["option"], answer["ask"]) == ("side", 3)
     history = handlers.on_job_end(studio)(None, None, None, None, lost, None)[-1]
     assert history == {"runs": []}
+
+
+def test_a_result_without_its_clip_is_not_listed(studio, handlers):
+    """More films than clips are kept."""
+    visitor = studio.visitors.get("a")
+    clip, films, study = (visitor.folder / name / "x" for name in ("clips", "films", "studies"))
+    films.mkdir()
+    (films / "report.json").write_text("{}")
+    old, new = (Job("run", visitor.new_stop_file()) for _ in range(2))
+    old.end("done", result=Done(clip, films, study))
+    visitor.remember(old)
+    assert handlers.on_load(studio)(None)[-1] == gradio.skip()
+    visitor.remember(new)
+    answer = handlers.on_job_end(studio)(None, None, None, None, _event(job=new.name), None)
+    assert answer[-1] == {"runs": []}
 
 
 def _chosen(studio: Studio, handlers, path: Path) -> dict[str, Any]:

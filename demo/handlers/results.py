@@ -93,7 +93,10 @@ def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
 
 
 def _is_there(done: Any) -> bool:
-    return isinstance(done, Done) and (done.films / "report.json").exists()
+    """Return whether a result is complete; its clip may be removed before its films."""
+    if not isinstance(done, Done):
+        return False
+    return (done.films / "report.json").exists() and (done.clip / "clip.safetensors").exists()
 
 
 def on_load(studio: Studio) -> Handler:
@@ -218,7 +221,7 @@ def on_prepare(studio: Studio) -> Handler:
     ) -> dict[str, Any]:
         kind = str(data_of(event).get("kind"))
         visitor = studio.visitors.find(visitor_of(request))
-        if done is None or visitor is None or not done.films.exists():
+        if done is None or visitor is None or not _is_there(done):
             return FORGOTTEN[0]
         try:
             kinds = ["html" if kind == SHARE else kind]
