@@ -51,6 +51,11 @@ class Material(Section):
     grains: ClassVar[bool] = False
     """Whether the material separates into grains or drops, so that its interior must be drawn."""
 
+    scatters: ClassVar[bool] = False
+    """Whether the particles start at random places in their cells, because the material runs apart
+    in thin layers, in which rows of a lattice would show.
+    """
+
     shade: ClassVar[float] = 0.0
     """Variation in brightness between grains: standard deviation relative to the mean."""
 

@@ -30,6 +30,7 @@ from phy124.motion.scenery import Scenery
 from phy124.mpm import FreeBody
 from phy124.particles import Cleaning, Particles, clean, make_particles
 from phy124.particles.lattice import cells_of, lattice_of, points_of, repeat_for_points
+from phy124.particles.scatter import scatter
 from phy124.particles.solid import Solid, find_interior
 from phy124.particles.thickness import Proportions, measure_proportions
 from phy124.scene import Scene, SceneObject
@@ -292,6 +293,8 @@ def _with_particles(placed: Placed, spacing: float) -> Body:
     if points is not None:
         refuse_for_lattice(scene, materials)
         particles, stiffness = points_of(particles, points), repeat_for_points(stiffness)
+    elif scene.binding == "lattice":
+        particles = scatter(particles, interior, materials, spacing=spacing, seed=scene.seed)
     appearance = make_appearance(gaussians, particles, moves, materials, scene, spacing)
     sentences = placed.cleaned.sentences
     interiors = [(interior, scene.object.size)]

@@ -1,0 +1,48 @@
+"""Moves particles from their lattice to random places, so that rows of the lattice do not show.
+
+Sand that runs apart in thin layers stretches by a factor of several along its flow. Particles of a
+regular lattice then form rows like strings of beads, with empty grooves between them. Each particle
+stays in its own cell of the lattice, so the density hardly varies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from phy124.gaussians import Particles
+from phy124.materials import AnyMaterial
+from phy124.particles.solid import Solid
+
+LARGEST = 0.5
+"""Largest shift along each axis, in particle spacings: half the side of a lattice cell."""
+
+
+def scatter(
+    particles: Particles,
+    solid: Solid,
+    materials: Sequence[AnyMaterial],
+    *,
+    spacing: float,
+    seed: int,
+) -> Particles:
+    """Shift the particles of materials that run apart by random distances.
+
+    A particle without room for its shift, at the surface, stays where it is.
+
+    Args:
+        particles: Particles at rest, P of them.
+        solid: The object's interior.
+        materials: Materials of the particles; those with `scatters` set are shifted.
+        spacing: Distance of neighbouring particles [m].
+        seed: Seed of the random numbers.
+    """
+    chosen = np.array([section.scatters for section in materials], bool)[particles.material]
+    if not chosen.any():
+        return particles
+    shifts = np.random.default_rng(seed).uniform(-LARGEST, LARGEST, particles.x.shape) * spacing
+    shifted = (particles.x + shifts).astype(np.float32)
+    chosen &= solid.contains(shifted)
+    return replace(particles, x=np.where(chosen[:, None], shifted, particles.x))
