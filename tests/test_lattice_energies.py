@@ -22,7 +22,7 @@ from phy124.scene.lattices import choose_solver
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import fill_solid, surface_of_ball
-from test_lattice import DX, SOFT, block
+from support.lattices import DX, SOFT, block
 from test_meetings import fork_at, make
 
 G = 9.81

@@ -47,7 +47,9 @@ class Weights:
             InputError: The name of the set is missing or unknown, or the download fails.
         """
         if self.action == "list":
-            return self._list()
+            statuses = check_all(self.weights)
+            print(json.dumps(data(statuses)) if self.json else "\n".join(lines(statuses)))
+            return 1 if any(status.verdict == "differs" for status in statuses) else 0
         if self.name is None:
             raise InputError(
                 "weights",
@@ -59,11 +61,6 @@ class Weights:
             paths = [str(path) for path in fetch(self.name, self.weights, progress=bars)]
         print(json.dumps({"files": paths}) if self.json else "\n".join(paths))
         return 0
-
-    def _list(self) -> int:
-        statuses = check_all(self.weights)
-        print(json.dumps(data(statuses)) if self.json else "\n".join(lines(statuses)))
-        return 1 if any(s.verdict == "differs" for s in statuses) else 0
 
 
 def data(statuses: list[WeightStatus]) -> list[dict[str, Any]]:

@@ -162,12 +162,9 @@ def _locate(elements: list[_Element], order: str, start: int) -> tuple[Element, 
     """Compute the position of the rows of each element."""
     located = []
     for element in elements:
-        located.append(Element(element.name, element.count, _dtype(element, order), start))
-        start += element.count * located[-1].row.itemsize
+        if not element.properties:
+            raise ValueError(f"element {element.name} has no properties")
+        row = np.dtype([(name, order + kind) for name, kind in element.properties])
+        located.append(Element(element.name, element.count, row, start))
+        start += element.count * row.itemsize
     return tuple(located)
-
-
-def _dtype(element: _Element, order: str) -> np.dtype[Any]:
-    if not element.properties:
-        raise ValueError(f"element {element.name} has no properties")
-    return np.dtype([(name, order + kind) for name, kind in element.properties])

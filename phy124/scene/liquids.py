@@ -88,7 +88,7 @@ def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
 
 
 def _of_objects(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
-    """Yield the features of the objects that are not supported."""
+    """Yield the unsupported features of the objects."""
     wet = [_is_liquid(item) for item in (scene, *scene.objects)]
     for body, holds_liquid in zip(scene.every_object, wet, strict=True):
         if body.held and holds_liquid:

@@ -95,7 +95,7 @@ class Report:
 
     @property
     def _extent(self) -> str:
-        """A sentence about the time up to which errors are known; empty if for the whole motion."""
+        """A sentence about the time after which errors are unknown; empty if there is none."""
         if self.until is not None:
             return (
                 f"The motions on different levels diverge after {self.until:.3g} s. "

@@ -227,7 +227,7 @@ def _overview(outcomes: Sequence[Outcome]) -> str:
 
 
 def _worst(outcome: Outcome) -> str:
-    """Describe the value that is farthest outside its band; empty if there is none."""
+    """Describe the value that is farthest outside its band; "" if all are inside."""
     if not outcome.missed:
         return ""
     worst = max(outcome.missed, key=lambda each: abs(each.deviation))

@@ -20,7 +20,7 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most
 DEEPEST = 0.3
 """Maximum permitted depth of a Gaussian below the floor [cells]."""
 LOOSE = 0.4
-"""Maximum depth on a lattice, if the shape stands on the floor, is hairs, or runs at `fine`.
+"""Maximum depth below the floor on a lattice [cells]: for standing shapes, hairs, and `fine`.
 
 Hairs that fall from 0.3 m are 0.25 to 0.37 cells deep if all substeps change by 5 %. See
 docs/design/lattice.md.
