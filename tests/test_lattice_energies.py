@@ -225,6 +225,15 @@ def test_prongs_that_clap_lose_energy_to_self_contact():
     clap.nothing_but("elastic", "viscous", "itself", "impacts", "shock")
 
 
+def test_impulses_on_held_nodes_do_no_work():
+    """A moving clamp holds half of a block that a solid and the floor touch."""
+    steel = FreeBody("ball", "sphere", (0.2,) * 3, (0.2, 0.15, 0.5), velocity=(0, 0, -3))
+    path = Path(times=(0.0, 0.2), points=((0, 0, 0), (0.1, 0, -0.03)))
+    walls = [Held(lower=(0.2, -1, -1), upper=(1, 1, 1), motion=path), HalfSpace(friction=0.4)]
+    both = Balance(make([block(CUBE)], DAMPED, free=[steel], boundaries=walls), 0.1)
+    assert min(abs(both.solids), abs(both.held), both.friction) > 0.1
+
+
 def test_free_solid_works_on_a_body():
     steel = FreeBody("ball", "sphere", (0.2,) * 3, (0.65, 0.25, 0.2), velocity=(-1, 0, 0))
     hit = Balance(make([block((0.4, 0.4, 0.4))], free=[steel]), 0.2)

@@ -13,7 +13,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.free import WORK as FREE_WORK
 from phy124.kernels.lattice import work as at
 from phy124.kernels.lattice.contact import DRIVEN
 from phy124.kernels.work import WORK
@@ -24,7 +23,7 @@ from phy124.mpm.stage import Named
 
 STAGE = "dissipation"
 """Name of the stages, the same as for other materials."""
-ROOM = 16
+ROOM = 24
 """Length of a worker's array of sums; with this length, no two workers write to the same cache
 line.
 """
@@ -66,9 +65,9 @@ class Energies:
         self._walls: Walls | None = None
         self._sums = wp.zeros(shape, dtype=wp.float64, device=solver.model.device)
         self._on = False
-        self._others = np.zeros(3)
-        """Work of earlier walls' clamps, its part by their motion, and work of free solids, minus
-        the values at the start [J].
+        self._clamps = np.zeros(2)
+        """Work of clamps of earlier walls, and its part by their motion, minus their values at the
+        start [J].
         """
 
     def start(self) -> None:
@@ -82,12 +81,12 @@ class Energies:
     def attach(self) -> None:
         """Let the contact that is recorded next sum its work."""
         solver = self._solver
-        self._others[:2] += self._of_clamps() if self._walls is not solver.walls else 0
+        self._clamps += self._of_clamps() if self._walls is not solver.walls else 0
         self._walls = solver.walls
         if self._on:
             first = cast("wp.array", self._sums[0])
             work = ContactWork(solver.model, solver.nodes_state, solver.tracks, first)
-            solver.walls.work = solver.meetings.work = work
+            solver.walls.work = solver.meetings.work = solver.free.work = work
 
     def extend(self, *, pushed: bool) -> None:
         """Insert the phases before the drift of a substep.
@@ -130,13 +129,13 @@ class Energies:
         """Return the work so far."""
         total: NDArray[Any] = np.asarray(self._sums.numpy()).sum(axis=0)
         walls = total[at.WALLS : at.WALLS + 3]
-        clamps, held, solids = self._others + self._of_others()
+        clamps, held = self._clamps + self._of_clamps()
         viscous, shock = total[at.VISCOUS], total[at.SHOCK]
         works = Works(
             forces=total[at.UNIFORM] + total[at.PUSHED],
             walls=walls[at.DRIVEN],
             held=held,
-            solids=solids,
+            solids=total[at.SOLIDS : at.SOLIDS + 3].sum(),
             elastic=total[at.STRESS] - viscous - shock,
             viscous=viscous,
             shock=shock,
@@ -150,12 +149,12 @@ class Energies:
     def clear(self) -> None:
         """Start all sums at zero."""
         self._sums.zero_()
-        self._others = -self._of_others()
+        self._clamps = -self._of_clamps()
 
     def snapshot(self) -> dict[str, Any]:
         """Return the sums as plain data."""
         rows: list[list[float]] = np.asarray(self._sums.numpy()).tolist()
-        return {"rows": rows, "others": self._others.tolist()}
+        return {"rows": rows, "clamps": self._clamps.tolist()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the sums; if the number of workers differs, the first worker gets all sums."""
@@ -165,7 +164,7 @@ class Energies:
         else:
             rows[0] = kept.sum(axis=0)
         self._sums.assign(rows)
-        self._others = np.array(snapshot["others"])
+        self._clamps = np.array(snapshot["clamps"])
 
     def _of_clamps(self) -> NDArray[np.float64]:
         """Return the work of the clamps, and its part by their motion, as their walls sum them."""
@@ -173,10 +172,6 @@ class Energies:
             return np.zeros(2)
         rows = np.asarray(self._walls.sums.numpy(), np.float64)[self._walls.holding]
         return np.asarray(rows[:, [WORK, DRIVEN]].sum(axis=0), np.float64)
-
-    def _of_others(self) -> NDArray[np.float64]:
-        """Return the same two works, and the work of free solids, as they sum it."""
-        return np.array([*self._of_clamps(), self._solver.free.impulses()[FREE_WORK]])
 
 
 def _rename(launches: Sequence[Named]) -> list[Named]:

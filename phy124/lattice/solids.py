@@ -18,9 +18,11 @@ from phy124.kernels.free import make_walls
 from phy124.kernels.lattice import solids as kernels
 from phy124.kernels.lattice.contact import MOMENT, SUMS, make_account
 from phy124.kernels.lattice.rows import rows_for
+from phy124.kernels.lattice.work import SOLIDS
 from phy124.kernels.work import GIVEN, IMPULSE
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
+from phy124.lattice.work import ContactWork
 from phy124.mpm.free import POINTS, STAGE, FreeBodies, FreeBody, Plane
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
@@ -50,6 +52,8 @@ class Solids(FreeBodies):
             InputError: A solid is thinner than two cells.
         """
         self._nodes, self._surface = nodes, surface
+        self.work: ContactWork | None = None
+        """Records launches that sum the work of contact; None: it is not summed."""
         shape = len(solids), model.bodies, SUMS
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         """Sums of the impulses of each solid on each body, like those of walls [F,bodies,16]."""
@@ -116,6 +120,8 @@ class Solids(FreeBodies):
             kernel = kernels.make_solid_finish(model.real)
             read = [moments, self._trials[index]]
             finish.append((STAGE, model.launch(kernel, 1, read, [state])))
+        for touch in self._touches:
+            touch.sum_work(self.work)
         touch, resist, account = (
             [(STAGE, touch.stage(number)) for touch in self._touches] for number in range(3)
         )
@@ -195,7 +201,9 @@ class _Touch:
         self.force = wp.zeros(count, dtype=t.vec3, device=device)
         """Mean force of the solid on each point in the last substep [S,3], N."""
         self._gaps = wp.zeros(count, dtype=model.real, device=device)
-        gap, place = wp.zeros(count, dtype=t.vec4, device=device), wp.zeros_like(self.force)
+        self._gap = gap = wp.zeros(count, dtype=t.vec4, device=device)
+        self._work: wp.Launch | None = None
+        place = wp.zeros_like(self.force)
         yields = wp.zeros_like(self._gaps)
         solid, nodes, points = solids.all[index], solids._nodes, solids._points
         shape, moments = t.mat33(*np.ravel(solid.geometry())), wp.vec3d(*solid.moments)
@@ -231,8 +239,17 @@ class _Touch:
         def act() -> None:
             if len(self._near):
                 self._launches[number].launch()
+                if number == 2 and self._work is not None:
+                    self._work.set_param_at_index(1, len(self._near))
+                    self._work.launch()
 
         return act
+
+    def sum_work(self, work: ContactWork | None) -> None:
+        """Sum the work of the impulses in the last stage; None: do not sum it."""
+        points = self._solids._points[0], self._solids._points[1]
+        known = self._list, points, self._gap, self.force
+        self._work = None if work is None else work.of(SOLIDS, *known)
 
     def list_near(self, reach: float, more: float) -> None:
         """List the points within `reach` + `more` [m] of the solid."""

@@ -19,15 +19,15 @@ STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
 """Index of the work of each force: of all stress, the uniform acceleration, forces on points, and
 the parts of the stress that are viscosity and artificial viscosity [J].
 """
-WALLS, ITSELF, PAIRS = 5, 8, 11
-"""Index of the first of three works of each kind of contact: with walls, of a body with itself, and
-between bodies [J].
+WALLS, ITSELF, PAIRS, SOLIDS = 5, 8, 11, 14
+"""Index of the first of three works of each kind of contact: with walls, of a body with itself,
+between bodies, and with free solids, whose motion counts as that of a wall at rest [J].
 """
 DRIVEN, PRESSED, RUBBED = 0, 1, 2
 """The three works: by the motion of the wall, and by impulses along and across the normal, with the
 velocity relative to the wall.
 """
-COUNT = 14
+COUNT = 17
 """Number of sums."""
 
 

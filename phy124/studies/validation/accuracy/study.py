@@ -77,7 +77,6 @@ class Study:
 
     def __post_init__(self) -> None:
         self._forecaster = Forecaster(self.context)
-        self._splits = self.thorough and _can_split(self.scene)
         self._proportions: Proportions | None = None
 
     def run(self) -> Report:
@@ -163,9 +162,10 @@ class Study:
 
     def _with(self, accuracy: Accuracy) -> Scene:
         """Return the scene with another accuracy, and with the checks of the energy balance."""
-        update = {"balance": True, "energy": self._splits}
+        scene = self.scene.model_copy(update={"accuracy": accuracy})
+        update = {"balance": True, "energy": self.thorough and _can_split(scene)}
         checks = self.scene.checks.model_copy(update=update)
-        return self.scene.model_copy(update={"accuracy": accuracy, "checks": checks})
+        return scene.model_copy(update={"checks": checks})
 
     def _row(self, name: str, scene: Scene, progress: Progress) -> tuple[Row | None, str]:
         """Run one setting.
