@@ -1,4 +1,4 @@
-"""Make an MCAP file a ROS 2 bag: add quality of service to channels, and write metadata.yaml.
+"""Turn an MCAP file into a ROS 2 bag: add quality of service to channels, and write metadata.yaml.
 
 A bag is a folder `<name>/` with `<name>_0.mcap` and a metadata.yaml of format version 9 (ROS 2
 Jazzy), or the .mcap file alone, which Jazzy opens as well.

@@ -208,7 +208,7 @@ class Play:
 
 @dataclass(frozen=True)
 class Steer:
-    """Simulate an object that peers push, hold, pause and step over ROS 2 topics and services."""
+    """Simulate an object that other programs push, hold, pause and step over ROS 2."""
 
     source: tyro.conf.Positional[Path]
     """A picture, a file of Gaussians, or a clip.safetensors, whose object starts at rest."""

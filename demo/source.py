@@ -70,7 +70,7 @@ class GaussianFile:
 
     @property
     def picture(self) -> str:
-        """The picture of the most likely orientation."""
+        """Picture of the object in its most likely orientation."""
         return str(self.pictures / way(self.axes.up, self.axes.front))
 
 

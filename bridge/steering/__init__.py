@@ -1,1 +1,1 @@
-"""A live run that peers push, hold, pause, step and reset by messages and services."""
+"""A live run; other programs push, hold, pause, step and reset it by messages and services."""

@@ -50,7 +50,7 @@ def checked_duration(name: str, seconds: float) -> float:
 
 
 class SteeredRun:
-    """A live run that peers push, pause, step and reset. Sinks show it like a playback."""
+    """A live run; other programs push, pause, step and reset it. Sinks show it like a playback."""
 
     rate: float | None = None
     loop, dropped = False, 0

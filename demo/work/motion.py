@@ -150,7 +150,7 @@ class Watching:
             show(frame)
 
     def end(self) -> None:
-        """Report the end of the simulation, even if its time was over."""
+        """Report the end of the simulation, also if a time limit ended it."""
         frames = self.order.scene.time.frames
         self.limits.tell(Step("simulate", frames, frames, self.note))
 

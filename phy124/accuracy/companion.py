@@ -308,7 +308,7 @@ def _prepare(setup: Setup, scene: Scene) -> Setup:
 
 
 def _sample(setup: Setup) -> NDArray[np.int64]:
-    """Return the indices of the moving Gaussians to compare; there are no grains among them."""
+    """Return the indices of the moving Gaussians to compare, without grains."""
     moving = np.flatnonzero(setup.appearance.moves[: len(setup.gaussians)])
     return moving[np.linspace(0, len(moving) - 1, min(SAMPLE, len(moving))).astype(np.int64)]
 

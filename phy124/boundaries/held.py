@@ -79,7 +79,7 @@ class Held(Clamp):
         return "cylinder" if self.cylinder else "box"
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return centre and half sizes [m]; for a cylinder centre, axis, (radius, half length)."""
+        """Return centre and half sizes [m]; a cylinder has centre, axis, (radius, half length)."""
         if self.cylinder is None:
             return box_of(self.lower, self.upper)
         axis, middle, radius = cylinder(self.lower, self.upper, self.cylinder)

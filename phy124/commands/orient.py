@@ -1,4 +1,4 @@
-"""`phy124 orient` draws a contact sheet of a file of Gaussians with each possible up axis."""
+"""`phy124 orient` draws a contact sheet: a file's Gaussians with each axis that may be up."""
 
 from __future__ import annotations
 

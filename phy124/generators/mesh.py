@@ -247,7 +247,7 @@ def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
 
 
 def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
-    """Return a mesh's pieces that have triangles, placed in the scene, and the file's shapes.
+    """Return a mesh's pieces with triangles, in the scene's axes, and the file's shapes.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".

@@ -86,7 +86,7 @@ class Cutout:
     unseen: float
     """Fraction of the outline at which the image has no edge."""
     alike: float
-    """Fraction of the surroundings in colours that are more common in the object than around it."""
+    """Fraction of the surrounding pixels with a colour that is more common in the object."""
     undecided: float = 0.0
     """Half-transparent area away from the outline, relative to the object's area."""
     frames: int = 1
@@ -413,4 +413,4 @@ NETWORKS = (*salient.NETWORKS, "u2net", "u2netp")
 TAKEN_WHOLE = ("alpha", "mask")
 """Methods whose result keeps all its pieces, because a person made it."""
 PAINTED = {"mask": "the mask", "brush": "brush strokes"}
-"""Names, in sentences, of the inputs that a person paints."""
+"""What messages call the inputs that a person paints."""

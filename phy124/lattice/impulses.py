@@ -1,4 +1,4 @@
-"""Sums of the impulses of walls: on each surface point, and of clamps on each node.
+"""Sums of impulses: those of walls on each surface point, and those of clamps on each node.
 
 They are summed only if the forces on Gaussians are stored (phy124/monitor/lattice.py).
 """

@@ -13,7 +13,7 @@ from phy124.mpm.model import Model, State
 
 
 def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: bool) -> Nodes:
-    """Return nodes at rest with the points' motion; this is exact if the motion is affine.
+    """Return a lattice's nodes, which move like its points; this is exact if the motion is affine.
 
     Args:
         model: The constants of the run; nodes of its held bodies do not move.

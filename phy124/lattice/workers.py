@@ -65,7 +65,7 @@ class Worker:
     timings: Timings = field(default_factory=dict)
 
     def run(self, named: Sequence[Named]) -> None:
-        """Run launches; time between two launches is added to the second's time."""
+        """Run launches; the time between two launches counts towards the later launch."""
         before = time.perf_counter()
         for name, launch in named:
             launch()

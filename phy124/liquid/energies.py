@@ -59,7 +59,7 @@ class Energies:
         self._on = False
 
     def start(self) -> None:
-        """Sum the work from the next recording of launches on."""
+        """Start to sum the work when the launches are next recorded."""
         self._on = True
 
     def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses) -> None:

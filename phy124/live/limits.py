@@ -20,9 +20,9 @@ from phy124.schema.region import Vector
 
 STANDARD_GRAVITY = 9.81
 LIFTS = 3.0
-"""Default strength of a hand, in weights of the object."""
+"""Default strength of a hand, relative to the object's weight."""
 STRONGEST = 30.0
-"""Largest strength of a hand, in weights of the object."""
+"""Largest strength of a hand, relative to the object's weight."""
 SWAY = 3.0
 """Natural frequency of an object of 1 m on a hand's spring [Hz]."""
 FARTHEST = 5.0

@@ -191,7 +191,10 @@ class Sleep(Observer):
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:
-        """Return whether accelerated material stays in place (if free, it would move a t^2 / 8)."""
+        """Return whether material that is accelerated by a stays in place.
+
+        Free material would move by a t^2 / 8.
+        """
         pull: NDArray[Any] = self._solver.tracks.values.numpy()
         way = float(np.linalg.norm(pull[0, :3])) * (len(self.speeds) / self._fps) ** 2 / 8
         return way == 0 or self.drift <= HELD * way

@@ -1,4 +1,4 @@
-"""Adds the Gaussians that the solver does not move to each frame.
+"""Adds to each frame the Gaussians that the solver does not move.
 
 They belong to static parts, to objects that follow a track, and to rigid solids.
 """

@@ -47,7 +47,7 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Return the extremes, raised to at least the decayed earlier stiffness and to `speed`.
+        """Return the extremes, but at least `speed` and the decayed earlier stiffness.
 
         Args:
             before: Extremes measured `substeps` earlier.

@@ -305,7 +305,7 @@ def _flood_outside(free: Mask) -> Mask:
 
 
 def _find_enclosed(occupied: Mask) -> Mask:
-    """Return the voxels that have occupied voxels in at least five of the six axis directions."""
+    """Return the voxels with occupied voxels in at least five of the six axis directions."""
     hits = np.zeros(occupied.shape, np.uint8)
     for axis in range(3):
         hits += np.logical_or.accumulate(occupied, axis=axis)

@@ -112,7 +112,7 @@ class Sample:
         return (low.min(axis=0) + high.max(axis=0)) / 2
 
     def with_fixed(self, points: NDArray) -> Sample:
-        """Return the sample with fixed points [K,3] m that count as part of the object."""
+        """Add fixed points [K,3] m to the sample; they count as part of the object."""
         # Repeated, they are not among the few that may lie outside the picture.
         times, still = len(self.means), np.repeat(points, 1 + len(self.means[0]) // 256, axis=0)
         means = np.broadcast_to(still.astype(np.float32), (times, *still.shape))

@@ -216,7 +216,7 @@ class Scene(Section):
 
     @property
     def on_lattice(self) -> bool:
-        """Whether elastic objects move on their lattices at rest."""
+        """Whether elastic objects are simulated on the lattices of their rest shapes."""
         return not reason_for_mpm(self)
 
     @property

@@ -136,7 +136,7 @@ def _notes(run: Run) -> list[str]:
 
 
 def _unregistered_notes(classes: dict[str, str]) -> Iterator[str]:
-    """Yield notes on a run's files if the scene uses classes of the user without a registered
+    """Yield notes on a run's files if the scene uses classes from outside without a registered
     name.
     """
     for name, group in classes.items():

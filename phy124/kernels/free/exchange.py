@@ -56,7 +56,7 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
 
 @build_once
 def make_begin(real: Any):
-    """Kernel of one thread: kicks a body once per substep; its motion is the initial solution."""
+    """Kernel of one thread: kicks a body once per substep, and starts the solver at its motion."""
 
     @kernel(f"phy124_free_begin_{real.__name__}", real)
     def begin(moments, clock, values, body_out, trial_out):

@@ -30,7 +30,7 @@ def between(a: Any, b: Any):
 
 @cache
 def make_mix(real: Any):
-    """Kernel over cells: computes a property's mean over the volume at low faces and centre.
+    """Kernel over cells: computes a property's volume average at the centre and the low faces.
 
     `fills` has the sums of volume times property, `cells` those of the volume. Without any liquid
     the mean is 1.
