@@ -120,7 +120,9 @@ class Cameras:
         return SeenFrame(**values, pictures=tuple(pictures))
 
     def _place(self, clip: Clip, view: View) -> None:
-        """Place the cameras of a view around a clip, and start threads that draw."""
+        """Place the cameras of a view around a clip, and start the threads that draw their
+        pictures.
+        """
         from phy124.rendering.film import rate
         from phy124.rendering.framing import cameras
         from phy124.rendering.render import Renderer
@@ -258,7 +260,7 @@ def compress(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def _standing_clip(frame: Frame, scene: Scene) -> Clip:
-    """Return a clip of the scene's length in which the object keeps its state of one frame."""
+    """Return a clip of the scene's length; in all its frames the object has the same state."""
     clip = Clip.from_frames([Frame(0, 0.0, frame.gaussians)])
     count = scene.time.frames
     still = {

@@ -59,7 +59,7 @@ class Record:
     """Bag folder, or a file if it ends in .mcap; default: SOURCE-bag, without SOURCE's suffix."""
     messages: Messages = field(default_factory=Options)
     compression: Compression = "none"
-    """Compression of the chunks; files with moving Gaussians hardly become smaller."""
+    """Compression of the chunks; it hardly reduces the size of recordings with moving Gaussians."""
     overwrite: bool = False
     """Replace an older recording."""
     simulated: Simulated = field(default_factory=LiveOptions)

@@ -17,8 +17,8 @@ FAREWELL = 2.0
 STEP = 0.02
 """Longest wait between two updates of the clock [s]; Ctrl-C is noticed after this wait, too."""
 IN_BUFFERS = 1 << 20
-"""Unacknowledged data that is assumed to have arrived [bytes]: acknowledgements may take 100 ms
-(Cyclone's heartbeat), and this much fits into the default buffers of a subscriber."""
+"""Amount of unacknowledged data that is assumed to have arrived [bytes]. Acknowledgements may take
+100 ms (Cyclone's heartbeat), and this amount fits into the default buffers of a subscriber."""
 log = logging.getLogger(__name__)
 
 

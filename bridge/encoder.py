@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 
 class FrameEncoder:
-    """Encodes frames as messages by `options`; warns once of data left out, unless `quiet`."""
+    """Encodes frames as messages by `options`; unless `quiet`, warns once about omitted data."""
 
     def __init__(self, options: Options, *, quiet: bool = False) -> None:
         if options.draco:
@@ -86,7 +86,7 @@ class FrameEncoder:
         return [_message(TF_STATIC, self.epoch, {"transforms": links})] if links else []
 
     def encode(self, frame: Frame) -> list[Message]:
-        """Return the messages of a frame, whose time counts from the epoch."""
+        """Return the messages of a frame; the frame's time counts from the epoch."""
         stamp = self.stamp(frame.time)
         header = {"stamp": cdr.time(stamp), "frame_id": self.options.frame_id}
         shown = self._thin(frame)

@@ -33,7 +33,7 @@ LATER: dict[str, dict[str, Any]] = {
         "set_acceleration": bool,
     }
 }
-"""Request -> members that version 2 of its package, which Lyrical has, appends to the others."""
+"""Request -> members that version 2 of its package (in Lyrical) adds after all others."""
 
 
 @cache

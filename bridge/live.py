@@ -179,7 +179,7 @@ class Pacer:
         self.shown, self.position = self.shown + 1, frame.time
 
     def stamp_at(self, now: float) -> float:
-        """Return the time of the newest frame [s], the latest that has been computed."""
+        """Return the time of the newest frame that has been computed [s]."""
         del now
         return self.position
 
@@ -205,7 +205,7 @@ class Pacer:
 
 
 class _DropAnnouncer:
-    """Logs that frames are dropped, at intervals instead of for each frame."""
+    """Logs dropped frames: a line at intervals, not a line per frame."""
 
     def __init__(self, player: Player, clock: Clock) -> None:
         self._player, self._clock = player, clock
@@ -229,7 +229,7 @@ def _attempt(action: Callable[[], None]) -> str | None:
 
 
 def number(text: str, values: list[str], known: str = KNOWN) -> float:
-    """Return the number that is the only value of a command.
+    """Return the number that follows a command.
 
     Args:
         text: The command.

@@ -32,7 +32,7 @@ from .sinks.rclpy import RclpySink
 
 INACTIVE = "The node is inactive: activate it first."
 RUNNING = ("speed ", "rate ", "loop ")
-"""Beginnings of the commands that change parameters."""
+"""First words of the commands that change parameters."""
 log = logging.getLogger(__name__)
 
 

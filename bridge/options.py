@@ -187,7 +187,9 @@ def camera_name(side: str) -> str:
 
 
 def live_points(profile: Profile | None, asked: int | None) -> int:
-    """Return a live profile's Gaussians per frame; for `asked` = 0 or None, return the default."""
+    """Return a live profile's Gaussians per frame: the number `asked`; if it is 0 or None, the
+    default.
+    """
     if profile == "splats":
         return min(asked or LIVE_SPLATS, LIVE_SPLATS)
     return asked or LIVE_POINTS

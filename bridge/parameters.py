@@ -73,7 +73,7 @@ MAKING: dict[str, Any] = {
     "depth": DepthMap,
     "views": OtherViews,
 }
-"""Option of `LiveOptions` about making Gaussians from the source -> its section.
+"""Option of `LiveOptions` that concerns making Gaussians from the source -> its section.
 
 Each field of a section is a parameter.
 """

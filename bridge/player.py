@@ -68,7 +68,8 @@ class Player:
         self.loop, self.paused, self.rate = loop, paused, _checked_rate(rate)
         self.speed, self.lateness = checked_speed(speed), lateness
         self.shown = self.dropped = self.skipped = self.loops = 0
-        """Number of frames shown, dropped as late, and skipped because of `rate`; loops started."""
+        """Numbers of frames shown, dropped as late and skipped because of `rate`, and of loops
+        started."""
         self.finished = False
         self._next = 0
         self._peek = True  # show the next frame even while paused
@@ -83,7 +84,7 @@ class Player:
 
     @property
     def interval(self) -> float:
-        """Mean time between frames [s]; also used from the last frame to the first in a loop."""
+        """Mean time between frames [s]; in a loop, also the time from last frame to first."""
         if len(self.times) == 1:
             return 1.0
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
@@ -239,7 +240,9 @@ class Player:
         self._rebase(first, again + missed * period / self.speed)
 
     def _splice(self, time: float) -> None:
-        """At a jump of the clip's time, let the next time stamp follow the last by one interval."""
+        """After a jump of the clip's time, let the next time stamp follow the last by one
+        interval.
+        """
         if self._stamp is not None:
             self._offset = self._stamp + self.interval - time
         self._shown_at = -math.inf

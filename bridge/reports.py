@@ -27,7 +27,9 @@ OK, WARN = 0, 1
 
 @dataclass(frozen=True)
 class Audience:
-    """Numbers of subscribers, of frames that they may lack, and of nodes of the same name."""
+    """Numbers of subscribers, of frames that they may not have received, and of nodes of the same
+    name.
+    """
 
     subscribers: int
     lost: int

@@ -100,7 +100,9 @@ class RosHandler(logging.Handler):
         self._logger = logger
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Log a record. Each level has its own call: rclpy allows one level per calling line."""
+        """Log a record. Each level has its own call, because rclpy allows one level per line of
+        code.
+        """
         text = self.format(record)
         if record.levelno >= logging.CRITICAL:
             self._logger.fatal(text)

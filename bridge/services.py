@@ -146,7 +146,7 @@ def _serve_trigger(ask: Callable[[str], str | None], command: str) -> Callable[[
 
 
 def _offer_action(node: Any, steps: Callable[[int], Any]) -> None:
-    """Offer the action SimulateSteps; rclpy keeps the server as long as the node."""
+    """Offer the action SimulateSteps; rclpy keeps the action server until the node is destroyed."""
     from rclpy.action import ActionServer, CancelResponse
 
     kind = import_module(f"{PACKAGE}.action").SimulateSteps

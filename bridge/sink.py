@@ -1,4 +1,4 @@
-"""Protocols of sinks, which receive frames, and of the playback whose state the sinks show.
+"""Protocols: a sink receives frames, and a playback has a state that sinks show.
 
 A sink is a context manager with `write(frame)`. A live sink also receives the commands of
 `live.command`. A plug-in may inherit from `Sink` or `LiveSink`, whose methods do nothing; it is

@@ -68,7 +68,7 @@ class LiveOptions:
 
 
 class LiveRun:
-    """A simulation that does not store its frames, which together may exceed the memory."""
+    """A simulation that does not keep its frames, because together they may exceed the memory."""
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
         """Check the source and the scene.

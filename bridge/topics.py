@@ -98,7 +98,7 @@ def camera_topic(camera: str, kind: str) -> Topic:
 
 
 def find_recorded(name: str) -> Topic | None:
-    """Return the recorded topic with a full name, or None."""
+    """Return the recorded topic that has this full name, or None."""
     node, _, wall = name.partition("/contact/")
     if node.startswith(f"/{NAMESPACE}/") and wall:
         return replace(contact(wall), name=name)
@@ -144,4 +144,4 @@ class Controls:
     patient: bool = True
     """Whether frames wait for slow subscribers, which delays the program that computes them."""
     values: Callable[[], Mapping[str, Any]] = dict
-    """Returns values of the diagnostics in addition to the state of playback."""
+    """Returns values that the diagnostics show in addition to the state of playback."""

@@ -39,7 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def import_gradio() -> None:
-    """Import gradio without its writing of .pyi files for editors; this saves a third of the time.
+    """Import gradio, but keep it from writing .pyi files for editors; this saves a third of the
+    time.
 
     Whenever it is imported, gradio derives a .pyi file from the source code of each component. It
     leaves out components whose file is unknown.

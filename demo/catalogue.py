@@ -37,10 +37,10 @@ READY = {
 }
 """Preset -> title and example picture of its finished result, which `make_previews` creates."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
-"""Force that the direction pad changes -> the field of this force that the pad sets."""
+"""Force that the page's direction pad changes -> the field of the force that the pad sets."""
 LONGEST, LONGER = 20_000, 200
-"""Largest length of a scene as text [characters], and its increase per frame. It increases because
-a saved live run has a position of the hand for each frame."""
+"""Largest length of a scene as text [characters], and the increase of this limit per frame. The
+limit increases because a saved live run has a position of the hand for each frame."""
 LISTS, PARTS = ("forces", "boundaries", "objects", "parts", "pairs"), 64
 """Fields of a scene that are lists -> the largest number of entries."""
 WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}

@@ -119,7 +119,9 @@ class Patient(H11Protocol):
             self.clock = self.loop.call_later(seconds, self.transport.close)
 
     def _make_room(self) -> None:
-        """Close the connection with the earliest deadline, or this connection if none has one."""
+        """Close the connection with the earliest deadline; if no connection has one, close this
+        one.
+        """
         waiting = [each for each in self.connections if isinstance(each, Patient)]
         slowest = min(waiting, key=lambda each: (_due(each), each is not self), default=self)
         slowest._stop()

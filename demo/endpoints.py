@@ -202,7 +202,7 @@ def _generate(studio: Studio) -> Callable[[gr.Request, GenerateRequest], Iterato
 
 def _measure(studio: Studio) -> Callable[[gr.Request, MeasureRequest], Iterator[Any]]:
     def measure(request: gr.Request, asked: MeasureRequest) -> Iterator[tuple[Any, ...]]:
-        """Measure a scene's error as a fraction of the object's size, and the time per grid [s]."""
+        """Measure a scene's error (fraction of the object's size) and time [s] on several grids."""
         name = _admit(studio, request)
         scene, cutting = _cut_out(studio, name, asked)
         visitor = studio.visitors.get(name)

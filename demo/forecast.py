@@ -28,8 +28,8 @@ from .studies import Measurement, on_grid
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 SET_UP = 0.4
-"""Time to set up one grid of a study and to compare its motion, as a fraction of the rate
-`rest`."""
+"""Time to set up one grid of a study and to compare its motion with others, as a fraction of the
+rate `rest`."""
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,8 @@ POLICY = (
     "base-uri 'self'; form-action 'self'; frame-ancestors {frames}"
 )
 INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
-"""Content security policy of all responses except the page; it applies if a browser opens one as a
-page."""
+"""Content security policy of all responses except the page; it matters if a browser opens such a
+response as a page."""
 COOKIE = "phy124"
 NAME = re.compile(r"[A-Za-z0-9_-]{32}")
 NETWORK = 64

@@ -22,7 +22,7 @@ from .progress import STAGES, Progress
 
 LOG = logging.getLogger("phy124.web")
 RECENT = 5
-"""Number of latest finished jobs by which the forecast of the waiting time is corrected."""
+"""Number of finished jobs, the latest ones, that correct the forecast of the waiting time."""
 STOPPED = "Stopped. Nothing was changed."
 FAILED = "The server failed to do this; its log has the reason. Try again, or change the scene."
 SERVER = {
@@ -33,7 +33,7 @@ SERVER = {
 
 
 SUBJECTS = {"image": "The file", "video": "The video", "depth": "The depth map"}
-"""Field of an error -> subject of the visitor's message, in which it replaces the field."""
+"""Field of an error -> its name in the message to the visitor."""
 
 
 class Job:
@@ -121,7 +121,8 @@ class Line:
         self._waiting: deque[tuple[Job, Callable[[], None]]] = deque()
         self._running: set[Job] = set()
         self._slowdowns: deque[float] = deque(maxlen=RECENT)
-        """Durations of the last jobs relative to their forecasts without other load."""
+        """Durations of the last jobs, each divided by its forecast for a machine without other
+        load."""
         self._changed = threading.Condition()
         self._threads: list[threading.Thread] = []
 

@@ -13,7 +13,7 @@ from .handlers.run import NO_PICTURE
 
 HEAD = '<script src="phy124/static/server.js"></script>'
 MARK = "mark"
-"""Key in a panel's value; its content differs between any two answers (see `mark_answers`)."""
+"""Key of an entry in a panel's value that differs in every answer (see `mark_answers`)."""
 
 
 HEAD += '<script src="phy124/static/page.js"></script>'

@@ -81,7 +81,8 @@ def viewable(picture: Path, deadline: Deadline = PATIENT) -> Path:
 def cut_out(
     picture: Path, path: Path, pick: Point | None = None, deadline: Deadline = PATIENT
 ) -> tuple[str, ...]:
-    """Write the cut-out of a picture; return a warning with its reasons, or the notes on its file.
+    """Write the cut-out of a picture; return a warning and its reasons or, without these, its
+    notes.
 
     Args:
         picture: The picture.

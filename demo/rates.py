@@ -27,7 +27,8 @@ WINDOW = 5
 FIXED = 0.7
 """Largest fraction of a usual run's time that is attributed to fixed costs."""
 MINIMUM = 0.2
-"""A run corrects a cost if its work is at least this, relative to the first measurement."""
+"""A run corrects a cost only if its work is at least this fraction of that in the first
+measurement."""
 
 
 class Learned:
@@ -91,7 +92,7 @@ class Learned:
 
     @property
     def minimum(self) -> Rates:
-        """The smallest of built-in, measured and current rates."""
+        """For each rate, the smallest of the built-in, measured and current values."""
         return Rates().minimum(self.measured or self.now).minimum(self.now)
 
 

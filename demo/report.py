@@ -37,7 +37,9 @@ def summarise(report: dict[str, Any], promise: Promise) -> list[dict[str, Any]]:
 
 
 def _describe_squeeze(volume: float) -> str:
-    """Describe the smallest volume of any part of the material, relative to the volume at rest."""
+    """Describe how far the most compressed part of the material shrank, relative to its volume at
+    rest.
+    """
     if volume > 0.97:
         return "No part of it was noticeably compressed."
     size = "half its volume" if 0.45 < volume < 0.55 else f"{volume:.0%} of its volume"

@@ -39,7 +39,9 @@ class Room:
 
     @property
     def runs(self) -> float:
-        """Limit for uploads, runs and exports [bytes]; the rest is for new visitors' pictures."""
+        """Limit for uploads, runs and exports [bytes]; the rest of the disk space is for new
+        visitors.
+        """
         return 0.9 * self.all
 
     @property
@@ -150,7 +152,9 @@ class Arrivals:
         return upload.size if upload else 0
 
     def drop(self) -> bool:
-        """Remove the oldest upload of the address with most bytes; return whether there was one."""
+        """Remove the oldest upload of the address that has most bytes; return whether there was an
+        upload.
+        """
         if not self._uploads:
             return False
         sizes: Counter[str] = Counter()

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 COMPUTES = re.compile(r"/gradio_api/(?:run|api|call|queue)\b")
-"""URLs to which a POST request may take more than 0.2 s of a core."""
+"""URLs at which a POST request may take more than 0.2 s of processor time."""
 TOGETHER, EACH = 4, 2
 """Largest number of computing requests in parallel, in total and per address."""
 UPLOADS = re.compile(r"/gradio_api/upload\b")

@@ -1,4 +1,4 @@
-"""Background: runs another sink in its own thread, so that recording never delays playback.
+"""Background: runs another sink in a separate thread, so that recording never delays playback.
 
 Frames wait in a short queue. When the queue is full, frames are left out of the recording, counted
 and reported; playback continues.

@@ -34,7 +34,8 @@ MANY = 1000
 log = logging.getLogger(__name__)
 DEPTH = 10
 AT_ONCE = 16
-"""Largest number of messages or requests of a topic that are read before the next topic."""
+"""Largest number of messages or requests that are read from a topic before the next topic is
+read."""
 HEADER = struct.Struct("<Qq")
 """Client identity and request number; 16 bytes, which keeps the following members aligned."""
 
@@ -263,7 +264,9 @@ def require_cyclonedds() -> None:
 
 
 def _domain(domain: int, discovery: Discovery) -> Any:
-    """Create a DDS domain with the first usable configuration; the last one requires least."""
+    """Create a DDS domain with the first configuration that works; the last has the fewest
+    demands.
+    """
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain
 

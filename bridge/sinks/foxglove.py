@@ -207,7 +207,7 @@ class FoxgloveSink:
         )
 
     def _steering_options(self) -> dict[str, Any]:
-        """Return options of the server for a run that viewers steer."""
+        """Return the server's options for a run that viewers steer."""
         from foxglove.websocket import Capability
 
         if self._controls is None:

@@ -146,7 +146,9 @@ class Clients:
 
 
 def _wake(obey: Obey) -> None:
-    """Do nothing. As a job, this wakes the thread that waits for jobs and reads the messages."""
+    """Do nothing. Queued as a job, it wakes the waiting thread, which then also reads the
+    messages.
+    """
     del obey
 
 

@@ -28,7 +28,8 @@ Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
 """Size of a chunk [bytes]; a larger frame gets a chunk of its own."""
 OLDER = ".old"
-"""Ending of a replaced recording in a bag folder, until the new recording is complete."""
+"""Suffix of an older recording in a bag folder, until the recording that replaces it is
+complete."""
 log = logging.getLogger(__name__)
 
 

@@ -37,7 +37,8 @@ class Code(IntEnum):
 INVALID_POSE = 101
 """Additional result code of SetEntityState."""
 DYNAMIC, STATIC = 4, 5
-"""Categories of `simulation_interfaces/msg/EntityCategory` of moving and held objects."""
+"""Categories of `simulation_interfaces/msg/EntityCategory`: of moving objects, and of held
+objects."""
 EMPTY, BOX, CONVEX, SPHERE = range(4)
 """Types of `simulation_interfaces/msg/Bounds`."""
 FARTHEST = 5.0

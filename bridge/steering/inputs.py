@@ -206,7 +206,9 @@ def _numbers(field: str, point: Any) -> np.ndarray:
 
 
 def _static(options: Options) -> Any:
-    """Return an input with the TFMessage that the sinks publish."""
+    """Return the TFMessage of the static transform that the sinks publish, as if it were an
+    input.
+    """
     x, y, z = options.translation
     qx, qy, qz, qw = options.rotation
     transform = SimpleNamespace(

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 IDLE = 3
 """After this number of reads without a message, no message is assumed to be waiting."""
 READING, SHARE = 0.02, 0.25
-"""Reading before a frame takes at most this time [s], or this share of the time since the last
-reading if the share is longer. A slower run has more messages to read."""
+"""Reading before a frame takes at most this time [s] or, if longer, this fraction of the time since
+the last reading: a slower run has more messages to read."""
 FLOOD = "Messages arrive faster than they are read: only the newest of each topic are kept."
 
 
@@ -156,7 +156,7 @@ class _Listening:
 
 
 def contact_messages(live: Live, options: Options, seconds: float) -> list[Message]:
-    """Return force and torque on each wall and between objects, and transforms of their frames.
+    """Return messages with force and torque on walls and between objects, and with their frames.
 
     Torques on a wall are about the centre of mass of all objects; torques on an object are about
     that object's centre of mass. The header names the coordinate frame.

@@ -120,7 +120,7 @@ class SteeredRun:
         return self.state is State.QUITTING or self.stopped is not None
 
     def stamp_at(self, now: float) -> float:
-        """Return the time of the newest frame [s], the latest that has been computed."""
+        """Return the time of the newest frame that has been computed [s]."""
         del now
         return self.position
 

@@ -71,7 +71,9 @@ class Lattice:
 def _bound(
     gaussians: Gaussians, rest: NDArray, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
-    """Return the particles that carry Gaussians, and eight of them with weights per Gaussian."""
+    """Return the particles that carry Gaussians, and for each Gaussian eight of them with
+    weights.
+    """
     nodes = np.arange(len(rest))
     near, weights = find_carriers(gaussians.means, rest)
     used = np.unique(near)

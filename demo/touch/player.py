@@ -30,7 +30,7 @@ PREPARING = 120.0
 """Time limit for cutting out other views of the object [s]."""
 RATE = 1.6
 """Real-time factor that the grid must reach. It is above 1 to leave time for a browser on the same
-machine, which makes the grid a tenth coarser."""
+machine; the chosen grid is therefore a tenth coarser."""
 TEXT, BINDING, FRAME, SESSION = b"t", b"b", b"f", b"s"
 """First letters of messages: plain data for the page, a binding, a frame, a session."""
 HEAD = struct.Struct("<IIff")

@@ -36,11 +36,12 @@ CHILD = Path(__file__).with_name("child.py")
 ON_THE_WAY = 2
 """Largest number of frames in transit."""
 PENDING = 1 << 16
-"""Size of unread messages to the process above which new messages are dropped [bytes]."""
+"""If the messages that the process has not read are larger than this, new ones are dropped
+[bytes]."""
 LARGEST = 1 << 26
 """Largest size of a message from the process [bytes]."""
 SAYINGS = 32
-"""Number of unsent sentences above which new sentences are dropped."""
+"""If more sentences than this wait to be sent, new ones are dropped."""
 PARTING = 10.0
 """Time limit for sending the last sentence to a browser [s]."""
 BROKEN = "The live run failed. Start it again."

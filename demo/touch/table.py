@@ -25,8 +25,8 @@ FULL = "This server cannot run more live runs at the same time."
 FPS = 24.0
 """Frames per second of a live run."""
 ROOM, TIME = 0.5, 0.1
-"""Largest size of a saved clip with its viewer's file, as a fraction of a visitor's disk space; and
-longest duration of the clip, as a fraction of the time limit of a run."""
+"""Limits of a saved clip. Its size, with the viewer's file, is limited to the first fraction of a
+visitor's disk space; its duration, to the second fraction of the time limit of a run."""
 FORCES = 64
 """At least this number of forces and boundaries is allowed, because each grab and each change of
 gravity needs one."""

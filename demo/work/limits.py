@@ -15,8 +15,8 @@ from ..progress import Event
 from .order import Order
 
 SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
-"""Fractions of the time limit after which no frame is simulated, no video is started, and the run
-fails."""
+"""Times, relative to the time limit: from the first on, no frame is simulated; from the second on,
+no video is started; at the third, the run fails."""
 SOFT, FEW = 1e4, 8
 """Stiffness [Pa] and number of frames below which no reduction is suggested."""
 DEVICE = threading.Lock()

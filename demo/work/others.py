@@ -61,7 +61,9 @@ def others_of(visitor: Visitor, scene: Scene) -> tuple[Other, ...]:
 
 
 def with_crops(scene: Scene, others: tuple[Other, ...]) -> Scene:
-    """Return the scene, in which each of these objects has its crop of the picture."""
+    """Return the scene; each of these objects refers to the part of its picture that was cut
+    out.
+    """
     objects = list(scene.objects)
     for other in others:
         with Image.open(other.cutout) as cutout:
