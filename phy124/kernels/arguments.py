@@ -1,4 +1,4 @@
-"""Declares types of one precision, and the name, type and meaning of each kernel argument.
+"""Declares the types of each precision, and the name, type and meaning of each kernel argument.
 
 A kernel that is built for one precision only names its arguments; `build.kernel` gives them the
 types that are declared in this module. A written array is named like the array that is read,
@@ -18,7 +18,7 @@ Box = wp.array(dtype=wp.vec3i)
 
 
 class Types(NamedTuple):
-    """Number, vector and matrix types of one precision, and types of arrays of them."""
+    """Number, vector and matrix types of one precision, and the corresponding array types."""
 
     real: Any
     vec2: Any

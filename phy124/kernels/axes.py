@@ -1,4 +1,4 @@
-"""Makes a matrix's columns orthogonal by Jacobi rotations, and finds the rotation along them.
+"""Makes a matrix's columns orthogonal by Jacobi rotations, and finds a rotation with these axes.
 
 One-sided Jacobi rotations (Hestenes 1958; high relative accuracy: Demmel, Veselic 1992) make the
 columns of a matrix orthogonal by plane rotations of at most 45 degrees. Everything is in float64;
@@ -9,7 +9,9 @@ import warp as wp
 
 SWEEPS = wp.constant(24)
 IDENTITY_ZONE = wp.constant(wp.float64(2.414))
-"""Trace above which a rotation is so small (below 45 degrees) that its axes keep their labels."""
+"""Trace above which a rotation matrix keeps the labels of its axes, because its angle is below 45
+degrees.
+"""
 
 
 @wp.func
@@ -136,7 +138,7 @@ def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat33d:
-    """Return the proper rotation along the (nearly) orthogonal columns of A.
+    """Return the proper rotation whose axes are along the (nearly) orthogonal columns of A.
 
     The longest axis is exact; the shortest is the cross product, whose sign also removes
     reflections. Columns of zero length are replaced by the previous axes, made orthogonal to the

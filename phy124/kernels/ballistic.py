@@ -1,4 +1,4 @@
-"""Moves particles outside the grid, on which only the uniform acceleration acts.
+"""Moves particles that are outside the grid; only the uniform acceleration acts on them.
 
 Whether a particle is outside the grid is decided when particles scatter, and holds for the whole
 substep. During the gather, such particles are moved out of the gather's window. Otherwise a

@@ -27,7 +27,7 @@ Options = ParamSpec("Options")
 Built = TypeVar("Built")
 
 BUILDING = RLock()
-"""Lock that is held while a variant is built; a factory that holds it may call another factory."""
+"""Reentrant lock, held while a variant is built; a factory may call another factory meanwhile."""
 
 
 def build_once(make: Callable[Options, Built]) -> Callable[Options, Built]:

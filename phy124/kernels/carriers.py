@@ -14,12 +14,12 @@ CHOSEN = wp.constant(CARRIERS)
 FAR = wp.constant(wp.float64(1e300))
 """Squared distance that stands for a missing particle."""
 SPARE = wp.constant(wp.float64(1e-9))
-"""Smallest weight; without it, particles at equal distance would all have weight 0."""
+"""Smallest weight; without this minimum, particles at equal distance would all have weight 0."""
 
 
 @wp.func
 def outwards(step: int) -> int:
-    """Return 0, 1, -1, 2, -2, ... for steps 0, 1, 2, ..."""
+    """Return 0, 1, -1, 2, -2, ... for `step` = 0, 1, 2, 3, 4, ..."""
     half = (step + 1) / 2
     return wp.where(step % 2 == 1, half, -half)
 

@@ -229,7 +229,7 @@ class Response(NamedTuple):
     """Functions of a wall's response, for single nodes and for columns of three."""
 
     answer: Any
-    """`(v, wall, n, friction) -> v` of a single node."""
+    """Maps `(v, wall, n, friction)` to the new velocity of a single node."""
     acts: Any
     """`(m, above, beyond, u, lightest, full)`: whether material has reached the wall."""
     ratios: Any

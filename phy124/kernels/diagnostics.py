@@ -267,7 +267,7 @@ def make_apart(real: Any):
 
 @build_once
 def make_neighbours_lost(real: Any):
-    """Kernel: marks particles that are too far away from a particle next to them at rest.
+    """Kernel: marks each particle that is too far from a particle that was its neighbour at rest.
 
     `square` is the square of the distance [m^2]. Thread i examines the particle `chosen[i]`, whose
     neighbours at rest are `neighbours[i]`, and sets `lost_out[i]` to 1 or 0.

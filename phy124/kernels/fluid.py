@@ -21,7 +21,7 @@ of all particles.
 
 @wp.func
 def squeeze(F: Any):
-    """Return J for Tait's pressure, and the log of the compression beyond `TAIT_J`."""
+    """Return J, but at least `TAIT_J`, and the logarithm of any compression beyond `TAIT_J`."""
     J = wp.max(wp.determinant(F), type(F[0, 0])(MIN_J))
     bounded = wp.max(J, type(J)(TAIT_J))
     return bounded, wp.log(J / bounded)

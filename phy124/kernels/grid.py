@@ -94,7 +94,7 @@ def make_update(real: Any):
 
 @build_once
 def make_merge(real: Any):
-    """Kernel over rows of nodes: sums the grids that several workers scattered to.
+    """Kernel over rows of nodes: sums the grids to which several workers scattered.
 
     Each worker's box of private nodes lies in the window. `boxes` holds the lowest node and the
     extent of each box, `starts` the index of its first node in `pool`, where the box's nodes are

@@ -19,7 +19,7 @@ SAME_SIDE = wp.constant(wp.float64(0.3))
 sides of a thin part.
 """
 COUNTED = wp.constant(6)
-"""A point's spacing is the mean distance of this number of nearest neighbours."""
+"""A point's spacing is the mean distance to this number of nearest neighbours."""
 LEAST, MOST = wp.constant(wp.float64(0.6)), wp.constant(wp.float64(1.6))
 """Smallest and largest spacing of points, in target spacings."""
 

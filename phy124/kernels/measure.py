@@ -21,13 +21,13 @@ GRADIENT = 1
 STIFFNESS = 2
 """Index of A / rho0 [m^2/s^2]."""
 LOW = 3
-"""Index of minus the particles' lowest corner: the first of three numbers, m."""
+"""Index of the first of three numbers: the particles' lowest corner with its sign reversed [m]."""
 HIGH = 6
-"""Index of the particles' highest corner: the first of three numbers, m."""
+"""Index of the first of three numbers: the particles' highest corner [m]."""
 COUNT = 9
 """Number of maxima."""
 SPEEDS = 2
-"""Number of maxima that `make_measure_speeds` computes: the first ones."""
+"""Number of maxima that `make_measure_speeds` computes; these maxima come first."""
 
 
 @build_once

@@ -47,7 +47,7 @@ STEEPER, TRUSTED = wp.constant(10.0), wp.constant(4.0)
 
 @wp.func
 def mass_at(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i):
-    """Return the mass of a body at a node of the lattice [kg]; zero outside its window."""
+    """Return a body's mass at a node of the lattice [kg]; zero outside the body's window."""
     at = node - window[0]
     size = window[1]
     n = wp.dot(at, strides(size))

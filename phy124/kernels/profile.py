@@ -15,15 +15,15 @@ from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 
 MEAN = 1
-"""Flag of a track whose mean over the kick is taken."""
+"""Flag of a track that is averaged over the kick."""
 JOINS = 2
 """Flag of a track that is added to the uniform acceleration in slot 0."""
 LIMITED = 4
 """Flag of a track whose effect on particles is limited by the stage that uses the track."""
 KICK = 8
-"""Flag of a track whose mean over the kick is taken even while the track is inactive."""
+"""Flag of a track that is averaged over the kick even while it is inactive."""
 DRIFT = 16
-"""Flag of a track whose mean over the next substep is taken even while the track is inactive."""
+"""Flag of a track that is averaged over the next substep even while it is inactive."""
 
 
 @wp.func

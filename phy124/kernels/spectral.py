@@ -162,7 +162,7 @@ def quadratic(c: Any, a: Any, squared: Any):
 
 @wp.func
 def linear_range(s: wp.float32):
-    """Return |A|^2 below which exp A = I + A and atanh A = A to rounding in float32.
+    """Return the |A|^2 below which exp A = I + A and atanh A = A to rounding in float32.
 
     Higher powers of such a small matrix would be denormal numbers, which are slow.
     """
@@ -171,7 +171,7 @@ def linear_range(s: wp.float32):
 
 @wp.func
 def linear_range(s: wp.float64):  # noqa: F811
-    """Return |A|^2 below which exp A = I + A and atanh A = A to rounding in float64."""
+    """Return the |A|^2 below which exp A = I + A and atanh A = A to rounding in float64."""
     return wp.float64(1.0e-18)
 
 

@@ -41,7 +41,7 @@ def node_at(n: int, size: wp.vec3i):
 
 @wp.func
 def in_box(node: wp.vec3i, extent: wp.vec3i):
-    """Return whether a node, counted from the first node of a box, is in the box."""
+    """Return whether a node is in a box; the node is counted from the box's first node."""
     return (
         node[0] >= 0
         and node[1] >= 0

@@ -72,7 +72,7 @@ def make_begin(real: Any):
 
 @build_once
 def make_assemble(real: Any):
-    """Kernel over rows of the nodes around a body: adds their terms to the six equations."""
+    """Kernel over rows of nodes around a body: adds the nodes' terms to the six equations."""
     numbers = wp.types.vector(SYSTEM, wp.float64)
 
     @kernel(f"phy124_free_assemble_{real.__name__}", real, seconds=0.6)

@@ -9,7 +9,9 @@ PLACE, TURN, VELOCITY, ANGULAR, KICKED, SIZE = 0, 3, 7, 10, 13, 14
 this substep; and the array's length.
 """
 GUESS, PRIOR, WALLS, TRIAL = 0, 6, 12, 18
-"""Offsets in a solution: V and w, the previous V and w, the walls' impulse and moment; length."""
+"""Offsets in a solution: V and w, the previous V and w, the walls' impulse and moment; and the
+array's length.
+"""
 A, B, C, LINEAR, TURNING, SYSTEM = 0, 9, 18, 27, 30, 33
 """Offsets in the six equations: [3,3] blocks of the matrix, then the right-hand side; length."""
 IMPULSE, MOMENT, WORK, MOVED, TURNED, GIVEN = 0, 3, 6, 7, 8, 9
@@ -72,7 +74,7 @@ def put_turn(body: wp.array(dtype=wp.float64), q: wp.quatd):
 
 @wp.func
 def moving(trial: wp.array(dtype=wp.float64), which: int, r: wp.vec3d):
-    """Return the velocity at r from the centre of a solution's body [m/s]."""
+    """Return the velocity that a solution gives the body at r from its centre [m/s]."""
     return at3(trial, which) + wp.cross(at3(trial, which + 3), r)
 
 

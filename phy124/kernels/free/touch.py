@@ -23,7 +23,7 @@ from a flat side the fraction is 0.021. If nodes farther away take part, a light
 its load.
 """
 ROUND = wp.constant(0.6)
-"""Factor on `ROUNDING` in the contact of a particle body with a solid: the solid's surface is not
+"""Factor on `ROUNDING` in the contact of a particle body with a solid, whose surface is not
 smeared. The value is fitted to a ball on a box (docs/lab/contact-force.md).
 """
 STEEP = wp.constant(1e-4)

@@ -1,4 +1,4 @@
-"""Device code of elastic bodies, computed on a lattice at rest (phy124/lattice).
+"""Device code of elastic bodies, computed on a lattice of their shape at rest (phy124/lattice).
 
 Nodes have displacements u [m] and velocities v [m/s]. A point's weights and their gradients belong
 to the body at rest: F = I + sum u_i (grad w_i)^T is computed from the nodes in every substep, so it

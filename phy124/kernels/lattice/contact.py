@@ -39,9 +39,8 @@ LOOSE = wp.constant(0.5)
 NODES = 27
 """Largest number of nodes that carry a surface point."""
 MOMENT, DRIVEN, SUMS = GIVEN, GIVEN + 3, 16
-"""Index of the moment of all impulses about the origin [N m s] and, for clamps, of the work by
-their motion [J], and numbers reserved for each wall. The first `GIVEN` sums are those of
-phy124/kernels/work.py.
+"""Index of the moment of all impulses about the origin [N m s]; index of the work by a clamp's
+motion [J]; length of each wall's sums. The first `GIVEN` sums are those of phy124/kernels/work.py.
 """
 
 
@@ -83,7 +82,7 @@ def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction:
 
 @wp.func
 def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that holds points that touched it [N s]."""
+    """Return the impulse of a surface that holds points once they have touched it [N s]."""
     if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
         press = wp.max(press, type(gap)(0.0))
     if press == type(gap)(0.0):

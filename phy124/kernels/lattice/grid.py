@@ -31,7 +31,7 @@ THINNEST, STEEPEST = wp.constant(0.02), wp.constant(0.05)
 
 @build_once
 def make_grid_near(real: Any, rows: Rows):
-    """Kernel over surface points: flags the points that have mass on a node around them."""
+    """Kernel over surface points: flags the points around which at least one node has mass."""
     t, moved_by = types(real), rows.moved_by
 
     @kernel(f"phy124_lattice_grid_near_{rows.name}{real.__name__}", real, seconds=0.4)

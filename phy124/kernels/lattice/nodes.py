@@ -1,4 +1,4 @@
-"""Kernels that kick, hold and move the lattice's nodes; nodes of almost no mass follow others.
+"""Kernels that kick, hold and move the lattice's nodes; nodes with almost no mass follow others.
 
 `pool` holds the forces of all workers: the forces of worker w are for nodes `low[w]` to `high[w]`,
 and begin at `begin[w]`. The ties are stored as two sparse matrices: `donor_*` lists the tied nodes

@@ -24,8 +24,9 @@ BEYOND = wp.constant(0.05)
 OTHER = wp.constant(-0.2)
 """Smallest cosine between the normals of two points that are on the same side of a part."""
 DEEPEST = wp.constant(0.5)
-"""A point deeper below a surface is not inside that part [cells]. Otherwise the outer sides of two
-thin parts that lie on each other would be pushed through them, which creates energy.
+"""Depth below a surface [cells] beyond which a point does not count as inside that part. Without
+this limit, the outer sides of two thin parts that lie on each other would be pushed through them,
+which creates energy.
 """
 
 

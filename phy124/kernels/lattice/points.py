@@ -169,7 +169,7 @@ def make_locate(real: Any):
 
 @build_once
 def make_push(real: Any):
-    """Kernel over points: adds the force m (v - kept) / kick of pushes to the nodes' forces."""
+    """Kernel over points: adds the force of pushes, m (v - kept) / kick, to the nodes' forces."""
     t = types(real)
 
     @kernel(f"phy124_lattice_push_{real.__name__}", real, seconds=0.3)

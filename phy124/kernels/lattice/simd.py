@@ -40,7 +40,7 @@ def usable(real: Any, device: str) -> bool:
 
 
 def has_stress(law: Law) -> bool:
-    """Return whether there is a stress kernel of a law for vector units."""
+    """Return whether a law has a stress kernel for vector units."""
     return law.name.startswith("neo_hookean")
 
 
@@ -52,7 +52,7 @@ class Blocks(NamedTuple):
     packed: NDArray[np.float32]
     """Constants of the points [blocks,8,4,16]; the cells that pad a block have no volume."""
     full: int
-    """Number of blocks of full cells, which come first."""
+    """Number of blocks of full cells; these blocks come first."""
 
 
 def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:

@@ -35,7 +35,8 @@ from phy124.kernels.lattice.contact import LIMITS, RELAXED, largest_approach
 from phy124.kernels.lattice.rows import Rows
 
 ALIGNED = wp.constant(0.9)
-"""A box touches a point only if the box's normal and minus the point's have at least this cosine.
+"""A box touches a point only if the cosine between the box's normal and the reversed normal of the
+point is at least this.
 """
 
 

@@ -24,8 +24,8 @@ WALLS, ITSELF, PAIRS, SOLIDS = 5, 8, 11, 14
 between bodies, and with free solids, whose motion counts as that of a wall at rest [J].
 """
 DRIVEN, PRESSED, RUBBED = 0, 1, 2
-"""The three works: by the motion of the wall, and by impulses along and across the normal, with the
-velocity relative to the wall.
+"""Index of each of the three works: by the wall's motion, by impulses along the normal, and by
+impulses across it. The last two are computed with the velocity relative to the wall.
 """
 COUNT = 17
 """Number of sums."""

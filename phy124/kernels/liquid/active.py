@@ -42,7 +42,7 @@ def make_sweep(real: Any):
 
 @build_once
 def make_count_active(real: Any):
-    """Kernel over parts of the columns: combines the ranges' copies, widens them and counts cells.
+    """Kernel over parts of the columns: merges workers' ranges, widens them and counts their cells.
 
     If `all` is 0, cells whose B-spline lies inside walls are not counted.
     """

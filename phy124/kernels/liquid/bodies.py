@@ -28,7 +28,7 @@ MOMENTS = 16
 the origin [3], and second moments of the mass xx, yy, zz, xy, xz, yz.
 """
 LIGHT = wp.constant(0.02)
-"""Smallest mass of a body's surface layer, relative to that of a cell full of liquid."""
+"""Smallest mass of a body's surface layer, relative to the mass of a cell full of liquid."""
 Motions = wp.array2d(dtype=wp.vec3d)
 Row = wp.types.vector(MOMENTS, wp.float64)
 
@@ -82,7 +82,7 @@ def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size
 
 @build_once
 def make_yield(real: Any):
-    """Kernel over cells: adds the bodies' surface motion and response to the equation.
+    """Kernel over cells: adds the bodies' surface motion and response to the pressure equation.
 
     `free` is the number of solids before the first body, `scale` is rho dx^3 [kg], and `present`
     has the rigid motions of all solids at the start of the step. `x_guess` holds the last solution.

@@ -278,7 +278,7 @@ def begin(
     direction_out: Doubles,
     sums_out: Table,
 ):
-    """Start with the residual of x, and factorise the part's block."""
+    """Start from the residual of x, and factorise a part's block of the matrix."""
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
     largest = wp.float64(0.0)

@@ -1,4 +1,4 @@
-"""Sums the work on a liquid by cause: viscosity, pressure, walls, and the density's displacements.
+"""Sums the work on a liquid by cause: viscosity, pressure, walls, and restoring the density.
 
 The work of an impulse is its product with the mean of the velocities at the start and at the end of
 the step, so the works of all causes add up to the change of a face's kinetic energy, and all of

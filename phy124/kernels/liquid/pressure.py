@@ -92,7 +92,7 @@ def make_assemble(real: Any):
 
 @build_once
 def make_divergence(real: Any):
-    """Kernel over cells: computes minus the flux out of each cell, relative to its walls [m/s].
+    """Kernel over cells: computes the net flux into each cell, relative to its walls [m/s].
 
     The last solution, times `carry`, is the first guess of the next one.
     """

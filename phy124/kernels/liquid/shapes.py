@@ -122,7 +122,7 @@ def make_body_level(real: Any):
 
 @wp.func
 def level_at(level: wp.array(dtype=Any), s: Any, size: wp.vec3i):
-    """Return the distance from a body [cells] at a point, linear between the centres of cells."""
+    """Return a point's distance from a body [cells], interpolated linearly between cell centres."""
     half = type(s[0])(0.5)
     low = cell_at(s - wp.vector(half, half, half))
     total = type(s[0])(EMPTY)

@@ -221,7 +221,7 @@ def make_kick(real: Any):
 
 @build_once
 def make_predict(real: Any):
-    """Kernel over solids: writes each solid's motion as it is before the solved pressure acts.
+    """Kernel over solids: writes each solid's motion before the solved pressure acts.
 
     It is the planned motion, plus the response to the sums of `make_lift`.
     """

@@ -1,4 +1,4 @@
-"""Computes how full the cells are, and from this fill the distance to the surface of the liquid.
+"""Computes the fill of each cell, and from the fill the distance to the liquid's surface.
 
 `depth` inverts the fill of the quadratic B-spline below a flat surface, so a flat surface is exact
 at any height between two layers of cells. Near walls, the fill is relative to the open part of the
@@ -67,7 +67,7 @@ def thickness(
     size: wp.vec3i,
     most: Any,
 ):
-    """Return the volume of a layer per cell of the wall below it [m^3]; 0 without a layer.
+    """Return the volume of a liquid layer on a wall, per cell of the wall [m^3]; 0 without a layer.
 
     The next cell away from the wall has less than the volume `most`.
     """

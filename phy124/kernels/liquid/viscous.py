@@ -36,7 +36,7 @@ def wall_link(
     frictions: wp.array(dtype=Any),
     motions: wp.array2d(dtype=Any),
 ):
-    """Return sum g and sum g u of the wall next to a face, and the number of the wall.
+    """Return the wall next to a face: its index, sum of weights g, and sum of g times its velocity.
 
     Every wall stops the component across it; only a sticky one stops the others.
     """

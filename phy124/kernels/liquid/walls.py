@@ -165,7 +165,7 @@ def centre_of(cell: wp.vec3i, lattice: Any, low: wp.vec3i):
 
 @wp.func
 def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
-    """Return the midpoint of a cell's face: the less open one of two opposite faces."""
+    """Return the midpoint of the less open one of two opposite faces of a cell."""
     at = wp.vec3i(1, 1, 1)
     at[axis] = 0
     if jump < type(jump)(0.0):
@@ -183,7 +183,7 @@ def wall_across(
     owners: wp.array(dtype=int),
     dx: Any,
 ):
-    """Return the number of the wall that closes a cell's face; -1 without a wall.
+    """Return the index of the wall that closes a cell's face; -1 if no wall closes it.
 
     It is the nearest wall of the face's middle. Where walls meet, it is that of the point, of nine
     on the face, at which the distance changes most along the axis: a floor, not a tank's side.
@@ -319,7 +319,7 @@ def make_openings(shape: str, real: Any):
 
 @build_once
 def make_eighths(shape: str, real: Any):
-    """Kernel over eighths of cells: multiplies open fractions by those for each wall.
+    """Kernel over eighths of cells: multiplies open fractions by those that each wall leaves open.
 
     The product is exact where walls are perpendicular to each other. The arguments are the same as
     for the kernel of distances.

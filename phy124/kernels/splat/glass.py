@@ -1,4 +1,4 @@
-"""Boundaries drawn as glass: a ray's entry and exit, and the opacity of the faces there.
+"""Draws boundaries as glass: finds where a ray enters and leaves, and the faces' opacity there.
 
 The player draws the same glass in its shaders (phy124/io/viewer/stage.js), function by function.
 """
@@ -91,7 +91,7 @@ def box_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3, pixel: float) -> Hit:
 
 @wp.func
 def rim(towards: wp.vec3, ray: wp.vec3) -> float:
-    """Return the opacity of a round face whose normal is `towards`."""
+    """Return the opacity of a round face; `towards` is its normal, of any length."""
     facing = wp.abs(wp.dot(towards, ray)) / (wp.length(towards) * wp.length(ray))
     grazing = 1.0 - facing
     return 0.6 * FACE + (RIM - 0.6 * FACE) * grazing * grazing * grazing

@@ -55,7 +55,7 @@ def colour_seen(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, away: wp.vec
 
 @wp.func
 def screen_axes(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, view: View):
-    """Return the Gaussian's screen axes as two rows [px]; their dot products are its covariance."""
+    """Return two rows [px] whose dot products are the covariance of the Gaussian on the screen."""
     u = wp.clamp(p[0] / p[2], -view.limit[0], view.limit[0])
     v = wp.clamp(p[1] / p[2], -view.limit[1], view.limit[1])
     f = view.focal / p[2]
@@ -85,7 +85,7 @@ def box_around(mean: wp.vec2, reach: wp.vec2, view: View) -> wp.vec4i:
 
 @wp.func
 def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: View) -> Splat:
-    """Return the splat without its colour; its box is empty if invisible or not finite."""
+    """Return the splat without colour; its box is empty if the splat is invisible or not finite."""
     splat = Splat()
     # Written so that NaN fails every test.
     if not (p[2] > view.near and opacity >= MIN_ALPHA):

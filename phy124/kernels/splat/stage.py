@@ -137,7 +137,7 @@ def tint_splats(
     means: wp.array(dtype=wp.vec3),
     splats_out: wp.array(dtype=Splat),
 ):
-    """Tint Gaussians that are seen through glass among the Gaussians, one thread per Gaussian.
+    """Tint the Gaussians behind glass that is among the Gaussians, one thread per Gaussian.
 
     The solids `first` <= k < `last` are the glass among the Gaussians.
     """
