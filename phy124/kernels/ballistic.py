@@ -43,7 +43,7 @@ def make_hide(real: Any):
 
 @build_once
 def make_fly(real: Any):
-    """Kernel: restores the hidden particles' positions, then kicks and moves them ballistically."""
+    """Kernel: restores hidden particles' positions, and kicks and moves these particles freely."""
     t = types(real)
 
     @kernel(f"phy124_fly_{real.__name__}", real)

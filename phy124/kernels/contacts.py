@@ -42,7 +42,7 @@ def make_contact_copy(real: Any):
 
 @build_once
 def make_contact_reach(real: Any):
-    """Kernel: replaces the nodes that `make_contact_copy` stored by the changes that a wall made.
+    """Kernel: replaces each node that `make_contact_copy` stored by its change due to a wall.
 
     It also stores the lowest and the highest changed node.
     """

@@ -47,7 +47,7 @@ as a multiple of their distance at rest.
 
 @wp.func
 def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
-    """Return a plastic or fluid Gaussian's axis lengths, which are more equal the longer it is.
+    """Return a plastic or fluid Gaussian's axis lengths, made more equal the longer it is.
 
     A ball of radius sqrt(a b), where a and b are the two longest axes, covers as much of a frame as
     the Gaussian does.

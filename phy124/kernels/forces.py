@@ -143,7 +143,7 @@ def spring_damper(gap: wp.vec3d, slip: wp.vec3d, spring: wp.vec4d, kick: wp.floa
 
 @wp.func
 def angular_acceleration(torque: wp.vec3d, mass: wp.float64, second: wp.mat33d):
-    """Return the angular acceleration [rad/s^2] of a rigid group; `second` is per mass [m^2]."""
+    """Return a rigid group's angular acceleration [rad/s^2] from second moments per mass [m^2]."""
     spread = wp.trace(second)
     inertia = wp.diag(wp.vec3d(spread, spread, spread)) - second
     inertia = inertia + FLAT * wp.diag(wp.vec3d(spread, spread, spread))

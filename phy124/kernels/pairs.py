@@ -164,7 +164,7 @@ def gap(
     step: wp.vec3i,
     fill: Any,
 ):
-    """Return the volume fraction around a node that two bodies leave empty; 1 if one is absent."""
+    """Return the empty volume fraction around a node; 1 if a body is absent there."""
     a = fill_fraction(first, first_window, at, -step, fill[0], type(fill[0])(NARROWEST))
     b = fill_fraction(second, second_window, at, step, fill[1], type(fill[1])(NARROWEST))
     unit = type(a)(1.0)

@@ -53,7 +53,7 @@ def integral(
 
 @wp.func
 def fold(at: Any, period: Any):
-    """Return the time since the current period began; unchanged without a period or before 0."""
+    """Return a time modulo the period; unchanged if it is negative or there is no period."""
     if period > type(at)(0.0) and at > type(at)(0.0):
         return at - period * wp.floor(at / period)
     return at
@@ -127,7 +127,7 @@ def skips(times: wp.array(dtype=Any), first: int, last: int, at: Any, to: Any, p
 
 @build_once
 def make_sampler(real: Any):
-    """Kernel: samples value and rate of every track now; slot 0 is the uniform acceleration.
+    """Kernel: samples value and rate of every track; slot 0 is the uniform acceleration.
 
     The fourth component of a value is 1 while the track is active.
     """

@@ -177,13 +177,13 @@ def linear_range(s: wp.float64):  # noqa: F811
 
 @wp.func
 def small_enough(s: wp.float32):
-    """Return |A|^2 up to which the series of exp A to A^5 / 120 is exact to rounding in float32."""
+    """Return the |A|^2 up to which exp A, summed to A^5 / 120, is exact to rounding in float32."""
     return wp.float32(0.015625)
 
 
 @wp.func
 def small_enough(s: wp.float64):  # noqa: F811
-    """Return |A|^2 up to which the series of exp A to A^5 / 120 is exact to rounding in float64."""
+    """Return the |A|^2 up to which exp A, summed to A^5 / 120, is exact to rounding in float64."""
     return wp.float64(2.5e-5)
 
 

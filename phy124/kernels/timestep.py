@@ -38,7 +38,7 @@ class Limits:
     turn: wp.float64
     """Largest |C| dt of a substep."""
     viscous: wp.float64
-    """Largest |C| dt of a substep."""
+    """Longest substep that viscosity allows [s]."""
     ceiling: wp.float64
     """Longest substep that the user allows [s]."""
     wall: wp.float64

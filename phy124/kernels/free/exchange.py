@@ -56,7 +56,7 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
 
 @build_once
 def make_begin(real: Any):
-    """Kernel of one thread: kicks a body once per substep, and starts the solver at its motion."""
+    """Kernel of one thread: kicks a body once per substep; the solution starts from its motion."""
 
     @kernel(f"phy124_free_begin_{real.__name__}", real)
     def begin(moments, clock, values, body_out, trial_out):
@@ -128,7 +128,7 @@ def make_assemble(real: Any):
 
 @build_once
 def make_apply(real: Any):
-    """Kernel over rows of the nodes around a body: nodes take on the velocity of its surface.
+    """Kernel over rows of nodes around a body: gives nodes in contact the body's surface velocity.
 
     `given_out` collects the impulses on the nodes, in the `GIVEN` sums; the moment is about the
     body's centre.
@@ -187,7 +187,7 @@ def make_apply(real: Any):
 
 @build_once
 def make_finish(real: Any):
-    """Kernel of one thread: subtracts the nodes' impulses from the body and adds the walls'.
+    """Kernel of one thread: adds to a body the walls' impulses and minus the nodes' impulses.
 
     `total_out` sums the impulses on the nodes of one grid since the start, with the moment about
     the origin of the world.

@@ -73,7 +73,7 @@ def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
 
 @wp.func
 def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """Return the velocity change at r, along a unit vector, per impulse of 1 N s along it."""
+    """Return the velocity change at r along a unit vector, by 1 N s along the same vector."""
     turn = turn_by(a, b, c, r, way)
     return wp.dot(way, a @ (way - b @ turn) + wp.cross(turn, r))
 

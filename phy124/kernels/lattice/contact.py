@@ -74,7 +74,7 @@ def press_and_rub(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, frictio
 
 @wp.func
 def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that holds points that touched it, but lets them slide."""
+    """Return the impulse of a surface that holds points once they touch it, but lets them slide."""
     if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
         press = wp.max(press, type(gap)(0.0))
     return press * n
@@ -82,7 +82,7 @@ def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction:
 
 @wp.func
 def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that holds points once they have touched it [N s]."""
+    """Return the impulse of a surface that holds points once they touch it [N s]."""
     if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
         press = wp.max(press, type(gap)(0.0))
     if press == type(gap)(0.0):
@@ -261,7 +261,7 @@ def make_resist(response: str, moving: bool, real: Any, rows: Rows):
 
 @build_once
 def make_meet(real: Any, rows: Rows):
-    """Kernel of one thread: finds the gaps of pairs of surface points, like `make_touch`.
+    """Kernel of one thread: finds the gaps of pairs of points, as `make_touch` does for walls.
 
     A pair is treated like a single point. Its weights are those of the point minus those of the
     opposite position, so that `rest_out` and the nodes give the vector between the two. The

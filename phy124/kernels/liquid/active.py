@@ -94,7 +94,7 @@ def make_count_active(real: Any):
 
 @build_once
 def make_list_active(real: Any):
-    """Kernel over parts of the columns: lists their cells, and divides them among the workers."""
+    """Kernel over parts of the columns: lists active cells, and divides them among the workers."""
     t = types(real)
 
     @kernel(f"phy124_liquid_list_active_{real.__name__}", real, seconds=0.2)

@@ -1,4 +1,4 @@
-"""Conjugate gradients for the pressure equation, with MIC(0) for each part of the cells.
+"""Conjugate gradients for the pressure equation, with MIC(0) in each part of the cells.
 
 The cells of liquid are listed in the order of memory, and divided into parts of equal length: one
 for each CPU thread, many on a GPU. The modified incomplete Cholesky factor (Bridson 2015, "Fluid

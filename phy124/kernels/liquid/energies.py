@@ -46,7 +46,7 @@ def make_keep(real: Any):
 
 @wp.func
 def acts(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, axis: int, step: int):
-    """Return 1 if the pressure acts on a low face; the previous cell's index is less by `step`."""
+    """Return 1 if pressure acts on the face between cells n - `step` and n, else 0."""
     wet = liquid[n] + liquid[n - step] > 0
     return wp.where(wet and open[n][axis] > type(open[n][axis])(0.0), 1, 0)
 
@@ -60,7 +60,7 @@ def mass_with_outside(
     axis: int,
     size: wp.vec3i,
 ):
-    """Return a face's mass plus shares of adjacent faces on which no pressure acts."""
+    """Return a face's mass plus shares of the masses of adjacent faces without pressure."""
     across = stride(axis, size)
     total = cells[n][4 + axis]
     for along in range(3):

@@ -26,7 +26,7 @@ COMPRESSIBLE = wp.constant(1.0e-6)
 
 @wp.func
 def beyond(here: Any, there: Any):
-    """Return the distance of the first cell from the surface, relative to the cells' distance."""
+    """Return the first cell's distance from the surface, divided by the distance of the cells."""
     if here >= type(here)(0.0):
         return type(here)(NEAREST)
     apart = here - there
@@ -151,7 +151,7 @@ def rise_to(
     liquid: wp.array(dtype=int),
     pressure: wp.array(dtype=wp.float64),
 ):
-    """Return how much q increases from cell m to the next cell n; one of them holds liquid."""
+    """Return the increase of q from cell m to the next cell n; at least one of them is liquid."""
     rise = type(phi[n])(pressure[n] - pressure[m])
     if liquid[n] == 0:
         rise = -type(phi[n])(pressure[m]) / beyond(phi[m], phi[n])

@@ -177,7 +177,7 @@ def make_body_volume(real: Any):
 
 @build_once
 def make_body_distance(real: Any):
-    """Kernel over points at half the spacing: keeps the smaller of stored and body's distance."""
+    """Kernel over points at half the spacing: stores the body's distance if it is smaller."""
     t = types(real)
 
     @kernel(f"phy124_liquid_body_distance_{real.__name__}", real, seconds=0.3)
@@ -258,7 +258,7 @@ def make_body_openings(real: Any):
 
 @build_once
 def make_body_push_out(real: Any):
-    """Kernel: moves particles of the liquid out of bodies; the first body has the number `wall`."""
+    """Kernel: moves particles of the liquid out of bodies; `wall` is the first body's index."""
     t = types(real)
 
     @kernel(f"phy124_liquid_body_push_out_{real.__name__}", real, seconds=0.4)

@@ -52,7 +52,7 @@ def opening(open: wp.array(dtype=Any), n: int, size: wp.vec3i):
 
 @wp.func
 def filled_share(volume: Any, solid: Any, dx: Any):
-    """Return how much of a B-spline's part outside walls is filled; the part inside is `solid`."""
+    """Return the filled fraction of a B-spline's part outside walls; `solid` is the part inside."""
     open = wp.max(type(dx)(1.0) - solid, type(dx)(0.1))
     return wp.min(volume / (dx * dx * dx) / open, type(dx)(1.0))
 

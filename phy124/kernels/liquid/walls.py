@@ -95,7 +95,7 @@ def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
 
 @build_once
 def make_wall_distance(shape: str, real: Any):
-    """Kernel over points at half the spacing: keeps the smaller of stored and walls' distances.
+    """Kernel over points at half the spacing: stores the walls' distance if it is smaller.
 
     `walls` has the walls' numbers, which are stored in the points nearest to them, and `geometries`
     their shapes. `slots` has the index of the displacement of every wall, or 0 for those that never
@@ -147,7 +147,7 @@ def make_wall_distance(shape: str, real: Any):
 
 @wp.func
 def speed_of(motions: wp.array2d(dtype=Any), wall: int, x: Any):
-    """Return the velocity of a wall at a point [m/s]; motions hold V, w and a centre."""
+    """Return a wall's velocity at a point [m/s]; `motions` has V, w and centre of each wall."""
     return motions[wall, 0] + wp.cross(motions[wall, 1], x - motions[wall, 2])
 
 
@@ -229,7 +229,7 @@ def make_openings(shape: str, real: Any):
         values: wp.array(dtype=t.vec4),
         frame: Doubles,
     ):
-        """Return the distance at a point of a face, a and b [m] from its middle."""
+        """Return the distance at a point of a face that is a and b [m] from the middle."""
         x = middle
         x[(axis + 1) % 3] = middle[(axis + 1) % 3] + a
         x[(axis + 2) % 3] = middle[(axis + 2) % 3] + b
