@@ -6,7 +6,7 @@ import warp as wp
 
 from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.forces import Acceleration
-from phy124.kernels.lattice import points
+from phy124.kernels.lattice import points, work
 from phy124.kernels.lattice.stress import CLOSING, GRADIENT, SPEED
 from phy124.lattice import impulses, material, solids, workers
 from phy124.lattice import walls as lattice_walls
@@ -92,6 +92,8 @@ def test_lattice_compiles_for_cuda(arch, tmp_path):
     made += *solids.kernels_of(["box", "sphere"], *kind), *material.kernels_of(*kind)
     made += (
         *impulses.kernels(wp.float32),
+        work.make_node_work(wp.float32),
+        work.make_contact_work(wp.float32),
         points.make_locate(wp.float32),
         points.make_push(wp.float32),
     )

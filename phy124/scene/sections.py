@@ -139,8 +139,8 @@ class Checks(Section):
     energy: bool = Field(
         default=False,
         exclude_if=_is(False),
-        description="Report how much energy is lost in the material, by friction at walls, and by "
-        "the numerical method.",
+        description="Report how much energy is lost in the material, by contact, and by the "
+        "numerical method; on lattices also the work of each cause.",
     )
 
 
