@@ -47,7 +47,8 @@ from phy124.simulation.bodies import Placed
 FIRST = (12, 16, 24)
 """Cells across the object on the first levels; three levels are needed to observe an order."""
 STEP = 1.5
-"""Largest ratio of the number of cells on a new level to that on the finest level so far."""
+"""Largest factor by which a new level may have more cells across the object than the finest so
+far."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
 """Cells across the object of the other grids that may be chosen.
 
@@ -156,9 +157,7 @@ class _Runs:
         return simulation.run(record=self.see)
 
     def _make_denser(self, cells: int) -> None:
-        """Repeat a level on which the material tore with more particles, unless they would exceed a
-        limit.
-        """
+        """Repeat a torn level with more particles, unless these would exceed the limit."""
         self.denser = self.scene.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):
@@ -450,8 +449,8 @@ def _choose_next(
 
 
 GROWTH = 2.5
-"""Exponent of the time: that of preparation and simulation is assumed to be proportional to
-cells^GROWTH.
+"""Exponent of the growth of the time: preparation and simulation are assumed to take times in
+proportion to cells^GROWTH.
 
 The exponent lies between those of a thin surface (2) and of a solid (3).
 """

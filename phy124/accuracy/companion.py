@@ -47,8 +47,8 @@ RATES = {
     "lattice": (Rates(substep=4.2e-4, particle=2.1e-8), LATTICE),
     "cuda": (USUAL["cuda"], USUAL["cuda"]),
 }
-"""Rates of a run and of its companion with each solver of elastic objects on a CPU, and on a GPU.
-On a lattice, the checks at each frame take a large part of a run's substep time.
+"""Rates of each solver of elastic objects on a CPU, and rates on a GPU: of a run, and of its
+companion. On a lattice, the checks at each frame take a large part of a run's substep time.
 """
 EFFORT: dict[Motion, float] = {
     "squeezed": 2.2,
@@ -99,15 +99,15 @@ FACTORS = {
     "metal": Factors(0.6, 2.6),
     "foam": Factors(0.6, 0.95),
 }
-"""Factors of kinds of motion, and of the laws that were measured; other laws have those of their
-kind of motion."""
+"""Factors for each kind of motion, and for the laws that were measured. Any other law has the
+factors of its kind of motion."""
 USUAL_CELLS = 16
 """Cells of the companion for which the factors hold; on finer and coarser grids the factors are
 larger."""
 FLOOR = 2e-4
 """Error, in object sizes, that is always added to the bound."""
 LEAST = 0.6
-"""Smallest bound, divided by the error that was expected before the run.
+"""Smallest allowed bound, as a fraction of the error that was expected before the run.
 
 Two coarse grids may agree by chance. The expected error then limits the damage at little cost.
 """
@@ -214,7 +214,7 @@ def coarsen(scene: Scene) -> Scene:
 
 
 def affordable(run: Simulation) -> float:
-    """Return the largest forecast cost at which the companion of a run is run."""
+    """Return the forecast cost above which a run's companion is not run."""
     return AFFORDABLE * (ON_LATTICE if run.scene.on_lattice else 1.0)
 
 
@@ -238,7 +238,7 @@ def forecast(run: Simulation, substeps: int, particles: int | None = None) -> fl
 
 
 def count_threads(setup: Setup) -> int:
-    """Return how many threads speed up the companion of a run, from the counts of the run."""
+    """Return how many threads a run's companion can use, from the run's particles and threads."""
     enough = count_particles(setup) // MIN_PARTICLES
     return max(1, min(enough, setup.threads))
 

@@ -99,7 +99,7 @@ class Forecast:
         return replace(self, stages={name: seconds, **self.stages}, measured=(*self.measured, name))
 
     def with_predicted(self, name: str, seconds: float, caveat: str) -> Forecast:
-        """Return the forecast with one more stage in front, whose time is only a guess.
+        """Return the forecast with one more stage, which comes first; its time is only a guess.
 
         Args:
             name: Name of the stage.
@@ -127,7 +127,7 @@ class Forecast:
         return [*made, total, about, *filter(None, notes)]
 
     def _note_other_stages(self) -> str | None:
-        """Return a note if a run on a GPU spends most of its time on stages of the CPU."""
+        """Return a note if a run on a GPU spends most of its time in stages that run on the CPU."""
         others = {n: s for n, s in self.stages.items() if n not in ON_DEVICE}
         if self.device == "cpu" or 2 * sum(others.values()) < self.seconds:
             return None
@@ -334,7 +334,7 @@ class Forecaster:
 
 
 def speed_up(threads: int) -> float:
-    """Return the factor by which some threads speed up the dynamics (docs/lab/benchmarks.md)."""
+    """Return the factor by which threads speed up the dynamics (docs/lab/benchmarks.md)."""
     return 1 + SPEED_UP * (threads - 1)
 
 

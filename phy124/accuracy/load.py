@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from phy124.runtime.cores import cores
 
 SPIN = 0.3
-"""Duration of the measurement in which busy-waiting threads find out their fraction of a core
-[s]."""
+"""Duration of the measurement of the fraction of a core that busy-waiting threads get [s]."""
 ENOUGH, LONGEST = 0.2, 4.0
 """Minimum CPU time of a spinning thread, and maximum duration of spinning; both in units of
 `SPIN`."""

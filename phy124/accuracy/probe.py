@@ -57,9 +57,10 @@ FILMED, TRIES = (2, 6), 2
 The two lengths separate the fixed cost of a video from the cost per frame.
 """
 SHORT_STEP = 1e-3
-"""Length of a step that no limit shortens [s]."""
+"""Length of a substep if no limit makes it shorter [s]."""
 NODE_STAGES = ("clear", "grid")
-"""Further stages, besides those of the boundaries, whose time is proportional to the nodes."""
+"""Stages whose time is proportional to the number of nodes, in addition to those of the
+boundaries."""
 
 
 @dataclass(frozen=True)
@@ -277,8 +278,8 @@ def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
 CELLS = 16
 """Cells across the object in the pilot run."""
 EXCESS, ON_LATTICE = 0.8, 1.2
-"""Exponents in the growth of the substeps beyond those that the state at rest needs: they are
-assumed to grow as cells^(1 + EXCESS), and on lattices as cells^(1 + ON_LATTICE).
+"""Exponents of growth. The substeps beyond those that the state at rest needs are assumed to grow
+as cells^(1 + EXCESS), and on lattices as cells^(1 + ON_LATTICE).
 """
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user", "wave")
 
@@ -311,13 +312,13 @@ class Pilot:
     """Duration of the pilot run, including its preparation [s]."""
 
     def finer(self, dx: float) -> float:
-        """Return the ratio of a grid's cells along the object to the pilot run's, from the side of
-        a cell [m].
+        """Return a grid's number of cells along the object, divided by the pilot run's; `dx` is the
+        side of a cell [m].
         """
         return self.dx / dx
 
     def substeps(self, cells: int, rest: float | None = None) -> tuple[int, dict[str, float]]:
-        """Predict the number of substeps on another grid, and which fraction of them each limit
+        """Predict the number of substeps on another grid, and the fraction of them that each limit
         determines.
 
         The number of substeps in a frame is rounded up.

@@ -27,8 +27,8 @@ UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
 """The command that measures a user's own scene."""
 SPREAD = 3.0
-"""Ratio of an error to its estimate from several grids that only 5 % of the pairs of the zoo exceed
-(docs/lab/accuracy.md#goals)."""
+"""Limit on the ratio of an error to its estimate from several grids; only 5 % of the zoo's pairs
+exceed it (docs/lab/accuracy.md#goals)."""
 SMALLEST = 1e-4
 """Smallest fraction of the object's size that messages state."""
 

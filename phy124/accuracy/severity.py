@@ -17,7 +17,7 @@ COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "viscosity",
 """Fields of a material that may have any value, since `severity`, `yielding`, `damping` or
 `poisson` account for it."""
 MEASURED = {"repose_angle": (30.0, 36.0), "extension": (0.003, 0.0075)}
-"""Other fields of a material -> range of values whose errors are those of the default value."""
+"""Other fields of a material -> range of values with the same errors as the default value."""
 LOOKS = {"tint", "visibility"}
 """Fields of a material that do not affect the motion."""
 FILLED = 0.4

@@ -30,8 +30,8 @@ class PlanOptions:
     """Accuracy goal or time goal of a run, and whether the run is only predicted."""
 
     forecast: bool = False
-    """Predict the time before the run, in about a second; the report compares prediction and
-    time."""
+    """Predict the time before the run, in about a second; the report compares it with the time
+    taken."""
     dry_run: bool = False
     """Only print the stages, their predicted time and the error bound; write nothing."""
     max_error: str | None = None

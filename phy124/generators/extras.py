@@ -54,7 +54,7 @@ class DepthMap(Section):
         return None if self.depth in ("auto", "off", *NETWORKS) else Path(self.depth)
 
     def bind(self, generator: Any, name: str) -> Any:
-        """Bind the depth map, or else the network that estimates a depth map, to a generator.
+        """Bind the depth map to a generator; without a map, bind the network that estimates one.
 
         Raises:
             InputError: If the generator cannot use a depth map, or the file is unusable.

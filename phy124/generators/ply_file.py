@@ -32,7 +32,8 @@ MIN_OPACITY = 0.005
 TAIL = 0.005
 """Fraction of the total opacity that lies outside the object's core at each end of an axis."""
 MARGIN = 0.5
-"""Largest distance from the core at which Gaussians belong to the object, in core sizes."""
+"""Largest distance from the core at which Gaussians belong to the object, relative to the core's
+size."""
 
 
 class Reading(Section):

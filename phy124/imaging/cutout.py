@@ -66,7 +66,7 @@ class Method(NamedTuple):
     find: Callable[[Image.Image, isolated.Deadline], Alpha]
     """Computes the alpha [H,W]; third-party native code runs in `phy124.runtime.isolated`."""
     title: str = ""
-    """Name of the method in sentences."""
+    """Name of the method in messages."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class Cutout:
 
     @property
     def title(self) -> str:
-        """Name of the method in sentences."""
+        """Name of the method in messages."""
         return title_of(self.method)
 
     @property
@@ -265,7 +265,7 @@ def clean_edge(image: Image.Image, alpha: Alpha) -> Image.Image:
 
 
 def title_of(method: str) -> str:
-    """Return the name of a method in sentences, also of "mask" and "brush"."""
+    """Return the name of a method in messages, also of "mask" and "brush"."""
     known = METHODS[method].title if method in METHODS else PAINTED.get(method)
     return known or method
 
@@ -413,4 +413,4 @@ NETWORKS = (*salient.NETWORKS, "u2net", "u2netp")
 TAKEN_WHOLE = ("alpha", "mask")
 """Methods whose result keeps all its pieces, because a person made it."""
 PAINTED = {"mask": "the mask", "brush": "brush strokes"}
-"""What messages call the inputs that a person paints."""
+"""Names, in messages, of the inputs that a person paints."""

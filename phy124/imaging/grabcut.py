@@ -28,7 +28,8 @@ handle, stay open."""
 SOFTNESS = 4
 """Radius of the guided filter that softens the edge [pixels]."""
 HINT_REACH = 0.06
-"""Largest distance from a user's mark at which the outline may change, in longest sides."""
+"""Largest distance from a user's mark at which the outline may change, relative to the image's
+longest side."""
 
 
 def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -21,22 +21,24 @@ Solid = NDArray[np.bool_]
 GAP = 0.03
 """Smallest gap in the outline that is reported, as a fraction of the object's area."""
 SIDE, MARGIN = 200, 3
-"""Longest side of the reduced object in which a rim is searched, and the margin around it
+"""Longest side to which the object is reduced to search it for a rim, and the margin around it
 [pixels]."""
 UPPER = 0.5
 """The rim's centre may lie in this fraction of the height, counted from the top."""
 WIDE = 0.2
-"""Smallest width of a rim, in longest sides."""
+"""Smallest width of a rim, relative to the object's longest side."""
 ASPECTS = (0.08, 0.6)
 """Smallest and largest ratio of a rim's height to its width: 0 from the side, 1 from above."""
 FIT = 0.025
-"""Largest mean distance of the outline from the back of the rim, in half widths."""
+"""Largest mean distance of the outline from the back of the rim, relative to half the rim's
+width."""
 FRONT = 0.95
 """Smallest fraction of the rim's front half at which the image has an edge."""
 EDGE = 2.0
 """Smallest colour gradient at an edge, in CIE Lab units per pixel."""
 ACROSS = np.linspace(-0.85, 0.85, 41)
-"""Positions across a rim at which it is sampled, in half widths; its tips are left out."""
+"""Positions across a rim at which it is sampled, relative to half its width; its tips are left
+out."""
 NEARER = (0.9, 1.0, 1.1, 1.2)
 """Ratios to try of the front half's height to the back half's; perspective enlarges the front
 half."""

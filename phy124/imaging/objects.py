@@ -18,7 +18,7 @@ Point = tuple[float, float]
 Box = tuple[int, int, int, int]
 """Left, top, right and bottom of a box [pixels]."""
 GAP = 0.01
-"""Largest gap between pieces of the same object, in longest sides of the image."""
+"""Largest gap between pieces of the same object, relative to the longest side of the image."""
 COUNTED = 0.05
 """Smallest area of an object that is counted, relative to the largest object."""
 NEAR = 0.02

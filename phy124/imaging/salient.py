@@ -46,7 +46,7 @@ class Salient:
     finish: Callable[[Mask, tuple[int, int]], Mask]
     """Maps the output [size,size], and (W, H), to the probability of the object [H,W], 0..1."""
     title: str
-    """Name of the network in sentences."""
+    """Name of the network in messages."""
 
 
 def resize_smoothly(rgb: Pixels, size: int) -> Pixels:

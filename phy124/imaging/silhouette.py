@@ -14,8 +14,8 @@ Solid = NDArray[np.bool_]
 SMALLEST_PIECE = 0.01
 """Smallest area of a piece that is counted, as a fraction of the object."""
 NEAR = 0.035
-"""An image edge within this distance counts as touched, in shorter sides of the image; GrabCut
-keeps 0.03 clear."""
+"""Distance at which an image edge still counts as touched, relative to the image's shorter side;
+GrabCut keeps 0.03 clear."""
 REACH = 0.02
 """An image edge counts as touched if at least this fraction of it is near the object."""
 SIDE = 320
@@ -28,7 +28,7 @@ images, the width grows in proportion."""
 HALF = 25
 """Smallest difference of a half-transparent pixel's alpha from both 0 and 255."""
 AROUND = 0.125
-"""Width of the surroundings of an object, in longest sides."""
+"""Width of the surroundings of an object, relative to the object's longest side."""
 BINS = (12, 24, 24)
 """Numbers of histogram bins for L, a and b."""
 SIMILAR, ONE = cv2.getGaussianKernel(7, 0.7), np.ones(1)

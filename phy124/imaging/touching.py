@@ -22,8 +22,7 @@ SIDE = 200
 NECK = 0.4
 """Largest width of a neck, relative to the thinner part."""
 UNLIKE = 0.8
-"""Two parts are separate objects if they do not share at least this fraction of their colour
-histograms."""
+"""Two parts are separate objects if their colour histograms differ in at least this fraction."""
 MOST = 4
 """Largest number of objects into which a cut-out is split."""
 SMALLEST = 0.25

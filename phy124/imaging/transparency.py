@@ -8,7 +8,8 @@ from PIL import Image
 REAL = 0.005
 """Smallest fraction of opaque pixels, and of transparent pixels, in a meaningful alpha."""
 FAINTEST = 8
-"""Smallest maximum of alpha, of 255, in an image whose object is half transparent throughout."""
+"""An image counts as half transparent throughout only if its largest alpha (0 to 255) is at least
+this."""
 
 
 def has_alpha(image: Image.Image) -> bool:

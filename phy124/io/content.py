@@ -298,8 +298,7 @@ FAR = 4
 """Ratio of the distance from the origin to the object's size. Beyond this ratio, float32 would be
 too coarse, so centres in double precision are stored relative to a separate origin."""
 FINE = 20_000
-"""Number of float32 steps across an object that is fine enough; below it, the centres get a
-separate origin."""
+"""Number of float32 steps across an object below which the centres get a separate origin."""
 COARSE = 4000
 """Number of steps across an object below which a note calls the file's positions too coarse."""
 ENOUGH = 100_000

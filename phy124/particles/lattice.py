@@ -28,8 +28,8 @@ HAZE = 0.005
 """Filled fraction of a cell below which the cell has no surface points, because it holds only
 single Gaussians around a body."""
 TRACE = 0.1
-"""Fraction below which a voxel has no surface points if a neighbour has at least twice its
-fraction."""
+"""A voxel that is filled less than this fraction has no surface points if a neighbour is filled at
+least twice as much."""
 SLIVER = 0.15
 """Filled fraction of a cell below which the cell is merged with a neighbour."""
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1

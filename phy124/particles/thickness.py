@@ -32,8 +32,8 @@ class Proportions(NamedTuple):
     thickness: float
     """Local thickness relative to the longest side; nine tenths of the volume are thicker."""
     compliance: float
-    """Mean deflection under the object's weight acting sideways, relative to its size L and to rho
-    g L / E."""
+    """Mean deflection if the object's weight acts sideways, relative to the object's size L and to
+    rho g L / E."""
 
     @classmethod
     def of_report(cls, report: Mapping[str, Any]) -> Proportions | None:

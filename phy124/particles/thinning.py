@@ -18,7 +18,7 @@ from phy124.io.content import MOST_KEPT
 
 FEWEST, MOST = 100, MOST_KEPT
 GIANT = 1e4
-"""Area above which a Gaussian counts as a background or an error, in median areas."""
+"""Area above which a Gaussian counts as a background or an error, relative to the median area."""
 BITS = 16
 """Bits per coordinate along the space-filling curve."""
 

@@ -59,7 +59,7 @@ class StaticObject:
 
 
 class Objects(NamedTuple):
-    """Those objects of a scene that are made from pictures or files."""
+    """The objects of a scene that are made from pictures or files."""
 
     gaussians: Gaussians
     """Gaussians of these objects, with `object_id` if there are several."""

@@ -30,16 +30,16 @@ MOST = 4_000_000
 SAMPLE = 8192
 """Number of points that determine the extent of the grid."""
 AHEAD, FILLED = 1.2, (0.22, 0.42)
-"""Distance from a disc outwards, in cells; and the values of phi there at which the disc begins to
-fade and has vanished."""
+"""Distance outwards from a disc, in cells, and two values of phi there: at the first the disc
+begins to fade, at the second it has vanished."""
 STEEP = (0.2, 0.35)
 """Gradient of phi relative to phi, per cell: below the first value discs are invisible, above the
 second they do not fade."""
 MOVES = (-0.35, 0.9)
 """Largest displacements onto the surface, inwards and outwards, in cells."""
 OVERLAP, NARROW, BROAD, WIDEST, FLAT = 0.95, 0.4, 0.55, 0.7, 0.3
-"""Radius of a disc relative to the distance between discs; lower bound of the radius, also for a
-film on a wall, and its upper bound, in cells; thickness of a disc relative to its radius."""
+"""Discs. Their radius relative to the distance between discs; lower bounds of the radius, usually
+and for a film on a wall, and its upper bound, in cells; their thickness relative to the radius."""
 TOUCH, FILM, EDGE = 0.75, (1.5, 2.5), 0.5
 """All in cells. Largest distance from a wall at which Gaussians are drawn on the wall. Thicknesses
 of a film on a wall between which the film's face on the wall fades in. Smallest depth below the
@@ -53,7 +53,7 @@ RIM = 0.3
 """Length of the normals of discs at the rim of a liquid on a wall. Their gloss is weak, because
 these normals differ from disc to disc."""
 LITTLE = 0.02
-"""Lower bound of the fraction of space before walls, by which means are divided."""
+"""Lower bound of the fraction of space before walls; averages are divided by this fraction."""
 ALONE, DROP = 0.4, 0.42
 """Drops: largest phi at a drop's centre, relative to the drop's volume in cells; standard deviation
 of a drop, relative to the edge of a cube of the same volume."""

@@ -121,7 +121,7 @@ class Sample:
         return Sample(whole, np.concatenate([self.covariances, shapes], axis=1), self.corners)
 
     def follow(self) -> Sample:
-        """Return the sample relative to its path, as seen by a camera that follows it."""
+        """Return the sample relative to its path, as seen by a camera that follows this path."""
         return Sample(self.means - self.path[:, None], self.covariances)
 
     def has_rare_moment(self, largest: float) -> bool:

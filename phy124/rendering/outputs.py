@@ -287,7 +287,7 @@ def normals(gaussians: Gaussians, camera: Camera) -> Values:
 
 
 def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Values:
-    """Return by how much points move in the picture until the next frame [N,2], right and down, px.
+    """Return displacements of points in the picture until the next frame [N,2], right and down, px.
 
     Args:
         before: The points in this frame, m.

@@ -26,7 +26,7 @@ HEAPS = "MALLOC_ARENA_MAX"
 
 
 def release(array: object) -> None:
-    """Return the memory of a memory-mapped array to the system after the array was read.
+    """Give the memory of a memory-mapped array back to the system after the array was read.
 
     Otherwise a long run that reads all its frames from disk seems to need memory for all of them.
     """
@@ -36,7 +36,7 @@ def release(array: object) -> None:
 
 
 def trim() -> None:
-    """Return memory that was freed to the system.
+    """Give freed memory back to the system.
 
     The C library keeps the gaps between small objects that are left by the arrays of each frame; in
     a long run they add up to the size of all frames.

@@ -20,7 +20,8 @@ from phy124.generators.relief.height import nearest_of
 Field = NDArray[np.float64]
 BackLook = Literal["auto", "mirror", "plain"]
 SYMMETRIC = 0.86
-"""A silhouette that overlaps with its mirror image by at least this much (IoU) shows a front."""
+"""A silhouette counts as a front if it overlaps with its mirror image by at least this much
+(IoU)."""
 UPPER, OUTLINE, FACE = 0.4, 0.65, 0.75
 """Upper fraction of the height that may contain a face. It counts as a face if it and its mirror
 image have at least this overlap of outlines and this correlation of brightness."""

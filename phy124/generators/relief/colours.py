@@ -107,7 +107,7 @@ def _sample(picture: Field, place: Field) -> Field:
 
 
 FACING = 4.0
-"""An image's weight contains the cosine between normal and view direction, to this power."""
+"""Exponent of the cosine between normal and view direction in the weight of an image."""
 HIDDEN = 0.02
 """Factor on the weight of an image in which the point is hidden."""
 BEHIND = 8.0

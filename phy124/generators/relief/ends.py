@@ -21,8 +21,8 @@ FLAT = 0.2
 ARC = 0.15
 """Largest height of an end's arc, as a fraction of its width."""
 CORNERED = 0.92
-"""Smallest ratio of two widths, at the start of the arc and twice as high above the end; a ball has
-0.74."""
+"""Smallest ratio of the width at the start of the arc to the width twice as high above the end; a
+ball has 0.74."""
 TALL = 0.8
 """Smallest ratio of height to width above a flat end; flatter objects lie and do not stand."""
 

@@ -12,11 +12,13 @@ from phy124.generators.relief.picture import WORK
 
 Field = NDArray[np.float64]
 TANGENT = 0.58
-"""Standard deviation along the surface, in spacings; it makes neighbours overlap, without holes."""
+"""Standard deviation along the surface, relative to the points' spacing; it makes neighbours
+overlap, without holes."""
 BACK_REACH = 1.25
 """On the back, the standard deviation along the surface is multiplied by this factor."""
 NORMAL = 0.12
-"""Standard deviation across the surface, in spacings: small, to keep the outline crisp."""
+"""Standard deviation across the surface, relative to the points' spacing: small, to keep the
+outline crisp."""
 OPACITY = 0.97
 DRAWN_IN = 1.35
 """Depth of the centres below the surface [pixels]; Gaussians seen edge-on extend outwards by about

@@ -16,7 +16,7 @@ UNLIKE = 0.5
 EMPTY = 0.05
 """Largest fraction of heights at which only one of two images shows the object."""
 DEEPEST, FLATTEST = 4.0, 0.03
-"""Largest and smallest depth of the object, in longest sides of the front."""
+"""Largest and smallest depth of the object, relative to the longest side of the front."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ Field = NDArray[np.float64]
 SMOOTHING = 0.02
 """Standard deviation of the filter that smooths thicknesses, in image sizes."""
 CENTRED = 0.06
-"""Largest distance of a row's centre from the axis of revolution, in half widths."""
+"""Largest distance of a row's centre from the axis of revolution, relative to half the object's
+largest width."""
 EVERY = 0.97
 """Smallest fraction of the rows that must fit a solid of revolution."""
 WAISTED = 0.97

@@ -90,8 +90,8 @@ def smooth(values: Field, weights: NDArray, width: float) -> Field:
 
 
 def _slopes(values: Field, inside: NDArray[np.bool_]) -> tuple[Field, Field]:
-    """Return the derivatives of the values at inside pixels, down and right, from inside pixels
-    alone.
+    """Return the derivatives at inside pixels, downwards and to the right; outside pixels have no
+    effect.
     """
     slopes = []
     for axis in (0, 1):
@@ -161,8 +161,8 @@ class Surface(Implicit):
 
     @classmethod
     def seen(cls, w: Field, middle: Field, distance: float) -> Surface:
-        """Return the surface whose image in `View`'s camera is w; of a ball, less than half is
-        seen.
+        """Return the surface that appears as w in `View`'s camera, which sees less than half of a
+        ball.
 
         Let p be a pixel relative to the image centre, d the camera's distance, and
         w = h^2 - |p - c|^2 the image of a ball. Along the view ray, with A = 1 + p^2 / d^2, the

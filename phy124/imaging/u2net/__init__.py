@@ -30,7 +30,8 @@ SIZE = 320
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 CLOSER, AROUND = 1.4, 0.15
 """An object is segmented again if it and its surroundings can be enlarged by at least the first
-factor. The second number is the width of the surroundings, in longest sides of the object."""
+factor. The second number is the width of the surroundings, relative to the object's longest
+side."""
 AGREED = 0.85
 """An object's second mask is used if it overlaps with the first by at least this much (IoU)."""
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]

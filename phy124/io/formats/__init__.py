@@ -216,7 +216,7 @@ FORMATS = {
         ),
     )
 }  # fmt: skip
-"""Formats by name. If formats share a suffix, it selects the first of them for writing."""
+"""Formats by name. Of the formats that share a suffix, the first is used for writing."""
 MESH_ENDINGS = (".gltf", ".obj", ".stl")
 """Extensions of files that can only be meshes. Files in .glb and .ply may be meshes or
 Gaussians."""

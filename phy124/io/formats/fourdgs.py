@@ -35,7 +35,8 @@ KEYFRAME = 8
 STILL = 1 / 24
 """Duration of a clip with one frame [s]."""
 CUTOFF = 0.05
-"""Opacity below which a reader may leave out a fading Gaussian; no Gaussian fades."""
+"""Opacity below which a reader may leave out a fading Gaussian; in these files, no Gaussian
+fades."""
 CODEC, LEVEL = 0, 6
 """Compression of the records: deflate, at zlib's usual level."""
 Bins = dict[int, NDArray[np.int64]]

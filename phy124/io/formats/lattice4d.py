@@ -118,8 +118,8 @@ class Lattice:
         return slopes
 
     def solver(self) -> Any:
-        """Return a factorisation of the least-squares problem from which node displacements are
-        fitted.
+        """Return a factorisation of the least-squares problem that determines the nodes'
+        displacements.
         """
         from scipy import sparse
         from scipy.sparse.linalg import splu

@@ -29,10 +29,11 @@ too."""
 SAMPLE = 1024
 """Number of Gaussians whose paths determine how large the shadow map is."""
 OUTLIERS = (0.5, 99.5)
-"""Percentiles of the positions of these Gaussians in each frame; the map covers the range between
-them."""
+"""Percentiles of the positions of the `SAMPLE` Gaussians in each frame; the shadow map covers the
+range between them."""
 ROOM = 0.9
-"""Margin of the map around these positions, in heights of the object."""
+"""Margin of the shadow map around the range of positions, relative to the object's largest height
+above the floor."""
 LARGEST = 4.0
 """Half the side of the largest map, in object sizes."""
 PICTURE_SIDE = 1280

@@ -47,7 +47,8 @@ SAMPLE = 65536
 GLASS = 0.25
 """Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255
-"""Shade that is halved. Fainter shade almost vanishes; otherwise the sky's shadow had no limit."""
+"""Shade that is halved. Fainter shade almost vanishes; otherwise the sky's shadow would be
+unlimited."""
 UNSEEN = 0.1 / 255
 """Smallest shade that is visible; less is set to zero."""
 FAINTEST = 1e-4

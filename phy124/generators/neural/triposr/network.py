@@ -22,7 +22,7 @@ MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 DENSITY_BIAS = -1.0
 """Added to the decoder's first output, whose exponential is the density."""
 UNUSED = "image_tokenizer.model.pooler."
-"""Prefix of those tensors of the checkpoint that TripoSR never uses."""
+"""Prefix of the checkpoint's tensors that TripoSR never uses."""
 OFFSET = 0.1
 """Added to the number of patches per side when position embeddings are resized. The network was
 trained with transformers 4.35, which adds this number; without it, the positions would shift
