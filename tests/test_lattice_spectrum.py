@@ -8,6 +8,11 @@ import pytest
 from support.lattices import DX, SOFT, block, make
 
 
+def test_all_threads_look_for_the_frequency_at_rest():
+    solver = make(block((0.2, 0.2, 0.2)), threads=2)
+    assert solver.team.seconds[1] > 0
+
+
 def test_frequency_without_a_trial_stays():
     solver = make(block((0.2, 0.2, 0.2)))
     square = solver.spectrum.square

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 from phy124.lattice.workers import Worker
 from phy124.mpm.threads import Team
@@ -18,6 +19,13 @@ class Phases:
     def __init__(self, workers: Sequence[Worker]) -> None:
         self._workers = workers
         self.team = Team[int](len(workers), self._run_member)
+
+    def on_threads(self) -> AbstractContextManager[None]:
+        """Return a context within which each worker runs on its own thread.
+
+        All kernels that the workers launch must have been loaded.
+        """
+        return self.team.running() if self.team.size > 1 else nullcontext()
 
     def run(self, phase: int) -> None:
         """Run a phase after all threads have reached it."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -127,9 +127,9 @@ class LatticeSolver:
         """Further contact, with launches like those of walls."""
         self.softened = 1.0
         """Factor by which all stiffnesses are currently scaled."""
-        self.spectrum = Spectrum(
-            model, self.crew, self.nodes_state, self.lattice, lambda: self.phases.run_task(TRIAL)
-        )
+        nodes, lattice, run_task = self.nodes_state, self.lattice, self.phases.run_task
+        with self.phases.on_threads():
+            self.spectrum = Spectrum(model, self.crew, nodes, lattice, lambda: run_task(TRIAL))
         """The largest frequency of the bodies, which limits the substep."""
         self.substep_at_rest = self.clock.cfl * self.spectrum.substep_at_rest
         """Length of a substep at rest [s]."""
@@ -363,11 +363,10 @@ class LatticeSolver:
 
     def _threads(self) -> AbstractContextManager[None]:
         """Return a context within which each worker runs on its own thread."""
-        if len(self.workers) == 1:
-            return nullcontext()
-        # Loading kernels is not thread-safe: this loads those of the measurement.
-        self.measure_if_due()
-        return self.phases.team.running()
+        if len(self.workers) > 1:
+            # Loading kernels is not thread-safe: this loads those of the measurement.
+            self.measure_if_due()
+        return self.phases.on_threads()
 
     def measure_if_due(self) -> bool:
         """Measure the limits of the substep if necessary; return whether this was necessary."""

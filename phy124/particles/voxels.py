@@ -7,10 +7,13 @@ than a voxel, by two parallel planes.
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from phy124.runtime.cores import cores
 
 SHEET = 0.25
 """Length of the gradient of the filled fraction [1/voxel] below which a voxel belongs to a sheet
@@ -24,6 +27,10 @@ SAMPLES = 6
 """Number of sample points along each axis of a voxel that is partly filled."""
 HALVINGS = 12
 """Number of halvings with which the position of the surface in a voxel is found."""
+ROUNDING = 1e-5
+"""Bound on the error of a mean share in single precision."""
+BLOCK = 500
+"""Number of voxels that a thread measures at once."""
 NEAR, FAR = (np.array(list(np.ndindex(*3 * (2 * n + 1,)))) - n for n in (1, 2))
 """Steps from a voxel to itself and its neighbours, 27 in all, and to the 125 voxels within two
 steps."""
@@ -127,20 +134,50 @@ def _part_moments(
     line = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
     points = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
     products = (points[:, :, None] * points[:, None, :]).reshape(-1, 9)
-    for some in np.array_split(np.arange(len(normal)), max(1, len(normal) // 500)):
+
+    def measure(some: NDArray[np.int64]) -> None:
         height, thin = normal[some] @ points.T, sheet[some]
         height[thin] = np.abs(height[thin] - offset[some][thin, None])
         width = np.abs(normal[some]).sum(axis=1)[:, None] / SAMPLES
-        low, high = (end(axis=1)[:, None] for end in (height.min, height.max))
-        low, high, share = low - width, high + width, height
-        for _ in range(HALVINGS):
-            level = (low + high) / 2
-            share = np.clip((level - height) / width + 0.5, 0, 1)
-            more = share.mean(axis=1, keepdims=True) < fraction[some, None]
-            low, high = np.where(more, level, low), np.where(more, high, level)
+        level = find_levels(height, width, fraction[some, None])
+        share = _share_below(level, height, width)
         share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-9)
         centre[some] = share @ points
         middle = centre[some][:, :, None] * centre[some][:, None, :]
         of_sample = np.eye(3) / (12 * SAMPLES**2)
         spread[some] = (share @ products).reshape(-1, 3, 3) - middle + of_sample
+
+    blocks = np.array_split(np.arange(len(normal)), max(1, len(normal) // BLOCK))
+    with ThreadPoolExecutor(min(cores(), len(blocks)), "voxels") as pool:
+        list(pool.map(measure, blocks))
     return centre, spread
+
+
+def find_levels(height: NDArray, width: NDArray, fraction: NDArray) -> NDArray[np.float64]:
+    """Return the levels [V,1] below which voxels are filled.
+
+    Sums in single precision are twice as fast; those that are close to the fraction are repeated in
+    double precision, so that the levels are those of double precision.
+
+    Args:
+        height: Heights of the sample points [V,S].
+        width: Extent of a sample across the surface [V,1].
+        fraction: Filled fractions [V,1].
+    """
+    rough = (height / width).astype(np.float32)
+    low, high = (end(axis=1, keepdims=True) for end in (height.min, height.max))
+    low, high, level = low - width, high + width, low
+    for _ in range(HALVINGS):
+        level = (low + high) / 2
+        share = (level / width + 0.5).astype(np.float32) - rough
+        total = np.clip(share, 0, 1, out=share).mean(axis=1, keepdims=True)
+        more, close = total < fraction, (np.abs(total - fraction) < ROUNDING)[:, 0]
+        exact = _share_below(level[close], height[close], width[close])
+        more[close] = exact.mean(axis=1, keepdims=True) < fraction[close]
+        low, high = np.where(more, level, low), np.where(more, high, level)
+    return level
+
+
+def _share_below(level: NDArray, height: NDArray, width: NDArray) -> NDArray[np.float64]:
+    """Return the part of each sample that is below a level [V,S]."""
+    return np.clip((level - height) / width + 0.5, 0, 1)
