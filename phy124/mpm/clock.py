@@ -55,9 +55,14 @@ class Clock:
         """Inputs and result of the last computation of the longest stable substep."""
 
     @property
-    def behind(self) -> float:
-        """Time by which velocities lag behind positions [s]."""
+    def since_kick(self) -> float:
+        """Time by which the velocities that the last kick changed lag behind positions [s]."""
         return self.last_dt / 2
+
+    @property
+    def behind(self) -> float:
+        """Time by which velocities lag behind positions, averaged over the mass [s]."""
+        return self.since_kick
 
     @property
     def due(self) -> bool:
