@@ -25,7 +25,7 @@ from phy124.schema.section import Section
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
-"""Nodes whose signed distance from a wall is below this respond one by one, not in columns [cells].
+"""Signed distance from a wall [cells] below which nodes respond one by one, not in columns.
 
 A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. On average,
 this plane must therefore lie about 0.65 cells inside the wall for the body to touch the wall.
@@ -35,8 +35,8 @@ to nodes that belong to no column.
 MARGIN = 2.0
 """Distance in front of a wall [cells] up to which nodes may respond to the wall."""
 SWEEPS = 2
-"""Number of responses per substep if columns cross. Each response sees the changes that other
-columns made in the response before.
+"""Number of responses per substep if columns cross. Each response uses the changes that other
+columns made in the previous response.
 """
 THINNEST = 1.0
 """Smallest half thickness of a solid [cells]; a solid must have nodes inside it to stop material.
@@ -138,7 +138,7 @@ class Boundary(Section):
         return make(self.outline(), self.response(), moving, real)
 
     def gentler(self) -> dict[str, Any]:
-        """Return the fields to change, with new values, to halve the boundary's strength."""
+        """Return fields with new values that halve the boundary's strength."""
         return {}
 
     def parts(self) -> list[Any]:

@@ -29,7 +29,7 @@ class Clamp(Movable):
     )
 
     def track(self, model: Rest) -> Track | None:
-        """Return the displacement [m], active until release; None if it never moves or releases."""
+        """Return the displacement [m] until the release; None if the clamp never moves or ends."""
         track = super().track(model)
         if self.end is None:
             return track

@@ -96,7 +96,7 @@ def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
 
 
 def ease(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and points with each leg cut into `EASE` pieces, at rest at both its ends."""
+    """Return times and points with each leg in `EASE` pieces; the motion stops at a leg's ends."""
     parts = np.linspace(0, 1, EASE + 1)[1:]
     fractions = (1 - np.cos(math.pi * parts)) / 2
     new_times, new_points = [times[0]], [points[0]]

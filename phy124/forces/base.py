@@ -72,7 +72,7 @@ class Force(Section):
         return bool(strengths) and not np.any(strengths)
 
     def gentler(self) -> dict[str, Any]:
-        """Return the fields to change, with new values, to halve the force's strength."""
+        """Return fields with new values that halve the force's strength."""
         values = {name: getattr(self, name) for name in self.strengths}
         return {
             name: [x / 2 for x in value] if isinstance(value, tuple) else value / 2

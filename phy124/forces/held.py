@@ -1,4 +1,4 @@
-"""Forces on a group of particles as a whole: a ball about a point at rest, with weights."""
+"""Forces on a group of particles as a whole; the group is a ball in the object's shape at rest."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Part(NamedTuple):
         field: str,
         name: str | None = None,
     ) -> Part:
-        """Return the part about a point at rest.
+        """Return the part of an object around a point of the object at rest.
 
         Args:
             model: The model, with masses and positions at rest.
@@ -84,7 +84,7 @@ class Part(NamedTuple):
             raise InputError(
                 field,
                 point,
-                f"no material is within {radius:g} m of it at rest.",
+                f"at rest, no material is within {radius:g} m of this point.",
                 f"Give a point on the object in its initial position (the nearest material is "
                 f"{away:.3g} m away), or a larger radius.",
             )

@@ -91,7 +91,7 @@ class Attraction(Force):
 
 
 class ZoneForce(Force):
-    """A push on all material that is inside a zone of space at the time."""
+    """A push on all material that is currently inside a zone of space."""
 
     kind: Literal["zone"] = "zone"
     strengths: ClassVar[tuple[str, ...]] = ("a",)

@@ -1,4 +1,4 @@
-"""Elastic bodies on their lattice at rest: the total-Lagrangian material point method.
+"""Elastic bodies on lattices of their shapes at rest: the total-Lagrangian material point method.
 
 The nodes move with the body and keep their velocities. Integration points compute the deformation
 from the nodes and the weights at rest. Deformation cannot drift, material cannot tear, and no

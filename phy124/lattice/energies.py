@@ -60,14 +60,14 @@ class Energies:
     """Adds the launches that sum work; there are none before `start` is called."""
 
     def __init__(self, solver: Any) -> None:
-        """Refer to a solver, whose launches are not recorded yet."""
+        """Store the solver; its launches are not recorded yet."""
         self._solver, shape = solver, (len(solver.workers), ROOM)
         self._walls: Walls | None = None
         self._sums = wp.zeros(shape, dtype=wp.float64, device=solver.model.device)
         self._on = False
         self._clamps = np.zeros(2)
-        """Work of clamps of earlier walls, and its part by their motion, minus their values at the
-        start [J].
+        """Since the start: work of the clamps of earlier walls, and the part of it by the clamps'
+        motion [J].
         """
 
     def start(self) -> None:
@@ -79,7 +79,7 @@ class Energies:
         self._solver.record()
 
     def attach(self) -> None:
-        """Let the contact that is recorded next sum its work."""
+        """Make the contact that is recorded next sum its work."""
         solver = self._solver
         self._clamps += self._of_clamps() if self._walls is not solver.walls else 0
         self._walls = solver.walls
@@ -89,7 +89,7 @@ class Energies:
             solver.walls.work = solver.meetings.work = solver.free.work = work
 
     def extend(self, *, pushed: bool) -> None:
-        """Insert the phases before the drift of a substep.
+        """Insert the phases that sum work, before the drift of a substep.
 
         Args:
             pushed: Whether forces act on points.
@@ -167,7 +167,7 @@ class Energies:
         self._clamps = np.array(snapshot["clamps"])
 
     def _of_clamps(self) -> NDArray[np.float64]:
-        """Return the work of the clamps, and its part by their motion, as their walls sum them."""
+        """Return the work of the clamps, and the part by their motion, from the walls' sums."""
         if self._walls is None:
             return np.zeros(2)
         rows = np.asarray(self._walls.sums.numpy(), np.float64)[self._walls.holding]
@@ -175,5 +175,5 @@ class Energies:
 
 
 def _rename(launches: Sequence[Named]) -> list[Named]:
-    """Return launches whose time counts as that of the sums."""
+    """Return the launches, renamed so that their time counts as time of the sums."""
     return [(STAGE, launch) for _, launch in launches]

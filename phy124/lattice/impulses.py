@@ -48,7 +48,7 @@ class Impulses:
         return cast("wp.Launch", launch)
 
     def hold(self, clamps: list[Named], held: NDArray[np.int64]) -> list[Named]:
-        """Return the launches of clamps, between those that measure the momenta of held nodes.
+        """Return the clamps' launches, between launches that read the momenta of held nodes.
 
         Args:
             clamps: The launches of all clamps.

@@ -31,8 +31,8 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 MOVED, BETWEEN = 0.6, 0.15
-"""Two parts of a body (`MOVED`), or two bodies (`BETWEEN`), are compared again after they have
-moved by twice this relative to each other [cells].
+"""Half the relative displacement [cells] after which two parts of a body (`MOVED`), or two bodies
+(`BETWEEN`), are compared again.
 """
 SLID = 0.4
 """Pairs are listed again after a point has moved this far along the other surface [cells]."""

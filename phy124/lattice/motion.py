@@ -1,4 +1,4 @@
-"""The nodes of a lattice at the start of a run: positions at rest, and the points' motion."""
+"""Nodes of a lattice when a run starts: rest positions, and velocities from the points' motion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from phy124.mpm.model import Model, State
 
 
 def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: bool) -> Nodes:
-    """Return a lattice's nodes, which move like its points; this is exact if the motion is affine.
+    """Return nodes at their rest positions, with velocities from the points (affine ones exact).
 
     Args:
         model: The constants of the run; nodes of its held bodies do not move.

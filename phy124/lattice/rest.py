@@ -65,9 +65,9 @@ class RestLattice:
     ties: scipy.sparse.csr_matrix
     """Weights with which the other nodes' motions give the motion of each tied node [T,N]."""
     pushes: scipy.sparse.csr_matrix
-    """Weights with which pushes on other nodes are added to the push on each node [N,N]. They move
-    the pushes on tied nodes, and on mass that another node gets. A uniform push then accelerates
-    all nodes equally.
+    """Weights with which pushes on other nodes are added to the push on each node [N,N]. Pushes on
+    tied nodes, and on mass given to another node, thereby act on the nodes that have the mass. A
+    uniform push then accelerates all nodes equally.
     """
     body: NDArray[np.int64]
     """Index of the body of each node [N]."""
@@ -172,7 +172,7 @@ class RestLattice:
         return sum(int(np.ptp(index, axis=0).max()) - 1 for index in bodies)
 
     def respond(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return accelerations [P], m/s^2, that forces on points cause in one direction [P], N.
+        """Return accelerations [P], m/s^2, by forces [P], N, on the points along one direction.
 
         They are computed in the cells on which forces act, and 0 elsewhere.
         """

@@ -29,7 +29,7 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 
 DEEPEST = 0.5
-"""A point's own normal counts up to this depth in a box, measured along the normal [cells]."""
+"""Depth in a box [cells], measured along a point's normal, up to which this normal is used."""
 LISTED = 1.0
 """Points are listed up to this distance beyond the distance of contact with a solid [cells]."""
 
@@ -71,7 +71,7 @@ class Solids(FreeBodies):
         """Distance within which points touch solids until the next measurement [m]."""
 
     def _total(self) -> NDArray[np.float64]:
-        """Return the sums of what each solid has transferred to each body [F,bodies,GIVEN]."""
+        """Return each solid's sums of impulse and work on each body [F,bodies,GIVEN]."""
         sums = np.asarray(self._sums.numpy(), np.float64)
         moment, rest = sums[..., MOMENT : MOMENT + 3], sums[..., IMPULSE + 3 : GIVEN]
         return np.concatenate([sums[..., :3], moment, rest], axis=-1)

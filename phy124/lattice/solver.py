@@ -1,4 +1,4 @@
-"""LatticeSolver: explicit substeps of elastic bodies on their lattices at rest.
+"""LatticeSolver: explicit substeps of elastic bodies on lattices of their shapes at rest.
 
 A substep sums the forces of the stress on the nodes, kicks the nodes, lets clamps and walls act,
 and lets the nodes drift. Points only integrate: their x, v, C and F follow the nodes before forces
@@ -369,7 +369,7 @@ class LatticeSolver:
         return self.phases.on_threads()
 
     def measure_if_due(self) -> bool:
-        """Measure the limits of the substep if necessary; return whether this was necessary."""
+        """Measure the limits of the substep if necessary; return whether they were measured."""
         due = self.clock.due
         if due:
             self._measure()

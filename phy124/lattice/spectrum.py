@@ -23,14 +23,14 @@ from phy124.mpm.model import Model
 
 ROUNDS, DAMPED, TRIAL = 60, 8, 1e-3
 """`ROUNDS`: power iterations for the largest frequency at rest. `DAMPED`: further iterations for
-the largest rate of damping. They start from the shape of the fastest vibration; if materials
-differ, others start from an arbitrary shape. `TRIAL`: size of trial displacements [cells].
+the largest rate of damping. These start from the shape of the fastest vibration; if materials
+differ, additional ones start from an arbitrary shape. `TRIAL`: size of trial displacements [cells].
 """
 FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
-"""A measurement takes one iteration. It takes `FOLLOWED` if the squared frequency exceeds its value
-at rest by the factor `SQUEEZED`, and the damping ratio of the fastest vibration is below
-`UNDAMPED`. The fastest vibration then moves through the body faster than single iterations can
-follow, and without viscosity it grows.
+"""A measurement takes one iteration, but takes `FOLLOWED` iterations if the squared frequency
+exceeds its value at rest by the factor `SQUEEZED` and the damping ratio of the fastest vibration is
+below `UNDAMPED`. The fastest vibration then moves through the body faster than single iterations
+can follow, and without viscosity it grows.
 """
 MIXED = 0.1
 """An iteration starts from the last shape plus the accelerations, scaled to this relative size."""

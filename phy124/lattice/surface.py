@@ -28,8 +28,8 @@ SUPPORTED = 0.5
 FLAT = 0.9
 """A point is at an edge if the mean of the normals within a cell is shorter than this."""
 SHARP, CLOSEST = 0.6, 24
-"""Mean length of the normals within a cell below which a part is a tip, a hair or a sheet, and
-largest number of normals in a mean.
+"""`SHARP`: a part is a tip, a hair or a sheet if the mean of the normals within a cell is shorter
+than this. `CLOSEST`: largest number of normals in such a mean.
 """
 
 

@@ -157,7 +157,7 @@ class Walls:
         return bool(self._clamps or self._contacts)
 
     def keep_impulses(self) -> None:
-        """Let the launches that `stages` returns next sum impulses per surface point and node."""
+        """Make the launches that `stages` returns next sum impulses per surface point and node."""
         self.impulses = Impulses(*self._around)
 
     def stages(self) -> list[list[Named]]:
@@ -297,7 +297,7 @@ class _Clamp:
 def _pins(
     lattice: RestLattice, far: NDArray[np.float64], affected: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return pairs of last held and first free node of a column, and the ratios in the pairs.
+    """Return pairs of a column's last held and first free node, and ratios of the pairs' motions.
 
     Args:
         lattice: The lattice at rest.
@@ -450,7 +450,7 @@ class _Contact:
 
 
 def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return for K indices of bodies whether a simple wall acts on the body [K]."""
+    """Return whether a simple wall acts on each of K bodies [K]."""
     if part.object is None:
         return np.ones(len(body), bool)
     return np.asarray(body == model.names.index(part.object))

@@ -407,7 +407,7 @@ class Crew:
         return self._kick(every, pool, self._donors, clock, self._still, out, self._middle)
 
     def compare(self, shape: wp.array, mixed: wp.array) -> tuple[wp.Launch, wp.Launch]:
-        """Record the launch that displaces the nodes by a shape, and the one for the next shape."""
+        """Record the launch that displaces nodes by a shape, and the launch for the next shape."""
         model, shift = self._model, [0.0, 0.0, 0.0, *self._tied, self._nodes.u, self.a, shape]
         trying, comparing = (
             make(model.real) for make in (node_kernels.make_try, node_kernels.make_compare)

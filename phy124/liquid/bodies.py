@@ -91,8 +91,8 @@ class Bodies:
         self._films = np.zeros((count, 2, 3))
         """Impulses and moments of films in the last step; `impulses` includes them."""
         self._centres, self._forces = np.zeros((count, 3)), np.zeros((count, 2, 3))
-        """Centre of mass of each body [m]; force [N] and torque [N m] that causes other than the
-        liquid and the weight exerted in the last step.
+        """Centre of mass of each body [m]; force [N] and torque [N m] exerted on it in the last
+        step by anything but the liquid and the weight.
         """
         self.impulses = np.zeros((count, 2, 3))
         """Impulse of the liquid on each body in the last step, and its moment about the origin."""
@@ -235,7 +235,7 @@ class Bodies:
     def _other(
         self, index: int, motion: Motion, kick: float, pull: NDArray[np.float64]
     ) -> tuple[NDArray, NDArray]:
-        """Return the impulse [N s], and its moment, of all causes other than the liquid.
+        """Return the impulse [N s] of everything except the liquid, and its moment.
 
         Forces other than the weight are included to the extent to which they acted in both of the
         last two steps, so that an impact is not assumed to continue in the next step.
@@ -345,7 +345,7 @@ class Bodies:
     def _weigh_layers(
         self, cells: Cells, region: Region, densities: wp.array | None
     ) -> tuple[float, wp.array]:
-        """Return the height of the lowest layer of liquid around a body, and the weight below each.
+        """Return the height of the lowest liquid layer around a body, and weights below all layers.
 
         Heights are in cells; weights are relative to the mean density, and empty for one liquid.
         """

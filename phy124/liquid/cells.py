@@ -189,7 +189,7 @@ class Cells:
         return self._regions[wall]
 
     def clear_walls(self) -> None:
-        """Reset the cells to a description without walls."""
+        """Reset the description in the cells to one without walls."""
         self.distances.fill_(FAR * self.dx)
         self.owners.fill_(-1)
         self.eighths.fill_(1.0)

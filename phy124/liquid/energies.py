@@ -48,7 +48,7 @@ class Energies:
     def __init__(
         self, model: Model, state: State, cells: Cells, workers: int, reflection: float
     ) -> None:
-        """Refer to the particles and cells of a run.
+        """Store the particles and cells of a run.
 
         Args:
             model: The particles.
@@ -67,7 +67,7 @@ class Energies:
         self._on = True
 
     def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses) -> None:
-        """Refer to walls and accelerations, and allocate the arrays of a window."""
+        """Store walls and accelerations, and allocate the arrays of a window."""
         self._walls, self._tracks, self._impulses = walls, tracks, impulses
         if self._on:
             self._before = wp.zeros_like(self._cells.velocity)
@@ -102,7 +102,7 @@ class Energies:
         return [(STAGE, self._model.launch(kernel, self._count, inputs, [self._row(worker)]))]
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
-        """Return a worker's launch that comes before (sign -1) or after (1) the displacements."""
+        """Return a worker's launch for displacements' work: before (sign -1) or after them (1)."""
         if not self._on:
             return []
         threads, *fraction = shared_out(run.stop - run.start, self._model.device)

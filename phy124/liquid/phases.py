@@ -95,8 +95,7 @@ class Phases:
         self.energies = Energies(model, state, cells, len(workers), self.reflection)
         """Work on the liquid by cause."""
         self.viscosity = self._mixture.viscosity / (density * model.dx**2)
-        """Rate at which velocities diffuse to a neighbouring face [1/s] if the density is the mean.
-        """
+        """Rate at which velocities diffuse to a neighbouring face [1/s] at the mean density."""
         self.fastest_diffusion = self._mixture.viscosity / (self._mixture.lightest * model.dx**2)
         """Upper bound of this rate [1/s]."""
 

@@ -26,7 +26,7 @@ class Solids:
     def __init__(
         self, model: Model, bodies: FreeBodies, density: float, projection: Projection
     ) -> None:
-        """Refer to the solids of a run.
+        """Store the solids of a run.
 
         Args:
             model: The particles of the liquid.

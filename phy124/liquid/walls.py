@@ -57,15 +57,15 @@ class Group:
     shape: str
     moves: bool
     reach: float
-    """As for a wall."""
+    """Largest distance of a solid's surface from its centre [m]; infinite for other walls."""
     first: int
-    """Number of the first wall."""
+    """Index of the first wall."""
     numbers: wp.array
-    """Numbers of the walls."""
+    """Indices of the walls."""
     geometries: wp.array
-    """Their shapes, as three vectors each."""
+    """Shapes of the walls, as three vectors each."""
     frame: wp.array
-    """As for a wall."""
+    """The numbers of a free solid (phy124/kernels/free/numbers.py); empty for other walls."""
 
 
 def walls_of(

@@ -73,9 +73,9 @@ class Material(Section):
     tint: Tint = Field(
         default=None,
         examples=["snow"],
-        description="Colour of the substance, as channels from 0 to 1 or a CSS name: the picture's "
-        f"colours keep {SHADING:.0%} of their contrast in brightness, liquids nothing. none: the "
-        "picture's colours.",
+        description="Colour of the substance, as channels from 0 to 1 or a CSS name. The picture "
+        f"keeps {SHADING:.0%} of its contrast in brightness, but liquids keep nothing of it. none: "
+        "the picture's colours.",
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
@@ -112,11 +112,11 @@ class Material(Section):
         return (0.0, 0.0)
 
     def wave_speed(self) -> float:
-        """Return the speed that limits the substep at rest, sqrt(A / rho) [m/s]."""
+        """Return the speed that limits the substep of undeformed material, sqrt(A / rho) [m/s]."""
         raise NotImplementedError
 
     def sound_speed(self) -> float:
-        """Return the speed of a pressure wave at rest [m/s]."""
+        """Return the speed of a pressure wave in undeformed material [m/s]."""
         return self.wave_speed()
 
     def viscous_limit(self, dx: float) -> float:
@@ -178,7 +178,7 @@ class Elastic(Material):
         return self.lame
 
     def wave_speed(self) -> float:
-        """Return the speed that limits the substep at rest, sqrt((3 lambda + 2 mu) / rho) [m/s].
+        """Return the speed sqrt((3 lambda + 2 mu) / rho) [m/s], which limits undeformed substeps.
 
         A negative lambda (nu < 0) is taken as zero: shear is then the stiffest motion.
         """
@@ -186,13 +186,16 @@ class Elastic(Material):
         return math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)
 
     def sound_speed(self) -> float:
-        """Return the speed of a pressure wave at rest, sqrt((lambda + 2 mu) / rho) [m/s]."""
+        """Return the speed sqrt((lambda + 2 mu) / rho) [m/s] of undeformed pressure waves."""
         mu, lam = self.lame
         return math.sqrt((lam + 2 * mu) / self.density)
 
 
 class Logarithmic(Elastic):
-    """Materials with a stress linear in Hencky strain; A is at most 2 mu (1 + x) + 3 lambda."""
+    """Materials with a stress linear in Hencky strain.
+
+    The modulus A is at most 2 mu (1 + x) + 3 lambda for a difference x of principal strains.
+    """
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
         """Return the largest strain up to which the stiffness grows by at most a given factor.

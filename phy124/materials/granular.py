@@ -108,7 +108,10 @@ class Snow(Elastic):
         default=0.0075, ge=1e-4, le=0.5, description="Stretch at which the snow starts to break."
     )
     hardening: float = Field(
-        default=10.0, ge=0, le=20, description="How fast packing stiffens it, by at most e^4."
+        default=10.0,
+        ge=0,
+        le=20,
+        description="Rate at which packing stiffens the snow, up to a factor e^4.",
     )
 
     @model_validator(mode="after")

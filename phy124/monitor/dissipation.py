@@ -27,7 +27,8 @@ from phy124.mpm.workers import Part
 STAGE = "dissipation"
 """Name of the stages that sum the work of the stress."""
 STRIDE = 16
-"""Length of a worker's row of sums; with it, no two workers write to the same cache line."""
+"""Length of a worker's row of sums; with this length, no two workers write to the same cache line.
+"""
 
 
 class Loss(NamedTuple):

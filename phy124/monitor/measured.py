@@ -19,7 +19,7 @@ from phy124.mpm.tracks import Tracks
 
 
 class Measured:
-    """Combines forces or boundaries; stages before and after theirs, if any, measure them."""
+    """Combines forces or boundaries; if they have stages, further stages measure the effect."""
 
     def __init__(
         self,

@@ -135,7 +135,7 @@ class Tearing(Observer):
 
     @property
     def likely(self) -> bool:
-        """Whether a piece has separated, or many particles are stretched so that one may have."""
+        """Whether a piece has separated, or may have, because many particles are stretched."""
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
     def snapshot(self) -> dict[str, Any]:
@@ -218,7 +218,7 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """Return the number of particles that are not in the largest remainder of their piece.
+        """Return the number of particles outside the largest remainder of their piece.
 
         Args:
             x: Current positions [P,3], m.

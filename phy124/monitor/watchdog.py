@@ -53,8 +53,8 @@ PROJECTED = 0.2
 Layers thinner than a cell press on walls with up to a quarter less than their weight.
 """
 CROWDED = 0.1
-"""If the mean excess of density in a liquid by projection is above this, its walls leave it too
-little room.
+"""If the mean excess of density in a liquid by projection is above this, the space between the
+walls is too small for the liquid.
 """
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 """Largest energy that rounding may lose, as a fraction of the sum of absolute work."""
@@ -89,7 +89,8 @@ class Balance:
     """The balance of energy and momentum of a run, updated frame by frame."""
 
     turnover: float = 0.0
-    """Largest value so far of `energy_supplied` [J]: the energy that the object had or could lose.
+    """Largest value so far of `energy_supplied` [J]: the energy that the object had at the start or
+    received, and so could lose.
     """
     moved: float = 0.0
     """All momentum transferred [kg m/s]."""
@@ -349,7 +350,7 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Return causes of an unstable run: the substep, and more if the motion is violent."""
+        """Return causes of an unstable run: the substep, and others if the motion is violent."""
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("damping", "solver", "substep", "law", "push") if violent else ("substep",)
 

@@ -21,8 +21,8 @@ PER_CELL, MOST_CELLS = 2, 256
 a cell of their bounding box, and largest number of cells per axis.
 """
 FARTHEST = 4.0
-"""Distance, in mean distances of particles, beyond which a particle carries a Gaussian only if no
-particle is nearer, because the grid does not connect material so far apart.
+"""Beyond this distance, in mean distances of particles, only the nearest particles carry a
+Gaussian, because the grid does not connect material so far apart.
 """
 
 
@@ -63,7 +63,7 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
 
 
 def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
-    """Return each Gaussian's value [N], of its particle or the nearest one, from values [P]."""
+    """Return the value of each Gaussian's own or nearest particle [N], from values [P]."""
     # Equal values, for example of a single material, need no search.
     if len(values) and (values == values[0]).all():
         return np.repeat(values[:1], len(gaussians), axis=0)
@@ -79,7 +79,7 @@ def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> 
 def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return each Gaussian's carriers [N,K], which are of its object, and their weights [N,K]."""
+    """Return each Gaussian's carriers [N,K], all of the same object, and their weights [N,K]."""
     if particles.body is None or gaussians.object_id is None:
         return _carriers_within(gaussians.means, particles.x, particles.volume)
     neighbours = np.zeros((len(gaussians), CARRIERS), np.int32)
@@ -137,8 +137,9 @@ def find_carriers(
 
 
 def _bound_particles(count: int, particles: Particles | None) -> NDArray[np.int32] | None:
-    """Return the particle of each Gaussian [N]; None if they have the same order, or with
-    `lattice`.
+    """Return the particle of each Gaussian [N], or None.
+
+    None means that Gaussians and particles have the same order, or that the binding is a lattice.
     """
     if particles is None or (particles.gaussian < 0).all():
         return None

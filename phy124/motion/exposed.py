@@ -40,16 +40,14 @@ class Exposed:
 
     @cached_property
     def _starts(self) -> NDArray[np.intp]:
-        """Index of the first exposure of each frame if sorted by frame; the last entry is their
-        number.
-        """
+        """Index of each frame's first exposure, if sorted by frame; the last entry is `E`."""
         frames = np.arange(self.frame.max(initial=-1) + 2)
         return np.searchsorted(self.frame[self._by_frame], frames)
 
     def show(
         self, row: Mapping[str, Array], index: int, grains: NDArray[np.intp]
     ) -> dict[str, Array]:
-        """Return the arrays of a frame with the centres and sizes that these Gaussians have in it.
+        """Return a frame's arrays with the centres and sizes of these Gaussians in that frame.
 
         Args:
             row: Arrays of M Gaussians by name; those of a hidden Gaussian are those of the Gaussian

@@ -38,7 +38,9 @@ Packed = tuple[Tensors, dict[str, Any]]
 """Arrays [bytes] by name, and the facts that `unpack` needs to unpack them."""
 STATIC = ("means", "quats", "scales", "opacities", "sh", "object_id")
 EXPOSED = ("above", "grain", "frame", "x")
-"""Names of the arrays of `Exposed` besides its Gaussians; in a file they begin with `exposed.`."""
+"""Names of the arrays of `Exposed` besides its Gaussians; in a file, these names begin with
+`exposed.`.
+"""
 
 
 def pack(motion: Motion) -> Packed:

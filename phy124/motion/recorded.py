@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 KEPT = 256e6
 """Size up to which all computed frames of a clip are kept [bytes]."""
 NEAR = 4
-"""Number of computed frames that are kept if a clip is larger than that."""
+"""Number of computed frames that are kept if a clip is larger than `KEPT`."""
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 STATES = 16e6
@@ -80,7 +80,7 @@ class Motion:
     poses: NDArray[np.float64]
     """Centres [m] and rotations (wxyz) of the rigid solids [T,R,7]."""
     binding: Binding | None = None
-    """Particles that carry the Gaussians that move, if they are known."""
+    """Particles that carry the moving Gaussians, if these particles are known."""
     exposed: Exposed | None = None
     """Further Gaussians that become visible where the object tears."""
     describes: tuple[Any, ...] = ()
@@ -175,9 +175,7 @@ class Recorded:
             return row
 
     def measurements(self, *, every: bool = True) -> list[Any]:
-        """Return the measurements of all frames, or only of the frames computed so far and the
-        first one.
-        """
+        """Return the measurements of all frames, or only of the first and those computed so far."""
         for index in range(len(self) if every else 1):
             if index not in self._measured:
                 self.row(index)
@@ -265,7 +263,7 @@ class Torn:
     """
 
     def __init__(self, recorded: Frames, exposed: Exposed) -> None:
-        """Refer to frames that lack these Gaussians."""
+        """Store the frames, which lack these Gaussians."""
         self._recorded, self._exposed = recorded, exposed
         self.count, self.turns = recorded.count + len(exposed.above), recorded.turns
         self._last: tuple[int, dict[str, Array]] = -1, {}

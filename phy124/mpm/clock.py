@@ -33,8 +33,9 @@ class Clock:
         substep. A substep counts as the ratio of its length to the length that the limit allowed.
         """
         self.extremes = self.recent = Extremes(0.0, 0.0, 0.0)
-        """The values that limit substeps, as last measured, and their maxima since the host last
-        read them. The host reads them only every few substeps if the device takes substeps alone.
+        """The values that limit substeps, as last measured, and the maxima of these values since
+        the host last read them. If the device takes substeps alone, the host reads only every few
+        substeps.
         """
         self.strain_rate = 0.0
         """Largest recent |C| [1/s]; |C| alone would be zero at the turning point of a vibration."""

@@ -177,7 +177,7 @@ class FreeBodies:
         return self._bodies
 
     def total(self, index: int) -> wp.array:
-        """Return the sums of what a solid has transferred to the first body of particles."""
+        """Return a solid's sums of impulse and work on the first body of particles [GIVEN]."""
         return self._totals[index][0]
 
     def _zeros(self, size: int) -> wp.array:
@@ -263,12 +263,12 @@ class FreeBodies:
         self._begun = self._total()
 
     def _total(self) -> NDArray[np.float64]:
-        """Return the sums of what each solid has transferred to each body [F,bodies,GIVEN]."""
+        """Return each solid's sums of impulse and work on each body [F,bodies,GIVEN]."""
         rows = [[sums.numpy() for sums in of_one] for of_one in self._totals]
         return np.array(rows, float).reshape(len(self.all), self._model.bodies, kernels.GIVEN)
 
     def impulses(self) -> NDArray[np.float64]:
-        """Return sums of what solids have transferred to all particles since the start [GIVEN]."""
+        """Return all solids' sums of impulse and work on all particles since the start [GIVEN]."""
         return self._total().sum(axis=(0, 1))
 
     @property
@@ -349,8 +349,7 @@ class FreeBodies:
 
 
 _GRIP = {"sticky": 1e9, "slip": 0.0}
-"""Friction coefficient for kinds of contact that have a fixed one; a solid may leave a sticky wall.
-"""
+"""Fixed friction coefficients by kind of contact; a solid may leave even a sticky wall."""
 
 
 def refuse_thin(solid: FreeBody, dx: float) -> None:

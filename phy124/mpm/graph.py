@@ -203,7 +203,7 @@ class Mirrored:
         wp.copy(self.array, self._staged)
 
     def download(self) -> NDArray[Any]:
-        """Return the items in memory that the next call overwrites."""
+        """Return the items; the next call overwrites their memory."""
         wp.copy(self._staged, self.array)
         wp.synchronize_device(self.array.device)
         return self._values

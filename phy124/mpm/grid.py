@@ -21,7 +21,9 @@ from phy124.mpm.timestep import TRAVEL, Maxima
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Lowest and highest corner of a box [m]."""
 MARGIN = 2 * TRAVEL
-"""Margin of the window around the particles [cells]: twice their travel between measurements."""
+"""Margin of the window around the particles [cells]: twice the largest travel of a particle between
+measurements.
+"""
 CROSSED = "particles crossed more cells than allowed between two measurements"
 FARTHEST = 2**30
 """Distance from the origin [cells] up to which the device can compute indices of nodes."""
@@ -139,7 +141,7 @@ class Grid:
         return low, high
 
     def run(self, particles: int) -> slice:
-        """Return the span, of `particles` particles, that launches recorded now may push."""
+        """Return the span, among `particles` particles, that launches recorded now may push."""
         ends = (self.worker, self.worker + 1)
         return slice(*(particles * end // self.workers for end in ends))
 

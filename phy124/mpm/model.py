@@ -71,7 +71,7 @@ class Model:
     origin: tuple[float, float, float]
     """Position of node (0, 0, 0) of the grid [m]."""
     cfl: float
-    """Fraction of the elastic limit of the substep that the laws' parameters assume."""
+    """Length of substeps that the laws' parameters assume, as a fraction of the elastic limit."""
     precision: str
     """float32 or float64."""
     device: str

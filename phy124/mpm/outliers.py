@@ -99,7 +99,7 @@ class Outliers:
         return True
 
     def around(self, part: Part, gather: Recorded, grid: Grid, tracks: Tracks) -> list[Recorded]:
-        """Return a part's gather; if the part has outliers, launches before and after move these.
+        """Return a part's gather, between launches that move the part's outliers, if any.
 
         Args:
             part: Some of the particles.

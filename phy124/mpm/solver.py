@@ -50,7 +50,9 @@ from phy124.mpm.workers import (
 MEASURE, GLANCE = -2, -3
 """Two tasks of workers in addition to the phases: measure all limits, or only speeds."""
 CALM = 0.9
-"""Fraction of the stable growth of stiffness that is allowed between two measurements."""
+"""Growth of stiffness allowed between two measurements, as a fraction of the growth that would
+still be stable.
+"""
 
 
 class Solver:

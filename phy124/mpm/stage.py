@@ -30,7 +30,9 @@ class Stage(NamedTuple):
     alone: bool = False
     """Whether one worker launches the stage for all layers while the others wait."""
     with_update: Callable[[Grid], wp.Launch | None] | None = None
-    """Records one launch for the stage and the grid update together; None if the stage cannot."""
+    """Records one launch for the stage and the grid update together; None if the two cannot be
+    combined.
+    """
     limit: Callable[[float, float], float] | None = None
     """Returns the largest acceleration of a particle [m/s^2] between two times [s]; None: use the
     track.

@@ -21,7 +21,9 @@ from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
 ROUNDS, NAP = 20, 5e-5
-"""Number of spins of a barrier that only yield the core, and sleep [s] between later spins."""
+"""Number of spins of a barrier that only yield the core; duration of the sleep [s] between later
+spins.
+"""
 SPINS = 100_000
 """Number of checks of the barrier per spin if every thread has its own core; else it is 1."""
 Task = TypeVar("Task")

@@ -39,7 +39,7 @@ class Table(Section):
     """Base class of time profiles: a table of times [s] and factors, used once or repeated."""
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times since the start [s] and their factors, with linear interpolation between."""
+        """Return times since the start [s] and the factors at these times; linear in between."""
         raise NotImplementedError
 
     @property

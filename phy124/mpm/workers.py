@@ -171,13 +171,13 @@ class Slabs:
 
     @property
     def outgrown(self) -> bool:
-        """Whether slabs have grown enough since the last division for a new one to save time."""
+        """Whether slabs have grown so much since the last division that a new one saves time."""
         if self._share == 0:
             self._share = self.share
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
 
     def divide(self, order: NDArray[np.integer] | None = None) -> None:
-        """Give workers equal numbers of each group's particles, in memory order or `order` [P]."""
+        """Give workers equal shares of each group's particles, in memory order or `order` [P]."""
         count = len(self.workers)
         order = np.arange(len(self._model)) if order is None else order
         for group in self._model.groups:
@@ -188,7 +188,7 @@ class Slabs:
         self._share_out()
 
     def divide_again(self, lower: NDArray, upper: NDArray) -> None:
-        """Divide the particles along the longest axis of their box between these corners [m]."""
+        """Divide the particles along the longest axis of a box with these corners [m]."""
         x: NDArray[Any] = self._state.x.numpy()
         layer = layers(np.clip(x, lower, upper), int(np.argmax(upper - lower)), self._model.dx)
         orders = [

@@ -60,9 +60,7 @@ class Placed(NamedTuple):
     """Interior of the object; None if it is not known yet."""
 
     def within(self, scene: Scene) -> Placed:
-        """Return the object in another scene, which has another grid, with the object's own
-        parts.
-        """
+        """Return the object in another scene with another grid; it keeps the object's own parts."""
         return self._replace(scene=scene.model_copy(update={"parts": self.scene.parts}))
 
 
@@ -161,7 +159,7 @@ def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
 
 
 def notes(scene: Scene) -> list[str]:
-    """Return a note for each object after the first that the grid hardly resolves."""
+    """Return a note for each object, except the first, that the grid hardly resolves."""
     return [
         f"{body.name} is {body.size / scene.dx:.0f} cells long, which is coarse: the grid spacing "
         f"follows from the size of {scene.object.name}; a larger accuracy.cells resolves it."
@@ -315,7 +313,7 @@ def _without_particles(placed: Placed) -> Body:
 
 
 def _join(bodies: list[Body], scene: Scene) -> Body:
-    """Join all objects; the grains of all objects follow the surfaces of all objects."""
+    """Join all objects; first come the surfaces of all objects, then the grains of all objects."""
     refuse_objects([body.appearance.particles for body in bodies], scene)
     pairs = zip(scene.objects, bodies[1:], strict=True)
     objects = [item.model_copy(update={"parts": body.scene.parts}) for item, body in pairs]

@@ -38,9 +38,7 @@ def place(gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]) -> G
 def shift(
     gaussians: Gaussians, chosen: NDArray[np.bool_], offset: tuple[float, float, float]
 ) -> Gaussians:
-    """Move the chosen Gaussians by an offset [m]; coordinates whose offset is zero stay bit for
-    bit.
-    """
+    """Shift the chosen Gaussians by an offset [m]; a zero offset keeps coordinates bit for bit."""
     if not any(offset):
         return gaussians
     means = gaussians.means.copy()
@@ -89,9 +87,7 @@ def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
 
 
 def _gap(below: Gaussians, above: Gaussians, cell: float) -> float | None:
-    """Return the smallest vertical gap between two objects over common squares [m]; None without
-    any.
-    """
+    """Return the smallest vertical gap between two objects [m]; None if no square has both."""
     tops, bottoms = _heights(below, cell, 1.0), _heights(above, cell, -1.0)
     gaps = [-bottoms[at] - tops[at] for at in tops.keys() & bottoms.keys()]
     return min(gaps, default=None)

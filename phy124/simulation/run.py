@@ -95,7 +95,7 @@ class Simulation:
         """Indices of the frames that were repeated with half the substep."""
         self.stopped: str | None = None
         self.remedies: tuple[Remedy, ...] = ()
-        """The reason of a stop, and its remedies; None and empty unless the run has stopped."""
+        """The reason for a stop, and its remedies; None and empty unless the run has stopped."""
         self.remarks: list[str] = []
         """Further notes for the report."""
 

@@ -47,7 +47,7 @@ class Setup:
     crop: Crop
     """Position of the object in the picture; the masks of parts were painted on this picture."""
     scene: Scene
-    """The scene, with the solver that is used for elastic objects on the device."""
+    """The scene, with the solver that the device uses for elastic objects."""
     no_lattice: str
     """Reason why no object is on a lattice; empty if elastic objects are on lattices."""
     solid_scene: Scene
