@@ -12,8 +12,8 @@ from contextlib import contextmanager
 
 STOPPED = "bridge: stopped\n"
 ALWAYS = ("SIGINT",)
-"""Signals that end a node, even if it has inherited from its parent process to ignore them; `ros2
-launch` sends SIGINT."""
+"""Signals that end a node even if its parent process made it ignore them; `ros2 launch` sends
+SIGINT."""
 
 
 # Import only light modules above: until `importing` runs, Ctrl-C would show a traceback.

@@ -33,7 +33,7 @@ REQUIREMENTS: dict[str, Callable[[], None]] = {
 }
 """Outlet -> function that raises InputError if the package that the outlet needs is missing."""
 AUTOMATIC = ("rclpy", "dds")
-"""Backends that `auto` tries in this order; it uses only one, because through two, each frame would
+"""Backends that `auto` tries in this order. It uses only one of them: with two, each frame would
 arrive twice."""
 
 

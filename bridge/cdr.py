@@ -130,7 +130,7 @@ def _member(member: Field) -> Encoder:
 
 
 def _numbers(member: Field) -> Encoder:
-    """Return the encoder of a sequence or array of primitives, which is copied in one piece."""
+    """Return the encoder of a sequence or array of primitives; it copies them in one piece."""
     dtype = np.dtype("<" + PRIMITIVES[member.base])
 
     def encode_numbers(body: _Body, value: Any) -> None:

@@ -343,7 +343,7 @@ class Recover:
     path: tyro.conf.Positional[Path]
     """The bag folder or the .mcap file."""
     output: Path | None = None
-    """File for the repaired copy, which leaves the damaged recording unchanged."""
+    """File for the repaired copy; the damaged recording then stays unchanged."""
 
     def run(self, say: Say) -> int:
         """Repair the recording; print how many frames were recovered."""

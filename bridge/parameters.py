@@ -285,8 +285,8 @@ KINDS: dict[type, tuple[str, Callable[[Any], Any]]] = {
     tuple: ("a list of numbers", _numbers),
     list: ("a list of texts", _texts),
 }
-"""Type of the default -> its name in messages, and its conversion, which returns None for a value
-of the wrong type."""
+"""Type of the default -> name of the type in messages, and conversion to the type, which returns
+None for a value of another type."""
 
 
 def _example(default: Any) -> str:

@@ -142,6 +142,7 @@ class Controls:
     clock: bool = False
     """Whether /clock is published."""
     patient: bool = True
-    """Whether frames wait for slow subscribers, which delays the program that computes them."""
+    """Whether frames wait for slow subscribers; the program that computes the frames is then
+    delayed."""
     values: Callable[[], Mapping[str, Any]] = dict
     """Returns values that the diagnostics show in addition to the state of playback."""

@@ -15,13 +15,13 @@ DRAIN = 1 << 28
 VALUES, DEEPEST = 50_000, 40
 """Largest number of values in the JSON of a request, and largest nesting depth."""
 HELD, SMALL = 128_000_000, 64_000
-"""Limit of the memory for incomplete bodies, and size up to which a body is exempt from this limit
-[bytes]."""
+"""Limit on the memory for all incomplete bodies together, and size up to which a body does not
+count towards it [bytes]."""
 ODD = "This request cannot be read: it has too many values, or they are nested too deeply."
 
 
 class BodyLimit:
-    """Refuses bodies that are too large, even if they declare no size, and JSON with too many
+    """Refuses bodies that are too large (also those that declare no size) and JSON with too many
     values.
 
     Gradio parses JSON in its main thread: three million numbers would block all visitors for a

@@ -190,7 +190,7 @@ def _check_counts(data: dict[str, Any], settings: Settings) -> None:
 
 
 def _refuse_makers(scene: Scene) -> None:
-    """Refuse further objects from a generator or a file, because this process would read the file.
+    """Refuse further objects that a generator or a file makes: this process would read the file.
 
     Raises:
         InputError: The scene has such an object.

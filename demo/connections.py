@@ -22,8 +22,8 @@ HEAD, BODY, STALLED = 20.0, 120.0, 60.0
 """Longest time to receive a request's head, to receive its body, and to wait until an answer is
 read [s]."""
 FILES, UNLIMITED = 16_384, 512
-"""Number of open files and connections that the page asks the system for, and the number assumed if
-the system has no such limit."""
+"""Limit on open files and connections that the page requests from the system, and limit that is
+assumed if the system has none."""
 AT_ONCE = 2048
 """Largest number of connections that are accepted at once; this is uvicorn's default."""
 

@@ -136,7 +136,7 @@ def _bridge() -> bool:
 
 
 def _write_format(format: Format, done: Done, path: Path) -> None:
-    """Write the clip if the format holds motion, else its first frame."""
+    """Write the clip if the format holds motion, else the clip's first frame."""
     clip = Clip.load(done.clip / "clip.safetensors")
     if format.write_clip is not None:
         format.write_clip(path, clip)

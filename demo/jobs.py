@@ -229,7 +229,7 @@ class Studio:
     def _with_error(
         self, estimate: Estimate, name: str, source: Source | None, scene: Scene, extras: Any
     ) -> Estimate:
-        """Return a forecast with the error bound of this object, or the error measured on it."""
+        """Return a forecast with this object's error bound, or with the error measured on it."""
         about = (name, source, scene, extras)
         promise = promise_of(scene, self.proportions(*about), self.study(*about))
         return replace(estimate, promise=promise)

@@ -33,7 +33,7 @@ SERVER = {
 
 
 SUBJECTS = {"image": "The file", "video": "The video", "depth": "The depth map"}
-"""Field of an error -> its name in the message to the visitor."""
+"""Field of an error -> the field's name in the message to the visitor."""
 
 
 class Job:

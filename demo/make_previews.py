@@ -126,7 +126,9 @@ def _simulate(scene: Scene, example: str) -> Clip:
 
 
 def _thin(clip: Clip, step: int) -> Clip:
-    """Keep every `step`-th frame and some Gaussians, enlarged to cover the same area."""
+    """Keep every `step`-th frame, and some of the Gaussians, which are enlarged to cover the same
+    area.
+    """
     count = clip.means.shape[1]
     chosen = np.sort(np.random.default_rng(0).permutation(count)[:SPLATS])
     frames = []

@@ -27,7 +27,7 @@ WINDOW = 5
 FIXED = 0.7
 """Largest fraction of a usual run's time that is attributed to fixed costs."""
 MINIMUM = 0.2
-"""A run corrects a cost only if its work is at least this fraction of that in the first
+"""A run corrects a cost only if the run's work is at least this fraction of the work in the first
 measurement."""
 
 

@@ -1,4 +1,4 @@
-"""Limits of disk space for visitors' files, and uploads whose visitor is unknown."""
+"""Limits the disk space of visitors' files, and keeps uploads whose visitor is unknown."""
 
 from __future__ import annotations
 

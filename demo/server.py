@@ -269,7 +269,7 @@ def _sweep(studio: Studio) -> None:
 
 
 def end_on_signals() -> None:
-    """Make SIGTERM end the page like Ctrl-C, which removes all files."""
+    """Make SIGTERM end the page as Ctrl-C does, so that all files are removed."""
     import signal
 
     def end(number: int, _: Any) -> None:
@@ -280,7 +280,8 @@ def end_on_signals() -> None:
 
 
 def reach_itself(host: str) -> None:
-    """Let this process reach the page at `host` without a proxy, since Gradio does so at its start.
+    """Let this process reach the page at `host` without a proxy: Gradio requests the page at its
+    start.
 
     Proxies that httpx cannot use, such as SOCKS without its package, are removed with a warning,
     because Gradio's client would fail to start.

@@ -30,7 +30,7 @@ UPLOADS = re.compile(r"/gradio_api/upload\b")
 RECEIVED, RECEIVED_EACH = 64, 8
 """Largest number of parallel uploads, in total and per address."""
 TOOLS = "/gradio_api/mcp"
-"""URL of the tools for agents, the same as of Gradio's own MCP server."""
+"""URL of the tools for agents; Gradio's own MCP server uses the same URL."""
 TOOLS_EACH = 4
 """Largest number of tools that an address may use in parallel."""
 PRESENT = 64

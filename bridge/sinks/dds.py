@@ -37,7 +37,7 @@ AT_ONCE = 16
 """Largest number of messages or requests that are read from a topic before the next topic is
 read."""
 HEADER = struct.Struct("<Qq")
-"""Client identity and request number; 16 bytes, which keeps the following members aligned."""
+"""Client identity and request number; 16 bytes long, so that the following members stay aligned."""
 
 
 class DdsSink:

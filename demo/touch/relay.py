@@ -92,7 +92,7 @@ def _call(loop: asyncio.AbstractEventLoop, act: Callable[[], None]) -> None:
 
 
 async def _closed(process: asyncio.subprocess.Process, tasks: list[asyncio.Task[None]]) -> None:
-    """Wait until a process has ended, and read its pipes to the end, which closes the pipes."""
+    """Wait until a process has ended, and read its pipes to the end; this closes the pipes."""
     await asyncio.gather(*tasks, return_exceptions=True)
     assert process.stdin is not None
     process.stdin.close()

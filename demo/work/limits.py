@@ -75,7 +75,7 @@ def easier(scene: Scene) -> str:
 
 @contextmanager
 def hold_device(order: Order) -> Iterator[None]:
-    """Hold the device; raises Cancelled if the job is asked to stop while it waits."""
+    """Hold the device; raises Cancelled if the job is asked to stop while waiting for it."""
     while not DEVICE.acquire(timeout=BEAT):
         if order.stop.exists():
             raise Cancelled

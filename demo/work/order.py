@@ -1,4 +1,4 @@
-"""The order that a click on the page gives, and the files that it makes."""
+"""An order, which a click on the page creates, and the files that the order's job writes."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ VIEWED = ("view", "accuracy", "description")
 VECTOR, BYTES_SHOWN, BYTES_AT_REST = 12, 10, 200
 """Bytes per Gaussian: for a vector, for a frame in the viewer, and for the object at rest."""
 BYTES_MOVED = 8
-"""Bytes per frame that a clip takes for the motion of each particle that carries Gaussians. A swung
-object takes 7 bytes, and has fewer such particles than Gaussians (docs/lab/sizes.md)."""
+"""Bytes per frame and particle that a clip takes for the motion of particles that carry Gaussians.
+A swung object takes 7 bytes, and has fewer such particles than Gaussians (docs/lab/sizes.md)."""
 BYTES_OF_FILMS = 2_000_000
 """Approximate size of a run's videos [bytes]."""
 COMPOSING, EACH = 210, 1800
-"""Cost of matching camera and colours to a photograph: as much as rendering this number of
-pictures, plus this number of pixels per Gaussian."""
+"""Cost of matching camera and colours to a photograph: the number of pictures that would take as
+long to render, and a number of rendered pixels per Gaussian in addition."""
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
 
 
 def _thin(frame: Frame, chosen: np.ndarray) -> Frame:
-    """Select some of a frame's Gaussians, and enlarge them to cover the same area."""
+    """Select some of a frame's Gaussians, and enlarge these to cover the same area."""
     g = frame.gaussians
     larger = g.scales[chosen] * (len(g) / len(chosen)) ** 0.5
     some = Gaussians(g.means[chosen], g.quats[chosen], larger, g.opacities[chosen], g.sh[chosen])

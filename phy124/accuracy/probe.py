@@ -303,7 +303,7 @@ class Pilot:
     factors: NDArray[np.float64] | float = 1.0
     """Factor on Young's modulus at each frame [T]."""
     excess: float = EXCESS
-    """Exponent of the growth with the cells of the further substeps, relative to those at rest."""
+    """Excess exponent: the substeps beyond those at rest grow as cells^(1 + excess)."""
     dx: float = 1.0
     """Side of a cell [m]."""
     stages: Stages = field(default_factory=dict)

@@ -49,7 +49,7 @@ TAKES = {
     "export": ("clip", "a clip"),
     "evaluate": ("clip", "a clip"),
 }
-"""Command -> its field that names a file, and the kind of file it takes."""
+"""Command -> the field that names its file, and the kind of file that it takes."""
 TAKES_MESHES = ("generate", "simulate", "orient")
 """Commands that also take a mesh."""
 USES = {

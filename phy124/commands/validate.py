@@ -57,7 +57,8 @@ class Validate:
     """Print as JSON and nothing else."""
 
     def run(self) -> int:
-        """Run and print; return status 1 if a control or a run fails, or a deviation is new.
+        """Run the experiments; return status 1 if a control or a run fails, or if a deviation is
+        new.
 
         Raises:
             InputError: There is no such experiment, or its results cannot be written.

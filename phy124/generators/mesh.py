@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 UPRIGHT = {"glb": Y_UP, "gltf": Y_UP, "obj": Y_UP, "stl": ("z", None), "ply": ("z", None)}
 """Up and front directions by file format."""
 STL_HEAD, STL_ROW = 84, 50
-"""Sizes of a binary STL's header, which ends with the number of triangles, and of one triangle
+"""Size of a binary STL's header, which ends with the number of triangles, and size of one triangle
 [bytes]."""
 LARGEST = 200_000_000
 """Largest file size [bytes]; larger files are refused before they are read."""

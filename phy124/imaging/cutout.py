@@ -43,14 +43,14 @@ touches three."""
 PIECES = 4
 """From this number of separate pieces on, a cut-out is suspicious."""
 UNSEEN = 0.12
-"""If more than this fraction of the outline has no image edge, a cut-out is suspicious; correct
-cut-outs have 0.05."""
+"""A cut-out is suspicious if more than this fraction of its outline lies where the image has no
+edge; correct cut-outs have 0.05."""
 ALIKE = 0.1
-"""If more than this fraction of the surroundings has the object's colours, a cut-out is suspicious;
+"""A cut-out is suspicious if more than this fraction of its surroundings has the object's colours;
 correct cut-outs have 0.09."""
 UNDECIDED = 0.02
-"""If the half-transparent area away from the outline, divided by the object's area, is more than
-this, a network's cut-out is suspicious."""
+"""A network's cut-out is suspicious if its half-transparent area away from the outline, divided by
+the object's area, is more than this."""
 FAINT = "Nothing in the picture is opaque; its most opaque part is treated as opaque."
 REMEDY = (
     "Use a picture that shows one whole object on a plain background, give a mask (white where "

@@ -62,7 +62,7 @@ class Purpose(NamedTuple):
     minimum: int
     """Smallest allowed width and height [pixels]."""
     colours: bool = True
-    """Whether its values are colours, to which the colour profile applies."""
+    """Whether the values are colours, so that the colour profile applies to them."""
     deep: bool = False
     """Whether all grey levels are kept; the result then has mode F or L, not RGBA."""
 

@@ -24,7 +24,7 @@ SIDE, MARGIN = 200, 3
 """Longest side to which the object is reduced to search it for a rim, and the margin around it
 [pixels]."""
 UPPER = 0.5
-"""The rim's centre may lie in this fraction of the height, counted from the top."""
+"""Fraction of the object's height, from the top, in which the rim's centre may lie."""
 WIDE = 0.2
 """Smallest width of a rim, relative to the object's longest side."""
 ASPECTS = (0.08, 0.6)

@@ -1,4 +1,4 @@
-"""Samples a grey image, which is painted over the object's image, at points of the object."""
+"""Samples, at points of the object, a grey image that was painted over the object's image."""
 
 from __future__ import annotations
 

@@ -28,14 +28,14 @@ from phy124.motion.recorded import Computed, Motion, frames_of, make_arrays
 
 FORMAT = "phy124-clip"
 VERSION, MOTION = "1", "2"
-"""Format versions: version 1 stores the values of every frame, version 2 a motion from which they
-are computed."""
+"""Format versions: version 1 stores the values of every frame, version 2 stores a motion from which
+the values are computed."""
 SPARE = " " * 8192
 """Spare space in the header, so that a longer report can replace the first one."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
 OPTIONAL = ("rotations", "velocities", "contacts")
 DESCRIBED = ("means", "quats", "scales", "rotations", "opacities", "sh", "object_id")
-"""Arrays that the file of a clip can replace by a motion from which they are computed."""
+"""Arrays that a clip's file may store as a motion, from which they are then computed."""
 WALLS = "wrenches"
 OBJECT = "object_id"
 MADE = "Give a clip.safetensors made by `phy124 generate`."

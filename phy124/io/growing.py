@@ -196,7 +196,7 @@ class Growing:
         return True
 
     def place(self) -> dict[str, Any]:
-        """Return, as plain data, the description from which `there` reopens the file."""
+        """Return, as plain data, the description that `there` needs to reopen the file."""
         return {"file": self.path.name, "tensors": self.tensors}
 
     @classmethod

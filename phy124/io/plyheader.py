@@ -26,7 +26,7 @@ ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 MOST_DIGITS = 30
 """Largest number of digits in a row count."""
 LINE_ENDS = rb"\r\n|\n|\r"
-"""Byte sequences that end a line; `str.splitlines` is not used because it splits at others, too."""
+"""Byte sequences that end a line; `str.splitlines` is not used because it also splits elsewhere."""
 SPLATS = "Keep the file unchanged: `phy124 convert`, `phy124 simulate` and other commands read it."
 CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give OUT.ply."
 

@@ -119,7 +119,7 @@ def check_number(field: str, value: float, least: float, most: float) -> float:
 
 
 def shorten(field: str, value: Sequence[float], most: float, unit: str) -> tuple[Vector, str]:
-    """Limit a vector's length; return it with a sentence that is empty if it is unchanged.
+    """Limit a vector's length; return the vector, and a sentence, which is empty without a change.
 
     Args:
         field: Name in error messages.

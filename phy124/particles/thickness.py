@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from phy124.particles.solid import ACROSS, Solid
 
 FRACTION = 0.1
-"""Fraction of the volume that may be thinner than the thickness that is reported."""
+"""Fraction of the volume that may be thinner than the reported thickness."""
 FOOT = 0.12
 """Fraction of the height that is clamped when the compliance is computed."""
 

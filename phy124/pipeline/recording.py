@@ -229,7 +229,7 @@ def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, R
 
 
 def sweep(out: Path) -> None:
-    """Remove the frame files of killed runs from a folder, but not the file that its pause
+    """Remove the frame files of killed runs from a folder, except the file that the folder's pause
     needs.
     """
     leftover = list(out.glob(FRAMES.format("*")))

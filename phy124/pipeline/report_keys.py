@@ -224,7 +224,7 @@ class Energy(TypedDict):
     substeps: NotRequired[float]
     """Part of `numerical`: elastic energy lost because substeps have a finite length."""
     unexplained: NotRequired[float]
-    """Part of `numerical`: `kinetic` without all works, which is a rounding error."""
+    """Part of `numerical`: the sum of all works minus `kinetic`, which is a rounding error."""
     projection: NotRequired[float]
     """Part of `numerical`: loss by the pressure equation; this key and the following ones are for
     liquids by pressure projection.

@@ -87,7 +87,7 @@ class RunFolder:
     error: bool = True
     """Whether the run's own error is estimated, if that is cheap (`phy124.accuracy.companion`)."""
     packing: Future[Packed | None] = field(init=False)
-    """The packed motion of the clip, which a second thread computes."""
+    """The packed motion of the clip, which another thread computes."""
 
     def __post_init__(self) -> None:
         self.files = {CUTOUT: self.cutout} if self.cutout is not None else {}

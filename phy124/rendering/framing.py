@@ -78,8 +78,8 @@ def still_camera(clip: Clip, view: View, side: str) -> Camera:
 
 
 def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
-    """Place cameras as near as the motion allows; they show at most `LARGEST` object sizes of the
-    motion.
+    """Place cameras as near as the motion allows; they show a motion of at most `LARGEST` object
+    sizes.
     """
     low, high = _box(clip, view)
     size = float((high - low).max())

@@ -38,8 +38,8 @@ second they do not fade."""
 MOVES = (-0.35, 0.9)
 """Largest displacements onto the surface, inwards and outwards, in cells."""
 OVERLAP, NARROW, BROAD, WIDEST, FLAT = 0.95, 0.4, 0.55, 0.7, 0.3
-"""Discs. Their radius relative to the distance between discs; lower bounds of the radius, usually
-and for a film on a wall, and its upper bound, in cells; their thickness relative to the radius."""
+"""Discs: radius relative to the distance between discs; lower bound of the radius, lower bound for
+a film on a wall, and upper bound, all in cells; thickness relative to the radius."""
 TOUCH, FILM, EDGE = 0.75, (1.5, 2.5), 0.5
 """All in cells. Largest distance from a wall at which Gaussians are drawn on the wall. Thicknesses
 of a film on a wall between which the film's face on the wall fades in. Smallest depth below the
@@ -102,7 +102,9 @@ class Field:
     """Values of points, summed and smoothed on a grid."""
 
     def __init__(self, x: NDArray, cell: float, planes: Planes = NOWHERE) -> None:
-        """Place points [N,3] m on a grid of spacing `cell` m, or of a larger one if it is huge."""
+        """Place points [N,3] m on a grid with spacing `cell` m, or a larger one if the grid would
+        be huge.
+        """
         low, high = np.percentile(x[:: 1 + len(x) // SAMPLE], [0.1, 99.9], axis=0)
         spare = 4 * BLUR * cell
         extent = high - low + 2 * spare
@@ -323,7 +325,7 @@ def _balls(
 
 
 def _touches(field: Field, phi: NDArray, close: NDArray) -> NDArray[np.bool_]:
-    """Return the mask of the points `close` to a wall whose liquid touches that wall."""
+    """Return the mask of those points `close` to a wall at which the liquid touches the wall."""
     mask, which = close.copy(), np.flatnonzero(close)
     onto = -field.gap[which] * field.facing[which].T
     mask[which] = field.sample(phi, which, onto) > WETTED

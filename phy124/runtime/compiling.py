@@ -69,7 +69,7 @@ def is_compiled(kernel: Any, device: str = "cpu") -> bool:
 
 @contextmanager
 def looking_up(kernels: Iterable[Any], device: str = "cpu") -> Iterator[None]:
-    """Look up kernels in Warp's cache in a second thread while the block runs.
+    """Look up kernels in Warp's cache in another thread while the block runs.
 
     Warp then knows the hash of their code, so `compile_missing` takes less time after the context.
 

@@ -23,8 +23,8 @@ SYMMETRIC = 0.86
 """A silhouette counts as a front if it overlaps with its mirror image by at least this much
 (IoU)."""
 UPPER, OUTLINE, FACE = 0.4, 0.65, 0.75
-"""Upper fraction of the height that may contain a face. It counts as a face if it and its mirror
-image have at least this overlap of outlines and this correlation of brightness."""
+"""Upper fraction of the height that may contain a face; and the overlap of outlines and the
+correlation of brightness that this part must have with its mirror image to count as a face."""
 LARGE, FEWEST = 20.0, 50
 """Standard deviation of the filter that removes the shading [pixels], and the smallest number of
 pixels that are compared."""

@@ -18,7 +18,7 @@ Field = NDArray[np.float64]
 REACH = 0.2
 """Depth behind the rim over which the mirrored image fades into the back, in image sizes."""
 STRETCH, BLURS = 1.0, (0.0, 1.5, 3.0, 6.0)
-"""Blur of the image where a steep surface stretches it, per unit of stretch; and the levels of blur
+"""Blur of the image per unit by which a steep surface stretches the image, and levels of blur
 [pixels]."""
 FRINGE = 2.0
 """Width of the edge whose colours are ignored [pixels]."""

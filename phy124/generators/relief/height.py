@@ -19,7 +19,7 @@ THETA_MIN = 0.1
 
 
 class Factors:
-    """Sparse LU factors, which a second thread computes, uses and frees.
+    """Sparse LU factors, which another thread computes, uses and frees.
 
     SciPy frees the memory of factors only in the thread that made them.
     """

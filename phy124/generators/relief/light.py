@@ -27,13 +27,14 @@ PRIOR, SAMPLES = 0.3, 60.0
 """Expected size of the light s, and number of independent samples in an image."""
 LIMIT, FRONTAL = 0.3, 0.2
 """Largest size of the components of s across the view, and of the component towards the camera. The
-latter is not negative, because photographs are rarely lit from behind alone."""
+component towards the camera is not negative, because photographs are rarely lit from behind
+alone."""
 CERTAIN = (0.08, 0.16)
-"""Below the first size, s is ignored, because colours may cause it; above the second, s is fully
-used."""
+"""Two sizes of s: below the smaller, s is ignored, because colours may cause it; above the larger,
+s is fully used."""
 THICK = (8.0, 18.0)
-"""Below the first half thickness of the object [pixels], its normals are uncertain, and s is
-ignored; above the second, they are certain."""
+"""Two half thicknesses of the object [pixels]: below the smaller, the normals are uncertain and s
+is ignored; above the larger, the normals are certain."""
 ROUNDS = 4
 
 

@@ -1,4 +1,4 @@
-"""Segments the salient object by U2-Net; images are processed as by its authors or as by rembg.
+"""Segments the salient object by U2-Net; images are processed as its authors or rembg do it.
 
 Qin et al. 2020. The small network is part of this package (phy124/weights/u2netp.onnx). The full
 network is a file that must be downloaded: an .onnx file, which OpenCV runs like the small network,

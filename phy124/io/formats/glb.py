@@ -57,8 +57,7 @@ LONGEST = 1 << 20
 """Largest JSON description that is read [bytes]; a usual description has 4,000 bytes."""
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
 EVEN = 1e-3
-"""Largest relative difference between the scales of a node along its axes that counts as
-uniform."""
+"""A node's scales along its axes count as uniform up to this relative difference."""
 EXTENSIONS = (EXTENSION, "KHR_mesh_quantization")
 """glTF extensions that are supported."""
 MAX_NODES = 2000

@@ -54,7 +54,7 @@ MAGIC = b"PHY4D\0\1\0"
 TOLERANCE = 1e-3
 """Largest error of a Gaussian's centre relative to the object's size."""
 NODES = (12, 17, 24, 34)
-"""Numbers of nodes along the longest side of the lattices that are tried; the smallest file is
+"""Lattices that are tried, by their number of nodes along the longest side; the smallest file is
 kept."""
 STIFF = 1e-4
 """Weight of the differences between neighbouring nodes; they determine nodes that move few
@@ -227,7 +227,7 @@ def measure_size(points: NDArray[np.float64]) -> float:
 
 
 def measure(clip: Clip) -> dict[str, Any]:
-    """Measure the ranges over all frames that the player needs when it starts.
+    """Measure, over all frames, the ranges of values that the player needs when it starts.
 
     These are the bounding box, the range of the log ratios of scales, clipped to +-`TALLEST`, the
     largest speed, and the ends of the colour ramp for stretch, which are symmetric about 1. Stretch

@@ -24,16 +24,16 @@ CUTOUT = "cutout.png"
 LARGEST = 1024
 """Largest side of a photograph [pixels]; larger photographs are reduced to it."""
 MARGIN = 0.015
-"""Width of the rim around the object that is inpainted, too, relative to the photograph's longest
+"""Width of the rim that is inpainted together with the object, relative to the photograph's longest
 side."""
 HOLE = 320
 """Longest side of the picture in which holes are inpainted [pixels]; larger is slower and no
 better."""
 DISTANCES = (2.0, 1.6, 3.0)
-"""Camera distances to try, in sizes of the silhouette: those of relief, of LGM, and of a longer
-lens."""
+"""Camera distances to try, relative to the silhouette's size: those of relief, of LGM, and of a
+longer lens."""
 RIM = 0.008
-"""Width of the rim around the object that is also compared, relative to the photograph's longest
+"""Width of the rim that is compared together with the object, relative to the photograph's longest
 side."""
 ROUNDS = (False, False, False, True, True)
 """For each correction of the camera: whether only the object and its rim are compared."""

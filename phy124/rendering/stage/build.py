@@ -24,7 +24,7 @@ from phy124.rendering.stage.solids import floor_heights, place_walls
 from phy124.scene import Scene, View
 
 RECENT = 64
-"""Number of frames whose surroundings are stored, because the frames' other sides need them,
+"""Number of frames whose surroundings are stored, because pictures from other sides need them,
 too."""
 SAMPLE = 1024
 """Number of Gaussians whose paths determine how large the shadow map is."""
