@@ -234,6 +234,14 @@ def test_impulses_on_held_nodes_do_no_work():
     assert min(abs(both.solids), abs(both.held), both.friction) > 0.1
 
 
+def test_floor_that_moves_with_a_clamp_has_no_friction():
+    path = Path(times=(0.0, 0.2), points=((0, 0, 0), (0.1, 0, 0.05)))
+    walls = [Held(lower=(0.2, -1, -1), upper=(1, 1, 1), motion=path)]
+    walls += [HalfSpace(friction=2.0, motion=path)]
+    both = Balance(make([block(CUBE)], DAMPED, forces=[Gravity()], boundaries=walls), 0.1)
+    assert both.friction < 0.05 * both.walls
+
+
 def test_free_solid_works_on_a_body():
     steel = FreeBody("ball", "sphere", (0.2,) * 3, (0.65, 0.25, 0.2), velocity=(-1, 0, 0))
     hit = Balance(make([block((0.4, 0.4, 0.4))], free=[steel]), 0.2)
