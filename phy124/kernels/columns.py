@@ -78,8 +78,9 @@ NARROWING = wp.constant(1.55)
 1.6 for a cone.
 """
 OUT_OF_REACH = wp.constant(-1.25)
-"""Distance [cells] from a wall, negative behind it, below which a node has no mass from a body in
-front of the wall. The body's nearest particles are a quarter of a cell in front of the wall.
+"""A node at less than this distance from a wall [cells] (negative: behind the wall) has no mass
+from a body in front of the wall. The body's nearest particles are a quarter of a cell in front of
+the wall.
 """
 
 
@@ -181,7 +182,7 @@ def ending(distances: Any, across: Any):
 
 @wp.func
 def tie(v: Any, m: Any, g: Any):
-    """Return velocity changes [node, axis] that bring the velocities of masses m to ratios g."""
+    """Return velocity changes [node, axis] after which velocities of masses m have the ratios g."""
     weight = wp.cw_mul(g, m)
     return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
 

@@ -243,7 +243,7 @@ def turn_of_material(
 
 @build_once
 def make_carry(real: Any):
-    """Kernel: computes centres and F of the Gaussians from particles of one precision.
+    """Kernel for particles of one precision: computes the Gaussians' centres and F.
 
     x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carrying particles i. The F of
     plastic or fluid material grows without bound, so for such material the arms F_i (X_g - X_i) are
@@ -290,7 +290,7 @@ def make_carry(real: Any):
 
 @build_once
 def make_follow(real: Any):
-    """Kernel: gives each Gaussian the position and F of its own particle, of one precision."""
+    """Kernel for particles of one precision: gives each Gaussian the position and F of its own."""
     t = types(real)
 
     @kernel(f"phy124_follow_{real.__name__}", real, seconds=0.2)

@@ -121,8 +121,8 @@ class Meeting:
             "force": zeros(t.vec3, count),
             "sign": zeros(real, count),
         }
-        """Arguments of `make_meet` for each pair, the mean force on its point, and 1 for points of
-        the second body, -1 for points of the first.
+        """For each pair: arguments of `make_meet`, the mean force on its point, and 1 if the point
+        is on the second body, -1 if it is on the first.
         """
         self._launches: list[Any] = []
         if not count:

@@ -63,7 +63,7 @@ class RestLattice:
     tied: NDArray[np.int64]
     """Indices of the tied nodes [T]."""
     ties: scipy.sparse.csr_matrix
-    """Weights with which the other nodes' motions give the motion of each tied node [T,N]."""
+    """Weights of the other nodes' motions in the motion of each tied node [T,N]."""
     pushes: scipy.sparse.csr_matrix
     """Weights with which pushes on other nodes are added to the push on each node [N,N]. Pushes on
     tied nodes, and on mass given to another node, thereby act on the nodes that have the mass. A

@@ -96,7 +96,7 @@ class Spectrum:
         """Ratio of all stiffnesses to those at the start, at least 1."""
 
     def stiffen(self, factor: float) -> float:
-        """Set the factor on the stiffnesses at the start; return `stiffness`.
+        """Set the factor that multiplies the initial stiffnesses; return `stiffness`.
 
         A larger factor acts at once, since the frequency is measured only after a substep. A factor
         below 1 is not followed: substeps at rest are then shorter than necessary.

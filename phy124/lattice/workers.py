@@ -45,9 +45,9 @@ class Worker:
     touched: slice
     """Span of the nodes that its cells touch."""
     forces: wp.array
-    """Forces of the stress of its cells on the touched nodes, N."""
+    """Forces on the touched nodes by the stress in the worker's cells, N."""
     pushes: wp.array
-    """Forces of pushes of its points on the touched nodes, N."""
+    """Forces on the touched nodes by pushes on the worker's points, N."""
     maxima: wp.array
     """Largest speed and rate of strain of its points."""
     trial: wp.array

@@ -138,7 +138,8 @@ class Cells:
         self.known, self.also = (self._zeros(count, int) for _ in range(2))
         """Bits that mark the low faces with a velocity."""
         self.open, self.shares = self._zeros(count, t.vec4), self._zeros(count, t.vec2)
-        """Open shares of the low faces, and shares of the two B-splines inside walls."""
+        """Open shares of the low faces, and the shares of the two B-splines that are inside walls.
+        """
         self.hats, self.phi = self._zeros(count, real), self._zeros(count, real)
         self.phi.fill_(float(EMPTY))
         self.liquid = self._zeros(count, int)

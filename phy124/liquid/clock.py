@@ -53,7 +53,7 @@ class LiquidClock(Clock):
         return self.late * self.last_dt
 
     def reflect(self, reflection: float) -> None:
-        """Let a fraction of the pressure's change of velocity act a second time."""
+        """Let a fraction of the velocity change by pressure act a second time."""
         self.late = 1 / (1 + reflection) - 0.5
         self.cells = CELLS_REFLECTED if reflection > 0 else CELLS
 

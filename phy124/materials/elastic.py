@@ -147,7 +147,7 @@ class Rigid(Elastic):
         ]
 
     def notes_at(self, speed: float) -> list[str]:
-        """Return a note if the body moved faster than the speed that its stiffness is for."""
+        """Return a note if the body was faster than the speed for which its stiffness is chosen."""
         if self.simulated_E == self.E or speed <= FASTER * self.speed:
             return []
         strain = speed * math.sqrt(self.density / self.simulated_E)

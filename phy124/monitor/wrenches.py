@@ -257,7 +257,7 @@ def wall_names(walls: Sequence[Boundary]) -> list[str]:
 
 
 def summary(frames: Sequence[Frame], names: Sequence[str]) -> dict[str, Any] | None:
-    """Return the largest force, its time, and the last wrench for each name.
+    """Return for each name the largest force, its time, and the last wrench.
 
     Args:
         frames: All frames of a run; frames before the first substep have no forces.

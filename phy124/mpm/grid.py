@@ -115,7 +115,7 @@ class Grid:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Allocate `size` [3] nodes, all zero, of which the lowest is node `low` [3]."""
+        """Allocate `size` [3] nodes, all zero; the lowest is node `low` [3]."""
         # One node more than the window, since the SIMD rows read four nodes at once.
         count = int(np.prod(size)) + 1
         self.use(low, size, wp.zeros(count, dtype=self.vec4, device=self.device))
@@ -196,7 +196,7 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
 
 
 def corners_of(rows: NDArray[np.float64], bodies: Sequence[int], count: int) -> list[Corners]:
-    """Return the lowest and highest corner of each body; -inf and inf for a body without rows.
+    """Return the lowest and highest corner of each body; -inf and inf if a body has no rows.
 
     Args:
         rows: Measured maxima of parts of the particles [R,M], see `Maxima.of`.

@@ -118,7 +118,7 @@ def stable_substep(
 
 
 def decay(value: float, substeps: int) -> float:
-    """Return the value assumed a number of substeps after a measurement; it decays by `MEMORY`."""
+    """Return the value assumed some substeps after it was measured; it decays by `MEMORY`."""
     return MEMORY ** (substeps / MEASURE_EVERY) * value
 
 

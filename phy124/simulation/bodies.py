@@ -208,8 +208,7 @@ def make_free(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
 
 
 def make_scenery(scene: Scene, shown: Gaussians, moves: NDArray[np.bool_]) -> Scenery:
-    """Return the scenery: the Gaussians that are added to each frame of the solver's moving
-    Gaussians.
+    """Return the scenery: the Gaussians in each frame besides those that the solver moves.
 
     Args:
         scene: The scene, whose objects with a path move along it.

@@ -94,9 +94,7 @@ def _gap(below: Gaussians, above: Gaussians, cell: float) -> float | None:
 
 
 def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, int], float]:
-    """Return the largest height over each square; for sign -1 the lowest height with the sign
-    changed.
-    """
+    """Return the largest height over each square; with sign -1, minus the lowest height."""
     squares = np.floor(gaussians.means[:, :2] / cell).astype(int)
     reach = np.sqrt(gaussians.covariances()[:, 2, 2])
     height = sign * gaussians.means[:, 2] + reach

@@ -39,7 +39,7 @@ def code(*pieces: str) -> str:
 
 
 def constants(kind: str, **values: Any) -> str:
-    """Return the C++ declaration of constants and arrays of a type, "float" or "double"."""
+    """Return C++ declarations of constants and arrays; their type is "float" or "double"."""
     parts = []
     for name, value in values.items():
         numbers = [repr(float(number)) for number in np.ravel(value)]

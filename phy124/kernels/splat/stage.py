@@ -87,7 +87,7 @@ def draw_setting(
     # in place: light of the Gaussians, then the finished frame
     image_out: wp.array(dtype=wp.vec3),
 ):
-    """Draw the surroundings, one thread per pixel; GPU and readable form of `blend_staged_simd`.
+    """Draw the surroundings, one thread per pixel: a readable `blend_staged_simd`, also for GPUs.
 
     The solids are sorted by depth; the first `before` of them are in front of all Gaussians.
     """
