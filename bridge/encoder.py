@@ -70,7 +70,7 @@ class FrameEncoder:
         self.options = self.options.model_copy(update={"max_points": points})
 
     def static(self) -> list[Message]:
-        """Return the static transforms: that of the world, and those of fixed cameras seen so far.
+        """Return the static transforms: the world's, and those of all fixed cameras seen so far.
 
         They are sent before all frames, and as a whole again when a camera is added.
         """

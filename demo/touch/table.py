@@ -25,8 +25,9 @@ FULL = "This server cannot run more live runs at the same time."
 FPS = 24.0
 """Frames per second of a live run."""
 ROOM, TIME = 0.5, 0.1
-"""Limits of a saved clip. Its size, with the viewer's file, is limited to the first fraction of a
-visitor's disk space; its duration, to the second fraction of the time limit of a run."""
+"""Fractions that limit a saved clip: the size of the clip with the viewer's file is at most the
+first fraction of a visitor's disk space, and the duration is at most the second fraction of a run's
+time limit."""
 FORCES = 64
 """At least this number of forces and boundaries is allowed, because each grab and each change of
 gravity needs one."""

@@ -83,7 +83,9 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
 
 
 def _add_stages(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the stages of the clip and of its films; if both have a stage, its times are added."""
+    """Return the stages of the clip and of its films; if both have the same stage, the times are
+    added.
+    """
     joined = {stage["name"]: stage for stage in stages}
     for stage in others:
         before = joined.get(stage["name"], {"seconds": 0.0})["seconds"]

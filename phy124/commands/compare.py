@@ -72,7 +72,7 @@ class Compare:
 
 
 def _name(path: Path) -> str:
-    """Return the name of a clip's folder if the file is named clip.*, else that of the file."""
+    """Return the name of a clip's folder if the file is named clip.*, else the file's name."""
     return path.resolve().parent.name if path.stem == "clip" else path.stem
 
 

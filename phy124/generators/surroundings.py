@@ -29,8 +29,8 @@ TAIL = 1e-3
 ROUNDS = 4
 """Number of iterations that refine the centre of the object."""
 FAR = 3.0
-"""Smallest distance of a sky from the centre, relative to a radius. Within this radius is the
-fraction `MOST` of the Gaussians that the sky surrounds."""
+"""Smallest distance of a sky from the centre, relative to the radius that contains the fraction
+`MOST` of the Gaussians inside the sky."""
 THIN = 0.2
 """Largest standard deviation of the distances of a sky's Gaussians, relative to their mean."""
 MANY = 0.01

@@ -158,8 +158,8 @@ def check_not_empty(count: int) -> None:
 
 
 def _feature_points(means: list[NDArray], rgb: NDArray) -> NDArray:
-    """Return points [N,3T+3]; two are near each other if the Gaussians are similar in colour and
-    near in T frames.
+    """Return points [N,3T+3]; two points are near each other if their Gaussians are similar in
+    colour and near each other in T frames.
     """
     size = max(float(np.ptp(means[0], axis=0).max()), 1e-12)
     return np.concatenate([*(x / size / len(means) ** 0.5 for x in means), COLOUR * rgb], axis=1)

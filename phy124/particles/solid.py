@@ -71,8 +71,8 @@ class Solid:
 
     @cached_property
     def _resampled(self) -> dict[float, Solid]:
-        """Side of voxels [m] -> the solid with such voxels; a grid that is twice as fine uses it
-        again.
+        """Side of voxels [m] -> this solid on such voxels, stored because grids twice as fine need
+        it again.
         """
         return {}
 

@@ -54,7 +54,7 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
 
 
 _placed: WeakKeyDictionary[Clip, dict[tuple[View, str], list[Camera]]] = WeakKeyDictionary()
-"""The cameras of each clip in use; its films and the report of its run need the same cameras."""
+"""The cameras of each clip in use: its films and the report of its run need the same cameras."""
 
 
 def _place(clip: Clip, view: View, side: str) -> list[Camera]:

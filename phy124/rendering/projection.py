@@ -21,8 +21,8 @@ away; Mip-Splatting does (Yu et al. 2024, section 4.2)."""
 NEAR = 0.01
 """Smallest distance from the camera at which a Gaussian is drawn, measured to its centre, m."""
 FRUSTUM_MARGIN = 1.3
-"""Largest offset from the image centre at which the projection is linearised, in half images
-(Kerbl et al. 2023)."""
+"""Largest offset from the image centre at which the projection is linearised, relative to half the
+image (Kerbl et al. 2023)."""
 MAX_PIXELS = 1 << 26
 """Number of pixels of the largest image (8192 x 8192)."""
 

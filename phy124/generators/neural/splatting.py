@@ -27,8 +27,8 @@ ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.99
 STOP = 1e-4
 """Transmittance below which compositing of a pixel ends."""
 GUARD = 1.3
-"""Largest position at which the Jacobian is evaluated, in half fields of view; farther out, the
-Jacobian would become very large."""
+"""Largest position at which the Jacobian is evaluated, relative to half the field of view; farther
+out, the Jacobian would become very large."""
 
 
 SLOW = f"This takes many times longer than with gsplat; `{install_command('gpu')}` installs it."

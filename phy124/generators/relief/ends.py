@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
 MIRRORED = 0.25
-"""Height of the mirror image, in image heights; a taller one would hardly change the object."""
+"""Height of the mirror image, relative to the image's height; a taller one would hardly change the
+object."""
 FLAT = 0.2
 """Smallest width of a flat end, as a fraction of the object's width."""
 ARC = 0.15

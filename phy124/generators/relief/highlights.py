@@ -25,7 +25,7 @@ BRIGHT = 0.08
 """Smallest difference in brightness between a highlight and its surroundings."""
 NEUTRAL = 0.15
 """Largest difference between the red, green and blue that a highlight adds, relative to the largest
-of them."""
+of the three."""
 COLOURED = 0.15
 """Smallest saturation of the surroundings."""
 FULL = 0.985

@@ -17,7 +17,8 @@ Field = NDArray[np.float64]
 ROUNDS = 8
 """Number of iterations that match the heights in both images."""
 SMOOTHING = 0.04
-"""Standard deviation of the filter that smooths the rows' depths, in object heights."""
+"""Standard deviation of the filter that smooths the rows' depths, relative to the object's
+height."""
 END = 0.05
 """Fraction of the object's height over which a flat end affects the depth."""
 

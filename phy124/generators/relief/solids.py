@@ -39,7 +39,7 @@ STRAIGHT = 0.98
 (IoU)."""
 CORNERS = 12
 ROUNDED = 0.1
-"""Radius of a block's edges, in half widths."""
+"""Radius of a block's edges, relative to half the block's width."""
 RIM = 3.0
 """Width over which the outline of a foot is rounded [pixels]."""
 SHADED = 0.1

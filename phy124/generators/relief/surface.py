@@ -24,7 +24,8 @@ from phy124.kernels import implicit
 from phy124.runtime.cores import cores
 
 VIEW_DISTANCE = 2.0
-"""Distance of the front camera, in longest sides of the object; the camera's view is the image."""
+"""Distance of the front camera, relative to the object's longest side; the camera's view is the
+image."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,8 @@ CLOSER, AROUND = 1.4, 0.15
 factor. The second number is the width of the surroundings, relative to the object's longest
 side."""
 AGREED = 0.85
-"""An object's second mask is used if it overlaps with the first by at least this much (IoU)."""
+"""The mask of the repeated segmentation is used if it overlaps with the first by at least this
+(IoU)."""
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """Function from a normalised image [1,3,320,320] to the saliency [1,1,320,320] in 0..1."""
 Style = Literal["rembg", "original"]

@@ -1,5 +1,4 @@
-"""Writes a clip as one small file: the first frame as SOG, and the motion as that of a coarse
-lattice.
+"""Writes a clip as one small file: the first frame as SOG, and the motion of a coarse lattice.
 
 The lattice covers the first frame; a Gaussian moves with the eight nodes around it, whose
 displacements are interpolated trilinearly. The displacements of a frame are fitted to those of the
@@ -63,8 +62,8 @@ STEP = TOLERANCE / 8
 """Quantisation step of the displacements, relative to the object's size."""
 LARGEST = 2**15 - 1
 TALLEST = 4.0
-"""Largest absolute logarithm of a ratio of scales that is stored: exp(4) = 55 times; more is
-clipped."""
+"""Largest stored magnitude of the logarithm of a ratio of scales (a factor of exp(4) = 55); larger
+ones are clipped."""
 STRETCHES = 1 << 22
 """Largest number of values from which the range of the stretch is determined."""
 PERCENTILES = (1, 99)

@@ -24,8 +24,8 @@ much."""
 AROUND = 9
 """Width of the square around a Gaussian whose pixels' colours bound the Gaussian's colour [px]."""
 BEHIND = 0.03
-"""Largest distance behind the visible surface at which Gaussians count as visible, in object
-depths."""
+"""Largest distance behind the visible surface at which Gaussians count as visible, relative to the
+object's depth."""
 
 
 @dataclass(frozen=True, eq=False)

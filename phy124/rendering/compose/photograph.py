@@ -68,7 +68,7 @@ class Photograph:
         return cls(np.asarray(rgb), opaque)
 
     def erase_object(self) -> NDArray[np.uint8]:
-        """Return the photograph with its object inpainted from its surroundings (Telea 2004)."""
+        """Return the photograph without its object, whose area is inpainted (Telea 2004)."""
         import cv2
 
         height, width = self.alpha.shape

@@ -22,7 +22,8 @@ LEVEL = 0.999
 THICK = 0.04
 """Rendered thickness of a wall or plate, in object sizes; the boundary itself has none."""
 WIDE = 1.1
-"""Rendered width of a wall or plate, in object widths; the boundary itself is infinite."""
+"""Rendered width of a wall or plate, relative to the object's width; the boundary itself is
+infinite."""
 MARGIN = 0.02
 """Distance by which a rendered clamp extends beyond the clamped material, in object sizes."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -86,7 +87,8 @@ def _walls(boundary: Boundary, rest: NDArray) -> Iterator[PlacedWall]:
 
 
 def span_container(container: Container, low: NDArray, high: NDArray) -> Corners:
-    """Return the box that shows a container, around an object at rest between two corners [m].
+    """Return the box that shows a container around an object that lies, at rest, between two
+    corners [m].
 
     Its walls end a little above the object; open sides end at 2 object sizes.
     """
