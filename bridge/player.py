@@ -142,7 +142,7 @@ class Player:
         """
         del now
         if not self.paused or self.finished:
-            limit = "Single frames are shown only while playback is paused, up to the last one."
+            limit = "Single frames are shown only while playback is paused and not at its end."
             raise InputError("next", self.position, limit, "Pause or restart first.")
         self._peek, self._shown_at = True, -math.inf
 

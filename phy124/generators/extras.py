@@ -139,9 +139,9 @@ class OtherViews(Section):
     )
     back_look: Literal["auto", "mirror", "plain"] = Field(
         default="auto",
-        description="Back that relief makes without a picture of it: mirror (the mirrored front, "
-        "for an object seen from its side), plain (the front's materials without its features) or "
-        "auto (plain if the outline is symmetric).",
+        description="How relief makes the back without a picture of it: mirror (the mirrored "
+        "front, for an object seen from its side), plain (the front's materials without its "
+        "features) or auto (plain if the outline is symmetric).",
     )
     thickness: float | None = Field(
         default=None,

@@ -382,7 +382,7 @@ class Live:
         return scene.model_copy(update={"time": scene.time.model_copy(update={"frames": frames})})
 
     def clip(self) -> Clip:
-        """Simulate the session again and return the clip; its frames equal the live ones bit for bit."""
+        """Simulate the session again and return the clip; it equals the live run bit for bit."""
         return Simulation(self._prepare(self.session())).run()
 
     def _prepare(self, scene: Scene, **options: Any) -> Setup:

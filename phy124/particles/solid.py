@@ -71,9 +71,7 @@ class Solid:
 
     @cached_property
     def _resampled(self) -> dict[float, Solid]:
-        """Side of voxels [m] -> this solid on such voxels, stored because grids twice as fine need
-        it again.
-        """
+        """Side of voxels [m] -> this solid on such voxels; grids twice as fine need it again."""
         return {}
 
     @property

@@ -73,9 +73,7 @@ def unlight(rgb: Field, surface: Surface, light: Field) -> Field:
 
 
 def front_normals(surface: Surface) -> Field:
-    """Return the unit normals of the front [H,W,3]; pixels beyond the rim get the normals of the
-    rim.
-    """
+    """Return the unit normals of the front [H,W,3]; beyond the rim, they are the rim's normals."""
     half = np.sqrt(np.maximum(surface.w, 0.25))
     across = [slope / (2 * half) + tilt for slope, tilt in zip(*surface.slopes, strict=True)]
     normals = np.stack([-across[0], -across[1], np.ones_like(half)], axis=2)

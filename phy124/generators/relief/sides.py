@@ -85,8 +85,8 @@ def check_back(front: Solid, back: Solid) -> None:
     if alike >= UNLIKE:
         return
     limit = (
-        "Mirrored, the picture's silhouette overlaps the front's "
-        f"by {alike:.0%}, not by {UNLIKE:.0%}."
+        "When mirrored, the picture's silhouette overlaps the front's "
+        f"by {alike:.0%}; at least {UNLIKE:.0%} is needed."
     )
     remedy = (
         "Give a picture from straight behind, in which the object "
