@@ -233,7 +233,7 @@ class Boundary(Section):
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return the recorder for settling columns, which reach two cells beyond the bounds."""
+        """Return the recorder for settling columns; columns reach two cells beyond the bounds."""
         low, high = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:

@@ -48,7 +48,7 @@ def make_carry(real: Any, form: str):
 
 @build_once
 def make_fluctuation(real: Any, form: str):
-    """Kernel: subtracts from (v, C) its round trip over the grid; zero outside the window."""
+    """Kernel: keeps the part of (v, C) lost in a round trip over the grid; 0 outside the window."""
     t = types(real)
     collect = GATHERS[form]
 

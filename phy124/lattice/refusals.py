@@ -119,5 +119,5 @@ def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
 
 
 def is_elastic(section: Material) -> bool:
-    """Return whether a material's law can run on a lattice: it must be elastic and phy124's."""
+    """Return whether a material's law can run on a lattice: an elastic law that phy124 provides."""
     return isinstance(section, Elastic) and section.device_law.project is None

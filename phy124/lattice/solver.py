@@ -50,7 +50,7 @@ of a point [cells] between two measurements of its distance from walls.
 TRAVEL = 3.0
 """Points may approach walls by this much before all distances are measured again [cells]."""
 VIOLENT = 0.35
-"""Limits are measured before every substep if rate of strain times substep is above this."""
+"""Rate of strain times substep, above which the limits are measured before every substep."""
 FORGET = 4
 """An earlier frequency decays this many times as fast as in the default solver, because the fastest
 vibration belongs to a few points that are squeezed for a short time.

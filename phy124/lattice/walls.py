@@ -205,7 +205,7 @@ class Walls:
             contact.force.zero_()
 
     def forces(self) -> dict[str, wp.array]:
-        """Return the contact forces of the last substep by the index of the wall."""
+        """Return the contact forces of the last substep, keyed by the wall's index."""
         return {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}
 
     def put_forces(self, forces: dict[str, wp.array]) -> None:

@@ -101,7 +101,7 @@ class Phases:
 
     @property
     def densities(self) -> wp.array | None:
-        """Relative densities in the cells; None if the liquid has a single one."""
+        """Relative densities in the cells; None if all liquid has the same density."""
         return self._mixture.densities if self._mixture.differ[0] else None
 
     def record(

@@ -1,4 +1,4 @@
-"""Velocities of faces after a solution of the pressure, and displacements after one of the density.
+"""Computes velocities of faces from a solved pressure, and displacements from a solved density.
 
 Splitting a step into advection and pressure takes energy, in first order of the step's length: most
 of it from thin layers that hit a wall. The particles of an inviscid liquid therefore keep more than

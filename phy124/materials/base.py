@@ -112,11 +112,11 @@ class Material(Section):
         return (0.0, 0.0)
 
     def wave_speed(self) -> float:
-        """Return the speed that limits the substep of undeformed material, sqrt(A / rho) [m/s]."""
+        """Return the speed that limits substeps of unstrained material, sqrt(A / rho) [m/s]."""
         raise NotImplementedError
 
     def sound_speed(self) -> float:
-        """Return the speed of a pressure wave in undeformed material [m/s]."""
+        """Return the speed of a pressure wave in unstrained material [m/s]."""
         return self.wave_speed()
 
     def viscous_limit(self, dx: float) -> float:
@@ -178,7 +178,7 @@ class Elastic(Material):
         return self.lame
 
     def wave_speed(self) -> float:
-        """Return the speed sqrt((3 lambda + 2 mu) / rho) [m/s], which limits undeformed substeps.
+        """Return sqrt((3 lambda + 2 mu) / rho) [m/s]: it limits substeps of unstrained material.
 
         A negative lambda (nu < 0) is taken as zero: shear is then the stiffest motion.
         """
@@ -186,7 +186,7 @@ class Elastic(Material):
         return math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)
 
     def sound_speed(self) -> float:
-        """Return the speed sqrt((lambda + 2 mu) / rho) [m/s] of undeformed pressure waves."""
+        """Return the speed of pressure waves without strain, sqrt((lambda + 2 mu) / rho) [m/s]."""
         mu, lam = self.lame
         return math.sqrt((lam + 2 * mu) / self.density)
 

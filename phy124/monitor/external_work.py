@@ -112,8 +112,8 @@ class ExternalWork(Observer):
         """
         self._changes = changes
         self._device: dict[str, wp.array] = {}
-        """Sums of each worker since its launches were last recorded [W,ROOM]; they are not yet
-        collected.
+        """Sums of each worker since its launches were last recorded [W,ROOM]; these sums are not
+        yet collected.
         """
         self.stored = 0.0
         """Energy received without motion since the start [J]."""

@@ -29,7 +29,7 @@ class Measured:
         self._inner, self._measure = inner, measure
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the inner stages between the first and the other measuring stages."""
+        """Return the first measuring stage, the inner stages, and the other measuring stages."""
         stages = [stage for item in self._inner for stage in item.attach(model, state, tracks)]
         if not stages:
             return []
@@ -45,7 +45,9 @@ class NodesNear:
         self.threads: tuple[int, ...] = ()
         """Shape of the launch of a kernel over segments of rows of these nodes."""
         self.read: list[Any] = []
-        """First inputs of such a kernel: length of a segment, box, window, and the grid's nodes."""
+        """First inputs of a kernel over these segments: a segment's length, box, window, and the
+        grid's nodes.
+        """
         self.copy: wp.array | None = None
         """Memory for a copy of the nodes."""
 

@@ -80,7 +80,7 @@ def make_solid_begin(real: Any):
 
 @build_once
 def make_solid_finish(real: Any):
-    """Kernel of one thread: changes the motion of a solid by the impulses of all points."""
+    """Kernel of one thread: applies the impulses of all points to the motion of a solid."""
 
     @kernel(f"phy124_lattice_solid_finish_{real.__name__}", real, seconds=0.3)
     def solid_finish(moments, trial, body_out):
