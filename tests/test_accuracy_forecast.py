@@ -76,6 +76,13 @@ def test_companion_on_a_lattice_takes_as_long_as_its_pilot(monkeypatch):
     assert made.stages["companion"] == pytest.approx(pilot.seconds / 2**2.5)
 
 
+def test_forecast_of_shapes_binds_gaussians_once(monkeypatch):
+    monkeypatch.setattr(module, "time_shapes", lambda simulation: (7.0, 0.5))
+    simulation = Simulation(prepare(OBJECT, scene("press", **{"time.frames": 4})))
+    made = Forecaster(error=False).of(simulation, filming=False, load=QUIET)
+    assert made.stages["deform"] == 7.0 + 4 * 0.5
+
+
 def test_forecast_has_the_companion_of_runs_that_afford_it(monkeypatch):
     simulation, forecaster = Simulation(prepare(OBJECT, scene("press"))), Forecaster()
     options = {"filming": False, "load": QUIET}

@@ -263,9 +263,10 @@ class Forecaster:
         mean_nodes = nodes * pilot.growth
         particles = len(simulation.setup.particles)
         per_substep = rates.particle * particles + rates.node * mean_nodes
+        once, each_shape = time_shapes(simulation)
         stages = {
             "simulate": substeps * per_substep + scene.time.frames * each_frame,
-            "deform": scene.time.frames * time_shapes(simulation),
+            "deform": once + scene.time.frames * each_shape,
             **(self._filming(simulation.setup.shown, scene) if filming else {}),
         }
         cost = companion.forecast(simulation, substeps)

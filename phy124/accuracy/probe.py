@@ -193,18 +193,23 @@ def _node_fraction(solver: AnySolver) -> float:
     return nodes / total if total else 0.0
 
 
-def time_shapes(simulation: Simulation) -> float:
-    """Return the time to deform the Gaussians of one frame [s], for randomly strained particles."""
+def time_shapes(simulation: Simulation) -> tuple[float, float]:
+    """Return the time to bind the Gaussians to particles, and that to deform them in a frame [s].
+
+    The particles are randomly strained.
+    """
     solver, particles = simulation.solver, simulation.setup.particles
     rng = np.random.default_rng(0)
     strained = np.eye(3) + 0.05 * rng.standard_normal((len(particles), 3, 3))
     real = solver.model.real
     F: Any = wp.array(strained, dtype=types(real).mat33, device=simulation.device)
     options: dict[str, Any] = {"device": simulation.device, "threads": len(solver.workers)}
+    start = time.perf_counter()
     deform = Deformer(simulation.setup.scenery.moving, particles, **options)
+    once = time.perf_counter() - start
     x, v = solver.state.x, solver.state.v if simulation.scene.velocities else None
     deform(x, F, index=0, time=0.0, velocities=v)
-    return measure_time(lambda: deform(x, F, index=1, time=0.0, velocities=v))
+    return once, measure_time(lambda: deform(x, F, index=1, time=0.0, velocities=v))
 
 
 def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[str, float]:
