@@ -199,7 +199,7 @@ def test_next_ends_at_the_last_frame():
     player = Player(TIMES, paused=True)
     player.seek(0.9, 0.0)
     assert player.due(0.0).index == 9
-    with pytest.raises(InputError, match="up to the last one"):
+    with pytest.raises(InputError, match="not at its end"):
         player.next(1.0)
 
 
