@@ -3,6 +3,7 @@
 import errno
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -310,3 +311,42 @@ def test_an_experiment_comes_out_as_the_page_says(name, capsys):
     assert Validate(name=name, json=True).run() == 0
     told = json.loads(capsys.readouterr().out)
     assert told["good"] and told["experiments"][0]["control_holds"]
+
+
+class Oscillators:
+    """Springs of many stiffnesses, whose velocities are half a substep behind their positions."""
+
+    def __init__(self):
+        self.clock = SimpleNamespace(time=0.0)
+        self.frequency = np.linspace(1.4, 1.64, 400) / 1e-3
+        self.state = SimpleNamespace(v=Numbers(np.ones(400)), C=Numbers(np.zeros(400)))
+        self.x = np.zeros(400)
+
+    def advance(self, until):
+        count = math.ceil((until - self.clock.time) / 1e-3)
+        dt = (until - self.clock.time) / count
+        for _ in range(count):
+            self.state.v.values -= dt * self.frequency**2 * self.x
+            self.x += dt * self.state.v.values
+        self.clock.time = until
+
+
+class Numbers:
+    """An array on a device."""
+
+    def __init__(self, values):
+        self.values = values
+
+    def numpy(self):
+        return self.values
+
+    def assign(self, values):
+        self.values = values
+
+
+def test_damping_of_a_beam_excites_no_fast_vibration():
+    springs = Oscillators()
+    beam._settle(springs, 5.0)
+    assert (
+        max(np.abs(springs.state.v.values).max(), np.abs(springs.frequency * springs.x).max()) < 1
+    )

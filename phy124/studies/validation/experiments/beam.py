@@ -51,7 +51,9 @@ TOO_SOFT = (
 REST = 1.6
 """Time for each load, in periods of the beam's first bending mode."""
 PIECES = 40
-"""Number of times per period at which velocities are reduced."""
+"""Mean number of times per period at which velocities are reduced."""
+GOLDEN = (math.sqrt(5) - 1) / 2
+"""Its multiples, modulo 1, have no period; they vary the times between two reductions."""
 
 Bending = Callable[[float, Keyframes, Region], Force]
 """Makes a force from the beam's width [m], the force's profile in time, and the tip's region."""
@@ -244,11 +246,14 @@ def _steps(loads: Sequence[float], hold: float) -> Keyframes:
 
 def _settle(solver: Solver | LatticeSolver, until: float) -> None:
     """Advance with critical damping of the first mode, which prevents oscillations."""
-    omega = first_frequency()
-    piece = 2 * math.pi / omega / PIECES
-    slower = math.exp(-2 * omega * piece)
+    omega, number = first_frequency(), 0
     while solver.clock.time < until - 1e-9:
-        solver.advance(min(solver.clock.time + piece, until))
+        before, number = solver.clock.time, number + 1
+        # Equal pieces could be in resonance with fast vibrations, which would then grow: velocities
+        # are half a substep behind positions.
+        piece = (0.75 + 0.5 * (number * GOLDEN % 1)) * 2 * math.pi / omega / PIECES
+        solver.advance(min(before + piece, until))
+        slower = math.exp(-2 * omega * (solver.clock.time - before))
         rates = (
             [solver.nodes_state.v]
             if isinstance(solver, LatticeSolver)
