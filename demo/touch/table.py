@@ -56,7 +56,7 @@ class Ticket:
 
     @property
     def lost(self) -> bool:
-        """Whether no page has shown the ticket in time."""
+        """Whether the ticket has expired, because no page has shown it in time."""
         return not self.taken and time.monotonic() - self.created > WAITS
 
 

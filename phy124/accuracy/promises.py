@@ -168,7 +168,7 @@ def promise(
 
 
 def refuse_promise(why: str) -> Promise:
-    """Return a promise that has no error bound, but a reason."""
+    """Return a promise that states why there is no error bound."""
     return Promise(None, f"none can be promised: {why}")
 
 

@@ -345,7 +345,7 @@ def show(result: pipeline.Result, study: str, *, as_json: bool) -> int:
 
 
 def print_files(result: pipeline.Result) -> None:
-    """Print the PSNR of the film in the photograph, if there is one, and the files."""
+    """Print the files; for a film in the photograph, first print its PSNR."""
     if composed := result.report.get("compose"):
         print(f"in the picture: {composed['psnr']:.1f} dB inside the object in the first frame")
     for path in result.files:

@@ -40,7 +40,7 @@ TRUST = 0.02
 """Weight of the network's depth, relative to the weight of the slopes from its normals. Features
 larger than 1/sqrt(TRUST) pixels follow the depth, smaller ones the normals."""
 STEEPEST = 4.0
-"""Largest slope that is taken from a normal."""
+"""Largest slope that is derived from a normal."""
 
 
 def depth_anything(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:

@@ -21,7 +21,8 @@ MOST_BRANDS = 64
 HEAD = 16 + 4 * MOST_BRANDS
 """Number of leading bytes that suffice to recognise the format."""
 MOST_SEGMENTS = 100_000
-"""Largest number of JPEG segments before the size; photographs have up to a few hundred."""
+"""Largest number of JPEG segments that are read to find the size; photographs have up to a few
+hundred."""
 SEGMENT = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
 """Start of a JPEG segment; 00 and D0 to D7 belong to the image data. Further FF bytes may precede a
 segment, but the pattern must not include them, because FF+ would be matched again from each FF."""

@@ -19,7 +19,7 @@ from phy124.imaging.lab import to_lab
 
 Solid = NDArray[np.bool_]
 GAP = 0.03
-"""Smallest gap in the outline that is reported, as a fraction of the object's area."""
+"""Smallest gap in the outline that counts, as a fraction of the object's area."""
 SIDE, MARGIN = 200, 3
 """Longest side to which the object is reduced to search it for a rim, and the margin around it
 [pixels]."""

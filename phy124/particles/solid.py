@@ -193,9 +193,7 @@ class _Voxels:
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """Return the finest grid on which the samples are connected; if there is none, the finest
-    grid.
-    """
+    """Return the finest grid on which the samples are connected, or the finest of all."""
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:

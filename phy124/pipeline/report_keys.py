@@ -190,7 +190,7 @@ class Energy(TypedDict):
     material: float
     """Loss by viscosity and plasticity inside the material."""
     contact: float
-    """Loss by friction at walls; on lattices, by all contact."""
+    """Loss by friction at walls; on lattices, loss by all contact."""
     numerical: float
     """Other losses, which the numerical method causes; negative if energy was gained."""
     kinetic: NotRequired[float]
@@ -314,7 +314,7 @@ class Report(TypedDict):
     grid: dict[str, Any]
     """Cell width `dx` [m] and number of nodes of the last `window`."""
     threads: int
-    """Number of CPU threads; with the same number, the result is the same bit for bit."""
+    """Number of CPU threads; runs with the same number give the same result, bit for bit."""
     limiters: dict[str, int]
     """Number of substeps whose length each limit determined: elastic, speed, gradient, viscous,
     user."""

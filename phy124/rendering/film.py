@@ -53,7 +53,7 @@ HD."""
 WAITING = 4
 """Largest number of pictures that wait for an encoder."""
 NEAR = 0.05
-"""Largest RMS distance between the last and the first pose, in object sizes, at which a film
+"""Limit on the RMS distance between the last and the first pose, in object sizes; up to it a film
 fades."""
 
 

@@ -23,7 +23,8 @@ from phy124.kernels import implicit
 
 Field = NDArray[np.float64]
 COARSE = 4
-"""Size of the cells of the first, coarse search for the surface, in final cells."""
+"""Size of the cells of the coarse search for the surface, relative to the cells of the final
+search."""
 OUTSIDE = -4.0
 """Lower limit of the normalised silhouette far outside the object."""
 TOLERANCE = 0.25
