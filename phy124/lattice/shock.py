@@ -30,9 +30,13 @@ the speed of sound.
 IMPACT = 0.3
 """A point that moves farther than this in a substep may be squeezed too much at a wall [cells]."""
 COLLAPSED = 1e-6
-"""The motion is no longer sound if substeps are shorter than this fraction of a substep at rest."""
+"""The motion is no longer sound if substeps are shorter than this fraction of the undeformed body's
+substep.
+"""
 STALLED = 1000
-"""Number of substeps that must together last at least as long as a substep at rest."""
+"""Number of substeps that must together last at least as long as one substep of the undeformed
+body.
+"""
 
 
 class LatticeClock(Clock):
@@ -85,7 +89,7 @@ class LatticeClock(Clock):
         return self.in_shock or speed * drift > IMPACT * self.dx
 
     def stalls(self, usual: float) -> bool:
-        """Return whether the last `STALLED` substeps lasted less than a substep at rest.
+        """Return whether the last `STALLED` substeps lasted less than one of the undeformed body.
 
         Args:
             usual: Length of a substep at rest [s].

@@ -132,7 +132,7 @@ class LatticeSolver:
             self.spectrum = Spectrum(model, self.crew, nodes, lattice, lambda: run_task(TRIAL))
         """The largest frequency of the bodies, which limits the substep."""
         self.substep_at_rest = self.clock.cfl * self.spectrum.substep_at_rest
-        """Length of a substep at rest [s]."""
+        """Length of a substep of the undeformed bodies [s]."""
         self._probing = False
         """Whether the next substep measures the largest frequency."""
         self._strain, self._probed = math.inf, 0
@@ -425,7 +425,7 @@ class LatticeSolver:
         if not inverted and not clock.stalls(usual):
             return
         clock.last_dt = self.substep_at_rest
-        what = f"{STALLED} substeps lasted less than one at rest"
+        what = f"{STALLED} substeps together lasted less than one of the undeformed body"
         if inverted:
             what = "it turned inside out" + (f" ({lost} points)" if lost else "")
         raise Unstable(f"the body was squeezed so fast that {what}")

@@ -122,7 +122,7 @@ class Spectrum:
 
     @property
     def substep_at_rest(self) -> float:
-        """Longest stable substep at rest [s]."""
+        """Longest stable substep of the undeformed bodies [s]."""
         z = math.sqrt(self._least) * self._delay
         return 2 / math.sqrt(self._least) / (math.sqrt(1 + z * z) + z)
 

@@ -15,7 +15,7 @@ class ContactWork:
     """The sums of a run, and the arrays that all launches read."""
 
     def __init__(self, model: Model, nodes: Any, tracks: Tracks, sums: wp.array) -> None:
-        """Refer to the nodes of a run.
+        """Store the nodes of a run.
 
         Args:
             model: The constants of the run.

@@ -90,7 +90,7 @@ class Phases:
             bodies.join(self._solids, projection.mobility)
         inviscid = self._mixture.viscosity == 0 and not self._solids.present
         self.reflection = REFLECTION if inviscid else 0.0
-        """Fraction of the pressure's change of velocity that acts a second time."""
+        """Fraction of the velocity change by pressure that acts a second time."""
         self._velocities = Velocities(model, cells, self._mixture, self.reflection)
         self.energies = Energies(model, state, cells, len(workers), self.reflection)
         """Work on the liquid by cause."""

@@ -197,7 +197,7 @@ class LiquidSolver:
 
     @property
     def reflection(self) -> float:
-        """Fraction of the pressure's change of velocity that acts a second time."""
+        """Fraction of the velocity change by pressure that acts a second time."""
         return self._phases.reflection
 
     @property

@@ -25,7 +25,7 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
 REFLECTION = 0.8
-"""Fraction of the pressure's change of velocity that acts a second time in an inviscid liquid. With
+"""Fraction of the velocity change by pressure that acts a second time in an inviscid liquid. With
 1, nothing damps a divergence that changes its sign in every step, as after a full box was squeezed.
 """
 LAYERS, LAYERS_SHIFT = 4, 2
@@ -41,19 +41,19 @@ class Velocities:
     """Records launches that compute the velocities of faces on which the pressure has acted."""
 
     def __init__(self, model: Model, cells: Cells, mixture: Mixture, reflection: float) -> None:
-        """Refer to the cells of a run.
+        """Store the cells of a run.
 
         Args:
             model: The particles.
             cells: The cells.
             mixture: Densities and viscosities of the liquids.
-            reflection: Fraction of the pressure's change of velocity that acts a second time.
+            reflection: Fraction of the velocity change by pressure that acts a second time.
         """
         self._model, self._cells, self._mixture = model, cells, mixture
         self.reflection = reflection
 
     def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses) -> None:
-        """Refer to walls and accelerations.
+        """Store walls and accelerations.
 
         Args:
             walls: The walls.

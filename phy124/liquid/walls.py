@@ -120,7 +120,7 @@ class Walls:
         self.motions = wp.zeros((len(slots), 3), dtype=t.vec3, device=device)
         """Velocity, angular velocity and centre of each wall."""
         self.still = wp.zeros_like(self.motions)
-        """Motions of walls at rest."""
+        """Motions of walls that stand still."""
         self.move = any(wall.moves for wall in walls)
         """Whether any wall moves or disappears."""
         self._groups = list(self._group_walls())

@@ -301,7 +301,7 @@ class Computed(NDArrayOperatorsMixin):
     """One array of all frames [T,N,...], computed frame by frame when it is read."""
 
     def __init__(self, recorded: Frames, name: str, *, columns: slice | None = None) -> None:
-        """Refer to an array by its name in `MOVING`."""
+        """Store the name of an array, as in `MOVING`."""
         self.recorded, self.name, self.columns = recorded, name, columns
         count = len(range(recorded.count)[columns or slice(None)])
         self.shape = (len(recorded), count, 4 if name in ("quats", "rotations") else 3)

@@ -31,8 +31,8 @@ PULL = 0.1
 """A substep is run as a trial if forces could move a particle from rest by more than this [cells].
 """
 ROUNDED = 1 - 1e-6
-"""Fraction of the previous frame that the bounds include. If it were 1, rounding could include
-forces that ended before that frame.
+"""Fraction of the previous frame that the bounds also cover. With 1, rounding could include forces
+that ended just before the previous frame.
 """
 
 

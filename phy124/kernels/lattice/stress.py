@@ -1,4 +1,4 @@
-"""Forces of the stress on the nodes of the lattice at rest: f_i = -sum V P grad w_i.
+"""Forces of the stress on the nodes of a lattice of the rest shape: f_i = -sum V P grad w_i.
 
 P = tau F^-T is the first Piola-Kirchhoff stress of the law's Kirchhoff stress tau.
 """

@@ -20,8 +20,8 @@ STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
 the parts of the stress that are viscosity and artificial viscosity [J].
 """
 WALLS, ITSELF, PAIRS, SOLIDS = 5, 8, 11, 14
-"""Index of the first of three works of each kind of contact: with walls, of a body with itself,
-between bodies, and with free solids, whose motion counts as that of a wall at rest [J].
+"""Index of the first of the three works [J] of each kind of contact: with walls, of a body with
+itself, between bodies, and with free solids. A free solid counts as a wall at rest.
 """
 DRIVEN, PRESSED, RUBBED = 0, 1, 2
 """Index of each of the three works: by the wall's motion, by impulses along the normal, and by

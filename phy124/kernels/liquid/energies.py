@@ -23,7 +23,7 @@ acceleration on the displacements that restore the density.
 """
 AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
 """Indices of the walls' work up to three phases of a step, computed with the velocities of the
-walls. The sum after each is the same work computed with the velocities of the liquid, as
+walls. The sum after each of these is the same work computed with the velocities of the liquid, as
 `WallImpulses` sums it.
 """
 COUNT = 9

@@ -426,7 +426,7 @@ def make_push_out(shape: str, real: Any):
 
     @wp.func
     def stop(v: t.vec3, u: t.vec3, normal: t.vec3, friction: real):
-        """Return velocity v without motion into a wall of velocity u, and after friction."""
+        """Return v after contact with a wall of velocity u: no motion into it, and friction."""
         along = wp.dot(v - u, normal)
         if along >= real(0.0):
             return v

@@ -16,8 +16,8 @@ RIM = wp.constant(0.50)
 WIDTH = wp.constant(1.5)
 """Width of an edge, and of the soft outline of a face [px]."""
 NEARLY = wp.constant(0.9999)
-"""Fraction of a ray's length up to the surface behind the glass. A face beyond this fraction counts
-as lying on that surface, so it is not drawn.
+"""Fraction of the distance along a ray to the surface behind the glass. A face beyond this fraction
+counts as lying on that surface, so it is not drawn.
 """
 TINT = wp.constant(wp.vec3(0.36, 0.44, 0.52))
 """Colour of the glass."""
