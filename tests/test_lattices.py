@@ -102,4 +102,7 @@ def test_an_impact_that_takes_too_many_substeps_ends():
     fast = scene(**{"object.velocity": (0, 0, -1000), "accuracy.solver": "lattice"})
     simulation = Simulation(prepare(ball(100), fast, RunContext(threads=1)))
     simulation.run()
-    assert f"{STALLED} substeps together lasted less than one of the undeformed body" in simulation.stopped
+    assert (
+        f"{STALLED} substeps together lasted less than one of the undeformed body"
+        in simulation.stopped
+    )

@@ -1,4 +1,4 @@
-"""Forces on particles before the scatter: accelerations, wrenches, pulls, and one for tests.
+"""Forces on particles before the scatter: accelerations, wrenches, pulls, and a test force.
 
 `chosen` lists the particles that a force acts on. `slot` is the track with the force's strength,
 averaged over the kick and zero while the force is off.

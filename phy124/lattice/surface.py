@@ -161,7 +161,7 @@ def _points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.float64
 def _consecutive(
     nodes: NDArray[np.int64], weights: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Return nodes and weights [S,27] in nine groups of three nodes consecutive in memory.
+    """Return nodes and weights [S,27] in nine groups of three nodes that are consecutive in memory.
 
     The nodes of a lattice are sorted along z, so the existing nodes of a group are consecutive. A
     group of fewer than three is filled up with neighbours in memory, which have weight 0.

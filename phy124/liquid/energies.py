@@ -90,7 +90,7 @@ class Energies:
         return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
 
     def of_faces(self, worker: int) -> list[Recorded]:
-        """Return a worker's launch that sums the work on faces, after faces got velocities."""
+        """Return a worker's launch that sums the work on faces, once their velocities are known."""
         if not self._on:
             return []
         cells, tracks = self._cells, self._tracks

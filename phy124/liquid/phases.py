@@ -42,7 +42,9 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Worker
 
 EXTENT = 7
-"""Length of the particles' extent: minus the lowest corner, the highest corner, speed squared."""
+"""Number of entries of the particles' extent: the lowest corner with reversed sign, the highest
+corner, and the squared speed.
+"""
 
 
 class Phases:
