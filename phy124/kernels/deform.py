@@ -290,7 +290,7 @@ def make_carry(real: Any):
 
 @build_once
 def make_follow(real: Any):
-    """Kernel for particles of one precision: gives each Gaussian the position and F of its own."""
+    """Kernel for one precision: gives each Gaussian the position and F of its own particle."""
     t = types(real)
 
     @kernel(f"phy124_follow_{real.__name__}", real, seconds=0.2)

@@ -73,7 +73,7 @@ def stretch(F: Any):
 
 @wp.func
 def log_volume_far(J: Any):
-    """Return log J, continued linearly below SMALLEST_J: finite for every J and repulsive."""
+    """Return log J, continued linearly below SMALLEST_J: finite, and inverted elements resist."""
     floor = type(J)(SMALLEST_J)
     if J > floor:
         return wp.log(J)

@@ -218,7 +218,7 @@ class LatticeSolver:
         ]
 
     def _push(self, worker: int) -> list[Any]:
-        """Return a worker's pushes; the first worker has all pushes unless all can be divided."""
+        """Return a worker's pushes; if one push cannot be divided, the first worker has all."""
 
         def record(stages: Sequence[Stage]) -> list[Any]:
             return launches([(stage.name, stage.record(self.grid)) for stage in stages])

@@ -26,7 +26,7 @@ particles by less than three cells, and each particle reaches cells two further 
 LARGEST = 32
 """A window is renewed if more cells than this are between particles and border."""
 FAR = 1e3
-"""Distance to the nearest wall [cells] that is stored where no wall is near."""
+"""Value stored as the distance to the nearest wall [cells] where no wall is near."""
 
 
 ROOM = 4

@@ -244,7 +244,7 @@ class Phases:
         return slice(first, first + count)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return a worker's pushes; the first worker has all pushes unless all can be divided."""
+        """Return a worker's pushes; if one push cannot be divided, the first worker has all."""
         if all(stage.by_run for stage in stages):
             with grid.only(None, worker, len(self._workers)):
                 return launches([(stage.name, stage.record(grid)) for stage in stages])

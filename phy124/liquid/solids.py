@@ -68,7 +68,7 @@ class Solids:
     def couple(
         self, cells: Cells, densities: wp.array, walls: Walls, tracks: Tracks, worker: int
     ) -> list[list[Recorded]]:
-        """Return a worker's launches that precede the divergence of the velocities.
+        """Return a worker's launches that come before the velocities' divergence is computed.
 
         Args:
             cells: The cells.

@@ -40,7 +40,7 @@ class Exposed:
 
     @cached_property
     def _starts(self) -> NDArray[np.intp]:
-        """Index of each frame's first exposure, if sorted by frame; the last entry is `E`."""
+        """Index of each frame's first exposure when sorted; the last entry counts all exposures."""
         frames = np.arange(self.frame.max(initial=-1) + 2)
         return np.searchsorted(self.frame[self._by_frame], frames)
 

@@ -105,7 +105,7 @@ class Worker:
     timings: Timings = field(default_factory=dict)
 
     def run(self, phase: int) -> None:
-        """Run one phase of a substep; time between two launches counts towards the later."""
+        """Run one phase of a substep; time between two launches counts towards the later launch."""
         before = time.perf_counter()
         for name, launch in self.phases[phase]:
             launch()

@@ -87,7 +87,7 @@ def whole(velocity: wp.array(dtype=Any), n: int, axis: int, size: wp.vec3i):
 
 @wp.func
 def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size: wp.vec3i):
-    """Return the direction away from walls at a point `at` half cells from a cell's corner."""
+    """Return the direction away from walls at the point `at` half cells from a cell's corner."""
     n = wp.vector(
         distances[point(cell, at[0] + 1, at[1], at[2], size)]
         - distances[point(cell, at[0] - 1, at[1], at[2], size)],
