@@ -200,7 +200,7 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
     most = affordable(run)
     if cost > most:
         took, limit = format_apart(cost, most)
-        why = f"a coarser grid would take {took} of the time of the dynamics, and may take {limit}"
+        why = f"a coarser grid would take {took} of the time of the dynamics; the limit is {limit}"
         return OwnError(cost=round(cost, 4), why_not=why)
     with run.setup.context.watch.stage("companion"):
         return _compare(run, clip, scene, indices)

@@ -178,7 +178,7 @@ class ShowAccuracy:
         """Return the Gaussians to study, their scene, and their crop of the picture."""
         if self.image is None:
             if self.more:
-                limit = "they are for further objects, and there is no picture of the first."
+                limit = "they are for further objects, but there is no picture of the first."
                 raise InputError("more", self.more[0], limit, "Add --image FILE.")
             from phy124.generators.shapes import ball
 

@@ -39,8 +39,8 @@ class DepthMap(Section):
     near: Literal["white", "black"] = Field(
         default="white",
         description="Brightness of near surfaces in the depth map: white "
-        "(large values, as MiDaS and Depth "
-        "Anything write them) or black (as in metres).",
+        "(large values, as MiDaS and Depth Anything write them) or black (small values, as in "
+        "depths in metres).",
     )
 
     @field_validator("depth", mode="before")

@@ -50,7 +50,8 @@ def find_hollow(rgb: NDArray[np.uint8], solid: Solid) -> Iterator[str]:
     if has_rim(rgb, solid):
         yield f"This may be a hollow object, as its rim is seen from above: {guess}"
     elif has_gap(solid):
-        yield f"The outline has a gap, as inside a handle or a ring. If it is hollow: {guess}"
+        gap = "The outline has a gap, as inside a handle or a ring."
+        yield f"{gap} If the object is hollow: {guess}"
 
 
 def has_gap(solid: Solid) -> bool:

@@ -152,7 +152,9 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
         velocity, spin = motion[2:] if twist else (R @ before.velocity, R @ before.spin)
         solver.free.put(solids.index(name), (motion.place, motion.quat, velocity, spin))
     elif run.scene.couples:
-        limit = "next to objects of particles, an object on a lattice cannot be moved at once."
+        limit = (
+            "an object on a lattice cannot be moved at once in a scene with objects of particles."
+        )
         raise InputError("state.entity", name, limit, 'Use accuracy.solver = "mpm".')
     elif run.scene.on_lattice:
         body = int(np.flatnonzero(np.unique(_objects(run)) == number)[0])

@@ -1,5 +1,4 @@
-"""Finds the camera position that is nearest while the whole motion is visible, and the camera's
-target.
+"""Finds the nearest camera position that shows the whole motion, and the camera's target.
 
 A point is in the picture if it lies between four planes through the camera. Consider the planes
 that touch the outermost Gaussians: the two vertical planes intersect in one line, and the two

@@ -70,8 +70,8 @@ QUANTITIES: dict[Output, Quantity] = {
         "1",
         ("X", "Y", "Z"),
         True,
-        "Mean unit normal in the world's axes; a Gaussian's normal is its shortest axis, towards "
-        "the camera, and meaningless if the Gaussian is a ball.",
+        "Mean unit normal in the world's axes. A Gaussian's normal is its shortest axis, directed "
+        "towards the camera; the normal of a ball is meaningless.",
     ),
     "flow": Quantity(
         "px/frame",
@@ -387,7 +387,8 @@ def _description(
         "camera": "OpenCV: x right, y down, z forward; the centre of pixel (i, j) is "
         "(i + 0.5, j + 0.5)",
         "walls": "force [N] of the object on each wall, and torque about the object's "
-        "centre of mass [N m], in the world's axes; their sum is the opposite of force",
+        "centre of mass [N m], in the world's axes; the sum of the forces is the opposite of the "
+        "output force",
         "uncovered": "0 in all channels (a force is covered everywhere)",
         "outputs": outputs,
         "frames": rows,

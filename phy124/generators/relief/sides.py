@@ -55,8 +55,8 @@ def check_side(front: Solid, side: Solid) -> None:
     depth = side_box.size[0] / max(front_box.size)
     if not FLATTEST <= depth <= DEEPEST:
         limit = (
-            f"Scaled to the height of the front picture, the object would be {depth:.2g} "
-            "times as deep as its longest side in the front picture."
+            "With the picture from the side scaled to the height of the front picture, the object "
+            f"would be {depth:.2g} times as deep as the longest side of its front."
         )
         remedy = "Give pictures of the whole object, upright in both."
         raise InputError("side", "picture", limit, remedy)

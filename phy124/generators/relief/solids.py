@@ -261,7 +261,7 @@ def normalise_depth(depth: NDArray, alpha: NDArray) -> NDArray[np.float32]:
     inside, outside = alpha > 127, alpha == 0
     if outside.any() and float(depth[inside].mean()) < float(depth[outside].mean()):
         limit = "The object is farther away than its surroundings."
-        remedy = "If black is near, add --near black; if white is near, leave it out."
+        remedy = "If black is near, add --near black; if white is near, leave --near out."
         raise InputError("depth", "map", limit, remedy)
     return ((depth - low) / (high - low)).astype(np.float32)
 
