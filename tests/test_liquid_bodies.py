@@ -131,6 +131,23 @@ def test_ball_that_lands_in_a_pool_is_pushed_by_the_water():
     assert clip.report["walls"]["container_z_low"]["largest_force"] > 1000
 
 
+def test_liquid_on_a_block_that_fills_its_tank_gains_no_energy():
+    """No film lies below such a block, whatever the pressure on its top."""
+    block = {"name": "block", "shape": "box", "size": 1.4, "sides": (1.0, 1.0, 0.3)}
+    inside = {"lower": (-0.7, -0.7, 0), "upper": (0.7, 0.7, 9)}
+    scene = pool(
+        accuracy={"cells": 12, "liquid": "projection"},
+        object={"on": "block"},
+        material={"law": "fluid"},
+        objects=[{**block, "material": {"law": "neo_hookean", "density": 700, "E": 1e4}}],
+        boundaries=[{"kind": "container", "inside": inside, "friction": 0.0}],
+        time={"frames": 3, "fps": 24},
+    )
+    clip = Simulation(prepare(ball(), scene, RunContext(threads=1))).run()
+    assert clip.report["complete"], clip.report["stopped"]
+    assert clip.report["balance"]["energy_gain"] < 0.02
+
+
 @pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_mixed_run_repeats_and_resumes_bit_for_bit(threads):
     whole = Simulation(prepare(ball(), pool(), RunContext(threads=threads)))

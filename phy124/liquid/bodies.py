@@ -82,6 +82,7 @@ class Bodies:
         self._turns = wp.zeros(len(model), dtype=t.mat33, device=device)
         self._most = wp.zeros(1, dtype=model.real, device=device)
         self._volumes = wp.zeros(3, dtype=wp.float64, device=device)
+        self._rims = wp.zeros(6, dtype=wp.vec3d, device=device)
         self._shifts = np.full(model.bodies, np.nan)
         """Distance by which the surface of each body is shifted outwards [cells]."""
         self._limit, self._kick, self._pull = 0.0, 0.0, np.zeros(3)
@@ -329,18 +330,16 @@ class Bodies:
         real, solid = self._model.real, self.first + index
         region = self._region(cells, self.numbers[index])
         count, box = int(np.prod(region.size)), region.box
-        self._volumes.zero_()
+        self._rims.zero_()
         layers = self._weigh_layers(cells, region, densities)
         grid = [box, cells.lattice, cells.window, tracks.clock, tracks.values]
         surface = [cells.which, cells.liquid, cells.jumps, cells.pressure]
-        inputs = [solid, *layers, *grid, *surface]
-        self._launch(kernels.make_head(real), count, inputs, [self._volumes])
-        total, area, _ = np.asarray(self._volumes.numpy(), np.float64).tolist()
-        if area > 0:
-            inputs = [solid, total / area, self._solids.scale, *layers, *grid, *surface]
-            inputs += [cells.still[1], self._contact]
-            outputs = [self.pressed, sums, self._exchanged]
-            self._launch(kernels.make_film(real), count, inputs, outputs)
+        inputs = [solid, *layers, *grid, *surface, self._contact]
+        self._launch(kernels.make_head(real), count, inputs, [self._rims])
+        inputs = [solid, self._rims, self._solids.scale, *layers, *grid, *surface]
+        inputs += [cells.still[1], self._contact]
+        outputs = [self.pressed, sums, self._exchanged]
+        self._launch(kernels.make_film(real), count, inputs, outputs)
 
     def _weigh_layers(
         self, cells: Cells, region: Region, densities: wp.array | None

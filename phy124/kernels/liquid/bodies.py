@@ -295,9 +295,11 @@ def weight_at(x: Any, a: Any, dt: Any, dx: Any, low: Any, heads: wp.array(dtype=
 
 @build_once
 def make_head(real: Any):
-    """Kernel over cells: sums q less its hydrostatic part over a body's surface, by area.
+    """Kernel over cells: sums q less its hydrostatic part around a body's contact with walls.
 
-    `rows_out` gets the sum over all cells of the body's surface, and its area.
+    A contact's direction is that in which a film pushes the body: -x, +x, -y, +y, -z or +z.
+    `rows_out` [6] gets, for each direction, the sum by area over the cells of the body's surface
+    next to such a contact, the area of these cells, and the area of the contact.
     """
     t = types(real)
 
@@ -315,38 +317,69 @@ def make_head(real: Any):
         liquid: Ints,
         jumps: Vectors,
         x_guess: Doubles,
-        rows_out: Doubles,
+        contact: t.vec3s,
+        rows_out: Vectors,
     ):
         cell = cell_of(wp.tid(), region[1]) + region[0]
         size = window[1]
         if not inner(cell, size, 2):
             return
         n = number(cell, size)
+        zero = wp.float64(0.0)
+        for axis in range(3):
+            touch = wp.float64(contact[n][axis])
+            if touch != zero:
+                side = 2 * axis + int(touch > zero)
+                wp.atomic_add(rows_out, side, wp.vec3d(zero, zero, wp.abs(touch)))
         if liquid[n] == 1 and which[n] == solid:
             a = wp.vector(values[0][0], values[0][1], values[0][2])
             x = centre_of(cell, lattice, window[0])
             weight = wp.float64(weight_at(x, a, clock[0], lattice[3], low, heads))
             area = wp.length(jumps[n])
-            wp.atomic_add(rows_out, 0, area * (x_guess[n] - weight))
-            wp.atomic_add(rows_out, 1, area)
+            row = wp.vec3d(area * (x_guess[n] - weight), area, zero)
+            low_touch = t.vec3()
+            high_touch = t.vec3()
+            for i in range(27):
+                m = n + (i // 9 - 1) * size[1] * size[2] + (i // 3 % 3 - 1) * size[2] + i % 3 - 1
+                low_touch = wp.min(low_touch, contact[m])
+                high_touch = wp.max(high_touch, contact[m])
+            for axis in range(3):
+                if low_touch[axis] < real(0.0):
+                    wp.atomic_add(rows_out, 2 * axis, row)
+                if high_touch[axis] > real(0.0):
+                    wp.atomic_add(rows_out, 2 * axis + 1, row)
 
     return head
+
+
+@wp.func
+def share_of(rim: wp.vec3d, opposite: wp.vec3d):
+    """Return the share of a contact at which a film acts; the rows are those of `make_head`.
+
+    A film needs liquid along half of the contact's perimeter, which is taken as that of a square.
+    Films on opposite sides act only as far as their areas differ, since they would squeeze a body
+    that fills the space between two walls.
+    """
+    unit = wp.float64(1.0)
+    wet = wp.min(rim[1] / (wp.float64(2.0) * wp.sqrt(rim[2])), unit)
+    return wet * wp.max(unit - opposite[2] / rim[2], wp.float64(0.0))
 
 
 @build_once
 def make_film(real: Any):
     """Kernel over a region's cells: computes the pressure of a film between a body and walls.
 
-    Where a body lies on a wall, the film is assumed to have the hydrostatic pressure of the
-    surrounding liquid. In a cell of liquid between both, in which opposite faces are equally open,
-    the film has the pressure of the cell.
+    Where a body lies on a wall, the film is assumed to have the hydrostatic pressure of the liquid
+    around the contact, whose sums by direction are `rims` (`make_head`). In a cell of liquid
+    between both, in which opposite faces are equally open, the film has the pressure of the cell.
+    The film acts on the share of the contact that `share_of` returns.
     """
     t = types(real)
 
     @kernel(f"phy124_liquid_film_{real.__name__}", real, seconds=0.3)
     def film(
         solid: int,
-        rise: real,
+        rims: Vectors,
         scale: real,
         low: real,
         heads: t.reals,
@@ -373,15 +406,19 @@ def make_film(real: Any):
         a = wp.vector(values[0][0], values[0][1], values[0][2])
         for axis in range(3):
             row = contact[n][axis]
+            side = 2 * axis + int(row > real(0.0))
+            rim = rims[side]
             if row != real(0.0) and liquid[n] == 1 and which[n] == solid:
                 row -= real(jumps[n][axis])
             if row != real(0.0):
                 x = centre_of(cell, lattice, window[0])
                 x[axis] = x[axis] - real(0.5) * lattice[3] * wp.sign(row)
+                rise = real(rim[0] / wp.max(rim[1], wp.float64(1e-9)))
                 q = rise + weight_at(x, a, clock[0], lattice[3], low, heads)
                 q = wp.max(q, real(0.0))
                 if liquid[n] == 1:
                     q = real(x_guess[n])
+                q *= real(share_of(rim, rims[4 * axis + 1 - side]))
                 impulse = t.vec3()
                 impulse[axis] = q * scale * row
                 pressed_out[n] = pressed_out[n] + impulse
