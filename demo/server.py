@@ -10,7 +10,8 @@ import re
 import socket
 import threading
 import warnings
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -197,7 +198,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
     settings = studio.settings
     page.queue(max_size=settings.max_queue, default_concurrency_limit=1, api_open=False)
     connections = allow_connections()
-    with limit_connections(connections):
+    with limit_connections(connections), without_cors():
         page.launch(
             server_name=settings.host,
             server_port=settings.port,
@@ -221,7 +222,6 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
             **options,
         )
     print(f"The page is at {page.local_url}", flush=True)  # at once, even into a file
-    _remove_cors(page.app)
     sessions = page.app.state_holder = page.state_holder = Sessions(page, studio.visitors)
     # uvicorn reads these attributes for each new connection.
     page.server.config.ws_max_size = LARGEST_MESSAGE
@@ -251,13 +251,21 @@ def tool_routes(page: Any, studio: Studio) -> list[BaseRoute]:
     return ToolServer(page, studio).routes()
 
 
-def _remove_cors(app: Any) -> None:
-    """Remove Gradio's middleware that lets pages of other sites read answers."""
-    from gradio.route_utils import CustomCORSMiddleware
+@contextmanager
+def without_cors() -> Iterator[None]:
+    """Within this context, apps lack Gradio's middleware that lets other sites read answers.
 
-    kept = [each for each in app.user_middleware if each.cls is not CustomCORSMiddleware]
-    app.user_middleware = kept
-    app.middleware_stack = app.build_middleware_stack()
+    If it were removed after the start, all middleware would be built a second time, and would no
+    longer count the streams and requests from before.
+    """
+    from gradio import routes
+
+    names, name = routes.__dict__, "CustomCORSMiddleware"
+    usual, names[name] = names[name], lambda app, **_: app
+    try:
+        yield
+    finally:
+        names[name] = usual
 
 
 def _sweep(studio: Studio) -> None:

@@ -163,7 +163,7 @@ class _Stream:
         self.cookie, self.address = cookie_of(request), address_of(request)
         self._send = send
         self._answer: asyncio.Future[None] | None = None
-        self._ended = self._begun = False
+        self._ended = self._begun = self._complete = False
 
     def end(self) -> None:
         """End the stream as if its reader had disconnected."""
@@ -179,6 +179,8 @@ class _Stream:
         except asyncio.CancelledError:
             if not self._ended:
                 raise
+            if self._complete:
+                return None
             if not self._begun:
                 return await PlainTextResponse(TOO_MANY_STREAMS, 429, {"connection": "close"})(
                     scope, receive, self._send
@@ -188,3 +190,4 @@ class _Stream:
     async def _pass_on(self, message: Message) -> None:
         self._begun = True
         await self._send(message)
+        self._complete = message["type"].endswith("body") and not message.get("more_body")

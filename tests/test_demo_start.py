@@ -14,7 +14,7 @@ import pytest
 
 from demo.__main__ import import_gradio
 from demo.jobs import Studio
-from demo.server import check_address, reach_itself, tool_routes
+from demo.server import check_address, reach_itself, tool_routes, without_cors
 from demo.settings import Settings
 from demo.visitors import Visitors
 from phy124.errors import InputError
@@ -34,6 +34,16 @@ def test_a_busy_port_is_said_in_a_sentence(tmp_path):
         )
     assert ended.returncode == 2 and "Traceback" not in ended.stderr
     assert f"port = {port}: Another program listens there." in ended.stderr
+
+
+def test_apps_are_made_without_answers_for_other_sites():
+    pytest.importorskip("gradio", reason="the extra demo is not installed")
+    from gradio import routes
+
+    usual, app = routes.CustomCORSMiddleware, object()
+    with without_cors():
+        assert routes.CustomCORSMiddleware(app, strict_cors=True, parent_app=None) is app
+    assert routes.CustomCORSMiddleware is usual
 
 
 def test_gradio_is_imported_without_declarations_for_editors(monkeypatch):

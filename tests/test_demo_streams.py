@@ -73,6 +73,28 @@ def test_of_too_many_streams_of_a_cookie_the_oldest_ends():
     asyncio.run(visit())
 
 
+def test_an_answer_that_completes_when_cancelled_ends_once():
+    """Gradio's heartbeat does so."""
+    last = {"type": "http.response.body", "body": b"", "more_body": False}
+
+    async def beat(scope, receive, send):
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        try:
+            await asyncio.sleep(1000)
+        except asyncio.CancelledError:
+            await send(last)
+            raise
+
+    async def visit():
+        page = Page()
+        page.door.app = beat
+        opened = [await page.visit("a") for _ in range(STREAMS_EACH + 1)]
+        await asyncio.wait_for(opened[0], PATIENCE)
+        assert page.answers[0][1:] == [last]
+
+    asyncio.run(visit())
+
+
 def test_an_address_and_all_together_have_only_so_many_streams():
     async def visit():
         page = Page(most=STREAMS_ADDRESS + 2)
