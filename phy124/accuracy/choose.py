@@ -45,7 +45,8 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.bodies import Placed
 
 FIRST = (12, 16, 24)
-"""Cells across the object on the first levels; three levels are needed to observe an order."""
+"""Cells across the object on the first levels; three levels are needed to observe an order of
+convergence."""
 STEP = 1.5
 """Largest factor by which a new level may have more cells across the object than the finest so
 far."""

@@ -460,7 +460,7 @@ class Live:
         self._run.change(self._inputs.scene())
 
     def _note_change(self, value: Vector, sentence: str) -> Vector:
-        """Return the value; if it was changed, note the sentence that says so."""
+        """Return the value; if it was changed, store the sentence about the change as a note."""
         if sentence:
             self._note(sentence)
         return value

@@ -30,8 +30,8 @@ WINDOW = 0.3
 """A camera that moves in and out shows the motion from this time before a frame to this time after
 it [s]."""
 NEARER = 1.1
-"""With several objects, the camera moves in and out if this usually enlarges them by at least this
-factor."""
+"""With several objects, the camera moves in and out if the movement usually enlarges them by at
+least this factor."""
 MORE = 1.5
 """A container is shown as a whole if this increases the camera's distance by at most this
 factor."""
