@@ -129,7 +129,7 @@ def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
 
 @wp.func
 def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
-    """Return `wanted` (or `spare`, if `wanted` is along e) made orthogonal to e, with length 1."""
+    """Return the unit vector across e closest to `wanted`, or to `spare` if `wanted` is along e."""
     u = wanted - wp.dot(e, wanted) * e
     if wp.length(u) <= wp.float64(1e-3) * wp.length(wanted):
         u = spare - wp.dot(e, spare) * e

@@ -25,7 +25,7 @@ ROUNDS, NAP = 20, 5e-5
 spins.
 """
 SPINS = 100_000
-"""Number of checks of the barrier per spin if every thread has its own core; else it is 1."""
+"""Number of checks of the barrier per spin if every thread has its own core; otherwise 1."""
 Task = TypeVar("Task")
 
 

@@ -77,7 +77,7 @@ def make_node_work(real: Any):
 
 @build_once
 def make_contact_work(real: Any):
-    """Kernel of one thread: adds the three works of the impulses on surface points from `at` on.
+    """Kernel of one thread: adds three works of impulses on points to the sums from index `at` on.
 
     `gap` holds the normals, `rates[slot]` the velocity of the wall. Impulses do not act on nodes
     for which `inverse` is zero.
