@@ -35,9 +35,7 @@ can follow, and without viscosity it grows.
 MIXED = 0.1
 """An iteration starts from the last shape plus the accelerations, scaled to this relative size."""
 MISSED = 1.1
-"""Factor on squared frequencies, which the iterations underestimate. Without it at rest, slender
-undamped beams invert (`phy124 validate elastica-lattice`).
-"""
+"""Factor on squared frequencies, which the iterations underestimate."""
 
 
 class Spectrum:

@@ -148,6 +148,7 @@ PRESETS = {"preset": 0, "frames (length)": 1, "draft [s]": 2, "standard [s]": 3}
 STAGES = {"setting": 0, "simulate": 2, "shapes": 3, "render": 4, "encode": 5, "total": 6}
 CONTROL = {"preset": 0, "force in the paper": 1, "path [m]": 3, "a t² / 2 [m]": 4}
 TEARING = {"particles per cell and axis": 0, "intact up to a stretch of": 1, "broken at": 2}
+BARS = {"scene": 0, "217deb8": 1, "present": 2, "ratio": 3}
 SIZES = ("gaussians", "cells", "frames")
 GPU = "Simulation of presets, and the RMS distance between the clips of CPU and GPU:"
 GPU_COLUMNS = {"preset": 0, "16 CPU cores [s]": 1, "H200 [s]": 2, "times faster": 3}
@@ -158,6 +159,7 @@ BLOCKS: dict[str, dict[str, Callable[[], str]]] = {
         "verification": lambda: pick("accuracy.md", "<!-- verify -->", PROBLEMS),
     },
     "cost": {
+        "lattices": lambda: pick("solvers.md", "<!-- bars -->", BARS),
         "presets": lambda: pick("benchmarks.md", "## Presets", PRESETS),
         "stages": lambda: pick("accuracy.md", "<!-- costs -->", STAGES),
         "forecasts": tabulate_forecasts,
