@@ -15,13 +15,12 @@ from phy124.kernels.liquid.active import EMPTY
 from phy124.kernels.liquid.faces import sums
 from phy124.mpm import Model, Unstable
 from phy124.mpm.grid import FARTHEST
-from phy124.mpm.stage import Recorded
 
 MARGIN = 10
 """Number of cells between the particles and the border of a new window."""
 LEAST = 5
 """A window is renewed if fewer cells than this are between particles and border. A step moves
-particles by less than three cells, and each particle reaches cells two further away.
+particles by up to two cells, and each particle reaches cells two further away.
 """
 LARGEST = 32
 """A window is renewed if more cells than this are between particles and border."""
@@ -165,20 +164,6 @@ class Cells:
         """Lowest and highest cell of the particles in each column, in a copy for each worker."""
         self.begins, self.tops = (self._zeros(columns, int) for _ in range(2))
         """First active cell of each column, and the end of its active cells."""
-
-    def over(self, worker: int, name: str, kernel: Any, inputs: list, outputs: list) -> Recorded:
-        """Record a worker's launch over its active cells; their list precedes the inputs.
-
-        Args:
-            worker: Index of the worker.
-            name: Name of the stage.
-            kernel: A kernel over cells.
-            inputs: Arguments of the kernel.
-            outputs: Arrays that the kernel writes.
-        """
-        count = -(-self.count // self._copies)
-        inputs = [worker, self.active, self.ends, *inputs]
-        return name, self._model.launch(kernel, count, inputs, outputs)
 
     def region(self, reach: float, wall: int) -> Region:
         """Return the region of all cells up to `reach` [m] around the centre of a wall."""

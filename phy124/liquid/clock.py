@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 from phy124.mpm import Clock
 from phy124.mpm.timestep import Extremes, Substep
 
-CELLS, CELLS_REFLECTED = 2.0, 2.5
-"""Largest distance that a particle moves in a step [cells]: without and with a reflection, which
-makes the splitting of a step more accurate.
-"""
+CELLS = 2.0
+"""Largest distance that a particle moves in a step [cells]."""
 WAVES = 0.75
 """Length of a step in units of sqrt(dx / a), with the acceleration a of the liquid."""
 
@@ -40,26 +38,8 @@ class LiquidClock(Clock):
     """Rate at which velocities diffuse to a neighbouring face [1/s]."""
     wall = 0.0
     """Largest speed of a wall [m/s]."""
-    late = 0.5
-    """Lag of velocities behind positions, as a fraction of the last step."""
-    cells = CELLS
-    """Largest distance that a particle moves in a step [cells]."""
     bodies = 0.0
     """Largest speed of bodies of other materials [m/s]."""
-
-    @property
-    def since_kick(self) -> float:
-        """Time by which velocities lag behind positions [s]."""
-        return self.late * self.last_dt
-
-    def reflect(self, reflection: float) -> None:
-        """Let a fraction of the velocity change by pressure act a second time."""
-        self.late = 1 / (1 + reflection) - 0.5
-        self.cells = CELLS_REFLECTED if reflection > 0 else CELLS
-
-    def kick(self, dt: float) -> float:
-        """Return the time [s] over which the velocities change in a step of length dt [s]."""
-        return self.late * self.last_dt + (1 - self.late) * dt
 
     def diffuse(self, rate: float) -> None:
         """Limit steps by a viscosity: the rate at which velocities diffuse to a face [1/s]."""
@@ -68,7 +48,7 @@ class LiquidClock(Clock):
     def stable(self) -> Substep:
         """Return the longest step in the current state."""
         a, speed = self.acceleration, max(self.extremes.speed, self.wall, self.bodies)
-        far = self.cells * self.dx
+        far = CELLS * self.dx
         # The time in which the fastest particle moves that far: speed t + a t^2 / 2 = far.
         reach = speed + math.sqrt(speed * speed + 2 * a * far)
         limits = {
@@ -91,8 +71,8 @@ class LiquidClock(Clock):
         return self.uniform_work(momentum)
 
     def uniform_work(self, momentum: NDArray) -> float:
-        """Return the work of the uniform acceleration since the last kick [J]."""
-        return self.behind * float(self.pull @ momentum)
+        """Return the work of the uniform acceleration in the half step since the last kick [J]."""
+        return self.last_dt / 2 * float(self.pull @ momentum)
 
     def sweeps(self, kick: float) -> int:
         """Return the number of pairs of Jacobi steps after which the error is a thousandth."""

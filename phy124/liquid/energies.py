@@ -45,9 +45,7 @@ class Works(NamedTuple):
 class Energies:
     """Records the launches that sum work; there are none before `start` is called."""
 
-    def __init__(
-        self, model: Model, state: State, cells: Cells, workers: int, reflection: float
-    ) -> None:
+    def __init__(self, model: Model, state: State, cells: Cells, workers: int) -> None:
         """Store the particles and cells of a run.
 
         Args:
@@ -55,10 +53,8 @@ class Energies:
             state: Their positions.
             cells: The cells.
             workers: Number of workers.
-            reflection: Fraction of the pressure's change of velocity that acts a second time.
         """
         self._model, self._state, self._cells = model, state, cells
-        self._reflection = reflection
         self._sums = wp.zeros((workers, ROOM), dtype=wp.float64, device=model.device)
         self._on = False
 
@@ -94,8 +90,7 @@ class Energies:
         if not self._on:
             return []
         cells, tracks = self._cells, self._tracks
-        inputs = [worker, cells.active, cells.ends, self._reflection, cells.window]
-        inputs += [tracks.clock, tracks.values]
+        inputs = [worker, cells.active, cells.ends, cells.window, tracks.clock, tracks.values]
         inputs += [cells.open, cells.liquid, part_of(cells.sums, slice(0, cells.count))]
         inputs += [self._before, cells.velocity, cells.other]
         kernel = kernels.make_face_work(self._model.real)

@@ -6,7 +6,7 @@ Workers run each phase together and wait for each other between phases.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import warp as wp
@@ -19,6 +19,7 @@ from phy124.kernels.liquid import (
     mixture,
     packing,
     pressure,
+    spread,
     surface,
     transfer,
     viscous,
@@ -33,7 +34,6 @@ from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.mixture import Mixture
 from phy124.liquid.projection import Projection
 from phy124.liquid.solids import Solids
-from phy124.liquid.velocities import REFLECTION, Velocities
 from phy124.liquid.walls import Walls, span
 from phy124.mpm import FreeBodies, Grid, Model, Stage, State
 from phy124.mpm.model import part_of
@@ -41,6 +41,11 @@ from phy124.mpm.stage import Named, Recorded, launches
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Worker
 
+LAYERS, LAYERS_SHIFT = 4, 2
+"""Number of layers of faces outside the liquid to which velocities (`LAYERS`) and displacements
+(`LAYERS_SHIFT`) are extrapolated. Both are even, so that the last layer's flags are in
+`Cells.known`.
+"""
 EXTENT = 7
 """Number of entries of the particles' extent: the lowest corner with reversed sign, the highest
 corner, and the squared speed.
@@ -90,11 +95,7 @@ class Phases:
         self._bodies = bodies
         if bodies is not None:
             bodies.join(self._solids, projection.mobility)
-        inviscid = self._mixture.viscosity == 0 and not self._solids.present
-        self.reflection = REFLECTION if inviscid else 0.0
-        """Fraction of the velocity change by pressure that acts a second time."""
-        self._velocities = Velocities(model, cells, self._mixture, self.reflection)
-        self.energies = Energies(model, state, cells, len(workers), self.reflection)
+        self.energies = Energies(model, state, cells, len(workers))
         """Work on the liquid by cause."""
         self.viscosity = self._mixture.viscosity / (density * model.dx**2)
         """Rate at which velocities diffuse to a neighbouring face [1/s] at the mean density."""
@@ -126,7 +127,6 @@ class Phases:
         self._tracks, self._walls, self._impulses_of_walls = tracks, walls, impulses_of_walls
         self._mixture.fit(self._cells.count)
         self.energies.fit(walls, tracks, impulses_of_walls)
-        self._velocities.fit(walls, tracks, impulses_of_walls)
         names: list[str] = []
         for index, worker in enumerate(self._workers):
             named = list(self._phases(pushes, index, grid))
@@ -158,7 +158,7 @@ class Phases:
             yield "walls", launches(phase)
         for phase in self._walls.describe(cells, worker, len(self._workers), move=True):
             yield "move", launches(phase)
-        yield "push", self._push(pushes, worker, grid)
+        yield "scatter", self._push(pushes, worker, grid)
         yield "scatter", launches(self._solids.kick(self._tracks) if worker == 0 else [])
         yield "scatter", self._scatter(worker)
         yield from self._before_pressure(worker)
@@ -174,7 +174,8 @@ class Phases:
             yield "fill", launches(records)
         for phase in solve.phases(cells, cells.packing, worker):
             yield "packing", launches(phase)
-        yield "displace", launches([self._velocities.shift(worker)])
+        gradient = self._gradient(cells.packing, worker, shifts=packing.MOST)
+        yield "displace", launches([gradient])
         for records in self._displacements(worker):
             yield "displace", launches(records)
 
@@ -215,11 +216,12 @@ class Phases:
         """Yield a worker's phases in which velocities and particles follow the pressure."""
         energies = self.energies
         pressed = energies.of_walls(AT_PRESSURE, worker)
-        yield [self._velocities.change(worker), self._impulses(worker), *pressed]
+        yield [self._gradient(self._cells.pressure, worker), self._impulses(worker), *pressed]
         yield self._respond(worker)
-        yield from self._velocities.extend(worker)
-        if records := energies.of_faces(worker):
-            yield records
+        for turn in range(LAYERS):
+            yield [self._spread(worker, turn)]
+        slide = self._slide(worker, self._walls.motions, rubs=self._walls.rub)
+        yield [slide, *energies.of_faces(worker)]
         stop = [*self._push_out(worker, stops=True), *energies.of_walls(AT_END, worker)]
         yield [self._gather(worker), *stop]
         yield self._respond(worker)
@@ -233,7 +235,9 @@ class Phases:
 
     def _displacements(self, worker: int) -> Iterator[list[Recorded]]:
         """Yield a worker's phases that move particles along the density's gradient."""
-        yield from self._velocities.extend_shifts(worker)
+        for turn in range(LAYERS_SHIFT):
+            yield [self._spread(worker, turn)]
+        yield [self._slide(worker, self._walls.still, rubs=False)]
         moves = [self._displace(worker), *self._push_out(worker, stops=False)]
         first, last = (self.energies.of_shifts(worker, self._run(worker), sign) for sign in (-1, 1))
         yield [*first, *moves, *last]
@@ -242,6 +246,13 @@ class Phases:
         """Return the particles of a worker."""
         first, count = span(len(self._model), worker, len(self._workers))
         return slice(first, first + count)
+
+    def _over_cells(self, worker: int, name: str, kernel: Any, inputs: list, outputs: list) -> Any:
+        """Record a worker's launch over its active cells; their list precedes the inputs."""
+        cells = self._cells
+        count = -(-cells.count // len(self._workers))
+        inputs = [worker, cells.active, cells.ends, *inputs]
+        return name, self._model.launch(kernel, count, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
         """Return a worker's pushes; if one push cannot be divided, the first worker has all."""
@@ -265,7 +276,7 @@ class Phases:
         ends = [cells.begins, cells.tops]
         outputs = [cells.phi, cells.known, cells.also, cells.liquid]
         kernel = active.make_forget(self._model.real)
-        forget = self._cells.over(worker, "active", kernel, [], outputs)
+        forget = self._over_cells(worker, "active", kernel, [], outputs)
         where = [int(self._walls.move), cells.window, cells.shares]
         inputs = [part, len(self._workers), *where, cells.lowest, cells.highest]
         kernel = active.make_count_active(self._model.real)
@@ -293,16 +304,15 @@ class Phases:
         if workers == 1:
             return "levels", None
         kernel = faces.make_sum_copies(self._model.real, 8)
-        return self._cells.over(worker, "levels", kernel, [cells.count, workers], [cells.sums])
+        return self._over_cells(worker, "levels", kernel, [cells.count, workers], [cells.sums])
 
     def _levels(self, worker: int) -> Recorded:
         cells, tracks = self._cells, self._tracks
-        early = 1 / (1 + self.reflection)
-        inputs = [early, cells.lattice, cells.window, tracks.clock, tracks.values]
+        inputs = [cells.lattice, cells.window, tracks.clock, tracks.values]
         inputs += [*self._near_walls(), self._copy(cells.sums, 0)]
         outputs = [cells.velocity, cells.hats, cells.phi, cells.liquid, cells.known]
         kernel = surface.make_levels(self._model.real)
-        return self._cells.over(worker, "levels", kernel, inputs, outputs)
+        return self._over_cells(worker, "levels", kernel, inputs, outputs)
 
     def _near_walls(self) -> list:
         """Return the arguments that describe walls, and the index of the first solid wall."""
@@ -323,26 +333,26 @@ class Phases:
         inputs += [cells.phi, cells.liquid]
         inputs += [self.carry, cells.pressure]
         kernel = pressure.make_anticipate(self._model.real)
-        return self._cells.over(worker, "viscosity", kernel, inputs, [cells.velocity])
+        return self._over_cells(worker, "viscosity", kernel, inputs, [cells.velocity])
 
     def _diffuse(self, worker: int, before: wp.array, after: wp.array) -> Recorded:
         inputs = [*self._viscous(), self._cells.velocity, before]
         kernel = viscous.make_diffuse(self._model.real)
-        return self._cells.over(worker, "viscosity", kernel, inputs, [after])
+        return self._over_cells(worker, "viscosity", kernel, inputs, [after])
 
     def _drag(self, worker: int) -> Recorded:
         cells = self._cells
         inputs = [*self._viscous(), self._copy(cells.sums, 0), cells.other]
         outputs = [cells.velocity, self._impulses_of_walls.rows(worker)]
         kernel = viscous.make_drag(self._model.real)
-        return self._cells.over(worker, "viscosity", kernel, inputs, outputs)
+        return self._over_cells(worker, "viscosity", kernel, inputs, outputs)
 
     def _assemble(self, worker: int, densities: wp.array) -> Recorded:
         cells = self._cells
         inputs = [cells.window, cells.open, densities, cells.phi, cells.liquid]
         outputs = [cells.diagonal, cells.links, cells.inverse]
         kernel = pressure.make_assemble(self._model.real)
-        return self._cells.over(worker, "levels", kernel, inputs, outputs)
+        return self._over_cells(worker, "levels", kernel, inputs, outputs)
 
     def _divergence(self, worker: int) -> Recorded:
         cells, walls = self._cells, self._walls
@@ -350,7 +360,7 @@ class Phases:
         inputs += [cells.distances, cells.owners, cells.liquid, self.carry, cells.velocity]
         kernel = pressure.make_divergence(self._model.real)
         outputs = [cells.right, cells.pressure]
-        return self._cells.over(worker, "levels", kernel, inputs, outputs)
+        return self._over_cells(worker, "levels", kernel, inputs, outputs)
 
     def _jumps(self, worker: int) -> list[Recorded]:
         if not self._solids.present:
@@ -383,20 +393,22 @@ class Phases:
             records.append((BODIES, self._bodies.answer(self._walls, step, self._model)))
         return records
 
+    def _gradient(self, solution: wp.array, worker: int, *, shifts: float = 0.0) -> Recorded:
+        cells = self._cells
+        densities = self._mixture.uniform if shifts > 0 else self._mixture.densities
+        inputs = [shifts, cells.lattice, cells.window, cells.open, densities]
+        inputs += [cells.phi, cells.liquid, solution]
+        kernel = pressure.make_gradient(self._model.real)
+        outputs = [cells.velocity, cells.known]
+        return self._over_cells(worker, "spread", kernel, inputs, outputs)
+
     def _impulses(self, worker: int) -> Recorded:
         model, cells, walls, tracks = self._model, self._cells, self._walls, self._tracks
         if not walls.all:
             return "walls", None
         part, parts = self._projection.part(worker)
-        inputs = [part, self._mixture.density, self.reflection, self._projection.counts]
-        inputs += [
-            cells.listed,
-            cells.lattice,
-            cells.window,
-            tracks.clock,
-            tracks.values,
-            walls.motions,
-        ]
+        inputs = [part, self._mixture.density, self._projection.counts, cells.listed, cells.lattice]
+        inputs += [cells.window, tracks.clock, tracks.values, walls.motions]
         inputs += [cells.open, cells.distances, cells.owners, self._mixture.densities]
         inputs += [cells.phi, cells.pressure]
         outputs = [self._impulses_of_walls.rows(worker)]
@@ -409,14 +421,31 @@ class Phases:
         kernel = impulses.make_wall_impulses(model.real)
         return "walls", model.launch(kernel, parts, inputs, outputs)
 
+    def _spread(self, worker: int, turn: int) -> Recorded:
+        cells = self._cells
+        known = [cells.known, cells.also]
+        inputs, outputs = [cells.window, known[turn % 2]], [cells.velocity, known[1 - turn % 2]]
+        kernel = spread.make_spread(self._model.real)
+        return self._over_cells(worker, "spread", kernel, inputs, outputs)
+
+    def _slide(self, worker: int, motions: wp.array, *, rubs: bool) -> Recorded:
+        cells, walls, dx = self._cells, self._walls, self._model.dx
+        mode = 2 if rubs and self.viscosity > 0 else int(rubs)
+        inputs = [mode, self._mixture.density * dx**3, cells.lattice, cells.window, motions]
+        inputs += [walls.frictions, cells.open, cells.shares, cells.distances, cells.owners]
+        inputs += [self._mixture.densities, cells.liquid, cells.known]
+        inputs += [cells.pressure, cells.velocity]
+        kernel = spread.make_slide(self._model.real)
+        outputs = [cells.other, self._impulses_of_walls.rows(worker)]
+        return self._over_cells(worker, "spread", kernel, inputs, outputs)
+
     def _gather(self, worker: int) -> Recorded:
         model, s, run, cells = self._model, self._state, self._run(worker), self._cells
-        inputs = [self.reflection, cells.lattice, cells.window, self._tracks.clock]
-        inputs += [self._tracks.values, cells.other, self._velocities.drifting]
+        inputs = [cells.lattice, cells.window, self._tracks.clock, self._tracks.values]
         outputs = [s.x[run], s.residue[run], s.v[run], s.C[run], part_of(s.total, run)]
         outputs.append(cast("wp.array", self._missed[worker]))
         kernel, count = transfer.make_gather(model.real, self._form), run.stop - run.start
-        return "g2p", model.launch(kernel, count, inputs, outputs)
+        return "g2p", model.launch(kernel, count, [*inputs, cells.other], outputs)
 
     def _push_out(self, worker: int, *, stops: bool) -> list[Recorded]:
         s, run = self._state, self._run(worker)
@@ -440,27 +469,27 @@ class Phases:
         if workers == 1:
             return "density", None
         kernel = faces.make_sum_copies(self._model.real, 2)
-        return self._cells.over(worker, "density", kernel, [cells.count, workers], [cells.fills])
+        return self._over_cells(worker, "density", kernel, [cells.count, workers], [cells.fills])
 
     def _mix(self, worker: int, mixed: wp.array) -> Recorded:
         cells = self._cells
         inputs = [cells.window, self._copy(cells.fills, 0), self._copy(cells.sums, 0)]
         kernel = mixture.make_mix(self._model.real)
-        return self._cells.over(worker, "density", kernel, inputs, [mixed])
+        return self._over_cells(worker, "density", kernel, inputs, [mixed])
 
     def _refill(self, worker: int) -> Recorded:
         cells = self._cells
         inputs = [cells.lattice, cells.window, *self._near_walls(), self._copy(cells.fills, 0)]
         outputs = [cells.hats, cells.phi, cells.liquid]
         kernel = surface.make_refill(self._model.real)
-        return self._cells.over(worker, "density", kernel, inputs, outputs)
+        return self._over_cells(worker, "density", kernel, inputs, outputs)
 
     def _excess(self, worker: int) -> Recorded:
         cells = self._cells
         inputs = [cells.window, cells.open, cells.shares, cells.hats, cells.phi, cells.liquid]
         outputs = [cells.right, cells.packing]
         kernel = packing.make_excess(self._model.real)
-        return self._cells.over(worker, "density", kernel, inputs, outputs)
+        return self._over_cells(worker, "density", kernel, inputs, outputs)
 
     def _displace(self, worker: int) -> Recorded:
         model, run, cells = self._model, self._run(worker), self._cells

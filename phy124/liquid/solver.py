@@ -134,7 +134,6 @@ class LiquidSolver:
         )
         self.team = Team[int](count, self._run_member)
         self.clock.diffuse(self._phases.fastest_diffusion)
-        self.clock.reflect(self.reflection)
         self._kick = 0.0
         """Duration over which the current pressure acted [s]."""
         self._fitted = False
@@ -196,11 +195,6 @@ class LiquidSolver:
         return self.cells.count
 
     @property
-    def reflection(self) -> float:
-        """Fraction of the velocity change by pressure that acts a second time."""
-        return self._phases.reflection
-
-    @property
     def energies(self) -> Energies:
         """Work on the liquid by cause, if it is summed."""
         return self._phases.energies
@@ -242,14 +236,13 @@ class LiquidSolver:
     def step(self, kick: float, drift: float) -> None:
         """Take a step: velocities change over `kick` [s], positions over `drift` [s]."""
         self._fit()
-        clock, early = self.clock, 1 / (1 + self.reflection)
+        clock = self.clock
         clock.begin(kick, drift)
         if self.tracks.vary:
             run_timed(self.timings, "tracks", self._sample.launch)
         self._guess(kick)
         if self.walls.move:
             self._move_walls(ahead=drift / 2)
-        self._push(early, kick, drift)
         self._group("scatter")
         if self._bodies is not None:
             self._join()
@@ -261,7 +254,6 @@ class LiquidSolver:
         self._group("equation")
         self._solve("pressure", TOLERANCE)
         self._group("gather")
-        self._push(1 - early, kick, drift)
         if self.projection.solids:
             self._group("drift")
             self._join()
@@ -336,27 +328,11 @@ class LiquidSolver:
         clock = self.clock
         limit, rest = clock.stable(), until - clock.time
         dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
-        self.step(clock.kick(dt), dt)
+        self.step((clock.last_dt + dt) / 2, dt)
         if dt == rest:
             clock.time = until
         clock.last_dt = dt
         clock.count(limit.limiter, needed=dt / limit.dt)
-
-    def _push(self, share: float, kick: float, drift: float) -> None:
-        """Let forces on particles act for a share of a step's kick.
-
-        Args:
-            share: Fraction of the kick.
-            kick: Time over which the step changes the velocities [s].
-            drift: Length of the step [s].
-        """
-        if share == 0 or not self._forces:
-            return
-        self._join()
-        self.clock.begin(share * kick, drift)
-        self._group("push")
-        self._join()
-        self.clock.begin(kick, drift)
 
     def _guess(self, kick: float) -> None:
         """Scale the last pressure to be the initial guess of a step.

@@ -195,8 +195,8 @@ class ExternalWork(Observer):
         values: NDArray[Any] = self._tracks.values.numpy()
         a = values[0, :3].astype(np.float64)
         if self.by_momentum:
-            # The sums go to the last kick of the bodies; a liquid with bodies is further behind.
-            late = self._model.total_mass * (clock.behind - clock.since_kick)
+            # The sums go to the bodies' last kick, half a substep ago; a liquid is further behind.
+            late = self._model.total_mass * (clock.behind - clock.last_dt / 2)
             total[IMPULSES] -= late * a
             total[kernels.WORK] += clock.uniform_work(momentum)
         else:

@@ -56,14 +56,9 @@ class Clock:
         """Inputs and result of the last computation of the longest stable substep."""
 
     @property
-    def since_kick(self) -> float:
-        """Time by which the velocities that the last kick changed lag behind positions [s]."""
-        return self.last_dt / 2
-
-    @property
     def behind(self) -> float:
-        """Time by which velocities lag behind positions, averaged over the mass [s]."""
-        return self.since_kick
+        """Time by which velocities lag behind positions [s]."""
+        return self.last_dt / 2
 
     @property
     def due(self) -> bool:

@@ -82,8 +82,7 @@ def make_face_work(real: Any):
     """Kernel over cells: adds the work of viscosity and pressure on the low faces to `sums_out`.
 
     `before` holds the velocities before the pressure acts, `velocity` those after it and `after`
-    those at the end of the step. The pressure's change of velocity acts a second time, times
-    `reflection` (phy124/liquid/velocities.py).
+    those at the end of the step.
     """
     t = types(real)
     vec8 = sums(real)
@@ -93,7 +92,6 @@ def make_face_work(real: Any):
         worker: int,
         active: Ints,
         ends: Ints,
-        reflection: real,
         window,
         clock,
         values,
@@ -113,7 +111,6 @@ def make_face_work(real: Any):
             return
         q = cells[n]
         a = values[0]
-        whole = real(1.0) + reflection
         viscous = wp.float64(0.0)
         pressed = wp.float64(0.0)
         for axis in range(3):
@@ -121,9 +118,9 @@ def make_face_work(real: Any):
                 m = mass_with_outside(open, liquid, cells, n, axis, size)
                 first = q[axis] / q[4 + axis]
                 mean = wp.float64(m) * wp.float64(0.5) * wp.float64(first + after[n][axis])
-                change = before[n][axis] - (first + clock[0] * a[axis] / whole)
+                change = before[n][axis] - (first + clock[0] * a[axis])
                 viscous += mean * wp.float64(change)
-                pressed += mean * wp.float64(whole * (velocity[n][axis] - before[n][axis]))
+                pressed += mean * wp.float64(velocity[n][axis] - before[n][axis])
         add_to(sums_out, VISCOUS, viscous)
         add_to(sums_out, PRESSED, pressed)
 

@@ -69,8 +69,7 @@ def take_row(sums: Sums, wall: int):
 def make_wall_impulses(real: Any):
     """Kernel over parts of the listed cells: adds the impulses of pressure to `sums_out`.
 
-    For walls from number `bodies` on, `pressed_out` has the opposite sign. A pressure acts a second
-    time, times `reflection`.
+    For walls from number `bodies` on, `pressed_out` has the opposite sign.
     """
     t = types(real)
 
@@ -78,7 +77,6 @@ def make_wall_impulses(real: Any):
     def wall_impulses(
         part: int,
         density: real,
-        reflection: real,
         counts: Ints,
         listed: Ints,
         lattice,
@@ -115,14 +113,12 @@ def make_wall_impulses(real: Any):
                         way = way_to_wall(cell, axis, jump, size, distances, dx)
                         # p dt / (density dx) at the wall.
                         head = clock[0] * way * a[axis] / dx * densities[n][CENTRE]
-                        head /= real(1.0) + reflection
                         here = real(pressure[n]) + head
                         if phi[n] > real(0.0):
                             # The surface of a thin layer is between the wall and the centre.
                             centre = wp.abs(way) / dx
                             here *= wp.max(centre - phi[n], real(0.0)) / (centre + real(NEAREST))
                         impulse = here * density * dx * dx * dx * jump
-                        impulse *= real(1.0) + reflection
                         x = centre_of(cell, lattice, low)
                         speed = speed_of(motions, owner, x)[axis]
                         x[axis] = x[axis] + way

@@ -206,9 +206,7 @@ def make_gradient(real: Any):
 
     With `shifts` above 0 it writes minus the differences alone, as displacements of at most that
     many cells [m]. `known_out` gets a bit for each open face that touches liquid; other faces
-    become zero. With `reflection` above 0, `kept_out` has the velocities that particles keep
-    (phy124/liquid/velocities.py): the differences are subtracted once more, times `reflection`, and
-    the uniform acceleration acts during the rest of the step.
+    become zero.
     """
     t = types(real)
 
@@ -218,18 +216,14 @@ def make_gradient(real: Any):
         active: Ints,
         ends: Ints,
         shifts: real,
-        reflection: real,
         lattice,
         window,
-        clock,
-        values,
         open: t.vec4s,
         densities: t.vec4s,
         phi: t.reals,
         liquid: Ints,
         pressure: Doubles,
         velocity_out: t.vec4s,
-        kept_out: t.vec4s,
         known_out: Ints,
     ):
         n = entry(active, ends, worker, wp.tid())
@@ -240,8 +234,6 @@ def make_gradient(real: Any):
         v = velocity_out[n]
         if shifts > real(0.0):
             v = t.vec4()
-        w = v
-        late = reflection / (real(1.0) + reflection) * clock[0] * values[0]
         for axis in range(3):
             m = n - stride(axis, size)
             wet = liquid[n] + liquid[m]
@@ -250,14 +242,10 @@ def make_gradient(real: Any):
                 if shifts > real(0.0):
                     rise = lattice[3] * wp.clamp(rise, -shifts, shifts)
                 v[axis] = v[axis] - rise
-                w[axis] = v[axis] - reflection * rise + late[axis]
                 known += 1 << axis
             else:
                 v[axis] = real(0.0)
-                w[axis] = real(0.0)
         velocity_out[n] = v
-        if reflection > real(0.0):
-            kept_out[n] = w
         known_out[n] = known
 
     return gradient

@@ -103,10 +103,10 @@ def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size
 def make_slide(real: Any):
     """Kernel over cells: faces inside walls follow the wall, and faces next to them feel friction.
 
-    `frictions` has a row for each wall: its coefficient, and 1 if it sticks. Friction is at most
-    this coefficient times `factor` times q. Its impulse on the liquid is added to `sums_out` unless
-    this is empty; `weight` is the mass of a full cell [kg] of the relative density 1. If `rubs` is
-    2, viscosity (`viscous`) makes the liquid stick, and this kernel acts only inside walls.
+    `frictions` has a row for each wall: its coefficient, and 1 if it sticks. The impulse of
+    friction on the liquid is added to `sums_out`; `weight` is the mass of a full cell [kg] of the
+    relative density 1. If `rubs` is 2, viscosity (`viscous`) makes the liquid stick, and this
+    kernel acts only inside walls.
     """
     t = types(real)
 
@@ -117,7 +117,6 @@ def make_slide(real: Any):
         ends: Ints,
         rubs: int,
         weight: real,
-        factor: real,
         lattice,
         window,
         motions: wp.array2d(dtype=t.vec3),
@@ -166,7 +165,7 @@ def make_slide(real: Any):
                     kept = real(1.0)
                     if rubs > 0:
                         back = n - stride(axis, size)
-                        pressed = factor * real(wp.max(pressure[n], pressure[back])) / dense
+                        pressed = real(wp.max(pressure[n], pressure[back])) / dense
                         speed = wp.length(along)
                         if speed > real(0.0):
                             kept = wp.max(real(0.0), real(1.0) - rough[0] * pressed / speed)
@@ -176,8 +175,7 @@ def make_slide(real: Any):
                         v[axis] = u[axis] + kept * along[axis]
                     elif kept < real(1.0):
                         change = (kept - real(1.0)) * along[axis]
-                        wet = liquid[n] + liquid[n - stride(axis, size)] > 0
-                        if wet and sums_out.shape[0] > 0:
+                        if liquid[n] + liquid[n - stride(axis, size)] > 0:
                             impulse = wp.float64(weight * dense * open[n][axis] * change)
                             mean = wp.float64(v[axis] + real(0.5) * change)
                             wp.atomic_add(sums_out, owner, axis, impulse)

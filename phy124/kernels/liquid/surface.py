@@ -145,8 +145,7 @@ def make_levels(real: Any):
 
     `known_out` has a bit for each face that has a velocity, `liquid_out` is 1 in cells of liquid,
     `hats_out` the share of the linear kernel that is filled, including solid. `phi_out` is the
-    distance to the surface [cells], negative in the liquid. The fraction `early` of the uniform
-    acceleration acts here.
+    distance to the surface [cells], negative in the liquid. The uniform acceleration acts here.
     """
     t = types(real)
     vec8 = sums(real)
@@ -156,7 +155,6 @@ def make_levels(real: Any):
         worker: int,
         active: Ints,
         ends: Ints,
-        early: real,
         lattice,
         window,
         clock,
@@ -184,7 +182,7 @@ def make_levels(real: Any):
         for axis in range(3):
             m = q[4 + axis]
             if m > real(0.0):
-                v[axis] = q[axis] / m + early * clock[0] * a[axis]
+                v[axis] = q[axis] / m + clock[0] * a[axis]
                 if open[n][axis] > real(0.0):
                     known += 1 << axis
         share = shares[n]

@@ -306,23 +306,19 @@ def make_scatter_volume(real: Any, form: str):
 def make_gather(real: Any, form: str):
     """Kernel: gathers velocity and its gradient from the faces, then moves the particles.
 
-    Particles keep `velocity`, and their positions follow the divergence-free `flow` (midpoint
-    rule); the two differ with a `reflection` (phy124/liquid/velocities.py). A single drop, or one
-    outside the window, moves on a parabola. The deformation gradient that the Gaussians follow is
-    updated with the gradient of the flow: the weighted mean of the gradients before and after.
+    Positions follow the flow of the faces (midpoint rule). A single drop, or one outside the
+    window, moves on a parabola. The deformation gradient that the Gaussians follow is updated.
     """
     t = types(real)
     _, _, collect, carry = FORMS[form]
 
     @kernel(f"phy124_liquid_gather_{real.__name__}_{form}", real, seconds=0.8)
     def liquid_gather(
-        reflection: real,
         lattice,
         window,
         clock,
         values,
         velocity: t.vec4s,
-        flow: t.vec4s,
         x_out,
         residue_out,
         v_out,
@@ -358,13 +354,13 @@ def make_gather(real: Any, form: str):
                     wp.vector(by_z[0], by_z[1], by_z[2]),
                 )
                 v = wp.vector(mean[0], mean[1], mean[2])
-        drift = v - reflection / (real(1.0) + reflection) * pull
+        drift = v
         if fill >= real(LONE):
-            first = carry(flow, size, lowest(here, size), within(s, here))
+            first = carry(velocity, size, lowest(here, size), within(s, here))
             middle = s + (real(0.5) * dt / dx) * first
             there = cell_at(middle)
             if inner(there, size, 2):
-                drift = carry(flow, size, lowest(there, size), within(middle, there))
+                drift = carry(velocity, size, lowest(there, size), within(middle, there))
         if not inside:
             wp.atomic_max(missed_out, 0, 1)
         # Kahan's compensated sum: without it, rounding in float32 would stop a slow drift.
@@ -373,12 +369,9 @@ def make_gather(real: Any, form: str):
         residue_out[p] = (moved - x_out[p]) - change
         x_out[p] = moved
         v_out[p] = v
-        if total_out.shape[0] > 0:
-            grad = C
-            if reflection > real(0.0):
-                grad = (C + reflection * C_out[p]) / (real(1.0) + reflection)
-            total_out[p] = total_out[p] + dt * (grad * total_out[p])
         C_out[p] = C
+        if total_out.shape[0] > 0:
+            total_out[p] = total_out[p] + dt * (C * total_out[p])
 
     return liquid_gather
 
