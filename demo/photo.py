@@ -35,7 +35,7 @@ class Sent(ImageData):
     # Not a pydantic validator: its exceptions would be wrapped and not shown to the program.
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Sent:
-        """Validate the picture; raises gr.Error if it is no file."""
+        """Validate the picture; raises gr.Error if it is not a file."""
         try:
             return super().model_validate(obj, **options)
         except ValidationError:
@@ -74,7 +74,7 @@ class SentVideo(FileData):
 
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> SentVideo:
-        """Validate the video; raises gr.Error if it is no file."""
+        """Validate the video; raises gr.Error if it is not a file."""
         try:
             return super().model_validate(obj, **options)
         except ValidationError:

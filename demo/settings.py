@@ -44,7 +44,7 @@ class Settings(Section):
         default=50_000,
         ge=1000,
         le=500_000,
-        description="Gaussians made from a picture, and largest number read from a file.",
+        description="Number of Gaussians made from a picture, and their largest number in a file.",
     )
     max_upload_mb: float = Field(default=8, gt=0, le=1000, description="Largest picture [MB].")
     max_file_mb: float = Field(

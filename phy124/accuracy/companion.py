@@ -281,7 +281,7 @@ def estimate(
 
 
 def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int64]) -> OwnError:
-    """Run the companion of a run, and return the run's error."""
+    """Simulate the companion of a run, and return the original run's estimated error."""
     cells = scene.resolution.cells
     try:
         companion = _prepare(run.setup, scene)

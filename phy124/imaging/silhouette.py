@@ -32,7 +32,7 @@ AROUND = 0.125
 BINS = (12, 24, 24)
 """Numbers of histogram bins for L, a and b."""
 SIMILAR, ONE = cv2.getGaussianKernel(7, 0.7), np.ones(1)
-"""Kernel that smooths a histogram along one axis, and the kernel that has no effect."""
+"""Kernel that smooths a histogram along one axis, and the identity kernel."""
 MINIMUM, EXTENT = np.array([0, -100, -100]), np.array([100, 200, 200])
 """Smallest values of L, a and b, and the ranges that the bins cover."""
 

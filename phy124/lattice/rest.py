@@ -224,7 +224,7 @@ def _weights(offset: NDArray) -> NDArray[np.float64]:
 def _tie_light(
     index: NDArray[np.int64], mass: NDArray, least: float, corner: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, NDArray[np.float64]]:
-    """Return tied nodes, their ties, and all masses after tied nodes have given theirs away.
+    """Return tied nodes, the nodes that carry them, and all masses; tied nodes have none.
 
     Args:
         index: Indices of the nodes [N,3].

@@ -31,7 +31,7 @@ from phy124.mpm.tracks import Tracks
 DEEPEST = 0.5
 """Depth in a box [cells], measured along a point's normal, up to which this normal is used."""
 LISTED = 1.0
-"""Points are listed up to this distance beyond the distance of contact with a solid [cells]."""
+"""Margin added to the contact distance when points near a solid are listed [cells]."""
 
 
 class Solids(FreeBodies):

@@ -344,7 +344,7 @@ class Bodies:
     def _weigh_layers(
         self, cells: Cells, region: Region, densities: wp.array | None
     ) -> tuple[float, wp.array]:
-        """Return the height of the lowest liquid layer around a body, and weights below all layers.
+        """Return the height of the lowest liquid layer around a body, and the layers' weights.
 
         Heights are in cells; weights are relative to the mean density, and empty for one liquid.
         """

@@ -68,15 +68,15 @@ class Limits:
         return 0.2 * self.size
 
     def force(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Cap a force [N] at the limit; the sentence is empty if the force is unchanged."""
+        """Return a force [N] capped at the limit, and a sentence that says so or is empty."""
         return shorten(field, value, STRONGEST * self.weight, "N")
 
     def torque(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Cap a torque [N m] at the limit; the sentence is empty if the torque is unchanged."""
+        """Return a torque [N m] capped at the limit, and a sentence that says so or is empty."""
         return shorten(field, value, STRONGEST * self.weight * self.size, "N m")
 
     def place(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Cap a position [m] at a hand's reach; the sentence is empty if it is unchanged."""
+        """Return a position [m] within a hand's reach, and a sentence that says so or is empty."""
         return shorten(field, value, FARTHEST * max(self.size, 1e-6), "m")
 
 

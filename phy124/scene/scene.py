@@ -388,7 +388,7 @@ class Scene(Section):
 
     @property
     def unregistered(self) -> dict[str, str]:
-        """Users' classes without a name in files, with the entry-point group for each."""
+        """Classes that scene files cannot name -> entry-point group that would name them."""
         sections = ((LAWS, self.materials), (FORCES, self.forces), (BOUNDARIES, self.boundaries))
         return {
             type(section).__name__: kinds.group

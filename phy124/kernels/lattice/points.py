@@ -103,7 +103,7 @@ def inverse_rows(F: Any):
 
 @wp.func
 def safe_volume(J: Any):
-    """Return J, but at least the ratio below which laws replace log J by its tangent."""
+    """Return max(J, r); below the ratio r, laws replace log J by its tangent."""
     return wp.max(J, type(J)(1.0e-4))
 
 

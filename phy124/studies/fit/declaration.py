@@ -38,7 +38,7 @@ def parse_range(data: Any) -> Any:
 
 
 def _kind(data: Any) -> str:
-    """Return the tag of a range's type; invalid data gets the tag "even", whose type refuses it."""
+    """Return the tag of a range's type; for invalid data "even", whose type reports the error."""
     log = isinstance(data, LogUniform) or (isinstance(data, dict) and "log_uniform" in data)
     return "log" if log else "even"
 

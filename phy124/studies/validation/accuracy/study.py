@@ -41,7 +41,7 @@ LEVELS = (16, 24, 32, 48)
 MIN_PARTICLES_PER_AXIS = 1.5
 """Particles per cell and axis below which finer grids are not more accurate."""
 VARIED = 24
-"""Cells across the object of the level at which other options are varied, one at a time."""
+"""Resolution at which other options are varied, one at a time [cells across the object]."""
 SIZE = 256
 """Maximum width and height of the compared videos [pixels]."""
 
