@@ -1,4 +1,4 @@
-"""Random places of the particles of sand and snow: no rows, and still one in each cell."""
+"""Random places of the particles of sand: no rows, and still one in each cell."""
 
 from dataclasses import replace
 

@@ -84,7 +84,6 @@ class Snow(Elastic):
     max_stretch: ClassVar[float | None] = 1.5
     rounds: ClassVar[bool] = True
     grains: ClassVar[bool] = True
-    scatters: ClassVar[bool] = True
     shade: ClassVar[float] = 0.04
     particles_per_axis: ClassVar[float] = FEW
     device_law: ClassVar[Law] = Law(

@@ -4,8 +4,8 @@ There are two bindings of Gaussians to particles:
 
 - `lattice`: a regular lattice of particles fills the solid, and the Gaussians are interpolated from
   it (`phy124.motion.deform`). The number of Gaussians therefore hardly affects the simulation.
-  Thin parts additionally have particles at their Gaussians, at half the spacing. Sand and snow are
-  moved to random places in their lattice cells (`phy124.particles.scatter`).
+  Thin parts additionally have particles at their Gaussians, at half the spacing. Sand is moved
+  to random places in its lattice cells (`phy124.particles.scatter`).
 - `particles`, the method of the paper (Phy124, arXiv 2409.07179): every Gaussian is an MPM
   particle, and the closed interior is filled with further particles, as in PhysGaussian (arXiv
   2311.12198).
