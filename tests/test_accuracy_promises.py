@@ -190,7 +190,7 @@ GRAB = {"kind": "grab", "targets": [[0, 0, 0.5], [0, 0, 2.0]]}
         ("sway", {"forces": [{"kind": "acceleration", "region": {}}]}, "on a region"),
         (
             "press",
-            {"boundaries": [GROUND, {"kind": "press", "down": 0.02}]},
+            {"boundaries": [GROUND, {"kind": "press", "down": 0.1}]},
             "with so fast a motion",
         ),
         (

@@ -13,6 +13,9 @@ from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 SAND = {"name": "sand", "shape": "box", "sides": [1.0, 1.0, 1.0], "material": {"law": "sand"}}
+SOLID = {"name": "hammer", "shape": "sphere", "size": 0.5, "place": [3.0, 0.0]}
+FAST = {"kind": "swing", "amplitude": (0, 0, 1.0), "frequency": 20.0}
+"""A motion at 126 m/s, which is 7 times the speed of sound in the preset `drop`."""
 AUTO = {"accuracy": {"cells": 6, "solver": "auto"}, "time.frames": 2}
 
 
@@ -31,7 +34,15 @@ def scene(name="drop", **changes):
         ({"binding": "particles"}, "binding is particles"),
         ({"properties.file": "laws.npz"}, "in a file"),
         ({"object.velocity": (0, 0, -40)}, "at 2.2 times its speed of sound"),
-        ({"object.lift": 4.0, "material.E": 500.0}, "at 9.9 times its speed of sound"),
+        ({"object.lift": 4.0, "material.E": 500.0}, "squeezed at 9.9 times its speed"),
+        ({"boundaries": [{"kind": "ground", "motion": FAST}]}, "squeezed at 7 times its speed"),
+        ({"objects": [{**SOLID, "motion": FAST}]}, "squeezed at 7 times its speed"),
+        (
+            {"forces": [{"kind": "set_velocity", "v": (0, 0, -40)}]},
+            "squeezed at 2.2 times its speed",
+        ),
+        ({"forces": [{"kind": "impulse", "p": (0, 0, 1e4)}]}, "squeezed at 7 times its speed"),
+        ({"forces": [{"kind": "attraction", "g": 5e3}]}, "squeezed at 5 times its speed"),
     ],
 )
 def test_auto_chooses_mpm_for_a_reason(changes, reason):
@@ -39,6 +50,18 @@ def test_auto_chooses_mpm_for_a_reason(changes, reason):
     assert scene().on_lattice and not chosen.on_lattice
     assert reason in reason_for_mpm(chosen)
     assert not chosen.alone(0).on_lattice
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"boundaries": [{"kind": "ground", "motion": {**FAST, "start": 10.0}}]},
+        {"forces": [{"kind": "wind", "v": (0, 10.0, 0), "rate": 1e6}]},
+        {"forces": [{"kind": "set_velocity", "v": (0, 0, -30)}]},
+    ],
+)
+def test_lattices_stay_if_nothing_is_too_fast(changes):
+    assert scene(**changes).on_lattice
 
 
 def test_auto_runs_as_the_solver_that_it_chooses():

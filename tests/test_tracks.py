@@ -71,8 +71,9 @@ def test_what_a_track_does_at_most_is_asked_for_a_time():
     assert not steady.changes(begins - 1, begins) and not steady.changes(ends - 1, ends)
     assert steady.changes(begins, begins + 1) and steady.changes(ends, ends + 1)
     assert track.changes(3, 4) and not scaled(Constant()).changes(0, 9)
-    # One that repeats is as fast at any time.
+    # One that repeats is as fast at any time after its start.
     assert scaled(Sine(frequency=1.0)).fastest(70.1, 70.2) == pytest.approx(12.56, rel=0.01)
+    assert scaled(Sine(frequency=1.0), 2.0, 99.0).fastest(0, 2) == 0
 
 
 def test_rates_are_slopes_and_zero_outside():

@@ -213,7 +213,8 @@ class Track:
         """Return the largest norm of the rate from `start` to `end` [s]."""
         fastest, start, end = 0.0, start - self.origin, end - self.origin
         for (t, a), (u, b) in itertools.pairwise(self.keys):
-            if u > t and (self.period > 0 or (t < end and u > start)):
+            repeats = self.period > 0 and end > 0
+            if u > t and (repeats or (t < end and u > start)):
                 fastest = max(fastest, math.dist(a, b) / (u - t))
         return fastest
 

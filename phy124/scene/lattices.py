@@ -9,6 +9,7 @@ import math
 from typing import Any
 
 from phy124.lattice.refusals import is_elastic, reason_for_particles
+from phy124.scene.energies import energy
 
 HARDEST = 2.0
 """Maximum Mach number of an impact for which `auto` chooses lattices. For a duck that hits the
@@ -48,19 +49,11 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     reason = reason_for_particles(scene)
     if reason or (device != "cpu" and not _only_on_lattice(scene)):
         return reason or "lattices are slower on a GPU"
-    mach = _impact_speed(scene) / min(section.sound_speed() for section in scene.materials)
+    slowest = min(section.sound_speed() for section in scene.materials)
+    mach = math.sqrt(energy(scene)) / slowest
     if mach > HARDEST:
-        return f"an object may hit at {mach:.2g} times its speed of sound"
+        return f"an object may be hit or squeezed at {mach:.2g} times its speed of sound"
     return ""
-
-
-def _impact_speed(scene: Any) -> float:
-    """Return the largest speed of an object after a fall from its lift to the floor [m/s]."""
-    pull = sum(math.hypot(*force.g) for force in scene.forces if force.kind == "gravity")
-    return max(
-        math.sqrt(math.hypot(*body.velocity) ** 2 + 2 * pull * body.lift)
-        for body in scene.every_object
-    )
 
 
 def choose_solver(scene: Any, device: str) -> Any:

@@ -1,0 +1,96 @@
+"""Estimates the energy that a scene may convert to strain: by impacts, forces, walls and hands.
+
+An argument `scene` is a `Scene`, whose module imports this one. The objects' shapes are not known
+here. So a wall that moves during the scene counts even if it never touches an object, and a force
+counts in full even if nothing stops the object that it accelerates.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from phy124.boundaries import Press
+from phy124.forces.held import Grab
+
+FILLED = 0.4
+"""Typical value of volume / (size^3 * relative thickness) of an object."""
+USUAL_THICKNESS = 0.2
+"""Relative thickness of an object whose thickness is unknown."""
+
+
+def energy(scene: Any, thickness: float | None = None) -> float:
+    """Return twice the energy per mass that a scene may convert to strain [m^2/s^2].
+
+    It is v^2 + p^2 + 2 a h + sum(min(a L, a^2 t^2)): v is the initial speed (with spin) and the
+    speed that impacts give, p the speed of walls and hands, a the acceleration by forces, t the
+    time for which a force acts, h the object's lift, and L the object's size. Wind makes nothing
+    faster than itself.
+    """
+    bodies, size, end = (scene.object, *scene.objects), scene.object.size, duration(scene)
+    mass = _mass(scene, thickness)
+    lift = max(getattr(body, "lift", 0.0) for body in bodies)
+    speed = max(_speed(body, size) for body in bodies)
+    squares, walls = (
+        0.0,
+        sum(_wall_speed(wall, size, end) for wall in scene.with_solids().boundaries),
+    )
+    for force in scene.acting:
+        if isinstance(force, Grab):
+            walls += force.target().fastest(0.0, end)
+            continue
+        peak = force.track((1.0, 0.0, 0.0)).largest(0.0, end)
+        kick, pull = _effect(force, mass, scene)
+        lasts = max(0.0, (end if force.end is None else min(force.end, end)) - force.start)
+        speed += peak * kick
+        top = peak * math.hypot(*force.v) if force.kind == "wind" else math.inf
+        pull *= peak
+        squares += min(min(pull * size, (pull * lasts) ** 2) + 2 * pull * lift, top**2)
+    return speed**2 + walls**2 + squares
+
+
+def _speed(body: Any, size: float) -> float:
+    """Return the initial speed of an object, with its spin [m/s]."""
+    spin = math.hypot(*getattr(body, "spin", (0.0,))) * size / 2
+    return math.hypot(*getattr(body, "velocity", (0.0,))) + spin
+
+
+def _effect(force: Any, mass: float, scene: Any) -> tuple[float, float]:
+    """Return the speed [m/s] and the acceleration [m/s^2] that a force gives at full strength."""
+    size = scene.object.size
+    match force.kind:
+        case "impulse":
+            return math.hypot(*force.p) / mass, 0.0
+        case "set_velocity":
+            return _speed(force, size) + math.hypot(*force.v), 0.0
+        case "force":
+            return 0.0, math.hypot(*force.f) / mass
+        case "particle_force":
+            spacing = size / scene.resolution.cells / scene.particles_per_axis
+            densest = max(section.density for section in scene.materials)
+            return 0.0, math.hypot(*force.f) / (densest * spacing**3)
+        case "wrench":
+            return 0.0, (math.hypot(*force.force) + math.hypot(*force.torque) / size) / mass
+        case "wind":
+            return 0.0, force.rate * math.hypot(*force.v)
+    value = next((getattr(force, name) for name in ("g", "a") if hasattr(force, name)), 0.0)
+    return 0.0, math.hypot(*value) if isinstance(value, tuple) else abs(value)
+
+
+def _mass(scene: Any, thickness: float | None) -> float:
+    """Estimate the mass of the object roughly [kg], from its size and thickness."""
+    part = FILLED * (thickness or USUAL_THICKNESS)
+    return min(section.density for section in scene.materials) * part * scene.object.size**3
+
+
+def _wall_speed(wall: Any, size: float, end: float) -> float:
+    """Return the largest speed of a wall [m/s]; a press moves as a cosine in time."""
+    if isinstance(wall, Press):
+        return math.pi / 2 * wall.depth * size / min(wall.down, wall.up)
+    motions = [getattr(part, "motion", None) for part in wall.parts()]
+    return max((motion.track().fastest(0.0, end) for motion in motions if motion), default=0.0)
+
+
+def duration(scene: Any) -> float:
+    """Return the time of a scene's last frame [s]."""
+    return (scene.time.frames - 1) / scene.time.fps
