@@ -11,7 +11,7 @@ from phy124.accuracy.promises import promise
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.io.axes import orientation, rotate_gaussians
-from phy124.io.content import COARSE, centre_means, describe_coarseness, move_back
+from phy124.io.content import COARSE, centre_means, describe_coarseness, move_back, step_of
 from phy124.io.formats import read_as_is, read_gaussians, write_gaussians
 from phy124.io.ply import raw_table, read_ply
 from phy124.particles.thickness import Proportions
@@ -234,3 +234,9 @@ def test_a_single_gaussian_is_not_called_coarse(tmp_path, three_gaussians):
     one = three_gaussians.select(np.array([1]))
     write_gaussians(tmp_path / "a.ply", one)
     assert read_as_is(tmp_path / "a.ply").remarks() == []
+
+
+def test_signalling_nan_causes_no_warning():
+    means = np.array([0x7FA00000, 0x3F800000, 0x3F000000], np.uint32).view(np.float32)
+    with np.errstate(all="raise"):
+        assert step_of(means.reshape(1, 3)) == 0.0

@@ -385,5 +385,6 @@ def _middle(means: NDArray) -> tuple[NDArray[np.float64], float]:
 
 def _some(means: NDArray) -> NDArray[np.float64]:
     """Sample centres evenly from the whole file, without those that overflow float32."""
-    some = means[:: max(1, len(means) // ENOUGH)].astype(np.float64)
+    with np.errstate(invalid="ignore"):  # of signalling NaN
+        some = means[:: max(1, len(means) // ENOUGH)].astype(np.float64)
     return some[(np.abs(some) < LARGEST).all(axis=1)]

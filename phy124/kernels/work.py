@@ -168,10 +168,11 @@ def make_uniform_sums(real: Any):
     """Kernel of one thread: adds impulse and work of the uniform acceleration in a substep.
 
     The acceleration acts after forces on particles and before walls, so `walls_out` stores the
-    walls' sums up to the previous substep, and those of a liquid by projection. The steps of a
-    liquid are long, so the acceleration works on the mean of its momenta before and after the step.
-    `base` is the momentum without the sums that are still being accumulated. `pushes` and `walls`
-    have one row of sums for each worker; `liquid` has one for the walls of a liquid by projection.
+    walls' sums up to the previous substep. The work of the walls in `means`, which are those of
+    lattices and of a liquid by projection, is computed with the mean velocities of a step. There
+    the acceleration works on the mean of the momenta before and after the step. `base` is the
+    momentum without the sums that are still being accumulated. `pushes` and `walls` have one row of
+    sums for each worker, `means` one for each wall of a lattice or one for a liquid's walls.
     """
 
     @kernel(f"phy124_uniform_sums_{real.__name__}", real)
@@ -182,7 +183,7 @@ def make_uniform_sums(real: Any):
         base: Doubles,
         pushes: wp.array2d(dtype=wp.float64),
         walls: wp.array2d(dtype=wp.float64),
-        liquid: wp.array2d(dtype=wp.float64),
+        means: wp.array2d(dtype=wp.float64),
         walls_out: Doubles,
         given_out,
     ):
@@ -199,8 +200,8 @@ def make_uniform_sums(real: Any):
                 p[c] += pushes[worker, c]
             for worker in range(walls.shape[0]):
                 walls_out[c] += walls[worker, c]
-            for row in range(liquid.shape[0]):
-                walls_out[3 + c] += liquid[row, c]
+            for row in range(means.shape[0]):
+                walls_out[3 + c] += means[row, c]
             p[c] += (walls_out[3 + c] - before) / wp.float64(2.0)
         work = wp.dot(J, p + J / wp.float64(2.0)) / mass
         add_given(given_out, J, work, wp.length(J), wp.abs(work))

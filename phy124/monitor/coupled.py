@@ -18,7 +18,7 @@ from phy124.gaussians import Wrench
 from phy124.kernels.lattice.contact import MOMENT
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.diagnostics import Diagnostics, Totals
-from phy124.monitor.external_work import LIQUID, ExternalWork
+from phy124.monitor.external_work import MEAN, ExternalWork
 from phy124.monitor.lattice import LatticeContacts, LatticePairs, LatticeTotals, LatticeWatchdog
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
 from phy124.monitor.wrenches import Wrenches, wall_names
@@ -72,9 +72,9 @@ class CoupledWork(ExternalWork):
 
     def _read_impulses(self) -> None:
         """Keep the sums of earlier walls, and read the sums of the lattices' walls."""
-        if LIQUID in self._device:
-            self._closed[LIQUID] = self._closed[LIQUID] + self._open(LIQUID)
-        self._device[LIQUID] = self._solver.lattice.walls.sums
+        if MEAN in self._device:
+            self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
+        self._device[MEAN] = self._solver.lattice.walls.sums
 
 
 class CoupledWrenches(Wrenches):

@@ -33,11 +33,12 @@ if TYPE_CHECKING:
 
 STAGE = "external work"
 """Name of the stages that sum external work."""
-PUSH, WALL, UNIFORM, LIQUID = "push", "wall", "uniform", "liquid"
+PUSH, WALL, UNIFORM, MEAN = "push", "wall", "uniform", "mean"
 """Names of the causes of external work: forces on particles, walls, a varying uniform acceleration,
-and the walls of a liquid by projection.
+and walls whose work is computed with the mean velocities of a step: those of lattices, and of a
+liquid by projection.
 """
-SOURCES = (PUSH, WALL, UNIFORM, LIQUID)
+SOURCES = (PUSH, WALL, UNIFORM, MEAN)
 ROOM = 16
 """Length of a worker's array of sums; with this length, no two workers write to the same cache
 line.
@@ -156,7 +157,7 @@ class ExternalWork(Observer):
 
     def _read_impulses(self) -> None:
         if self._liquid is not None:
-            self._device[LIQUID] = self._liquid.impulses.total
+            self._device[MEAN] = self._liquid.impulses.total
 
     @property
     def by_momentum(self) -> bool:
@@ -208,7 +209,7 @@ class ExternalWork(Observer):
 
     def of_walls(self) -> float:
         """Return the work of the walls so far [J]; walls at rest only dissipate (work < 0)."""
-        return float(self._sum(WALL, LIQUID)[kernels.WORK])
+        return float(self._sum(WALL, MEAN)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state to continue from, as plain data."""
@@ -263,7 +264,7 @@ class ExternalWork(Observer):
         """Record the launch that adds the uniform acceleration's impulse and work."""
         model, tracks, sums = self._model, self._tracks, self._accumulator(UNIFORM, grid)
         self._set_base()
-        names = (PUSH, WALL, LIQUID)
+        names = (PUSH, WALL, MEAN)
         others = [self._device.get(name, self._zeros(0)) for name in names]
         inputs = [model.total_mass, tracks.clock, tracks.values, self._base, *others]
         kernel = kernels.make_uniform_sums(model.real)
@@ -274,7 +275,7 @@ class ExternalWork(Observer):
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         walls = [
             self._open(name)[IMPULSES] if name in self._device else np.zeros(3)
-            for name in (WALL, LIQUID)
+            for name in (WALL, MEAN)
         ]
         self._walls_before.assign(np.concatenate(walls))
 

@@ -23,7 +23,7 @@ from phy124.kernels.lattice.nodes import make_node_totals
 from phy124.lattice import impulses
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.diagnostics import Diagnostics, Totals
-from phy124.monitor.external_work import WALL, ExternalWork
+from phy124.monitor.external_work import MEAN, ExternalWork
 from phy124.monitor.lattice_dissipation import LatticeDissipation
 from phy124.monitor.observer import Cost, Effect, Observed, Observer, Subject
 from phy124.monitor.watchdog import Watchdog
@@ -104,13 +104,13 @@ class LatticeWork(ExternalWork):
         """Read the sums of the solver's walls."""
         super().bind(solver, observers)
         self._solver = solver
-        self._device[WALL] = solver.walls.sums
+        self._device[MEAN] = solver.walls.sums
         solver.record()
 
     def change(self, scene: Scene) -> None:
         """Keep the sums of the earlier walls, and read the sums of the new walls."""
-        self._closed[WALL] = self._closed[WALL] + self._open(WALL)
-        self._device[WALL] = self._solver.walls.sums
+        self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
+        self._device[MEAN] = self._solver.walls.sums
         self._solver.record()
 
 

@@ -57,8 +57,9 @@ class LatticeDissipation(LiquidDissipation):
         elastic = last.elastic + last.lag - first.elastic - first.lag
         unexplained = sum(works) - kinetic
         substeps = stiffened - works.elastic - elastic
+        # Losses are subtracted from 0.0, because a negated zero would be written as -0.0.
         contact = works.friction + works.impacts + works.itself + works.pairs
-        loss = Loss(-works.viscous, -contact, unexplained + substeps - works.shock)
+        loss = Loss(0.0 - works.viscous, 0.0 - contact, unexplained + substeps - works.shock)
         return {
             "lost": loss.total,
             **loss._asdict(),
@@ -69,11 +70,11 @@ class LatticeDissipation(LiquidDissipation):
             "held": works.held,
             "solids": works.solids,
             "stiffening": stiffened,
-            "friction": -works.friction,
-            "impacts": -works.impacts,
-            "pairs": -works.pairs,
-            "itself": -works.itself,
-            "shock": -works.shock,
+            "friction": 0.0 - works.friction,
+            "impacts": 0.0 - works.impacts,
+            "pairs": 0.0 - works.pairs,
+            "itself": 0.0 - works.itself,
+            "shock": 0.0 - works.shock,
             "substeps": substeps,
             "unexplained": unexplained,
         }

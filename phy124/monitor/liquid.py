@@ -65,7 +65,8 @@ class LiquidDissipation(Dissipation):
         lost = rubbed + works.walls - gained
         if self._external is not None and self._external.by_momentum:
             lost += works.density
-        return Loss(-works.viscous, -works.friction, lost + works.viscous + works.friction)
+        viscous, friction = 0.0 - works.viscous, 0.0 - works.friction
+        return Loss(viscous, friction, lost - viscous - friction)
 
     def details(self, loss: Loss, change: float) -> dict[str, float]:
         """Return the work that changed kinetic energy, and the parts of the numerical loss [J].
@@ -79,7 +80,7 @@ class LiquidDissipation(Dissipation):
             "kinetic": change,
             "forces": change + loss.total - works.walls,
             "walls": works.walls,
-            "projection": -works.projection,
+            "projection": 0.0 - works.projection,
             "density": works.density,
             "transfers": loss.numerical + works.projection - works.density,
         }
