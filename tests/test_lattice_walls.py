@@ -8,11 +8,15 @@ import pytest
 from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.boundaries.motion import Path
 from phy124.forces import Gravity
-from phy124.kernels.work import IMPULSE, WORK
+from phy124.kernels.free.numbers import VELOCITY
+from phy124.kernels.lattice.contact import MOMENT
+from phy124.kernels.work import IMPULSE, MOVED, WORK
 from phy124.materials import NeoHookean
 from phy124.monitor.lattice import LatticeTotals
+from phy124.mpm import FreeBody, Pair
 from phy124.studies.validation.experiments.pressed_block import stress
 from support.lattices import DX, SOFT, block, make
+from test_meetings import make as bodies
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.5])
@@ -111,3 +115,47 @@ def test_walls_impulse_and_work_close_the_balance():
     assert np.allclose(end.momentum - start.momentum, sums[IMPULSE : IMPULSE + 3], atol=1e-12)
     assert sums[WORK] < 0
     assert end.energy - start.energy - sums[WORK] == pytest.approx(0, abs=0.05 * start.energy)
+
+
+PATH = Path(times=(0.0, 0.2), points=((0, 0, 0), (0.1, 0, -0.03)))
+HOLD = [Held(lower=(0.2, -1, -1), upper=(1, 1, 1), motion=PATH), HalfSpace(friction=0.4)]
+"""A clamp holds one side of a block that the floor touches, also on held nodes."""
+
+
+def test_wrenches_and_works_on_held_points_balance():
+    """A steel ball also presses the block."""
+    steel = FreeBody("ball", "sphere", (0.2,) * 3, (0.2, 0.15, 0.5), velocity=(0, 0, -1))
+    solver = make(block((0.3, 0.3, 0.3)), boundaries=HOLD, free=[steel])
+    solver.walls.keep_impulses()
+    solver.energies.start()
+    totals = LatticeTotals(solver)
+    before = totals.read(solver.clock)
+    solver.advance(0.05)
+    after, rows = totals.read(solver.clock), solver.walls.sums.numpy()
+    solid, scale = solver.free._total().sum(axis=(0, 1)), 1e-13 * rows[:, MOVED].max()
+    gained = rows[:, :3].sum(axis=0) + solid[:3]
+    assert np.allclose(gained, after.momentum - before.momentum, rtol=0, atol=scale)
+    turned = rows[:, MOMENT : MOMENT + 3].sum(axis=0) + solid[3:6]
+    assert np.allclose(turned, after.angular - before.angular, rtol=0, atol=scale)
+    velocity = solver.free._bodies[0].numpy()[VELOCITY : VELOCITY + 3]
+    stopped = steel.mass * (velocity - steel.velocity)
+    assert np.allclose(stopped, -solid[:3], rtol=0, atol=scale)
+    each = solver.walls.impulses.sums.numpy().sum(axis=0)
+    assert np.allclose(each, rows[:, :3].sum(axis=0), rtol=0, atol=scale)
+    works = solver.energies.read()
+    assert solid[6] == pytest.approx(works.solids, rel=1e-12)
+    of_walls = works.walls + works.held + works.friction + works.impacts
+    assert rows[:, WORK].sum() == pytest.approx(of_walls, rel=1e-12)
+
+
+def test_clamp_takes_impulses_between_bodies():
+    solids = [block((0.3, 0.3, 0.3)), block((0.2, 0.3, 0.3), low=(-0.1, 0.3, 0))]
+    moving = [(0, 0, 0), (0, -0.3, 0)]
+    solver = bodies(solids, v=moving, boundaries=HOLD, pairs=[Pair(0, 1, 0.3)])
+    totals = LatticeTotals(solver)
+    before = totals.read(solver.clock).momentum
+    solver.advance(0.02)
+    assert solver.meetings.of_pairs[0].most
+    gained, rows = totals.read(solver.clock).momentum - before, solver.walls.sums.numpy()
+    scale = 1e-13 * rows[:, MOVED].max()
+    assert np.allclose(rows[:, :3].sum(axis=0), gained, rtol=0, atol=scale)

@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.lattice.clamps import PassedOn
 from phy124.lattice.material import Material
 from phy124.lattice.solver import LatticeSolver
 from phy124.mpm import Accumulator, Attachable, Clock, Model, Pair, Solver, State
@@ -172,8 +173,14 @@ class CoupledSolver(Solver):
         if self._lattice is not None:
             self.rejection.keep(_Undo(self))
 
-    def stages(self) -> list[list[Any]]:
-        """Return the lattices' launches for contact between lattices and particles."""
+    def stages(self, passed: PassedOn | None) -> list[list[Any]]:
+        """Return the lattices' launches for contact between lattices and particles.
+
+        Args:
+            passed: Passes impulses on held nodes on to clamps; None without clamps.
+        """
+        for material in self.materials:
+            material.pass_on(passed)
         return [
             [("pairs", material.stage(number)) for material in self.materials]
             for number in range(3)

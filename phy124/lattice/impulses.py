@@ -34,7 +34,8 @@ class Impulses:
         count = points + len(nodes.rest)
         self.sums = wp.zeros(count, dtype=wp.vec3d, device=model.device)
         """Impulse on each surface point, then on each node [S+N,3], N s."""
-        self._of_nodes = cast("wp.array", self.sums[points:])
+        self.of_nodes = cast("wp.array", self.sums[points:])
+        """Impulse on each node [N,3], N s."""
 
     def press(self, near: wp.array, force: wp.array) -> wp.Launch:
         """Record the launch that adds the impulses of a wall on the points near it.
@@ -58,7 +59,7 @@ class Impulses:
         chosen = wp.array(held.astype(np.int32), dtype=int, device=model.device)
         kernel = make_add_momentum(model.real)
         before, after = (
-            launches([("clamp", model.launch(kernel, len(held), inputs, [self._of_nodes]))])
+            launches([("clamp", model.launch(kernel, len(held), inputs, [self.of_nodes]))])
             for inputs in ([sign, chosen, nodes.inverse, nodes.v] for sign in (-1.0, 1.0))
         )
         return [*before, *clamps, *after]

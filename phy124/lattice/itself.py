@@ -22,6 +22,7 @@ from phy124.kernels.arguments import types
 from phy124.kernels.lattice.contact import NODES, make_exchange, make_meet, make_resist
 from phy124.kernels.lattice.partners import SIDEWAYS
 from phy124.kernels.lattice.work import ITSELF, PAIRS
+from phy124.lattice.clamps import PassedOn
 from phy124.lattice.partners import REACH, Partners
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
@@ -95,6 +96,7 @@ class Meeting:
         self.most = 0
         """Largest number of pairs so far."""
         self._work: ContactWork | None = None
+        self._passed: PassedOn | None = None
         self._reserve(0)
         self._seen: NDArray[np.float64] = surface.x[sample]
         self._flagged: NDArray[np.bool_] = np.zeros(len(sample), bool)
@@ -153,15 +155,21 @@ class Meeting:
         if self._work is not None:
             at, points = PAIRS if self._between else ITSELF, (pairs["nodes"], pairs["weights"])
             self._launches.append((self._work.of(at, every, points, gap, pairs["force"]), 1))
+        if self._passed is not None:
+            points = pairs["nodes"], pairs["weights"]
+            self._pass = self._passed.of(every, points, pairs["force"])
 
-    def record(self, work: ContactWork | None) -> list[Named]:
+    def record(self, work: ContactWork | None, passed: PassedOn | None) -> list[Named]:
         """Return the stages that apply the previous impulses, correct them and sum them.
 
         Args:
             work: Records the launch that sums their work; None if it is not summed.
+            passed: Passes impulses on held nodes on to clamps; None without clamps.
         """
-        if work is not self._work:
-            kept, self._work = self.snapshot(), work
+        # Pairs of a body with itself are not on held nodes.
+        passed = passed if self._between else None
+        if work is not self._work or passed is not self._passed:
+            kept, self._work, self._passed = self.snapshot(), work, passed
             self._reserve(len(self._points))
             self._fill(self._points, kept)
 
@@ -173,6 +181,9 @@ class Meeting:
                     if number == 0 and self._response == "separate":
                         launch.set_param_at_index(2, self.reach)
                     launch.launch()
+                if 2 in numbers and self._passed is not None and len(self._points):
+                    self._pass.set_dim(len(self._points))
+                    self._pass.launch()
 
             return "self-contact" if self._sums is None else "pairs", act
 

@@ -16,6 +16,7 @@ from phy124.kernels.arguments import types
 from phy124.kernels.contacts import SUMS
 from phy124.kernels.lattice import grid as kernels
 from phy124.kernels.lattice.rows import rows_for
+from phy124.lattice.clamps import PassedOn
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
 from phy124.mpm.grid import Grid
@@ -70,6 +71,7 @@ class Material:
         ]
         self.due = True
         """Whether the points near the particles must be listed in the next substep."""
+        self._passed: wp.Launch | None = None
         self.most = 0
         """Largest number of points near the particles so far."""
 
@@ -99,6 +101,11 @@ class Material:
         total = model.launch(kernels.make_grid_sum(model.real), 1, inputs, [self.sums])
         self._launches = [cast("wp.Launch", launch) for launch in (touch, resist, total)]
 
+    def pass_on(self, passed: PassedOn | None) -> None:
+        """Pass impulses on held nodes on to clamps in the last stage; None without clamps."""
+        points = self._points[0], self._points[1]
+        self._passed = None if passed is None else passed.of(self._list, points, self.force)
+
     def stage(self, number: int) -> Callable[[], None]:
         """Return a stage of the substep: apply impulses, correct them, or sum them."""
 
@@ -109,6 +116,9 @@ class Material:
                 launch = self._launches[number]
                 launch.set_param_at_index(1, len(self._near))
                 launch.launch()
+                if number == 2 and self._passed is not None:
+                    self._passed.set_dim(len(self._near))
+                    self._passed.launch()
 
         return act
 

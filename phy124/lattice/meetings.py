@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice.contact import make_place
+from phy124.lattice.clamps import PassedOn
 from phy124.lattice.itself import FRICTION, Meeting
 from phy124.lattice.partners import FAR, Partners
 from phy124.lattice.surface import Surface
@@ -95,9 +96,13 @@ class Meetings:
         """All meetings; those of bodies with themselves come first."""
         return [*self.of_bodies, *self.of_pairs]
 
-    def stages(self) -> list[list[Named]]:
-        """Return the launches of a substep that apply earlier impulses, correct and sum them."""
-        stages = [meeting.record(self.work) for meeting in self.every]
+    def stages(self, passed: PassedOn | None) -> list[list[Named]]:
+        """Return the launches of a substep that apply earlier impulses, correct and sum them.
+
+        Args:
+            passed: Passes impulses on held nodes on to clamps; None without clamps.
+        """
+        stages = [meeting.record(self.work, passed) for meeting in self.every]
         return [[each[k] for each in stages if len(each) > k] for k in range(3)]
 
     def follow(self, step: float) -> None:

@@ -20,6 +20,7 @@ from phy124.kernels.lattice.contact import MOMENT, SUMS, make_account
 from phy124.kernels.lattice.rows import rows_for
 from phy124.kernels.lattice.work import SOLIDS
 from phy124.kernels.work import GIVEN, IMPULSE
+from phy124.lattice.clamps import PassedOn
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
 from phy124.lattice.work import ContactWork
@@ -105,8 +106,12 @@ class Solids(FreeBodies):
         self._list()
         self._put_sides(sides)
 
-    def stages(self) -> list[list[Named]]:
-        """Return the launches of a substep that apply impulses, correct them and sum them."""
+    def stages(self, passed: PassedOn | None) -> list[list[Named]]:
+        """Return the launches of a substep that apply impulses, correct them and sum them.
+
+        Args:
+            passed: Passes impulses on held nodes on to clamps; None without clamps.
+        """
         model, tracks = self._model, getattr(self, "_tracks", None)
         if tracks is None:
             return [[], [], []]
@@ -121,7 +126,7 @@ class Solids(FreeBodies):
             read = [moments, self._trials[index]]
             finish.append((STAGE, model.launch(kernel, 1, read, [state])))
         for touch in self._touches:
-            touch.sum_work(self.work)
+            touch.add_sums(self.work, passed)
         touch, resist, account = (
             [(STAGE, touch.stage(number)) for touch in self._touches] for number in range(3)
         )
@@ -203,6 +208,7 @@ class _Touch:
         self._gaps = wp.zeros(count, dtype=model.real, device=device)
         self._gap = gap = wp.zeros(count, dtype=t.vec4, device=device)
         self._work: wp.Launch | None = None
+        self._passed: wp.Launch | None = None
         place = wp.zeros_like(self.force)
         yields = wp.zeros_like(self._gaps)
         solid, nodes, points = solids.all[index], solids._nodes, solids._points
@@ -239,15 +245,26 @@ class _Touch:
         def act() -> None:
             if len(self._near):
                 self._launches[number].launch()
+                if number == 2 and self._passed is not None:
+                    self._passed.set_dim(len(self._near))
+                    self._passed.launch()
                 if number == 2 and self._work is not None:
                     self._work.set_param_at_index(1, len(self._near))
                     self._work.launch()
 
         return act
 
-    def sum_work(self, work: ContactWork | None) -> None:
-        """Sum the work of the impulses in the last stage; None: do not sum it."""
+    def add_sums(self, work: ContactWork | None, passed: PassedOn | None) -> None:
+        """Add launches to the last stage; None: there are none.
+
+        Args:
+            work: Sums the work of the impulses by cause.
+            passed: Passes impulses on held nodes on to clamps.
+        """
         points = self._solids._points[0], self._solids._points[1]
+        sums = cast("wp.array", self._solids._sums[self._index, self._body])
+        near = self._list, points, self.force
+        self._passed = None if passed is None else passed.of(*near, sums)
         known = self._list, points, self._gap, self.force
         self._work = None if work is None else work.of(SOLIDS, *known)
 

@@ -210,9 +210,8 @@ class LatticeSolver:
 
     def _contact(self) -> list[Named]:
         """Return the launches of all contact; they apply all impulses before they correct any."""
-        everything = [
-            part.stages() for part in (self.walls, self.meetings, self.free, *self.guests)
-        ]
+        passed, parts = self.walls.passed_on(), (self.walls, self.meetings, self.free, *self.guests)
+        everything = [part.stages(passed) for part in parts]
         return [
             stage for order in zip(*everything, strict=True) for part in order for stage in part
         ]

@@ -1,8 +1,6 @@
 """Records the launches of walls and clamps on a lattice, which also sum impulse and work.
 
-Surface points respond to walls. Nodes inside a clamp have the clamp's velocity. The node next to
-the clamp's surface moves in the opposite direction to its free neighbour, so that the interpolated
-motion vanishes at the surface.
+Surface points respond to walls, nodes to clamps (phy124/lattice/clamps.py).
 """
 
 from __future__ import annotations
@@ -16,7 +14,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.errors import InputError
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice.contact import (
     SUMS,
@@ -30,17 +27,19 @@ from phy124.kernels.lattice.contact import (
     make_touch,
     make_yields,
 )
+from phy124.kernels.lattice.impulses import make_pass_on
 from phy124.kernels.lattice.nodes import make_hold, make_pin
 from phy124.kernels.lattice.partners import make_expose, make_flag, make_partner
 from phy124.kernels.lattice.rows import Rows, rows_for
 from phy124.kernels.lattice.work import WALLS
+from phy124.lattice.clamps import Clamp, PassedOn, acts_on
 from phy124.lattice.impulses import Impulses
-from phy124.lattice.rest import RestLattice, splines
+from phy124.lattice.rest import RestLattice
 from phy124.lattice.surface import Surface
 from phy124.lattice.work import ContactWork
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
-from phy124.mpm.tracks import Track, Tracks
+from phy124.mpm.tracks import Tracks
 
 REACH = 0.6
 """Largest distance from a wall within which contact is computed [cells]."""
@@ -48,21 +47,11 @@ AHEAD, CLOSE = 2.0, 0.1
 """Contact is computed within `AHEAD` times a substep's displacement plus `CLOSE` [cells]."""
 STEP = 0.5
 """The distance up to which points are listed grows in steps of this size [cells]."""
-HELD = 0.5
-"""Up to this distance from a clamp's surface [cells], a held node moves opposite to its free
-neighbour, so that the motion vanishes at the surface. Nodes farther inside do not move.
-"""
-INSET = 0.2
-"""Depth inside a clamp at which the motion is set to zero [cells]. A B-spline that vanishes at a
-surface is also flat there, so a plate held at the surface would be too short by about this depth.
-"""
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
 """Gain by which points come out of a wall, in units of (pi / 2 H)^2 / dt, for a body of H cells and
 substeps dt at rest. The slowest angular frequency of a body that stands on the wall is pi c / 2 H.
 Bodies that a wall holds also rock and shear, more slowly.
 """
-STILL = Track(((0.0, (0.0, 0.0, 0.0)),))
-"""The track of a wall that never moves."""
 
 
 class Boundary(Protocol):
@@ -142,11 +131,12 @@ class Walls:
         points = _Points.of(surface, lattice, model, substep)
         self.recovery = RESTORE["separate"] * points.slowest
         """Speed at which points come out of a wall, per depth [1/s]."""
-        self._clamps, self._contacts = [], []
+        self._clamps: list[Clamp] = []
+        self._contacts: list[_Contact] = []
         for number, (holds, part) in enumerate(simple):
             sums = cast("wp.array", self.sums[number])
             if holds:
-                self._clamps.append(_Clamp(part, model, lattice, nodes, tracks, sums))
+                self._clamps.append(Clamp(part, model, lattice, nodes, tracks, sums))
             elif points.count:
                 self._contacts.append(_Contact(part, model, points, nodes, tracks, sums))
         for contact in self._contacts:
@@ -160,16 +150,27 @@ class Walls:
         """Make the launches that `stages` returns next sum impulses per surface point and node."""
         self.impulses = Impulses(*self._around)
 
-    def stages(self) -> list[list[Named]]:
+    def passed_on(self) -> PassedOn | None:
+        """Return what records the launches that pass impulses on to clamps; None without clamps."""
+        if not self._clamps:
+            return None
+        model, _, nodes, tracks = self._around
+        clamps = list(zip(self.holding, self._clamps, strict=True))
+        return PassedOn(model, nodes, tracks.clock, clamps, self.sums, self.impulses)
+
+    def stages(self, passed: PassedOn | None) -> list[list[Named]]:
         """Return the launches of a substep that apply earlier impulses, correct and sum them.
 
         Clamps act before the impulses.
+
+        Args:
+            passed: Passes impulses on held nodes on to clamps; None without clamps.
         """
         clamps = launches([("clamp", item) for clamp in self._clamps for item in clamp.record()])
         if clamps and self.impulses is not None:
             held = np.unique(np.concatenate([clamp.nodes for clamp in self._clamps]))
             clamps = self.impulses.hold(clamps, held)
-        stages = [contact.record(self.impulses, self.work) for contact in self._contacts]
+        stages = [contact.record(self.impulses, self.work, passed) for contact in self._contacts]
         touch, resist, account = (
             [("contact", contact[number]) for contact in stages] for number in range(3)
         )
@@ -249,77 +250,6 @@ class _Points:
         return cls(surface.count, nodes, weights, rest, surface.body, slowest)
 
 
-class _Clamp:
-    """The nodes that a clamp holds, and the launch that sets their velocity to the clamp's."""
-
-    def __init__(
-        self,
-        part: Any,
-        model: Model,
-        lattice: RestLattice,
-        nodes: Nodes,
-        tracks: Tracks,
-        sums: wp.array,
-    ) -> None:
-        if part.contact != "sticky":
-            raise InputError(
-                f"boundaries.{type(part).__name__.lower()}.contact",
-                part.contact,
-                "a body on a lattice can only be held in all directions.",
-                'Use contact = "sticky", or accuracy.solver = "mpm".',
-            )
-        self._model, self._nodes, self._tracks, self._sums = model, nodes, tracks, sums
-        self._slot = tracks.add(part.track(model) or STILL)
-        far = distances(part, model, lattice.x)
-        far[:, 3] += INSET * model.dx
-        held = np.flatnonzero((far[:, 3] < -HELD * model.dx) & acts_on(part, model, lattice.body))
-        self._held = wp.array(held.astype(np.int32), dtype=int, device=model.device)
-        pairs, ratios = _pins(lattice, far, acts_on(part, model, lattice.body))
-        self._pairs = wp.array(pairs.astype(np.int32), dtype=wp.vec2i, device=model.device)
-        self._ratios = model.array(ratios, model.real)
-        self.nodes = np.concatenate([held, pairs.ravel()])
-        """Indices of the nodes whose velocities change."""
-
-    def record(self) -> list[wp.Launch | None]:
-        """Record the launches of one substep."""
-        model, nodes, tracks = self._model, self._nodes, self._tracks
-        inputs = [self._slot, nodes.inverse, nodes.rest, nodes.u, tracks.values, tracks.rates]
-        inputs.append(nodes.before)
-        outputs = [nodes.v, nodes.movable, self._sums]
-        held = [self._held, *inputs]
-        pinned = [self._pairs, self._ratios, *inputs]
-        return [
-            model.launch(make_hold(model.real), len(self._held), held, outputs),
-            model.launch(make_pin(model.real), len(self._pairs), pinned, outputs),
-        ]
-
-
-def _pins(
-    lattice: RestLattice, far: NDArray[np.float64], affected: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return pairs of a column's last held and first free node, and ratios of the pairs' motions.
-
-    Args:
-        lattice: The lattice at rest.
-        far: Normal and distance of each node from the clamp [N,4].
-        affected: Whether the clamp acts on the body of each node [N].
-    """
-    axis = np.argmax(np.abs(far[:, :3]), axis=1)
-    lean = np.take_along_axis(far[:, :3], axis[:, None], axis=1)[:, 0]
-    across = np.maximum(np.abs(lean), 1e-3) * lattice.dx
-    middle = np.flatnonzero((np.abs(far[:, 3] / across) <= HELD) & affected)
-    step = np.zeros((len(middle), 3), np.int64)
-    step[np.arange(len(middle)), axis[middle]] = np.sign(lean[middle]).astype(np.int64)
-    front = lattice.find(lattice.index[middle] + step, lattice.body[middle])
-    # A node may be the front of one column only, so that no two threads write to it.
-    present = np.flatnonzero(front >= 0)
-    _, first = np.unique(front[present], return_index=True)
-    chosen = present[first]
-    offset = 1 + far[middle[chosen], 3] / across[middle[chosen]]
-    weights = splines(offset)
-    return np.stack([middle[chosen], front[chosen]], axis=1), -weights[:, 0] / weights[:, 1]
-
-
 class _Contact:
     """The contact of the surface points with one simple wall."""
 
@@ -373,7 +303,7 @@ class _Contact:
             self._count()
 
     def record(
-        self, impulses: Impulses | None, work: ContactWork | None
+        self, impulses: Impulses | None, work: ContactWork | None, passed: PassedOn | None
     ) -> list[Callable[[], None]]:
         """Return stages that find touching points, correct impulses, and sum impulses and work."""
 
@@ -391,9 +321,11 @@ class _Contact:
         self._of_each = [self._yield(), self._account()]
         if impulses is not None:
             self._of_each.append(impulses.press(self._list, self.force))
+        points = self._points.nodes, self._points.weights
+        if passed is not None:
+            self._of_each.append(passed.of(self._list, points, self.force, self._sums))
         self._of_all = [self._touch(), self._resist()]
         if work is not None:
-            points = self._points.nodes, self._points.weights
             known = self._gap, self.force, self._slot if self._moving else 0
             self._of_all.append(work.of(WALLS, self._list, points, *known))
         self._count()
@@ -449,24 +381,6 @@ class _Contact:
         return cast("wp.Launch", self._model.launch(kernel, points.count, inputs, [self._sums]))
 
 
-def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether a simple wall acts on each of K bodies [K]."""
-    if part.object is None:
-        return np.ones(len(body), bool)
-    return np.asarray(body == model.names.index(part.object))
-
-
-def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
-    """Return a simple wall's normals and signed distances [m] at points [N,3], as rows [N,4]."""
-    t = types(model.real)
-    shape, points = t.mat33(*np.ravel(part.geometry(model))), model.array(x, t.vec3)
-    out = wp.zeros(len(x), dtype=t.vec4, device=model.device)
-    kernel = make_distances(part.outline(), model.real)
-    wp.launch(kernel, len(x), [shape, points], [out], device=model.device)
-    far: NDArray[Any] = out.numpy()
-    return far.astype(np.float64)
-
-
 def kernels(
     boundaries: Sequence[Boundary], real: Any, device: str, *, several: bool = False
 ) -> Iterator[Any]:
@@ -490,7 +404,8 @@ def kernels(
     for boundary in boundaries:
         for part in boundary.parts():
             if boundary.holds:
-                yield from (make_hold(real), make_pin(real), make_distances(part.outline(), real))
+                yield from (make_hold(real), make_pin(real), make_pass_on(real))
+                yield make_distances(part.outline(), real)
             else:
                 yield from (make_account(real, rows), make_yields(real, rows))
                 yield make_reach(part.outline(), part.tracked, real, rows)

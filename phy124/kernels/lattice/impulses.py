@@ -1,9 +1,9 @@
 """Kernels that sum impulses: of walls on each surface point, and of clamps on each node.
 
 A point's contact force acts over the kick of a substep. The impulse of clamps on a node is the
-change of its momentum while they act: `make_add_momentum` first subtracts its momentum, and then
-adds it. Both sums are float64, since a frame may have thousands of substeps. The threads of a
-kernel have different points or nodes, so the result does not depend on their order.
+change of its momentum while they act, minus the impulses of contact that they take:
+`make_add_momentum` first subtracts the node's momentum, and then adds it; `make_pass_on` subtracts
+the impulses. Both sums are float64, since a frame may have thousands of substeps.
 """
 
 from typing import Any
@@ -12,7 +12,10 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.diagnostics import wide
+from phy124.kernels.diagnostics import add3, wide
+from phy124.kernels.lattice.contact import MOMENT
+from phy124.kernels.reduction import add_to
+from phy124.kernels.work import WORK, add_given
 
 Impulses = wp.array(dtype=wp.vec3d)
 
@@ -44,3 +47,55 @@ def make_add_momentum(real: Any):
             impulse_out[n] += sign / wp.float64(inverse[n]) * wide(v[n])
 
     return add_momentum
+
+
+@build_once
+def make_pass_on(real: Any):
+    """Kernel over points: passes the parts of their impulses on held nodes on to the clamps.
+
+    Contact does not move a held node: its clamp takes the impulse at once. Since the sums of what
+    exerts the impulse have all of it, the clamp gets the opposite of the part on each held node.
+    Only the impulses on other nodes do work, so the work of the part is subtracted.
+
+    `inverse` is zero for held nodes, `whole` is not; `holder` is the row of a node's clamp in
+    `clamps_out`. `sums_out` has the sums with the work, `impulse_out` the impulse on each node;
+    either may be empty.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_pass_on_{real.__name__}", real, seconds=0.4)
+    def pass_on(
+        near: Ints,
+        nodes: wp.array2d(dtype=int),
+        weights: wp.array2d(dtype=real),
+        inverse: t.reals,
+        whole: t.reals,
+        holder: Ints,
+        rest: t.vec3s,
+        u: t.vec3s,
+        force: t.vec3s,
+        clock,
+        v_before: t.vec3s,
+        v: t.vec3s,
+        sums_out,
+        clamps_out: wp.array2d(dtype=wp.float64),
+        impulse_out: Impulses,
+    ):
+        s = near[wp.tid()]
+        impulse = wide(clock[0] * force[s])
+        if wp.dot(impulse, impulse) > wp.float64(0.0):
+            for k in range(weights.shape[1]):
+                n = nodes[s, k]
+                if weights[s, k] != real(0.0) and inverse[n] == real(0.0) and whole[n] > real(0.0):
+                    back = -wp.float64(weights[s, k]) * impulse
+                    sums = clamps_out[holder[n]]
+                    add_given(sums, back, wp.float64(0.0), wp.length(back), wp.float64(0.0))
+                    at = wide(rest[n]) + wide(u[n])
+                    add3(sums, wp.static(MOMENT), wp.cross(at, back))
+                    if sums_out.shape[0] > 0:
+                        mean = wp.float64(0.5) * (wide(v_before[n]) + wide(v[n]))
+                        add_to(sums_out, wp.static(WORK), wp.dot(back, mean))
+                    if impulse_out.shape[0] > 0:
+                        wp.atomic_add(impulse_out, n, back)
+
+    return pass_on
