@@ -11,7 +11,7 @@ from phy124.budget.cost import count_substeps
 from phy124.budget.effects import Effects
 from phy124.budget.remedies import find_speedups
 from phy124.errors import InputError
-from phy124.forces import Gravity
+from phy124.forces import Gravity, ZoneForce
 from phy124.liquid.solver import LiquidSolver
 from phy124.materials import Fluid
 from phy124.monitor.diagnostics import describe_substep
@@ -47,6 +47,7 @@ def liquid(
     threads=1,
     simd=True,
     viscosity=0.0,
+    pushes=(),
     **solids,
 ) -> LiquidSolver:
     """A liquid of particles, with 8 in each cell, in walls; the grid is off by some cells."""
@@ -57,7 +58,7 @@ def liquid(
     model = Model.of(x, volume, [water], dx=dx, origin=origin)
     model = model if simd else replace(model, form="plain")
     named = [(f"wall_{index}", wall) for index, wall in enumerate(walls)]
-    forces = [Gravity(g=gravity)] if np.any(gravity) else []
+    forces = [*pushes, *([Gravity(g=gravity)] if np.any(gravity) else [])]
     options = {"forces": forces, "boundaries": named, "threads": threads, **solids}
     return LiquidSolver(model, State.of(model), **options)
 
@@ -440,3 +441,17 @@ def test_pilot_counts_the_steps_that_waves_limit():
     steps, limiters = run_pilot(ball(), Scene.named("water").replaced(changes)).substeps(8)
     assert steps >= 3
     assert limiters["wave"] > 0
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_force_on_particles_presses_the_floor_like_gravity(threads):
+    zone = ZoneForce(place=Region(lower=(-1, -1, -1), upper=(2, 2, 2)), a=(0, 0, -G / 2))
+    x, presses = block((0, 0, 0), (1, 1, 0.5), 8), []
+    for pushes in ([zone], [Gravity(g=(0, 0, -G / 2))]):
+        solver = run(
+            liquid(x, 8, [TANK], gravity=(0, 0, -G / 2), pushes=pushes, threads=threads), 4
+        )
+        presses.append(solver.impulses.wrench("wall_0_z_low").numpy())
+    weight = solver.model.total_mass * G * (solver.clock.time - solver.clock.last_dt / 2)
+    assert presses[0][2] == pytest.approx(weight, rel=0.005)
+    assert presses[0] == pytest.approx(presses[1], rel=1e-4, abs=1e-4 * weight)

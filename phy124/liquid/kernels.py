@@ -31,8 +31,9 @@ def kernels(
     form: str,
     *,
     bodies: bool = False,
+    pushed: bool = False,
 ) -> Iterator[Any]:
-    """Yield the kernels that a liquid's steps launch, without forces on particles.
+    """Yield the kernels that a liquid's steps launch, except those of the forces on particles.
 
     Args:
         boundaries: The walls.
@@ -40,7 +41,10 @@ def kernels(
         real: wp.float32 or wp.float64.
         form: Form of the transfers, "plain" or "simd".
         bodies: Whether other materials move in the liquid.
+        pushed: Whether forces act on particles.
     """
+    if pushed and boundaries:
+        yield impulses.make_gains(real)
     yield from wall_kernels(boundaries, solids, real)
     if bodies:
         yield from body_kernels(real)

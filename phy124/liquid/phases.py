@@ -33,6 +33,7 @@ from phy124.liquid.energies import Energies
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.mixture import Mixture
 from phy124.liquid.projection import Projection
+from phy124.liquid.pushes import Pushes
 from phy124.liquid.solids import Solids
 from phy124.liquid.walls import Walls, span
 from phy124.mpm import FreeBodies, Grid, Model, Stage, State
@@ -93,6 +94,7 @@ class Phases:
         density = self._mixture.density
         self._solids = Solids(model, free, density, projection)
         self._bodies = bodies
+        self._pushes = Pushes(model, state, cells)
         if bodies is not None:
             bodies.join(self._solids, projection.mobility)
         self.energies = Energies(model, state, cells, len(workers))
@@ -126,6 +128,7 @@ class Phases:
         """
         self._tracks, self._walls, self._impulses_of_walls = tracks, walls, impulses_of_walls
         self._mixture.fit(self._cells.count)
+        self._pushes.fit(len(self._workers) if pushes and walls.all else 0)
         self.energies.fit(walls, tracks, impulses_of_walls)
         names: list[str] = []
         for index, worker in enumerate(self._workers):
@@ -158,9 +161,10 @@ class Phases:
             yield "walls", launches(phase)
         for phase in self._walls.describe(cells, worker, len(self._workers), move=True):
             yield "move", launches(phase)
+        yield "scatter", self._pushes.keep(self._run(worker))
         yield "scatter", self._push(pushes, worker, grid)
         yield "scatter", launches(self._solids.kick(self._tracks) if worker == 0 else [])
-        yield "scatter", self._scatter(worker)
+        yield "scatter", [*self._scatter(worker), *self._pushes.add(worker, self._run(worker))]
         yield from self._before_pressure(worker)
         for phase in solve.phases(cells, cells.pressure, worker, rigid=solids):
             yield "pressure", launches(phase)
@@ -376,13 +380,8 @@ class Phases:
     def _yields(self, worker: int) -> list[Recorded]:
         if self._bodies is None:
             return []
-        workers = len(self._workers)
-        return [
-            (
-                BODIES,
-                self._bodies.yields(self._cells, self._tracks.clock, worker, workers, self._model),
-            )
-        ]
+        known = self._cells, self._tracks.clock, worker, len(self._workers), self._model
+        return [(BODIES, self._bodies.yields(*known))]
 
     def _respond(self, worker: int) -> list[Recorded]:
         if worker > 0 or not self._solids.present:
@@ -410,7 +409,7 @@ class Phases:
         inputs = [part, self._mixture.density, self._projection.counts, cells.listed, cells.lattice]
         inputs += [cells.window, tracks.clock, tracks.values, walls.motions]
         inputs += [cells.open, cells.distances, cells.owners, self._mixture.densities]
-        inputs += [cells.phi, cells.pressure]
+        inputs += [cells.phi, cells.pressure, self._pushes.gains, self._solids.first(walls)]
         outputs = [self._impulses_of_walls.rows(worker)]
         if self._bodies is None:
             inputs.append(len(walls.all))

@@ -191,8 +191,9 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
         from phy124.liquid.kernels import kernels as liquid_kernels
 
         solids = [body.shape or "" for body in scene.objects if body.free]
-        bodies = scene.mixes
-        yield from liquid_kernels(scene.boundaries, solids, real, form, bodies=bodies)
+        pushed = not scene.mixes and any(not force.uniform for force in scene.acting)
+        options = {"bodies": scene.mixes, "pushed": pushed}
+        yield from liquid_kernels(scene.boundaries, solids, real, form, **options)
         yield from free.kernels_of(solids, real)
     yield from repair.kernels(subject.laws, real)
     yield from deform.kernels(real, scene.binding, device)

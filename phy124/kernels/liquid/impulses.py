@@ -2,7 +2,7 @@
 
 The solid surface inside a cell is minus the sum of the open faces (the area of a closed surface is
 zero). The pressure there is that of the cell's centre, plus the weight of the liquid between centre
-and wall.
+and wall. Forces on particles count as weight at fixed walls.
 """
 
 from typing import Any
@@ -12,9 +12,10 @@ import warp as wp
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.conjugate import count_of, share
-from phy124.kernels.liquid.faces import cell_of, stride
+from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number, stride
 from phy124.kernels.liquid.mixture import CENTRE
 from phy124.kernels.liquid.pressure import NEAREST
+from phy124.kernels.liquid.transfer import within
 from phy124.kernels.liquid.walls import centre_of, halves, point, solid_face, speed_of, wall_across
 from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
 
@@ -65,11 +66,53 @@ def take_row(sums: Sums, wall: int):
     return row
 
 
+@wp.func
+def gain_in(gains: wp.array(dtype=Any), n: int, count: int):
+    """Return the mean velocity change of the particles at a cell, in a window of `count` cells."""
+    total = gains[n]
+    for k in range(n + count, gains.shape[0], count):
+        total += gains[k]
+    gain = wp.vector(total[0], total[1], total[2])
+    if total[3] > type(total[3])(0.0):
+        gain /= total[3]
+    return gain
+
+
+@build_once
+def make_gains(real: Any):
+    """Kernel: adds masses, and the momenta gained since `v_kept`, to the eight nearest cells."""
+    t = types(real)
+
+    @kernel(f"phy124_liquid_gains_{real.__name__}", real, seconds=0.3)
+    def liquid_gains(mass, lattice, window, x, v, v_kept: t.vec3s, gains_out: t.vec4s):
+        p = wp.tid()
+        half = real(0.5)
+        s = local(x[p], lattice, window) - wp.vector(half, half, half)
+        size = window[1]
+        low = cell_at(s)
+        if inner(low, size, 1):
+            high = within(s, low)
+            gain = v[p] - v_kept[p]
+            for k in range(8):
+                step = wp.vec3i(k // 4, (k // 2) % 2, k % 2)
+                w = mass[p]
+                for c in range(3):
+                    if step[c] == 1:
+                        w *= high[c]
+                    else:
+                        w *= real(1.0) - high[c]
+                total = wp.vector(w * gain[0], w * gain[1], w * gain[2], w)
+                wp.atomic_add(gains_out, number(low + step, size), total)
+
+    return liquid_gains
+
+
 @build_once
 def make_wall_impulses(real: Any):
     """Kernel over parts of the listed cells: adds the impulses of pressure to `sums_out`.
 
-    For walls from number `bodies` on, `pressed_out` has the opposite sign.
+    For walls from number `bodies` on, `pressed_out` has the opposite sign. The first `fixed` walls
+    do not move freely; at these, the `gains` by forces on particles count.
     """
     t = types(real)
 
@@ -90,6 +133,8 @@ def make_wall_impulses(real: Any):
         densities: t.vec4s,
         phi: t.reals,
         pressure: Doubles,
+        gains: t.vec4s,
+        fixed: int,
         bodies: int,
         sums_out: wp.array2d(dtype=wp.float64),
         pressed_out: t.vec3s,
@@ -113,6 +158,9 @@ def make_wall_impulses(real: Any):
                         way = way_to_wall(cell, axis, jump, size, distances, dx)
                         # p dt / (density dx) at the wall.
                         head = clock[0] * way * a[axis] / dx * densities[n][CENTRE]
+                        if owner < fixed and gains.shape[0] > 0:
+                            gain = gain_in(gains, n, phi.shape[0])
+                            head += way * gain[axis] / dx * densities[n][CENTRE]
                         here = real(pressure[n]) + head
                         if phi[n] > real(0.0):
                             # The surface of a thin layer is between the wall and the centre.
