@@ -159,3 +159,14 @@ def test_clamp_takes_impulses_between_bodies():
     gained, rows = totals.read(solver.clock).momentum - before, solver.walls.sums.numpy()
     scale = 1e-13 * rows[:, MOVED].max()
     assert np.allclose(rows[:, :3].sum(axis=0), gained, rtol=0, atol=scale)
+
+
+def test_floor_moves_nodes_that_a_clamp_has_released():
+    solver = make(block((0.3, 0.3, 0.3)), v=(0, 0, -0.5), boundaries=HOLD)
+    solver.advance(0.01)
+    solver.bind(boundaries=HOLD[1:])
+    totals = LatticeTotals(solver)
+    before = totals.read(solver.clock).momentum
+    solver.advance(0.03)
+    gained, floor = totals.read(solver.clock).momentum - before, solver.walls.sums.numpy()[0]
+    assert np.allclose(floor[:3], gained, rtol=0, atol=1e-13 * floor[MOVED])

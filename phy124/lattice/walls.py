@@ -131,6 +131,8 @@ class Walls:
         points = _Points.of(surface, lattice, model, substep)
         self.recovery = RESTORE["separate"] * points.slowest
         """Speed at which points come out of a wall, per depth [1/s]."""
+        # Clamps that are no longer there have released their nodes.
+        wp.copy(nodes.movable, nodes.inverse)
         self._clamps: list[Clamp] = []
         self._contacts: list[_Contact] = []
         for number, (holds, part) in enumerate(simple):
