@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from phy124.boundaries import HalfSpace
+from phy124.boundaries import HalfSpace, Held
 from phy124.forces import Gravity
 from phy124.lattice.coupled import CoupledSolver
 from phy124.materials import NeoHookean
@@ -58,6 +58,18 @@ def test_lattice_hits_particles_with_exact_momentum():
     assert after[1, 0] > 0.7 * before[1, 0]
     (force, _), *_ = solver.pairs.wrenches(1.0).values()
     assert np.allclose(force, after[1] - before[1], atol=1e-9)
+
+
+def test_clamp_takes_the_push_of_particles_on_held_nodes():
+    clamp = Held(lower=(0.7, -1, -1), upper=(2, 2, 2))
+    solid = block((0.3,) * 3, low=(0.6, 0.3, 0.3))
+    solver = make((6, 6, 6), (0.25, 0.3, 0.3), solid, v=[(1, 0, 0), (0, 0, 0)], boundaries=[clamp])
+    solver.pairs.begin()
+    solver.advance(0.1)
+    (push, _), *_ = solver.pairs.wrenches(1.0).values()
+    hold = solver.lattice.walls.sums.numpy()[0, :3]
+    assert push[0] > 1
+    assert np.allclose(push + hold, momenta(solver)[1], atol=1e-12 * push[0], rtol=0)
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.5])
