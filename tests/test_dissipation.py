@@ -89,14 +89,17 @@ def test_metal_loses_its_plastic_work(rng):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ({"checks": {"energy": True, "balance": False}}, "checks.energy needs checks.balance"),
+        (
+            {"checks": {"energy": True, "balance": False}},
+            "checks.energy = true: it needs checks.balance",
+        ),
         (
             {
                 "checks": {"energy": True},
                 "accuracy": {"solver": "mpm"},
                 "objects": [{"name": "cup", "place": [2.0, 0.0]}],
             },
-            "checks.energy does not support objects",
+            "checks.energy = true: it does not support objects",
         ),
     ],
 )

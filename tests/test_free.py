@@ -364,7 +364,7 @@ def scene(**changes) -> Scene:
     [
         ({"objects": [{**FREE, "shape": None}]}, "Only shapes follow a motion"),
         ({"objects": [{**FREE, "held": True}]}, "Leave out static, held"),
-        ({"objects": [{**FREE, "shape": "sphere"}]}, "Give 3 equal sides"),
+        ({"objects": [{**FREE, "shape": "sphere"}]}, "Make all 3 sides equal"),
         (
             {"objects": [FREE, {**FREE, "name": "more", "place": [3, 0], "on": "floor"}]},
             "box and more are both free solids, which would pass through each other",

@@ -359,7 +359,7 @@ SAND = {"name": "sand", "shape": "box", "sides": [1.0, 1.0, 1.0], "material": {"
     "changes", [{"objects": [{**SAND, "place": [3.0, 0.0]}]}, {"accuracy": {"solver": "mpm"}}]
 )
 def test_only_lattices_alone_divide_the_loss_of_objects(changes):
-    with pytest.raises(InputError, match=r"checks\.energy does not support objects"):
+    with pytest.raises(InputError, match=r"checks\.energy = true: it does not support objects"):
         stacked(**changes)
 
 

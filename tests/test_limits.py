@@ -94,6 +94,13 @@ def test_a_part_that_rules_the_substep_is_named():
     assert note_stiffest_part(Scene.named("drop")) is None
 
 
+def test_liquid_by_projection_is_not_called_stiff():
+    soft = {"law": "neo_hookean", "E": 1e4}
+    toys = [{"name": name, "shape": "box", "size": 0.4, "material": soft} for name in "ab"]
+    scene = Scene.from_data({"material": {"law": "fluid"}, "objects": toys})
+    assert scene.projects and note_stiffest_part(scene) is None
+
+
 @pytest.mark.parametrize("name", ["press", "sway"])
 def test_closed_formulas_know_lattices(name):
     """Substeps at rest within 30 %; less work than with particles, but more memory per point."""

@@ -171,8 +171,12 @@ def _round(value: float) -> float:
 
 
 def note_stiffest_part(scene: Scene) -> str | None:
-    """Return a note if one material needs many more substeps than the others; otherwise None."""
-    fastest, *others = _list_materials(scene)
+    """Return a note if one material needs many more substeps than the others; otherwise None.
+
+    A liquid by pressure projection does not count, since its steps do not depend on a stiffness.
+    """
+    listed = _list_materials(scene)
+    fastest, *others = [m for m in listed if not scene.projects or m[1].law != "fluid"] or listed
     if not others:
         return None
     field, section = fastest

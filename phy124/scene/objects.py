@@ -117,9 +117,10 @@ class SceneObject(Object):
             raise ValueError(f"{self.name} has a motion and cannot be rotated; leave turn out")
         round_ = sorted(self.sides)[: 3 if self.shape == "sphere" else 2]
         if self.shape != "box" and round_[0] != round_[-1]:
+            which = "all 3" if self.shape == "sphere" else "the 2 shorter"
             raise ValueError(
-                f"{self.name} has a motion, so its cross-section must be "
-                f"round; give {len(round_)} equal sides"
+                f"{self.name} has a motion, so its cross-section must be round; make {which} "
+                "sides equal"
             )
         if self.shape == "capsule" and min(self.sides) == max(self.sides):
             raise ValueError(

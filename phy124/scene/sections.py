@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
+from phy124.errors import InputError
 from phy124.materials import AnyMaterial, NeoHookean
 from phy124.schema.bounds import FileName, Name, Spot, Velocity
 from phy124.schema.region import PartRegion
@@ -152,15 +153,17 @@ def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
         unsupported: Feature for which energy losses cannot be split -> whether the scene has it.
 
     Raises:
-        ValueError: `checks.energy` is on and the scene has such a feature.
+        InputError: `checks.energy` is on and the scene has such a feature.
     """
     if not checks.energy:
         return
     if not checks.balance:
-        raise ValueError("checks.energy needs checks.balance; leave one out or set the other")
+        limit = "it needs checks.balance, which is off."
+        raise InputError("checks.energy", "true", limit, "Leave one of the two out.")
     for name, present in unsupported.items():
         if present:
-            raise ValueError(f"checks.energy does not support {name}; leave one of the two out")
+            limit = f"it does not support {name}."
+            raise InputError("checks.energy", "true", limit, "Leave one of the two out.")
 
 
 class Part(Section):
