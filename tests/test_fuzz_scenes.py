@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.materials import LAWS
-from phy124.monitor.watchdog import ENERGY_GAIN
+from phy124.monitor.watchdog import ENERGY_GAIN, PROJECTED
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
@@ -222,7 +222,7 @@ def check(cloud: Cloud, scene: Scene) -> None:
         assert np.isfinite(array.numpy()).all(), name
     balance = report["balance"]
     assert balance["energy_gain"] <= ENERGY_GAIN
-    assert balance["momentum_gain"] <= 1e-3
+    assert balance["momentum_gain"] <= (PROJECTED if scene.projects else 1e-3)
     assert math.isclose(report["mass"], float(np.sum(run.solver.model.mass.numpy())), rel_tol=1e-4)
 
 
