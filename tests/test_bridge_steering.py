@@ -296,7 +296,7 @@ def test_a_thousand_random_messages_never_break_it():
             run.inputs.transform(transform("phy124", "tool", three(), rng.normal(size=4)))
         if rng.random() < 0.3:
             run.advance()
-            assert np.isfinite(run.live.centre).all()
+            assert np.isfinite(run.live.centre).all() and run.stopped is None
     assert run.remarks.count
 
 

@@ -10,7 +10,7 @@ import pytest
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.shapes import ball
-from phy124.live import Live, RealTime, choose, held_rate
+from phy124.live import Live, RealTime, choose, engine, held_rate
 from phy124.live.inputs import GrabRecord, Inputs
 from phy124.runtime import stopwatch
 from phy124.runtime.context import RunContext
@@ -169,8 +169,8 @@ def test_a_frame_that_fails_drops_the_inputs_and_goes_on(monkeypatch):
     assert np.isfinite(frame.gaussians.means).all()
 
 
-@pytest.mark.parametrize("broken", [1, 14])
-def test_second_failure_at_a_frame_ends_the_run(monkeypatch, broken):
+@pytest.mark.parametrize(("broken", "pushed"), [(1, False), (14, False), (14, True)])
+def test_a_run_ends_if_it_fails_from_the_start(monkeypatch, broken, pushed):
     run = live()
     sound = type(run._run).step
 
@@ -180,9 +180,32 @@ def test_second_failure_at_a_frame_ends_the_run(monkeypatch, broken):
         return sound(self)
 
     monkeypatch.setattr(type(run._run), "step", step)
-    with pytest.raises(Stopped, match=f"frame {broken} is not valid. .* again"):
+    run.step()
+    if pushed:
+        run.push((1, 0, 0), seconds=0.01)
+    with pytest.raises(Stopped, match=f"frame {broken} is not valid. .* without inputs"):
         list(run.frames(40))
     assert len(run.notes) < 6
+    assert ("starts again" in " ".join(run.notes)) == pushed
+
+
+def test_frames_that_need_too_many_substeps_drop_the_inputs(monkeypatch):
+    monkeypatch.setattr(engine, "SLOWEST", 3)
+    run = live()
+    run.step()
+    run.push(torque=(0, 1e9, 0), seconds=9)
+    taken = []
+    for _ in range(6):
+        before = run._run.solver.clock.substeps
+        run.step()
+        taken.append(run._run.solver.clock.substeps - before)
+    assert "needs more than" in " ".join(run.notes) and "too violent" in " ".join(run.notes)
+    assert max(taken) <= run._run.most_substeps < 50
+    run.push((1, 0, 0))
+    run.soften(100)
+    before = run._run.most_substeps
+    run.step()
+    assert run._run.most_substeps == pytest.approx(10 * before, rel=0.2), "it is ten times stiffer"
 
 
 def test_liquid_flows_while_inputs_are_possible():

@@ -1,17 +1,20 @@
 """Runs a scene frame by frame while inputs act on it.
 
-If the watchdog rejects a frame, the run notes this, drops the inputs, and continues from the last
-valid frame. If it had to go back further and then fails again at the same frame, it ends.
+If the watchdog rejects a frame, or the frame needs too many substeps, the run notes this, drops the
+inputs, and continues from the last valid frame, from an earlier one, or from the start. The run
+ends only if a frame fails although no input has acted since the start.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.budget.cost import longest_substeps
 from phy124.errors import InputError
 from phy124.forces import WrenchForce
 from phy124.gaussians import Frame, Gaussians, Wrench
@@ -45,6 +48,10 @@ LOST = 50.0
 """The run starts again when the object is this far from the middle of the scene [object sizes]."""
 NOTES = 20
 """Largest number of stored notes."""
+SLOWEST = 30
+"""Largest number of substeps of a frame, relative to the object at rest. A duck that is made a
+hundred times softer under ten times its weight needs 23 times as many.
+"""
 
 
 class Live:
@@ -95,10 +102,10 @@ class Live:
         self._offsets: dict[int, Vector] = {}
         self._named: dict[str, WrenchForce] = {}
         self._changed = False
-        self._failed = 0
-        """Index of the frame that failed even without inputs; 0 once the run has passed this frame.
-        """
+        self._touched = False
+        """Whether an input has acted since the start."""
         self._kept: list[tuple[float, dict[str, Any]]] = []
+        self._limit_substeps()
 
     @property
     def time(self) -> float:
@@ -153,7 +160,7 @@ class Live:
         """Compute the next frame; if it is not valid, continue from the last valid state.
 
         Raises:
-            Stopped: A frame failed without inputs, and again after the run went back.
+            Stopped: A frame failed although no input has acted since the start.
         """
         if self._run.count:
             self._lead()
@@ -169,8 +176,6 @@ class Live:
             self.reset()
             frame = self._run.step()
         self._frame = frame
-        if frame.index >= self._failed:
-            self._failed = 0
         if self._run.count % KEPT_EVERY == 0:
             self._kept = [*self._kept[-1:], (self.time, self._run.snapshot())]
         return frame
@@ -373,6 +378,7 @@ class Live:
             InputError: There is no such object, it never moves, or it has no particles.
         """
         places.set_motion(self._run, name, motion, twist=twist)
+        self._touched = True
         self._note(f"{name} was moved at once: the session does not repeat this.")
 
     def session(self) -> Scene:
@@ -422,35 +428,38 @@ class Live:
         if self._changed:
             # The first kick of a frame also covers the half substep before the frame starts.
             self._run.change(self._inputs.scene(self.time - 1 / self._scene.time.fps))
-            self._changed = False
+            self._limit_substeps()
+            self._changed, self._touched = False, True
+
+    def _limit_substeps(self) -> None:
+        """Limit the number of substeps of a frame, so that no frame takes many seconds."""
+        timing = self._scene.time.model_copy(update={"frames": max(self._scene.time.frames, 2)})
+        resting = longest_substeps(self._scene.model_copy(update={"time": timing})).min()
+        stiffer = math.sqrt(max(self._inputs.softness[-1][1], 1.0))
+        usual = max(1.0, stiffer / (timing.fps * float(resting)))
+        self._run.most_substeps = math.ceil(SLOWEST * usual)
 
     def _go_back(self, why: str) -> Frame:
         """Drop the inputs; continue from the last state, from an earlier one, or from the start.
 
         Raises:
-            Stopped: The run went back before, and has not passed the failed frame since.
+            Stopped: No input has acted since the start.
         """
-        index, failed = self._run.count, self._failed
+        if not self._touched:
+            raise Stopped(f"{why} The frame fails without inputs, so the live run ends.")
         self._note(f"{why} The inputs are dropped.")
         for time, snapshot in [(self.time, None), *reversed(self._kept)]:
             if snapshot is not None:
+                # If the run fails again later, it goes back further.
+                self._kept.pop()
                 self._run.restore(snapshot)
             self._drop(time)
             try:
-                frame = self._run.step()
-            except Stopped as stop:
-                why = str(stop)
-                if failed:
-                    raise Stopped(
-                        f"{why} The frame fails again without inputs, so the live run ends."
-                    ) from stop
+                return self._run.step()
+            except Stopped:
                 continue
-            if snapshot is not None:
-                self._failed = index
-            return frame
         self._note("No earlier state could be continued either: the run starts again.")
         self.reset()
-        self._failed = index
         return self._run.step()
 
     def _drop(self, time: float) -> None:

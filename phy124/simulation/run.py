@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.budget import cost
-from phy124.budget.remedies import advise, find_remedies, find_speedups
+from phy124.budget.remedies import SLOW, advise, find_remedies, find_speedups
 from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame
 from phy124.io.clip import Clip, stack_arrays
@@ -98,6 +98,8 @@ class Simulation:
         """The reason for a stop, and its remedies; None and empty unless the run has stopped."""
         self.remarks: list[str] = []
         """Further notes for the report."""
+        self.most_substeps = math.inf
+        """Largest number of substeps of a frame; live runs limit it."""
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames in order, beginning with the one after the last computed frame.
@@ -462,9 +464,16 @@ class Simulation:
         """
         budget, frames = self.scene.time.budget, self.scene.time.frames
         progress, solver = self.setup.context.progress, self.solver
+        last = solver.clock.substeps + self.most_substeps
 
         def after() -> None:
             self.after_substep()
+            if solver.clock.substeps >= last and solver.clock.time < index / self.scene.time.fps:
+                causes = (*SLOW[solver.clock.stable().limiter], "cells")
+                why = f"frame {index} needs more than {self.most_substeps:g} substeps"
+                raise Stopped(
+                    f"{why}, because the motion is too violent.", find_remedies(causes, self.scene)
+                )
             spent = self.spent.total()
             if spent > 2 * budget:
                 slow = describe_substep(solver.model, solver.state, solver.clock)
