@@ -26,11 +26,16 @@ COLOURS = f"""(() => {{
 
 @pytest.fixture
 def visit(browser, server):
-    """A visitor who touches the duck, which is held at its foot."""
+    """A visitor who touches the duck, which is held at its foot and soon stops swinging."""
     visit = Visit(browser, server)
     visit.upload()
     visit.page.locator(".card input[value=sway]").evaluate("(e) => e.click()")
     visit.told("(scene) => scene.boundaries.some((one) => one.kind === 'foot')")
+    visit.adjust()
+    visit.page.get_by_role("button", name="More", exact=True).click()
+    visit.page.locator("dialog .leaf", has_text="Damping").locator("input").first.fill("400")
+    visit.page.get_by_role("button", name="Done", exact=True).click()
+    visit.told("(scene) => scene.material.damping === 400")
     visit.page.locator("#begin-touch").click()
     visit.page.wait_for_selector(".touch canvas.ready")
     visit.page.wait_for_function(f"{HAND}.frames > 5")
