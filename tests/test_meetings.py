@@ -225,3 +225,12 @@ def test_outer_sides_of_thin_parts_do_not_meet():
     gaps = ((x[pairs["a"]] - x[pairs["b"]]) * pairs["normal"]).sum(axis=1)
     assert len(gaps) > 100
     assert gaps.min() > -0.05 * DX  # The outer sides are 1.1 cells behind each other.
+
+
+def test_clamp_may_hold_two_bodies_that_touch():
+    solids = [block((0.3, 0.3, 0.3)), block((0.3, 0.3, 0.3), low=(0, 0.3, 0))]
+    clamp = Held(lower=(0.2, -1, -1), upper=(1, 1, 1))
+    solver = make(solids, v=[(0, 0, 0), (0, -0.3, 0)], boundaries=[clamp], pairs=[Pair(0, 1, 0.3)])
+    solver.advance(0.02)
+    assert solver.meetings.of_pairs[0].most
+    assert np.abs(solver.state.v.numpy()).max() < 0.6

@@ -133,11 +133,11 @@ class Meeting:
         every = wp.array(np.arange(count, dtype=np.int32), dtype=int, device=device)
         read = [pairs[name] for name in ("nodes", "normal", "slopes", "back")]
         changed = [pairs[name] for name in ("weights", "rest", "shift")]
-        yielding = [nodes.movable, nodes.movable if self._between else nodes.inverse]
+        limits = [SIDEWAYS * model.dx, REACH * model.dx, int(self._between)]
         meet = model.launch(
             make_meet(real, nodes.rows),
             1,
-            [0, SIDEWAYS * model.dx, REACH * model.dx, *read, *yielding, nodes.u, clock],
+            [0, *limits, *read, nodes.movable, nodes.inverse, nodes.u, clock],
             [*changed, nodes.v, gap, yields, pairs["force"]],
         )
         tail = [nodes.movable, gap, yields, clock, self._tracks.rates]

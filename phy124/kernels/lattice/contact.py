@@ -35,7 +35,9 @@ RELAXED = wp.constant(0.6)
 nodes, so full corrections would overshoot together.
 """
 LOOSE = wp.constant(0.5)
-"""Walls act on a point only if clamps leave it at least this fraction of its mobility."""
+"""Walls act on a point only if clamps leave it at least this fraction of its mobility. Bodies touch
+each other at a pair of points only if clamps leave it to one of the two.
+"""
 NODES = 27
 """Largest number of nodes that carry a surface point."""
 MOMENT, DRIVEN, SUMS = GIVEN, GIVEN + 3, 16
@@ -259,6 +261,25 @@ def make_resist(response: str, moving: bool, real: Any, rows: Rows):
     return resist
 
 
+@wp.func
+def mostly_held(
+    inverse: wp.array(dtype=Any),
+    whole: wp.array(dtype=Any),
+    nodes: wp.array2d(dtype=int),
+    weights: wp.array2d(dtype=Any),
+    s: int,
+    first: int,
+):
+    """Return whether clamps hold most of the nodes of a point, which begin with the `first`."""
+    free = weights[s, first] * weights[s, first] * inverse[nodes[s, first]]
+    total = weights[s, first] * weights[s, first] * whole[nodes[s, first]]
+    for k in range(first + 1, first + wp.static(NODES)):
+        w = weights[s, k] * weights[s, k]
+        free += w * inverse[nodes[s, k]]
+        total += w * whole[nodes[s, k]]
+    return free <= type(free)(LOOSE) * total
+
+
 @build_once
 def make_meet(real: Any, rows: Rows):
     """Kernel of one thread: finds the gaps of pairs of points, as `make_touch` does for walls.
@@ -268,8 +289,10 @@ def make_meet(real: Any, rows: Rows):
     opposite position follows the point along the surface, so that the impulses have no moment: its
     weights change by `slopes` times the displacement in the body at rest, which is `back` times the
     displacement along the surface. A position that moves farther than `far` is no longer opposite;
-    pairs farther apart than `reach` are ignored. So are pairs with a node for which `inverse` is
-    zero but `whole` is not: a clamp that holds a node does not count its impulses.
+    pairs farther apart than `reach` are ignored. `inverse` is zero for nodes that a clamp holds,
+    `whole` is not. Pairs of a body with itself (`between` is 0) that have such a node are ignored,
+    because the clamp does not count its impulses; those of two bodies are ignored if both points
+    are mostly held, since impulses would move the other nodes violently.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -279,6 +302,7 @@ def make_meet(real: Any, rows: Rows):
         count: int,
         far: real,
         reach: real,
+        between: int,
         nodes: wp.array2d(dtype=int),
         normal: t.vec3s,
         slopes: wp.array2d(dtype=t.vec3),
@@ -310,8 +334,13 @@ def make_meet(real: Any, rows: Rows):
                 gap_out[s] = wp.vector(n[0], n[1], n[2], gap)
                 yields_out[s] = yielding(inverse, nodes, weights_out, s)
                 if yields_out[s] < yielding(whole, nodes, weights_out, s):
-                    yields_out[s] = real(0.0)
-                    force_out[s] = t.vec3()
+                    stuck = bool(between == 0)
+                    if not stuck and mostly_held(inverse, whole, nodes, weights_out, s, 0):
+                        other = wp.static(NODES)
+                        stuck = mostly_held(inverse, whole, nodes, weights_out, s, other)
+                    if stuck:
+                        yields_out[s] = real(0.0)
+                        force_out[s] = t.vec3()
                 impulse = clock[0] * force_out[s]
                 if wp.dot(impulse, impulse) > real(0.0):
                     strike(v_out, inverse, nodes, weights_out, s, impulse)
