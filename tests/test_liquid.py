@@ -351,6 +351,15 @@ def test_film_and_lone_particle_come_to_rest_on_the_floor():
         assert x[:, 2].min() > 0 and x[:, 2].max() < 0.04
 
 
+def test_liquid_that_an_impact_compresses_is_not_crowded():
+    x = block((0.25, 0.25, 0.2), (0.5, 0.5, 0.45), 8)
+    solver = liquid(x, 8, [TANK])
+    solver.state.v.assign(np.tile(np.float32([0, 0, -3]), (len(x), 1)))
+    for frame in range(4):
+        solver.advance((frame + 1) / 24)
+    assert solver.crowding < 0.05
+
+
 def test_box_that_shrinks_below_its_liquid_does_not_explode():
     """The box has room for two thirds of the liquid in the end; speeds stay near the wall's."""
     motion = Path(times=(0.0, 1.0), points=((0.0, 0.0, 0.0), (-0.5, 0.0, 0.0)))

@@ -115,7 +115,7 @@ class MixedSolver(Solver):
 
     @property
     def crowding(self) -> float:
-        """Largest mean excess of the liquid's density over its rest density, as a fraction."""
+        """Largest mean excess of the liquid's density that lasts for two frames, as a fraction."""
         return self.liquid.crowding
 
     @property

@@ -137,8 +137,11 @@ class LiquidSolver:
         self._kick = 0.0
         """Duration over which the current pressure acted [s]."""
         self._fitted = False
-        self.crowding = 0.0
-        """Largest mean excess of the liquid's density over its rest density, as a fraction."""
+        self.crowding, self._excess = 0.0, 0.0
+        """Largest mean excess of the liquid's density over its rest density that lasts for two
+        frames, and the excess at the end of the last frame, as fractions. An impact compresses the
+        liquid for a moment even if it has room.
+        """
         self.impulses = WallImpulses((), 0, count, model.device)
         """Impulses of the walls."""
         self.bind(forces, boundaries, accumulators, planes)
@@ -228,7 +231,8 @@ class LiquidSolver:
                     run_timed(self.timings, FOLLOW, after)
         filled = self.cells.hats.numpy()[self.cells.liquid.numpy() == 1]
         if len(filled):
-            self.crowding = max(self.crowding, float(np.maximum(filled - 1, 0).mean()))
+            excess = float(np.maximum(filled - 1, 0).mean())
+            self.crowding, self._excess = max(self.crowding, min(self._excess, excess)), excess
         between = self.timings.setdefault(SCHEDULE, [0.0, 0])
         between[0] += time.perf_counter() - started - (self._seconds() - named)
         between[1] += 1
@@ -287,7 +291,7 @@ class LiquidSolver:
             "repair": self.repair.snapshot(),
             "cells": self.cells.snapshot(),
             "kick": self._kick,
-            "crowding": self.crowding,
+            "crowding": [self.crowding, self._excess],
             **({"free": self.free.snapshot()} if self.free.all else {}),
             **({"bodies": self._bodies.snapshot()} if self._bodies else {}),
             "impulses": self.impulses.snapshot(),
@@ -301,7 +305,8 @@ class LiquidSolver:
         self.repair.restore(snapshot["repair"])
         self._phases.stray.zero_()
         self._missed.zero_()
-        self._kick, self.crowding = snapshot["kick"], snapshot.get("crowding", 0.0)
+        self._kick = snapshot["kick"]
+        self.crowding, self._excess = snapshot["crowding"]
         self.free.restore(snapshot.get("free", {}))
         if self._bodies is not None:
             self._bodies.restore(snapshot["bodies"])
