@@ -259,6 +259,15 @@ def test_what_is_too_much_is_made_smaller_and_said():
         run.push((1, 0, 0), seconds=9)
 
 
+def test_torque_spins_a_rim_no_faster_than_force_pushes():
+    limits = live().limits
+    (force, _, _), said = limits.force("push.force", (1e30, 0, 0))
+    (torque, _, _), also = limits.torque("push.torque", (1e30, 0, 0))
+    inertia = 0.4 * limits.mass * (limits.size / 2) ** 2  # of a solid ball
+    rim = torque / inertia * limits.size / 2
+    assert rim == pytest.approx(force / limits.mass) and said and also
+
+
 def test_what_flies_away_begins_anew():
     run = live(boundaries=[])
     run.step()

@@ -23,6 +23,10 @@ LIFTS = 3.0
 """Default strength of a hand, relative to the object's weight."""
 STRONGEST = 30.0
 """Largest strength of a hand, relative to the object's weight."""
+TWIST = 0.2
+"""Arm of the largest torque [object sizes]: the rim of a ball gains the same acceleration from the
+largest torque as from the largest force.
+"""
 SWAY = 3.0
 """Natural frequency of an object of 1 m on a hand's spring [Hz]."""
 FARTHEST = 5.0
@@ -73,7 +77,7 @@ class Limits:
 
     def torque(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
         """Return a torque [N m] capped at the limit, and a sentence that says so or is empty."""
-        return shorten(field, value, STRONGEST * self.weight * self.size, "N m")
+        return shorten(field, value, STRONGEST * self.weight * TWIST * self.size, "N m")
 
     def place(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
         """Return a position [m] within a hand's reach, and a sentence that says so or is empty."""
