@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from phy124.lattice.surface import _inverses
 from phy124.particles.lattice import integration_points, surface_points
 from phy124.particles.solid import Solid
 from phy124.particles.voxels import HALVINGS, find_levels
@@ -131,3 +132,21 @@ def test_sharp_parts_touch_with_their_inner_points():
         assert bare.any() == inner
         rest = KDTree(solver.model.rest)
         assert not bare.any() or rest.query(solver.surface.x[bare])[0].max() < 1e-6
+
+
+def test_slopes_give_the_gradient_at_every_surface_point(rng):
+    solver = make(block((0.4, 0.3, 0.2)))
+    surface, gradient = solver.surface, rng.normal(size=(3, 3))
+    u = solver.lattice.x @ gradient
+    slopes = np.swapaxes(u[surface.nodes], 1, 2) @ surface.slopes
+    assert surface.count and np.allclose(slopes, gradient.T)
+
+
+def test_inverses_of_moments_leave_out_axes_without_an_extent(rng):
+    arms = (
+        rng.normal(size=(4, 27, 3))
+        * np.array([[1, 1, 1], [1, 1, 0], [1, 0, 0], [1, 1, 1e-4]])[:, None]
+    )
+    moments = np.swapaxes(arms, 1, 2) @ arms
+    expected = np.linalg.pinv(moments, rcond=1e-6, hermitian=True)
+    assert np.allclose(_inverses(moments), expected, rtol=1e-9)

@@ -32,6 +32,11 @@ SHARP, CLOSEST = 0.6, 24
 than this. `CLOSEST`: largest number of normals in such a mean.
 """
 
+REGULAR = 1e-5
+"""Smallest ratio of the determinant of second moments to the cube of their trace for which they are
+inverted by cofactors.
+"""
+
 
 @dataclass(frozen=True, eq=False)
 class Surface:
@@ -63,8 +68,7 @@ class Surface:
         arm = self.of_nodes[self.nodes] - self.x[:, None]
         arm *= (self.weights != 0)[:, :, None]
         weighted = self.weights[:, :, None] * arm
-        moments = np.swapaxes(weighted, 1, 2) @ arm
-        slopes: NDArray[np.float64] = weighted @ np.linalg.pinv(moments, rcond=1e-6, hermitian=True)
+        slopes: NDArray[np.float64] = weighted @ _inverses(np.swapaxes(weighted, 1, 2) @ arm)
         return slopes
 
     def deform(
@@ -89,10 +93,10 @@ class Surface:
         a, b = np.concatenate([near, near[:, ::-1]]).T
         # The other side of a thin part does not count.
         same = (self.body[a] == self.body[b]) & ((self.normal[a] * self.normal[b]).sum(1) > OTHER)
-        total, number = self.normal.copy(), np.ones(self.count)
-        np.add.at(total, a[same], self.normal[b[same]])
-        np.add.at(number, a[same], 1)
-        flat: NDArray[np.bool_] = np.linalg.norm(total, axis=1) > FLAT * number
+        a, b = a[same], b[same]
+        near_sum = [np.bincount(a, n, self.count) for n in self.normal[b].T]
+        total = np.linalg.norm(self.normal + np.transpose(near_sum), axis=1)
+        flat: NDArray[np.bool_] = total > FLAT * (1 + np.bincount(a, minlength=self.count))
         return flat
 
 
@@ -179,6 +183,18 @@ def _consecutive(
     shifted[row, nodes[row, column] - start[row]] = weights[row, column]
     rows = (start[:, None] + np.arange(3)).astype(np.int32)
     return rows.reshape(-1, 27), shifted.reshape(-1, 27)
+
+
+def _inverses(moments: NDArray) -> NDArray[np.float64]:
+    """Return the inverses of second moments [K,3,3]; pseudoinverses of those without an extent."""
+    turned = _cofactors(moments)
+    det = (moments[:, 0] * turned[:, 0]).sum(axis=1)
+    # The ratio of the least to the largest eigenvalue is at least det / trace^3.
+    flat = ~(det > REGULAR * np.trace(moments, axis1=1, axis2=2) ** 3)
+    inverses: NDArray[np.float64] = turned / np.where(flat, 1.0, det)[:, None, None]
+    if flat.any():
+        inverses[flat] = np.linalg.pinv(moments[flat], rcond=1e-6, hermitian=True)
+    return inverses
 
 
 def _cofactors(F: NDArray) -> NDArray[np.float64]:
