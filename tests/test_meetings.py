@@ -211,6 +211,18 @@ def fork_at(x):
     return np.minimum(root.max(axis=-1), prongs.max(axis=-1))
 
 
+def test_points_that_hardly_moved_are_not_compared_again(monkeypatch):
+    solver = make([ball(0, 0, 0)])
+    solver.advance(1e-3)
+    meetings, compared = solver.meetings, []
+    monkeypatch.setattr(meetings.of_bodies[0], "follow", compared.append)
+    for way, times in ((0.5 * DX, 0), (0.7 * DX, 1)):
+        meetings.way = way
+        meetings.follow(0.0)
+        assert len(compared) == times
+    assert meetings.way == 0
+
+
 def test_outer_sides_of_thin_parts_do_not_meet():
     """Two sheets, half a cell thick, come to a tenth of a cell from each other."""
     solid = block((0.4, 0.4, 0.5), per=4)

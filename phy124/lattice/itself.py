@@ -101,6 +101,8 @@ class Meeting:
         self._seen: NDArray[np.float64] = surface.x[sample]
         self._flagged: NDArray[np.bool_] = np.zeros(len(sample), bool)
         """Whether pairs were listed near each sampled point."""
+        self.slack = 0.0
+        """Further relative displacement [m] after which the parts are compared again."""
         self._away = self._between
         """Whether the bodies are far from each other."""
 
@@ -197,9 +199,11 @@ class Meeting:
             x: Current positions of the sampled points [K,3], m.
         """
         moved = x - self._seen
-        most = (BETWEEN if self._between else MOVED) * self._model.dx
-        if self._away or (len(x) and np.ptp(moved, axis=0).max() > 2 * most):
+        most = 2 * (BETWEEN if self._between else MOVED) * self._model.dx
+        self.slack = most - (np.ptp(moved, axis=0).max() if len(x) else 0.0)
+        if self._away or self.slack < 0:
             self._look(x)
+            self.slack = most
 
     def part(self) -> None:
         """Remove all pairs, because the bodies are far from each other."""

@@ -6,6 +6,7 @@ they are not, nothing else is computed.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,10 @@ class Meetings:
         """
         self.work: ContactWork | None = None
         """Records launches that sum the work of contact; None: it is not summed."""
+        self.way = math.inf
+        """Bound of the displacement of any point since sampled points were compared [m]."""
+        self._slack = 0.0
+        """Relative displacement [m] from then on, after which bodies must be compared again."""
         self._dx = model.dx
         cube = np.floor(surface.x / (SAMPLED * model.dx)).astype(np.int64)
         _, sample = np.unique(np.column_stack([surface.body, cube]), axis=0, return_index=True)
@@ -115,6 +120,8 @@ class Meetings:
             return
         for meeting in self.every:
             meeting.reach = min(REACH * self._dx, 2 * AHEAD * step + CLOSE * self._dx)
+        if 2 * self.way < self._slack:
+            return
         self._place.launch()
         x: NDArray[Any] = self._x.numpy()
         bodies = [x[index].astype(np.float64) for index in self._bodies]
@@ -129,6 +136,9 @@ class Meetings:
                 meeting.follow(np.concatenate([bodies[body] for body in meeting.bodies]))
             else:
                 meeting.part()
+        self.way, self._slack = 0.0, min((m.slack for m in self.of_bodies), default=math.inf)
+        if self.of_pairs:
+            self._slack = 0.0
 
     def snapshot(self) -> dict[str, Any]:
         """Return the pairs of points and their forces."""
@@ -138,3 +148,4 @@ class Meetings:
         """Restore the state from a snapshot."""
         for number, meeting in enumerate(self.every):
             meeting.restore(snapshot[str(number)])
+        self.way = math.inf

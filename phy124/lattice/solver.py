@@ -292,6 +292,7 @@ class LatticeSolver:
         nodes.v.assign(v)
         nodes.residue.zero_()
         self.walls.forget()
+        self.meetings.way = math.inf
         self.crew.stray.zero_()
         self._look()
         self.clock.expire()
@@ -405,7 +406,8 @@ class LatticeSolver:
         self._refuse_collapse()
         extremes, pull = self.clock.extremes, self.rejection.acceleration
         fastest = max(speed, extremes.speed) + self.rejection.wall
-        self._travel += elapsed * (fastest + elapsed * pull)
+        way = elapsed * (fastest + elapsed * pull)
+        self._travel, self.meetings.way = self._travel + way, self.meetings.way + way
         # The rate grows while a point is squeezed by the last substep.
         gradient /= max(0.1, 1 - gradient * self.clock.last_dt)
         self._strain += gradient * elapsed
