@@ -8,7 +8,9 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.scene.scene import preset_names
 from phy124.simulation import Simulation, prepare
-from support.scenes import LAWS, OTHER_SOLIDS, SOLIDS
+from races.lattices import BESIDE, below
+from races.runs import FALLING
+from support.scenes import LAWS, OTHER_SOLIDS, SOLIDS, SWING
 from support.shapes import ball
 
 Clips = dict[str, Callable[[], Clip]]
@@ -44,4 +46,20 @@ def solids() -> Clips:
     }
 
 
-CLIPS: dict[str, Callable[[], Clips]] = {"presets": presets, "laws": laws, "solids": solids}
+def lattices() -> Clips:
+    """A ball on its lattice meets a moving wall, a free solid and another ball."""
+    swing = {"boundaries": [{**SOLIDS["sphere"], "motion": SWING}]}
+    cases = {"wall": swing, "solid": below("box"), "ball": {"objects": [BESIDE]}}
+    chosen = {"accuracy": {"cells": 8, "solver": "lattice"}, **FALLING}
+    return {
+        name: lambda changes=changes: clip("drop", **chosen, **changes)
+        for name, changes in cases.items()
+    }
+
+
+CLIPS: dict[str, Callable[[], Clips]] = {
+    "presets": presets,
+    "laws": laws,
+    "solids": solids,
+    "lattices": lattices,
+}

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 from phy124.kernels import reduction
+from phy124.kernels.lattice import rows
 
 THREADS = 2**7
 """Few, so that each sums several of few particles."""
@@ -23,13 +24,16 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
 def choose() -> None:
     """Choose them; before anything else of phy124 is imported, as names are bound then."""
     reduction.shared_out, reduction.along_rows = shared_out, along_rows
+    rows.rows_for = lambda real, device, vectors=True: rows.PLAIN
     from phy124.kernels.deform import deform_shapes
+    from phy124.kernels.lattice import simd
     from phy124.kernels.splat.shadow import cover
     from phy124.motion import deform
     from phy124.mpm import model, solver
     from phy124.rendering import render
     from phy124.rendering.stage import shadow
 
+    simd.usable = lambda real, device: False
     model.form_of = lambda precision, device, gradient="affine": (
         "spline" if gradient == "spline" else "plain"
     )

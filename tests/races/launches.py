@@ -37,9 +37,12 @@ class Detective:
         if turn >= FIRST and turn % THEN:
             launch()
             return
+        self.seen[given.name] += 1
+        if given.threads == 1:  # Nothing races with it.
+            launch()
+            return
         with self._record.noting():
             launch()
-        self.seen[given.name] += 1
         for what, words in conflicts(self._record.entries(), given.arrays()).items():
             self.raced[given.name].setdefault(what, Counter())[self._run] += words
 
@@ -58,6 +61,6 @@ def _runs(group: str) -> dict[str, Callable[[], object]]:
     if group == "controls":
         return {name: lambda name=name: controls.run(name) for name in controls.NAMES}
     gpu_forms.choose()
-    from races.runs import GROUPS
+    from races import lattices, runs
 
-    return GROUPS[group]()
+    return {**runs.GROUPS, **lattices.GROUPS}[group]()

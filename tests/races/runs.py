@@ -32,10 +32,12 @@ FALLING = {"object.lift": 0.0, "object.velocity": [0.3, 0.1, -1.5]}
 Runs = dict[str, Callable[[], object]]
 
 
-def simulate(preset: str = "drop", count: int = 300, **changes: Any) -> Simulation:
+def simulate(
+    preset: str = "drop", count: int = 300, *, threads: int = 1, **changes: Any
+) -> Simulation:
     """A few frames of a small ball that comes down."""
     scene = Scene.named(preset).replaced({**SMALL, **changes})
-    run = Simulation(prepare(ball(count), scene, RunContext(threads=1)))
+    run = Simulation(prepare(ball(count), scene, RunContext(threads=threads)))
     run.run()
     return run
 
