@@ -58,7 +58,6 @@ def lattices() -> Runs:
         "a clamp with sums": {"boundaries": [walls["held"]], **SUMS},
         "without damping": {"material": {"law": "neo_hookean", "E": 1e5}},
         "another law": {"material": {"law": "hencky", "damping": 10.0}},
-        "a blow": {"object.velocity": [0, 0, -30.0], "checks.energy": True, "time.frames": 2},
         **{f"below a {shape}": below(shape) for shape in ("sphere", "capsule", "box")},
     }
     runs: Runs = {
