@@ -16,6 +16,8 @@ SAND = {"name": "sand", "shape": "box", "sides": [1.0, 1.0, 1.0], "material": {"
 SOLID = {"name": "hammer", "shape": "sphere", "size": 0.5, "place": [3.0, 0.0]}
 FAST = {"kind": "swing", "amplitude": (0, 0, 1.0), "frequency": 20.0}
 """A motion at 126 m/s, which is 7 times the speed of sound in the preset `drop`."""
+FOOT = {"kind": "foot", "fraction": 0.2}
+DOWN = {"kind": "set_velocity", "v": (0, 0, -30.0)}
 AUTO = {"accuracy": {"cells": 6, "solver": "auto"}, "time.frames": 2}
 
 
@@ -42,6 +44,7 @@ def scene(name="drop", **changes):
             "squeezed at 2.2 times its speed",
         ),
         ({"forces": [{"kind": "impulse", "p": (0, 0, 1e4)}]}, "squeezed at 7 times its speed"),
+        ({"boundaries": [FOOT], "forces": [{**DOWN, "end": 0.03}]}, "squeeze the held object flat"),
         ({"forces": [{"kind": "attraction", "g": 5e3}]}, "squeezed at 5 times its speed"),
     ],
 )
@@ -57,7 +60,8 @@ def test_auto_chooses_mpm_for_a_reason(changes, reason):
     [
         {"boundaries": [{"kind": "ground", "motion": {**FAST, "start": 10.0}}]},
         {"forces": [{"kind": "wind", "v": (0, 10.0, 0), "rate": 1e6}]},
-        {"forces": [{"kind": "set_velocity", "v": (0, 0, -30)}]},
+        {"forces": [DOWN]},
+        {"boundaries": [FOOT], "forces": [{**DOWN, "end": 0.01}]},
     ],
 )
 def test_lattices_stay_if_nothing_is_too_fast(changes):

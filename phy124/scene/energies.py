@@ -41,12 +41,31 @@ def energy(scene: Any, thickness: float | None = None) -> float:
             continue
         peak = force.track((1.0, 0.0, 0.0)).largest(0.0, end)
         kick, pull = _effect(force, mass, scene)
-        lasts = max(0.0, (end if force.end is None else min(force.end, end)) - force.start)
+        lasts = _lasts(force, end)
         speed += peak * kick
         top = peak * math.hypot(*force.v) if force.kind == "wind" else math.inf
         pull *= peak
         squares += min(min(pull * size, (pull * lasts) ** 2) + 2 * pull * lift, top**2)
     return speed**2 + walls**2 + squares
+
+
+def driven(scene: Any) -> float:
+    """Return the largest displacement by a prescribed velocity, relative to the object's size.
+
+    It is an upper bound, which takes the largest speed for the whole time.
+    """
+    end = duration(scene)
+    moved = [
+        force.track((1.0, 0.0, 0.0)).largest(0.0, end) * math.hypot(*force.v) * _lasts(force, end)
+        for force in scene.acting
+        if force.kind == "set_velocity"
+    ]
+    return max(moved, default=0.0) / scene.object.size
+
+
+def _lasts(force: Any, end: float) -> float:
+    """Return the time for which a force acts [s], until the end of a scene."""
+    return max(0.0, (end if force.end is None else min(force.end, end)) - force.start)
 
 
 def _speed(body: Any, size: float) -> float:

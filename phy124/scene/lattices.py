@@ -9,11 +9,17 @@ import math
 from typing import Any
 
 from phy124.lattice.refusals import is_elastic, reason_for_particles
-from phy124.scene.energies import energy
+from phy124.scene.energies import driven, energy
 
 HARDEST = 2.0
 """Maximum Mach number of an impact for which `auto` chooses lattices. For a duck that hits the
 ground at Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as MPM.
+"""
+
+FARTHEST_DRIVEN = 0.5
+"""Largest displacement by prescribed velocities, relative to the object's size, for which `auto`
+chooses lattices if the object is held. A ball whose upper third is driven into its held foot, with
+half its size between them, stops the run on a lattice, but not by MPM.
 """
 
 
@@ -53,6 +59,8 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     mach = math.sqrt(energy(scene)) / slowest
     if mach > HARDEST:
         return f"an object may be hit or squeezed at {mach:.2g} times its speed of sound"
+    if any(wall.holds for wall in scene.boundaries) and driven(scene) > FARTHEST_DRIVEN:
+        return "prescribed velocities may squeeze the held object flat"
     return ""
 
 
