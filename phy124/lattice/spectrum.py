@@ -34,10 +34,8 @@ can follow, and without viscosity it grows.
 """
 MIXED = 0.1
 """An iteration starts from the last shape plus the accelerations, scaled to this relative size."""
-MISSED, DAMPING = 1.2, 1.1
-"""Factors on results of few iterations, which are too low: on the rise of the squared frequency
-since rest, and on the rate of damping. The frequency at rest has `ROUNDS` iterations.
-"""
+MISSED = 1.1
+"""Factor on squared frequencies, which the iterations underestimate."""
 
 
 class Spectrum:
@@ -73,7 +71,7 @@ class Spectrum:
         run_trials()
         crew.accelerate(trial=True)
         crew.a.assign(crew.trial_a)
-        self._least = self._iterate(0.0, ROUNDS)
+        self._least = MISSED * self._iterate(0.0, ROUNDS)
         if self._least == 0:  # All bodies are held, so no node moves; as in unbounded material.
             fastest = max(section.sound_speed() for section in model.materials)
             self._least = (2 * fastest / model.dx) ** 2
@@ -88,7 +86,7 @@ class Spectrum:
                 rate = max(rate, self._iterate(0.0, ROUNDS, velocities=nodes.v))
                 self._shape.assign(shape)
             self._size = TRIAL * model.dx
-            self._delay = DAMPING * rate / (2 * self._least)
+            self._delay = MISSED * rate / (2 * self._least)
         nodes.v.assign(v)
         self.square = self._least
         """Square of the largest angular frequency, as last measured [1/s^2]."""
@@ -132,8 +130,8 @@ class Spectrum:
         largest = float(np.abs(self._crew.a.numpy()).max())
         share = MIXED / largest if largest > 0 else 0.0
         hard = self.square > SQUEEZED * self._least and self._damping_ratio < UNDAMPED
-        rise = self._iterate(share, FOLLOWED if hard else 1) - self._least
-        self.square = self._least + max(0.0, MISSED * rise)
+        rounds = FOLLOWED if hard else 1
+        self.square = max(self._least, MISSED * self._iterate(share, rounds))
 
     def _iterate(self, share: float, rounds: int, velocities: wp.array | None = None) -> float:
         """Return the square of the largest frequency [1/s^2] after some power iterations.
