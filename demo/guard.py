@@ -97,7 +97,7 @@ class Doorkeeper:
     def _refusal(self, scope: Scope) -> PlainTextResponse | None:
         headers = Headers(scope=scope)
         if not self._has_own_host(headers):
-            return PlainTextResponse("This page has another host name (PHY124_HOSTS).", 421)
+            return PlainTextResponse("The host name of this request is not in PHY124_HOSTS.", 421)
         if FETCHES.search(scope["path"]):
             return PlainTextResponse("This page downloads nothing from other sites.", 403)
         if CLOSED.match(scope["path"]):

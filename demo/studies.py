@@ -64,7 +64,7 @@ class Measurement(BaseModel):
         )
 
     def promise(self, cells: int) -> Promise:
-        """Return the error on a grid; there is none if the object may be torn on any grid."""
+        """Return the error on a grid, or a refusal if any grid may have torn the object."""
         torn = [level.name for level in self.levels if level.torn]
         if torn:
             return promises.refuse_promise(f"{promises.torn(torn)}.")

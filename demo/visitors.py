@@ -74,7 +74,7 @@ class Visitors:
             return visitor
 
     def has(self, name: str) -> bool:
-        """Return whether a visitor is known, without counting as a request of the visitor."""
+        """Return whether a visitor is known. This does not count as a request of the visitor."""
         return name in self._known
 
     def is_here(self, name: str | None) -> bool:
@@ -205,7 +205,7 @@ class Visitors:
         return path
 
     def check_work(self, visitor: Visitor, most: int) -> None:
-        """Check that a visitor, and the visitor's address, may start another job.
+        """Check that neither the visitor nor the visitor's address has reached its limit of jobs.
 
         Args:
             visitor: The visitor.

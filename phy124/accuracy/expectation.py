@@ -5,7 +5,7 @@ its grid and of its object (`properties`). The coefficients are sums over the gr
 scene belongs (`groups`), such as its kind of motion and its material law. tests/benchmarks/zoo.py
 measures the errors, and tests/benchmarks/expectations.py fits the model and writes measured.json.
 
-A scene has a prediction only within the range of the measured scenes of its law and kind of motion.
+A scene has a prediction only if scenes with its law and kind of motion were measured in its range.
 """
 
 from __future__ import annotations

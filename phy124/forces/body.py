@@ -81,7 +81,7 @@ class Impulse(Force):
         return True
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return a track: during the duration the value times the profile, otherwise zero."""
+        """Return a track: the value times the profile during the duration, and zero otherwise."""
         end = self.start + self.duration
         track = Track.of_profile(value, self.profile, self.start, end, mean=mean)
         # A force that starts at time 0 is also active before; an impulse at time 0 is not.

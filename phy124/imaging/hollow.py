@@ -64,7 +64,7 @@ def has_gap(solid: Solid) -> bool:
 
 
 def has_rim(rgb: NDArray[np.uint8], solid: Solid) -> bool:
-    """Whether an elliptical rim, seen from above, is at the top of the object."""
+    """Whether the picture shows an elliptical rim from above at the top of the object."""
     edges, mask = _find_edges(rgb, solid)
     top, arc = mask.argmax(axis=0), np.sqrt(1 - ACROSS**2)
     for centre in range(MARGIN + 1, int(UPPER * len(mask))):

@@ -7,8 +7,8 @@ z up with the object facing +x (docs/reference/conventions.md). The axes are con
 and writing. The conversion is a signed permutation and therefore exact: a round trip preserves all
 values bit for bit, except for the rounding of log and logit.
 
-Columns of other training programs that change the Gaussians are applied. Unknown columns are named
-in a note, since they may change the Gaussians, too.
+If a column of another training program changes the Gaussians, the change is applied. Unknown
+columns are named in a note, since they may change the Gaussians, too.
 
     program                           columns                     treatment
     Mip-Splatting, GOF, RaDe-GS       filter_3D                   filter applied: wider and fainter

@@ -91,7 +91,7 @@ def tait_modulus(F: Any, h: Any, theta: Any):
 
 @wp.func
 def isotropic(F: Any, h: Any, theta: Any, dt: Any):
-    """Return tr F / 3 I in place of F, so that a rotation changes no volume, and the history.
+    """Return (tr F / 3) I, which replaces F, and the history; a rotation changes no volume.
 
     For F = (I + dt C) j I, the trace gives the change of volume to first order. The determinant
     would not do: for a rotation, det(I + dt W) exceeds 1 by (dt omega)^2, which would let a vortex

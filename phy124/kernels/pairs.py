@@ -91,8 +91,8 @@ def normal(to: Any, away: Any, yields: Any):
 
     `to` is the slope of the second body's volume, `away` that of the first body's. The steeper
     slope belongs to the flatter surface and is preferred (Nairn 2013 takes the steeper slope; the
-    mean of equal slopes is less rough). The volume of a body that never moves has a smooth slope,
-    whose weight is larger (`trust`).
+    mean of equal slopes is less rough). For a body that never moves, the
+    volume's slope is smooth and gets a larger weight (`trust`).
     """
     a = wp.length_sq(to) * trust(yields[1])
     b = wp.length_sq(away) * trust(yields[0])

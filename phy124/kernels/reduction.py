@@ -114,7 +114,7 @@ def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
 
 @wp.func_native(code("reduction:least", "reduction:warp", "reduction:lower_to"))
 def lower_to(minima: wp.array(dtype=int), index: int, value: int):
-    """Lower an integer minimum over all threads to a value, if the value is smaller."""
+    """Set an integer that all threads share to a value, if the value is smaller."""
     ...
 
 

@@ -67,7 +67,7 @@ class Projection:
     ) -> list[list[Recorded]]:
         """Return a worker's launches of a solution: begin, then pairs of advance and improve.
 
-        The pairs are for the first iteration, odd and even iterations.
+        There are three pairs: for the first iteration, for odd and for even iterations.
 
         Args:
             cells: The cells.

@@ -2,9 +2,10 @@
 
 The grid has no connectivity. Particles interact only through common nodes. Once stretching has
 moved particles more than about a cell apart, they share no nodes, and the material separates
-although its law does not fracture. A bar under tension holds up to a mean spacing of about one
-cell, at which its worst regions reach `APART` (docs/design/stability.md). A finer grid does not
-help, since it resolves sharper corners, which are stretched more; more particles per cell do help.
+although its law does not fracture. A bar under tension does not tear until the mean spacing is
+about one cell, at which its worst regions reach `APART` (docs/design/stability.md). A finer grid
+does not help, since it resolves sharper corners, which are stretched more; more particles per cell
+do help.
 
 Two signs are checked: particles that are stretched this far, and pieces that have separated. The
 first sign warns of a tear, but misses tears of thin stems; the second sign is a tear.

@@ -21,7 +21,7 @@ from phy124.io.clip import Clip
 COLOUR = 0.1
 """Distance that is equivalent to a colour difference of 1, in object sizes."""
 NEIGHBOURS = 6
-"""Number of nearest neighbours among which a Gaussian's partner is searched."""
+"""Number of nearest neighbours among which a Gaussian's partner is sought."""
 OPAQUE = 0.99
 """Largest opacity of a merged Gaussian."""
 SAMPLES = 5

@@ -55,7 +55,7 @@ def lattices() -> Runs:
         **{f"on a {name}": {"boundaries": [wall]} for name, wall in walls.items()},
         **{name: {"forces": [gravity, FORCES[name]], "checks.energy": True} for name in ON_POINTS},
         "sums": SUMS,
-        "a clamp with sums": {"boundaries": [walls["held"]], **SUMS},
+        "a clamp with sums": {"boundaries": [walls["held"], {"kind": "ground"}], **SUMS},
         "without damping": {"material": {"law": "neo_hookean", "E": 1e5}},
         "another law": {"material": {"law": "hencky", "damping": 10.0}},
         **{f"below a {shape}": below(shape) for shape in ("sphere", "capsule", "box")},
@@ -110,6 +110,7 @@ def liquids() -> Runs:
         "a free solid": lambda: simulate("water", objects=[free], **SHORT),
         "an elastic body": lambda: simulate("water", objects=[elastic], **SHORT),
         "two liquids": lambda: simulate("oil", objects=[WATER, elastic], **SHORT),
+        "a zone": lambda: simulate("water", forces=[{"kind": "gravity"}, FORCES["zone"]], **SHORT),
         "two workers": lambda: simulate("water", threads=2, **SHORT, **{"checks.energy": True}),
     }
 

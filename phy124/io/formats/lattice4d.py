@@ -228,9 +228,9 @@ def measure_size(points: NDArray[np.float64]) -> float:
 def measure(clip: Clip) -> dict[str, Any]:
     """Measure, over all frames, the ranges of values that the player needs when it starts.
 
-    These are the bounding box, the range of the log ratios of scales, clipped to +-`TALLEST`, the
-    largest speed, and the ends of the colour ramp for stretch, which are symmetric about 1. Stretch
-    is the longest axis of a Gaussian divided by its longest axis at rest.
+    These are the bounding box; the range of the log ratios of scales, which is clipped to
+    +-`TALLEST`; the largest speed; and the ends of the colour ramp for stretch, which are symmetric
+    about 1. Stretch is the longest axis of a Gaussian divided by its longest axis at rest.
     """
     rest = np.maximum(clip.scales[0], 1e-9)
     some = slice(None, None, 1 + len(clip) * len(rest) // STRETCHES)

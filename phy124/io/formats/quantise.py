@@ -40,7 +40,7 @@ def make_codebook(values: NDArray) -> NDArray[np.float64]:
 
 
 def nearest_codes(codes: NDArray, values: NDArray) -> NDArray[np.uint8]:
-    """Return the index of the nearest code of each value."""
+    """For each value, return the index of the nearest code."""
     return np.searchsorted((codes[1:] + codes[:-1]) / 2, values).astype(np.uint8)
 
 

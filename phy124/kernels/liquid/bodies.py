@@ -211,7 +211,8 @@ def make_body_change(real: Any):
 def make_contact(real: Any):
     """Kernel over a region's cells: computes the area of a body's contact with fixed walls.
 
-    `still` has the open shares without bodies. The rows have the signs of `make_jumps`.
+    `still` has the open share of each face if bodies are ignored. The rows have the signs of
+    `make_jumps`.
     """
     t = types(real)
 

@@ -204,8 +204,8 @@ def make_anticipate(real: Any):
 def make_gradient(real: Any):
     """Kernel over cells: subtracts the differences of q from the velocities of the low faces.
 
-    With `shifts` above 0 it writes minus the differences alone, as displacements of at most that
-    many cells [m]. `known_out` gets a bit for each open face that touches liquid; other faces
+    If `shifts` is above 0, it writes only the negated differences, as displacements of at most
+    `shifts` cells [m]. `known_out` gets a bit for each open face that touches liquid; other faces
     become zero.
     """
     t = types(real)

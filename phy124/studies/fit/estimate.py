@@ -170,5 +170,5 @@ def _failure(problem: Problem) -> InputError:
 
 
 def _rescale(problem: Problem, distance: Distance, fit: Refined) -> Distance:
-    """Return a distance that is scaled by the misfits of a fit, each of at least 1e-12."""
+    """Return a distance scaled by a fit's misfits; misfits below 1e-12 count as 1e-12."""
     return Distance(problem, [max(misfit, 1e-12) for misfit in distance.misfits(fit.predicted)])
