@@ -114,7 +114,7 @@ class SceneObject(Object):
                 f"{self.name} has a motion, so it cannot stand on another object; use lift"
             )
         if led and any(self.turn) and self.shape != "sphere":
-            raise ValueError(f"{self.name} has a motion and cannot be rotated; remove `turn`")
+            raise ValueError(f"{self.name} has a motion and cannot be rotated; leave `turn` out")
         round_ = sorted(self.sides)[: 3 if self.shape == "sphere" else 2]
         if self.shape != "box" and round_[0] != round_[-1]:
             which = "all 3" if self.shape == "sphere" else "the 2 shorter"
