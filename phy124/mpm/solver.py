@@ -50,9 +50,7 @@ from phy124.mpm.workers import (
 MEASURE, GLANCE = -2, -3
 """Two tasks of workers in addition to the phases: measure all limits, or only speeds."""
 CALM = 0.9
-"""Growth of stiffness allowed between two measurements, as a fraction of the growth that would
-still be stable.
-"""
+"""Largest growth of stiffness between two measurements, as a fraction of the stable growth."""
 
 
 class Solver:

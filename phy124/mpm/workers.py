@@ -171,7 +171,7 @@ class Slabs:
 
     @property
     def outgrown(self) -> bool:
-        """Whether slabs have grown so much since the last division that a new one saves time."""
+        """Whether slabs have grown since the last division, and a new one would save time."""
         if self._share == 0:
             self._share = self.share
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share

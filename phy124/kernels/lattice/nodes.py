@@ -27,6 +27,24 @@ def sum_workers(pool: wp.array(dtype=Any), low: Ints, high: Ints, begin: Ints, n
     return total
 
 
+@wp.func
+def force_on(
+    pool: wp.array(dtype=Any),
+    low: Ints,
+    high: Ints,
+    begin: Ints,
+    donor_starts: Ints,
+    donor_nodes: Ints,
+    donor_weights: wp.array(dtype=Any),
+    n: int,
+):
+    """Return the force on a node, with its part of the forces on the tied nodes that it carries."""
+    force = sum_workers(pool, low, high, begin, n)
+    for k in range(donor_starts[n], donor_starts[n + 1]):
+        force += donor_weights[k] * sum_workers(pool, low, high, begin, donor_nodes[k])
+    return force
+
+
 @build_once
 def make_kick(real: Any):
     """Kernel over nodes from `start` to `stop`: changes velocities by forces and gravity.
@@ -55,9 +73,7 @@ def make_kick(real: Any):
         n = start + wp.tid()
         before_out[n] = v_out[n]
         if inverse[n] > real(0.0):
-            force = sum_workers(pool, low, high, begin, n)
-            for k in range(donor_starts[n], donor_starts[n + 1]):
-                force += donor_weights[k] * sum_workers(pool, low, high, begin, donor_nodes[k])
+            force = force_on(pool, low, high, begin, donor_starts, donor_nodes, donor_weights, n)
             a = wp.vector(values[0][0], values[0][1], values[0][2])
             v_out[n] = v_out[n] + clock[0] * (inverse[n] * force + a)
 

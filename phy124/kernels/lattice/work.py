@@ -12,7 +12,7 @@ from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.columns import xyz
 from phy124.kernels.diagnostics import wide
-from phy124.kernels.lattice.nodes import sum_workers
+from phy124.kernels.lattice.nodes import force_on
 from phy124.kernels.reduction import add_to
 
 STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
@@ -63,9 +63,7 @@ def make_node_work(real: Any):
         forced = wp.float64(0.0)
         uniform = wp.float64(0.0)
         if inverse[n] > real(0.0):
-            force = sum_workers(pool, low, high, begin, n)
-            for k in range(donor_starts[n], donor_starts[n + 1]):
-                force += donor_weights[k] * sum_workers(pool, low, high, begin, donor_nodes[k])
+            force = force_on(pool, low, high, begin, donor_starts, donor_nodes, donor_weights, n)
             way = wp.float64(0.5) * wp.float64(clock[0]) * (wide(v_before[n]) + wide(v[n]))
             forced = wp.dot(wide(force), way)
             uniform = wp.dot(wide(values[0]), way) / wp.float64(inverse[n])

@@ -25,8 +25,7 @@ from phy124.kernels.liquid.walls import centre_of, solid_face
 
 MOMENTS = 16
 """Number of sums for each body: mass, mass times position [3], momentum [3], angular momentum about
-the origin [3], and second moments of the mass xx, yy, zz, xy, xz, yz.
-"""
+the origin [3], and second moments of the mass xx, yy, zz, xy, xz, yz."""
 LIGHT = wp.constant(0.02)
 """Smallest mass of a body's surface layer, relative to the mass of a cell full of liquid."""
 Motions = wp.array2d(dtype=wp.vec3d)
@@ -496,8 +495,7 @@ def make_body_push(real: Any):
 def kernels(real: Any) -> list[Any]:
     """Return the kernels of bodies in a liquid."""
     makers = (make_moments, make_contact, make_head, make_film, make_yield, make_answer)
-    makers += (make_layers,)
-    makers += (make_body_change, make_body_gather, make_body_push, shapes.make_body_scatter)
-    makers += (shapes.make_body_level, shapes.make_body_volume, shapes.make_body_distance)
-    makers += (shapes.make_body_openings, shapes.make_body_push_out)
+    makers += (make_layers, make_body_change, make_body_gather, make_body_push)
+    makers += (shapes.make_body_scatter, shapes.make_body_level, shapes.make_body_volume)
+    makers += (shapes.make_body_distance, shapes.make_body_openings, shapes.make_body_push_out)
     return [make(real) for make in makers]
