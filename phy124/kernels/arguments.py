@@ -1,6 +1,6 @@
 """Declares the types of each precision, and the name, type and meaning of each kernel argument.
 
-A kernel that is built for one precision only names its arguments; `build.kernel` gives them the
+A kernel that is built per precision lists its arguments without types; `build.kernel` adds the
 types that are declared in this module. A written array is named like the array that is read,
 followed by `_out`. Arguments with other types, or used by a single kernel, are annotated in the
 kernel's signature.

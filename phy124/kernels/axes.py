@@ -129,7 +129,7 @@ def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
 
 @wp.func
 def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
-    """Return the unit vector across e closest to `wanted`, or to `spare` if `wanted` is along e."""
+    """Return the unit vector normal to e nearest to `wanted`; to `spare` if `wanted` is along e."""
     u = wanted - wp.dot(e, wanted) * e
     if wp.length(u) <= wp.float64(1e-3) * wp.length(wanted):
         u = spare - wp.dot(e, spare) * e
@@ -140,9 +140,9 @@ def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
 def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat33d:
     """Return the proper rotation whose axes are along the (nearly) orthogonal columns of A.
 
-    The longest axis is exact; the shortest is the cross product, whose sign also removes
-    reflections. Columns of zero length are replaced by the previous axes, made orthogonal to the
-    others.
+    The longest axis is exact. The shortest axis is the cross product of the other two, so the
+    result contains no reflection. A column of zero length is replaced by the previous axis, which
+    is made orthogonal to the other axes.
     """
     i = int(0)
     if lengths[1] > lengths[i]:
@@ -174,7 +174,7 @@ def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat3
 
 @wp.func
 def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
-    """Return the proper signed permutation W (of 24) for which U W is closest to `previous`."""
+    """Return, of the 24 proper signed permutations W, the one with U W closest to `previous`."""
     unit = wp.float64(1.0)
     m = wp.transpose(previous) * u
     best = wp.identity(n=3, dtype=wp.float64)

@@ -1,9 +1,8 @@
 """Moves particles that are outside the grid; only the uniform acceleration acts on them.
 
-Whether a particle is outside the grid is decided when particles scatter, and holds for the whole
-substep. During the gather, such particles are moved out of the gather's window. Otherwise a
-particle that crosses the window's edge during the gather, in either direction, would be moved
-twice.
+A particle that is outside the grid when particles scatter counts as outside for the whole substep.
+During the gather, such a particle is hidden outside the gather's window. Otherwise a particle that
+crosses the window's edge during the gather, in either direction, would be moved twice.
 """
 
 from typing import Any

@@ -4,14 +4,12 @@ Node (i, j, k) of the window is at origin + (window[0] + (i, j, k)) dx. A collid
 one distance function and one response, so shapes and modes that are not used cost nothing.
 
 `make_contact` enforces contact at the wall itself, between the nodes: see
-phy124/kernels/columns.py. At a flat wall every node is in one column. At a curved wall columns
-cross: there the nodes keep their velocities until every column has computed its changes.
+phy124/kernels/columns.py. At a flat wall each node belongs to a single column. At a curved wall
+columns cross, so the nodes keep their velocities until every column has computed its changes.
 `make_settle` then adds the mean change to each node, so that the result does not depend on the
-order of the nodes. (With the sum instead of the mean, changes would be up to twice too large where
-columns request the same change, and bodies would be squeezed flat.)
-
-`make_collider` applies the usual rule, node by node, for regions that are held only in some
-directions.
+order of the nodes. With the sum instead of the mean, changes would be up to twice too large where
+columns request the same change, and bodies would be squeezed flat. `make_collider` makes nodes
+respond one by one, for regions that are held only in some directions.
 """
 
 from typing import Any
@@ -117,8 +115,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
     change `changes_out` (see `make_settle`).
 
     With `updating`, a flat wall and the grid update are one kernel, which reads momenta from `grid`
-    and writes velocities to `grid_out`. Its first threads have the nodes of the sub-box of the
-    given `extent`, the others have all nodes of the window.
+    and writes velocities to `grid_out`. The first threads of this kernel handle the nodes of the
+    sub-box, whose size is `extent`; the other threads handle all nodes of the window.
 
     Args:
         shape: Name of a distance function.

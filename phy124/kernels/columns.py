@@ -1,19 +1,21 @@
 """Columns: three nodes in a row at a wall, which respond to the wall together.
 
 Contact is enforced at the wall itself, between the nodes. Along the axis closest to the wall's
-normal, the velocity relative to the wall is made linear in the distance and zero on the wall. The
-first node is the last one that is at least half a cell in front of the wall; the velocities of the
-two nodes behind it are its velocity times the ratios g of their distances. (Quadratic B-splines
-reproduce linear functions, and reach no further behind the wall.) Momentum is projected onto such
-velocities, v_1 = sum(g m v) / sum(g^2 m). This projection never adds energy, and it acts on all
-three nodes; without it, a wall is as compliant as a layer of material one cell thick. (Extended
-B-splines: Hoellig, Reif, Wipper 2001.) The wall acts once the material has reached it, which is
-determined from the masses of the nodes on its two sides: see `coverage`.
+normal, the velocity relative to the wall is made linear in the distance and zero on the wall. A
+column's first node is the one nearest to the wall among those that are at least half a cell in
+front of the wall. The other two nodes follow behind the first node; their velocities are the first
+node's velocity times g, the ratio of their distance to the first node's distance. Quadratic
+B-splines reproduce linear functions, and reach no further behind the wall. Momentum is projected
+onto such velocities, v_1 = sum(g m v) / sum(g^2 m). This projection never adds energy, and it acts
+on all three nodes; without it, a wall is as compliant as a layer of material one cell thick.
+Such functions are extended B-splines (Hoellig, Reif, Wipper 2001). The wall acts once the material
+has reached the wall, as determined from the masses of the nodes on the wall's two sides (see
+`coverage`).
 
-Held material is treated in the same way at the surface of its region. The nodes inside the region
-are held. The velocity of the node next to the surface is set from the node in front of it, so that
-the interpolated velocity is zero where the region ends: g = (1, -w0 / w1, 0) with the weights w of
-the nodes at the surface.
+At the surface of a holding region, held material is treated like material at a wall. The nodes
+inside the holding region are held. The velocity of the node next to the surface is set from the
+node in front of it, so that the interpolated velocity is zero where the region ends: g = (1, -w0 /
+w1, 0) with the weights w of the nodes at the surface.
 
 A single node responds by `sticky`, `slip` or `separate`. For a column, `all_of_it`, `none_of_it`
 and `coulomb` return the fraction of the tangential motion that the wall stops.
@@ -112,13 +114,13 @@ def relative(q0: Any, q1: Any, q2: Any, wall: Any):
 
 @wp.func
 def narrow(m: Any, farther: Any, u: Any):
-    """Return the factor on the next node's expected mass if a body narrows towards the wall.
+    """Return the factor by which a body's narrowing towards a wall lowers the next node's mass.
 
     `m` is the mass of the body on a node u cells in front of the wall, and `farther` is its mass on
     the next node away from the wall. For a body of constant cross-section, the ratio of these
-    masses is the ratio of their `coverage`. If the cross-section grows with a power of the
-    distance, this ratio is smaller by a factor, and the next ratio towards the wall is smaller by
-    about the same factor to the power of `NARROWING`.
+    masses is the ratio of their `coverage`. If the cross-section grows with a power of the distance
+    from the wall, the ratio is smaller by some factor f, and the next ratio towards the wall is
+    smaller by about f to the power of `NARROWING`.
     """
     unit = type(u)(1.0)
     return wp.pow(
@@ -132,16 +134,16 @@ def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: An
 
     If a body touches the wall, the masses of the two nodes next to the wall have a known ratio,
     whatever the body's density and width; if there is a gap, the nearer node has less mass. With
-    irregular particles the ratio varies from column to column. The fraction `full` of the expected
-    mass is enough, so that the body does not rest only on the few columns with most mass. Since
-    heavier material may lie on the body, the mass of the farther node is capped at the mass of a
-    full node of the `lightest` material.
+    irregular particles the ratio varies from column to column. Contact requires only the fraction
+    `full` of the expected mass; otherwise the body would rest on only the few columns with most
+    mass. Since heavier material may lie on the body, the mass of the farther node is capped at the
+    mass of a full node of the `lightest` material.
 
-    Tips, edges and hairs have less mass on the nearer node although they touch the wall. Their
-    narrowing is estimated one node farther from the wall: from the first two nodes for the third
-    node, or from the first node and the node in front of it (mass `above`) if a body at the wall
-    does not reach the third node. Mass behind the three nodes (`beyond`) means that material has
-    passed through the wall.
+    Tips, edges and hairs have less mass on the nearer node although they touch the wall. The
+    narrowing of such a tip is estimated one node farther from the wall. For the third node, it is
+    estimated from the first two nodes. If a body at the wall does not reach the third node, it is
+    estimated from the first node and the node in front of the first (mass `above`). Mass behind the
+    three nodes (`beyond`) means that material has passed through the wall.
     """
     zero = type(above)(0.0)
     if m[1] <= zero:

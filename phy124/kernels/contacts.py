@@ -44,7 +44,7 @@ def make_contact_copy(real: Any):
 def make_contact_reach(real: Any):
     """Kernel: replaces each node that `make_contact_copy` stored by its change due to a wall.
 
-    It also stores the lowest and the highest changed node.
+    The kernel also stores the lowest and the highest changed node.
     """
     t = types(real)
 

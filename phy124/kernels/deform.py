@@ -47,7 +47,7 @@ as a multiple of their distance at rest.
 
 @wp.func
 def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
-    """Return a plastic or fluid Gaussian's axis lengths, made more equal the longer it is.
+    """Return a plastic or fluid Gaussian's axis lengths; longer Gaussians are made rounder.
 
     A ball of radius sqrt(a b), where a and b are the two longest axes, covers as much of a frame as
     the Gaussian does.
@@ -66,9 +66,9 @@ def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
 def within(f: wp.mat33d, limit: wp.float64) -> wp.mat33d:
     """Return F with its logarithmic strain scaled down until its largest stretch is `limit`.
 
-    F = U S V^T becomes U S^p V^T with p = log(limit) / log(s_1). The result is continuous as s_1
-    passes the limit and keeps the rotation; the Gaussian is stretched as if the material were not
-    torn.
+    F = U S V^T becomes U S^p V^T with p = log(limit) / log(s_1). The result keeps the rotation, and
+    is continuous where s_1 passes the limit. The Gaussian is then stretched as if the material were
+    not torn.
     """
     if wp.ddot(f, f) <= limit * limit:
         return f

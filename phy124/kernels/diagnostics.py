@@ -198,10 +198,10 @@ def make_probe(law: Law, real: Any):
 def make_reset(real: Any):
     """Kernel: sets deformations that no law can handle to the identity.
 
-    A deformation is sound if its volume ratio is between `min_J` and `max_J`, its norm is at most
-    `max_norm`, and its smallest stretch is at least the fraction `narrowest` of the largest,
-    compared as J / |cof F| and |F|. `found_out` receives the number of unsound deformations and the
-    lowest index.
+    A deformation F is sound if its volume ratio is between `min_J` and `max_J`, its norm is at most
+    `max_norm`, and its smallest stretch is at least the fraction `narrowest` of its largest
+    stretch. J / |cof F| stands for the smallest stretch, and |F| for the largest. `found_out`
+    receives the number of unsound deformations and the lowest index of an unsound one.
     """
     t = types(real)
 
@@ -249,7 +249,8 @@ def make_apart(real: Any):
 
     At rest a particle fills a cube whose side is the distance between neighbours. `most` is the
     square of the stretch above which particles lose contact. `found_out` receives the number of
-    particles beyond it and their lowest index, `max_out` the largest stretch.
+    particles that are stretched more and the lowest index of these particles; `max_out` receives
+    the largest stretch.
     """
     t = types(real)
 

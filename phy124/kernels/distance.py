@@ -1,7 +1,7 @@
 """Computes the distance from a point to a wall, and the wall's normal, for each shape.
 
-Each function takes a point x [m] and three vectors that define the shape. It returns the unit
-normal, which points out of the solid, and the signed distance [m], negative inside.
+Each function takes a point x [m] and three vectors that define the shape. Each function returns the
+unit normal, which points out of the solid, and the signed distance [m], negative inside.
 """
 
 from typing import Any

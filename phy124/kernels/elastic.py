@@ -51,8 +51,8 @@ def polar(F: Any):
     """Return the polar rotation by Newton's iteration (Higham 1986); needs det F > 0.
 
     After each step the singular values of R are at least 1, so |R|^2 - 3 measures the deviation of
-    R from a rotation. In float32 three steps suffice for stretches between 0.75 and 1.35, and five
-    steps for stretches between 0.3 and 4.
+    R from a rotation. In float32, three steps of the iteration suffice for stretches between 0.75
+    and 1.35, and five steps for stretches between 0.3 and 4.
     """
     s = F[0, 0]
     R = polar_step(polar_step(polar_step(F)))
@@ -73,7 +73,7 @@ def stretch(F: Any):
 
 @wp.func
 def log_volume_far(J: Any):
-    """Return log J, continued linearly below SMALLEST_J: finite, and inverted elements resist."""
+    """Return log J; it continues linearly below SMALLEST_J, so that inverted elements resist."""
     floor = type(J)(SMALLEST_J)
     if J > floor:
         return wp.log(J)
@@ -91,8 +91,8 @@ def log_volume(J: wp.float32):  # noqa: F811
     """Return `log_volume_far`; near J = 1 a polynomial replaces log at a third of its cost.
 
     The polynomial is the best approximation of log(1 + y) / y for |y| < 0.2: its error is 3e-8,
-    with rounding 1.4e-7, and log J is exactly 0 at J = 1. Its two halves are independent, so a
-    processor can compute them in parallel.
+    with rounding 1.4e-7, and log J is exactly 0 at J = 1. The polynomial's two halves are
+    independent, so a processor can compute them in parallel.
     """
     y = J - 1.0
     if wp.abs(y) >= 0.2:

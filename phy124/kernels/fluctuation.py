@@ -1,4 +1,4 @@
-"""Controls the damping of the transfers: less of it with FLIP, AFLIP and XPIC, more with RPIC.
+"""Controls the damping of the transfers: FLIP, AFLIP and XPIC reduce it, RPIC increases it.
 
 The grid does not represent all of the particles' motion. APIC discards the rest, called the
 fluctuation, in every substep, which damps the motion. The fluctuation is the difference between (v,
@@ -10,7 +10,8 @@ momentum.
 
 RPIC: the symmetric part of C decays; its skew part, the spin, does not. PhysGaussian's
 `rpic_damping` r scatters (1 - r) C + r/2 (C - C^T) in each substep, so that r = 1 is RPIC (Jiang et
-al. 2015, section 5.1) and the damping depends on the substep. Here the damping is a rate.
+al. 2015, section 5.1) and the damping depends on the substep. In phy124, the damping of RPIC is a
+rate [1/s] instead.
 """
 
 from typing import Any
@@ -102,7 +103,7 @@ def decay(x: Any):
 
 @wp.func
 def without_strain(C: Any, share: Any):
-    """Return C less a share of its symmetric part; a skew C is returned bit for bit."""
+    """Return C less a share of its symmetric part; a skew C is returned unchanged."""
     return C - (type(share)(0.5) * share) * (C + wp.transpose(C))
 
 

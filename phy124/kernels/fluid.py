@@ -1,9 +1,10 @@
 """Weakly compressible fluid: pressure from the volume ratio J, viscosity from the velocity
 gradient.
 
-The elastic F of a fluid is j I with j = J^(1/3), which keeps the volume but not the shape. Its
-history variable is J about one relaxation time ago: for faster changes the fluid is stiffer, and
-the energy of this extra stiffness is dissipated (Mandelstam and Leontovich 1937).
+The elastic F of a fluid is j I with j = J^(1/3), which keeps the volume but not the shape. A
+fluid's history variable is the value of J about one relaxation time ago. For faster changes the
+fluid is stiffer, and the energy of this extra stiffness is dissipated (Mandelstam and Leontovich
+1937).
 """
 
 from typing import Any
@@ -66,9 +67,9 @@ def tait(F: Any, C: Any, h: Any, theta: Any):
     """Return the Kirchhoff stress -J p I + 2 j eta dev(sym C) + zeta tr C I + K' lag I.
 
     theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]). Tension is
-    allowed and acts as cohesion. With j = min(J, 1), the viscosity per mass of fluid that has
-    spread out stays constant, not the viscosity per volume; the viscosity per mass limits the
-    substep. zeta damps sound where the fluid is compressed.
+    allowed and acts as cohesion. Because j = min(J, 1), a fluid that has spread out keeps its
+    viscosity per mass, which limits the substep, instead of its viscosity per volume. zeta damps
+    sound where the fluid is compressed.
     """
     unit = type(theta[0])(1.0)
     J, more = squeeze(F)
@@ -91,11 +92,10 @@ def tait_modulus(F: Any, h: Any, theta: Any):
 
 @wp.func
 def isotropic(F: Any, h: Any, theta: Any, dt: Any):
-    """Return (tr F / 3) I, which replaces F, and the history; a rotation changes no volume.
+    """Return (tr F / 3) I, which replaces the F of a fluid, and the unchanged history.
 
-    For F = (I + dt C) j I, the trace gives the change of volume to first order. The determinant
-    would not do: for a rotation, det(I + dt W) exceeds 1 by (dt omega)^2, which would let a vortex
-    expand.
+    For F = (I + dt C) j I, the trace gives the change of volume to first order. The determinant is
+    not used: for a rotation, det(I + dt W) exceeds 1 by (dt omega)^2, so a vortex would expand.
     """
     unit = type(dt)(1.0)
     j = wp.max(wp.trace(F) / type(dt)(3.0), type(dt)(0.0))

@@ -63,13 +63,13 @@ def make_zone(real: Any):
 
 @build_once
 def make_drag(real: Any):
-    """Kernel: v approaches the wind, dv/dt = rate (u - v), exactly, and never overshoots.
+    """Kernel: v approaches the wind u without overshooting; solves dv/dt = rate (u - v) exactly.
 
     The uniform acceleration a acts after the drag, on the grid, and adds kick a. If drag and
     acceleration act together, the velocity becomes v + (u + a / rate - v)(1 - exp(-rate kick));
-    this kernel makes this change without the part kick a. If drag and acceleration simply acted one
-    after the other, the terminal velocity of an object falling through a stream would be too high
-    by the fraction rate kick / 2.
+    this kernel makes that change except for the part kick a. If drag and acceleration simply acted
+    one after the other, the terminal velocity of an object falling through a stream would be too
+    high by the fraction rate kick / 2.
     """
 
     @kernel(f"phy124_drag_{real.__name__}", real)
@@ -165,7 +165,7 @@ def forget(
 
 @build_once
 def make_centre(real: Any):
-    """Kernel: computes X and V of a group of particles while its track is active."""
+    """Kernel: computes a group's centre X and its velocity V while the force's track is active."""
 
     @kernel(f"phy124_held_centre_{real.__name__}", real)
     def centre(first, each, stride, chosen, share: Doubles, slot, values, x, v, means_out):
@@ -204,7 +204,7 @@ def make_second(real: Any):
 
 @build_once
 def make_draw(real: Any):
-    """Kernel: pulls X to a moving target with a spring and a damper."""
+    """Kernel: pulls a group's centre X to a moving target with a spring and a damper."""
     t = types(real)
 
     @kernel(f"phy124_held_draw_{real.__name__}", real)
@@ -225,7 +225,7 @@ def make_draw(real: Any):
 
 @build_once
 def make_wrench(real: Any):
-    """Kernel: applies a force at X, and a torque about X as if the group were rigid."""
+    """Kernel: applies a force and a torque at a group's centre X, as if the group were rigid."""
     t = types(real)
 
     @kernel(f"phy124_held_wrench_{real.__name__}", real)

@@ -102,10 +102,10 @@ def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float6
 def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     """Clamp stretches to [smallest, largest]; the excess changes Jp (Stomakhin 2013, eqs. 9, 10).
 
-    Nothing, hardening included, is clamped if that would raise the energy: a stretch under pressure
-    causes no fracture, however large it is. Without this rule, snow with a Poisson's ratio near 1/2
+    Stretches and hardening stay unchanged if clamping would raise the energy: under pressure, a
+    stretch of any size causes no fracture. Without this rule, snow with a Poisson's ratio near 1/2
     gains energy by fracture. For most elastic particles, bounds of the eigenvalues of F F^T are
-    within the range; computing these bounds needs no eigenvalues.
+    within the range. The bounds are computed without the eigenvalues.
     """
     s = F[0, 0]
     b = gram(F)

@@ -1,7 +1,7 @@
 """The grid update between scatter and gather, and operations on rows of nodes.
 
-Loops in C++ that a CPU vectorises copy, clear, add and compare rows of nodes in a box of the grid
-(native/reduction.h). On a GPU each thread handles one node, in the code before the loop.
+On a CPU, vectorised C++ loops copy, clear, add and compare rows of nodes in a box of the grid
+(native/reduction.h). On a GPU each thread handles one node.
 """
 
 from typing import Any

@@ -115,9 +115,9 @@ def hencky(F: Any, C: Any, h: Any, theta: Any):
 def cosh_of_difference(F: Any):
     """Return an upper bound of cosh x, x the largest difference of principal strains; 1 at rest.
 
-    Scale F F^T to determinant 1, with eigenvalues e^y. Half of the sum of its trace and the trace
-    of its inverse is sum cosh y. Since sum y = 0, this is at least 1 + 2 cosh x, so no eigenvalue
-    is needed.
+    Scale F F^T to determinant 1, with eigenvalues e^y. Half of the sum of the scaled matrix's trace
+    and of its inverse's trace is sum cosh y. Since sum y = 0, this is at least 1 + 2 cosh x, so no
+    eigenvalue is needed.
     """
     s = F[0, 0]
     a = wp.cross(F[1], F[2])

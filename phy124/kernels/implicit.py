@@ -34,7 +34,7 @@ class Inflated:
 
 @wp.struct
 class Hull:
-    """F = w(x, y) + s(z, y), but negative outside the planes across y."""
+    """F = w(x, y) + s(z, y), but negative beyond the end planes, which are normal to y."""
 
     front: Fields
     """w and its slopes along x and y [H,W,3]; x = 0 is at the middle column."""

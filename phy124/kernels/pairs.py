@@ -11,9 +11,9 @@ around a node therefore gives the distance of its surface, whatever the directio
 if the fractions add up to 1. (Nairn et al. 2020 compute the distance by a regression over the
 particles.) The fraction is the ratio of the body's mass at the node to its mass in the interior,
 which accounts for the body's edges, density and compression. Three nodes in a row, along the axis
-closest to the normal, are in contact or not together; the node with the largest overlap of both
-bodies decides. At the rim of a contact, where the gap is curved, the mean of the gap around a node
-is larger than the gap at the node.
+closest to the normal, are either all in contact or all not in contact; the node with the largest
+overlap of both bodies decides. At the rim of a contact, where the gap is curved, the mean of the
+gap around a node is larger than the gap at the node.
 """
 
 from typing import Any
@@ -218,8 +218,8 @@ def surfaces_meet(
 def stop(relative: Any, n: Any, friction: Any):
     """Return the component of a relative velocity that contact removes.
 
-    It is the whole approach along the normal n, and the motion across n as far as Coulomb friction
-    allows.
+    Contact removes the whole approach along the normal n, and the motion across n as far as Coulomb
+    friction allows.
     """
     approach = wp.dot(relative, n)
     if approach <= type(approach)(0.0):

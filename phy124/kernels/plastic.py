@@ -1,7 +1,7 @@
 """Plasticity in terms of Hencky strain: return mappings project the elastic F onto a yield surface.
 
-They change only e = log V: the new F is exp(e_new - e) F, which keeps the rotation and needs no
-singular vectors. Strengths are stored as norms of the deviatoric Kirchhoff stress, limit =
+The mappings change only e = log V: the new F is exp(e_new - e) F, which keeps the rotation and
+needs no singular vectors. Strengths are stored as norms of the deviatoric Kirchhoff stress, limit =
 sqrt(2/3) sigma_Y, with sigma_Y the uniaxial yield stress.
 """
 

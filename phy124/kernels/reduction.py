@@ -6,9 +6,9 @@ threads of a warp are inactive (at the end of a launch, or in another branch), e
 its own result. From compute capability 9.0 on, a GPU adds four float32 to a node in one
 transaction; older GPUs, float64 and the CPU add each component separately.
 
-At the barrier, CPU threads that run kernels in parallel wait for each other. They spin for tens of
-microseconds inside a kernel, where Warp has released Python's global lock; the caller then yields
-the core before it tries again.
+At the barrier, CPU threads that run kernels in parallel wait for each other. A waiting thread spins
+for tens of microseconds inside a kernel, where Warp has released Python's global lock. The caller
+then yields the core before it tries again.
 """
 
 from collections.abc import Iterable
@@ -25,7 +25,7 @@ in a block of a GPU.
 
 
 def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[int, int, int, int]:
-    """Return the number of threads that reduce all particles, and their `first`, `each`, `stride`.
+    """Return the number of threads that reduce all particles; `first`, `each` and `stride`.
 
     A thread handles the particles `thread * first + k * stride`, k < `each`. On the CPU a thread's
     particles are neighbours; on a GPU, neighbouring threads have neighbouring particles, so that
@@ -50,7 +50,7 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
 def run_of(node: int) -> int:
     """Return which neighbouring threads of a GPU add to the same nodes; 0 on the CPU.
 
-    All threads of a warp, or none, must then call `add` the same number of times.
+    Either all threads of a warp or none must then call `add`, the same number of times.
     """
     ...
 
@@ -101,7 +101,8 @@ def add_to(sums: wp.array(dtype=wp.float64), index: int, value: wp.float64):
 def raise_all(maxima: wp.array(dtype=Any), values: Any):
     """Update component-wise maxima over all threads with a vector.
 
-    All threads of a block on a GPU must call it: their number is a multiple of `BLOCK`.
+    On a GPU, all threads of a block must call this function, so the number of threads is a multiple
+    of `BLOCK`.
     """
     ...
 

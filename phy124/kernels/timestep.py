@@ -177,8 +177,9 @@ def violent(dt: wp.float64, s: Progress, bounds: Limits):
 def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
     """Return whether exactly `BLOCK` substeps of length dt [s] precede the next measurement.
 
-    The result is False if, between two of them, the time is reached, the particles are measured, or
-    control returns to the host. The lengths of the substeps may differ by rounding.
+    The result is False if the limit of time is reached, the particles are measured, or control
+    returns to the host between two of these substeps. The lengths of the substeps may differ by
+    rounding.
     """
     count = int(wp.static(BLOCK))
     all = wp.float64(count)

@@ -1,10 +1,11 @@
 """Transfers between particles and grid: MLS-MPM with APIC velocities and quadratic B-splines.
 
 See Hu et al. 2018 (eqs. 16-19, 22) and Jiang et al. 2015. The grid is a flat array of four-vectors:
-(momentum, mass) after the scatter, (velocity, mass) after the grid update. It covers only a window
-of cells around the particles: `window[0]` is the window's lowest node, `window[1]` its extent.
-`lattice` is (origin x, y, z, dx). `clock` is (kick, drift, time): the kick is the mean length of
-two successive substeps, the drift the length of the current one, which makes free fall exact.
+(momentum, mass) after the scatter, (velocity, mass) after the grid update. The array covers only a
+window of cells around the particles: `window[0]` is the window's lowest node, `window[1]` its
+extent. `lattice` is (origin x, y, z, dx). `clock` is (kick, drift, time): the kick is the mean
+length of two successive substeps, the drift the length of the current one, which makes free fall
+exact.
 
 There is a kernel for each law and precision. Each variant has a module with its own name, since
 Warp hashes the set of functions that a closure uses, but not their roles.
@@ -131,7 +132,7 @@ def slope(f: Any):
 def offsets(f: Any):
     """Return the vector (0, 1, 2) in the precision of f.
 
-    It replaces casts of a loop index, which would change the type of the index itself.
+    This vector replaces casts of a loop index, which would change the type of the index itself.
     """
     return wp.vector(type(f)(0.0), type(f)(1.0), type(f)(2.0))
 

@@ -1,8 +1,8 @@
 """Sums the impulse and work of forces and walls, and the work of the material's stress.
 
-Impulse and work depend on the path, so they are summed in every substep, in float64. They are then
-compared with the change of the state (phy124/kernels/diagnostics.py). The stress in a substep is
-the mean of the stresses at its ends: this is correct to second order for elastic material, and
+Impulse and work depend on the path, so they are summed in every substep, in float64. The sums are
+then compared with the change of the state (phy124/kernels/diagnostics.py). The stress in a substep
+is the mean of the stresses at its ends: this is correct to second order for elastic material, and
 equals the yield stress during plastic flow.
 """
 
@@ -132,9 +132,9 @@ def make_wall_sums(real: Any):
     """Kernel: adds the impulse and the work of walls on the nodes of a box to the `GIVEN` sums.
 
     The work of an impulse J is J . v with the velocity v after the impulse, since this velocity
-    moves the material: it is zero for walls at rest and negative for friction. With the velocity
-    before the impulse, stress that presses on a wall without moving it would count as work. A
-    thread handles a segment of a row, as in `make_wall_copy`.
+    moves the material. This work is zero for walls at rest and negative for friction. With the
+    velocity before the impulse, stress that presses on a wall without moving it would count as
+    work. A thread handles a segment of a row, as in `make_wall_copy`.
     """
 
     @kernel(f"phy124_wall_sums_{real.__name__}", real, seconds=0.2)
@@ -168,9 +168,9 @@ def make_uniform_sums(real: Any):
     """Kernel of one thread: adds impulse and work of the uniform acceleration in a substep.
 
     The acceleration acts after forces on particles and before walls, so `walls_out` stores the
-    walls' sums up to the previous substep. The work of the walls in `means`, which are those of
-    lattices and of a liquid by projection, is computed with the mean velocities of a step. There
-    the acceleration works on the mean of the momenta before and after the step. `base` is the
+    walls' sums up to the previous substep. `means` has the walls of lattices and of liquids by
+    projection. Their work is computed with the mean velocities of a step, so the work of the
+    acceleration is computed with the mean of the momenta before and after the step. `base` is the
     momentum without the sums that are still being accumulated. `pushes` and `walls` have one row of
     sums for each worker, `means` one for each wall of a lattice or one for a liquid's walls.
     """

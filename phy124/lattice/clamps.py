@@ -1,4 +1,4 @@
-"""Clamps on a lattice, and the impulses of contact that they take.
+"""Clamps on a lattice, and the contact impulses that clamps take.
 
 Nodes inside a clamp have the clamp's velocity. The node next to the clamp's surface moves in the
 opposite direction to its free neighbour, so that the interpolated motion vanishes at the surface.
@@ -81,7 +81,7 @@ class Clamp:
 
 
 class PassedOn:
-    """Records launches that pass the impulses of contact on held nodes on to the clamps."""
+    """Records launches that pass the contact impulses on held nodes to the clamps."""
 
     def __init__(
         self,
@@ -118,7 +118,7 @@ class PassedOn:
         force: wp.array,
         sums: wp.array | None = None,
     ) -> wp.Launch:
-        """Record the launch for listed points; its size is their number.
+        """Record the launch for listed points; the launch has one thread per listed point.
 
         Args:
             near: Indices of the points.

@@ -1,7 +1,8 @@
 """CoupledSolver: bodies on lattices together with bodies of the material point method.
 
-Both take the same substeps. After the particles' grids are updated, the lattices' nodes are kicked;
-then all contact acts, and walls act on the grids; then particles and lattices move.
+Bodies of both kinds take the same substeps. In a substep, the particles' grids are updated and the
+lattices' nodes are kicked. Then all contact acts, and walls act on the grids. Finally, particles
+and lattices move.
 """
 
 from __future__ import annotations

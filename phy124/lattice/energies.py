@@ -79,7 +79,7 @@ class Energies:
         self._solver.record()
 
     def attach(self) -> None:
-        """Make the contact that is recorded next sum its work."""
+        """Make contact sum its work from the next recording of its launches on."""
         solver = self._solver
         self._clamps += self._of_clamps() if self._walls is not solver.walls else 0
         self._walls = solver.walls
@@ -167,7 +167,7 @@ class Energies:
         self._clamps = np.array(snapshot["clamps"])
 
     def _of_clamps(self) -> NDArray[np.float64]:
-        """Return the work of the clamps, and the part by their motion, from the walls' sums."""
+        """Return the work of clamps, and the part done by their motion, from the walls' sums."""
         if self._walls is None:
             return np.zeros(2)
         rows = np.asarray(self._walls.sums.numpy(), np.float64)[self._walls.holding]

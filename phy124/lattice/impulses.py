@@ -1,6 +1,6 @@
 """Sums of impulses: those of walls on each surface point, and those of clamps on each node.
 
-They are summed only if the forces on Gaussians are stored (phy124/monitor/lattice.py).
+Impulses are summed only if the forces on Gaussians are stored (phy124/monitor/lattice.py).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Impulses:
         return cast("wp.Launch", launch)
 
     def hold(self, clamps: list[Named], held: NDArray[np.int64]) -> list[Named]:
-        """Return the clamps' launches, between launches that read the momenta of held nodes.
+        """Return the clamps' launches, with a reading of held nodes' momenta before and after them.
 
         Args:
             clamps: The launches of all clamps.

@@ -102,7 +102,7 @@ class Material:
         self._launches = [cast("wp.Launch", launch) for launch in (touch, resist, total)]
 
     def pass_on(self, passed: PassedOn | None) -> None:
-        """Pass impulses on held nodes on to clamps in the last stage; None without clamps."""
+        """Pass impulses on held nodes to the clamps in the last stage; None without clamps."""
         points = self._points[0], self._points[1]
         self._passed = None if passed is None else passed.of(self._list, points, self.force)
 

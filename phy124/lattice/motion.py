@@ -13,7 +13,7 @@ from phy124.mpm.model import Model, State
 
 
 def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: bool) -> Nodes:
-    """Return nodes at their rest positions, with velocities from the points; exact if affine.
+    """Return nodes at rest positions with velocities from the points, exact for affine motions.
 
     Args:
         model: The constants of the run; nodes of its held bodies do not move.

@@ -1,4 +1,4 @@
-"""Searches for surface points that may touch, and for the position opposite to each."""
+"""Searches for surface points that may touch, and for the position opposite to each point."""
 
 from __future__ import annotations
 

@@ -29,8 +29,8 @@ class Refusal(NamedTuple):
 def reason_for_particles(scene: Any) -> str:
     """Return the reason why a scene's elastic objects cannot use lattices; empty if they can.
 
-    The answer does not depend on `accuracy.solver`, and needs no Gaussians. With a file of
-    properties, the laws in this file are read.
+    The reason does not depend on `accuracy.solver`, and is determined without Gaussians. With a
+    file of properties, the laws in this file are read.
 
     Raises:
         InputError: The scene's file of properties cannot be read.
@@ -103,7 +103,7 @@ def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterato
 
 
 def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
-    """Yield the features that scenes cannot have if they mix lattices and particles."""
+    """Yield the features that a scene with both lattices and particles cannot have."""
     limit = "it is not supported if objects on lattices and objects of particles are mixed."
     for number, force in enumerate(scene.acting):
         if not force.uniform:

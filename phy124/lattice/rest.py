@@ -8,7 +8,7 @@ instead of between knots, some motions of cut cells would have no stiffness.
 Every body that does not fill its cells has nodes of almost no mass, which have almost no stiffness
 either. Nodes lighter than `LIGHTEST` are tied: their motion is extrapolated linearly from heavier
 nodes, and the transpose of this extrapolation distributes their force and mass over these nodes.
-This conserves momentum and angular momentum.
+Such ties conserve momentum and angular momentum.
 """
 
 from __future__ import annotations
@@ -172,9 +172,9 @@ class RestLattice:
         return sum(int(np.ptp(index, axis=0).max()) - 1 for index in bodies)
 
     def respond(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return accelerations [P], m/s^2, by forces [P], N, on the points along one direction.
+        """Return the points' accelerations [P], m/s^2, under forces [P], N, along one direction.
 
-        They are computed in the cells on which forces act, and 0 elsewhere.
+        Accelerations are computed in the cells on which forces act, and are 0 elsewhere.
         """
         chosen = np.repeat(force.reshape(-1, PER_CELL).any(axis=1), PER_CELL)
         rows = np.repeat(self.rows, PER_CELL, axis=0)[chosen]
@@ -224,7 +224,7 @@ def _weights(offset: NDArray) -> NDArray[np.float64]:
 def _tie_light(
     index: NDArray[np.int64], mass: NDArray, least: float, corner: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, NDArray[np.float64]]:
-    """Return tied nodes, the nodes that carry them, and all masses; tied nodes have none.
+    """Return tied nodes, the nodes that carry them, and all masses; a tied node's mass is 0.
 
     Args:
         index: Indices of the nodes [N,3].

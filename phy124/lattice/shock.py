@@ -57,8 +57,8 @@ class LatticeClock(Clock):
     def _rate(self) -> float:
         """Largest recent rate of compression [1/s].
 
-        It decays slowly after a measurement, because substeps of alternating length would feed
-        vibrations.
+        The rate decays slowly after a measurement, because substeps of alternating length would
+        amplify vibrations.
         """
         return max(self.extremes.gradient, self.strain_rate)
 
@@ -89,7 +89,7 @@ class LatticeClock(Clock):
         return self.in_shock or speed * drift > IMPACT * self.dx
 
     def stalls(self, usual: float) -> bool:
-        """Return whether the last `STALLED` substeps lasted less than one of the undeformed body.
+        """Return whether the last `STALLED` substeps lasted less than one at rest.
 
         Args:
             usual: Length of a substep at rest [s].

@@ -1,6 +1,7 @@
 """Solids: free rigid solids that exchange impulses with the surface points of bodies.
 
-Contact of each solid with each body is computed. Impulses act on both, so that momentum is exact.
+Contact of each solid with each body is computed. Each impulse acts on the solid and on the body, so
+that momentum is conserved.
 """
 
 from __future__ import annotations
@@ -255,7 +256,7 @@ class _Touch:
         return act
 
     def add_sums(self, work: ContactWork | None, passed: PassedOn | None) -> None:
-        """Add launches to the last stage; None: there are none.
+        """Add launches to the last stage; an argument that is None adds none.
 
         Args:
             work: Sums the work of the impulses by cause.

@@ -152,7 +152,8 @@ class LatticeSolver:
     ) -> None:
         """Replace forces, boundaries and sums, from the next substep on.
 
-        Contact forces and the times of measurements do not change: live runs repeat bit for bit.
+        Contact forces and the times of measurements do not change, so that live runs repeat bit for
+        bit.
 
         Args:
             forces: Forces, in the order in which they act.
@@ -217,7 +218,7 @@ class LatticeSolver:
         ]
 
     def _push(self, worker: int) -> list[Any]:
-        """Return a worker's pushes; if one push cannot be divided, the first worker has all."""
+        """Return a worker's pushes; the first worker has all pushes if one cannot be divided."""
 
         def record(stages: Sequence[Stage]) -> list[Any]:
             return launches([(stage.name, stage.record(self.grid)) for stage in stages])
@@ -418,7 +419,8 @@ class LatticeSolver:
     def _refuse_collapse(self) -> None:
         """Raise Unstable if a number is not finite, or substeps became too short.
 
-        The next attempt takes substeps of half the last length: a collapsed one would never end.
+        The next attempt takes substeps of half the length at rest: with collapsed substeps, it
+        would never end.
         """
         clock, lost = self.clock, int(self.crew.stray.numpy()[0])
         usual = min(self.substep_at_rest, clock.ceiling)

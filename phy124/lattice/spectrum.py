@@ -97,7 +97,7 @@ class Spectrum:
         """Set the factor that multiplies the initial stiffnesses; return `stiffness`.
 
         A larger factor acts at once, since the frequency is measured only after a substep. A factor
-        below 1 is not followed: substeps at rest are then shorter than necessary.
+        below 1 is ignored: substeps at rest are then shorter than necessary.
         """
         stiffened = max(1.0, factor)
         ratio, self._stiffened = stiffened / self._stiffened, stiffened
@@ -136,9 +136,9 @@ class Spectrum:
     def _iterate(self, share: float, rounds: int, velocities: wp.array | None = None) -> float:
         """Return the square of the largest frequency [1/s^2] after some power iterations.
 
-        The norm gives the largest motions the largest weight. It therefore measures the fastest
-        vibration, which moves few nodes, although the shape also contains small motions of all
-        nodes.
+        The norm gives the largest motions the largest weight. The norm therefore measures the
+        fastest vibration, which moves few nodes, although the shape also contains small motions of
+        all nodes.
 
         Args:
             share: Factor of the accelerations that the shape gets.
@@ -183,6 +183,6 @@ class Spectrum:
 
 
 def _norm(values: NDArray[Any]) -> float:
-    """Return the 4-norm (fourth root of the sum of fourth powers); the largest value is near 1."""
+    """Return the 4-norm (fourth root of the sum of fourth powers) of values of at most about 1."""
     squares = values * values
     return float(np.vdot(squares, squares)) ** 0.25

@@ -136,8 +136,8 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
 def _points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.float64]:
     """Return the integration points in sharp parts as surface points without a normal [K,7].
 
-    The motion of a cell with tied nodes is extrapolated, so that a tip of less than a cell can turn
-    into a wall although its surface points, whose weights leave tied nodes out, are outside.
+    A tip smaller than a cell can turn into a wall although its surface points are outside: the tip
+    moves with tied nodes, which the weights of surface points leave out.
 
     Args:
         points: Positions [m], outward normals and indices of bodies [S,7].
@@ -168,7 +168,7 @@ def _consecutive(
     """Return nodes and weights [S,27] in nine groups of three nodes that are consecutive in memory.
 
     The nodes of a lattice are sorted along z, so the existing nodes of a group are consecutive. A
-    group of fewer than three is filled up with neighbours in memory, which have weight 0.
+    group of fewer than three nodes is filled up with neighbours in memory, which have weight 0.
 
     Args:
         nodes: Nodes of the points [S,27].
@@ -186,7 +186,7 @@ def _consecutive(
 
 
 def _inverses(moments: NDArray) -> NDArray[np.float64]:
-    """Return the inverses of second moments [K,3,3]; pseudoinverses of those without an extent."""
+    """Return the inverses of second moments [K,3,3]; the pseudoinverses of singular ones."""
     turned = _cofactors(moments)
     det = (moments[:, 0] * turned[:, 0]).sum(axis=1)
     # The ratio of the least to the largest eigenvalue is at least det / trace^3.

@@ -149,11 +149,11 @@ class Walls:
         return bool(self._clamps or self._contacts)
 
     def keep_impulses(self) -> None:
-        """Make the launches that `stages` returns next sum impulses per surface point and node."""
+        """Make `stages` return launches that also sum impulses per surface point and node."""
         self.impulses = Impulses(*self._around)
 
     def passed_on(self) -> PassedOn | None:
-        """Return what records the launches that pass impulses on to clamps; None without clamps."""
+        """Return the recorder of launches that pass impulses to clamps; None without clamps."""
         if not self._clamps:
             return None
         model, _, nodes, tracks = self._around

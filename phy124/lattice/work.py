@@ -34,7 +34,7 @@ class ContactWork:
         force: wp.array,
         slot: int = 0,
     ) -> wp.Launch:
-        """Record the launch that sums the work on listed points; its parameter 1 is their number.
+        """Record the launch that sums the work on listed points, whose number is its parameter 1.
 
         Args:
             at: Index of the first of three works.

@@ -226,7 +226,7 @@ class Crew:
     def viscosity(self, worker: Worker, out: wp.array) -> list[Named]:
         """Return the launches that add the force of viscosity to the nodes, after the kick.
 
-        It is the stress of material without stiffness.
+        This force is that of a material without stiffness.
 
         Args:
             worker: The worker.
@@ -281,7 +281,7 @@ class Crew:
         return "push", launch
 
     def _block(self, span: slice) -> tuple[int, list[wp.array]]:
-        """Return the number of blocks of full cells in a span of points, and all its blocks."""
+        """Return the number of blocks of full cells in a span of points, and all of its blocks."""
         key = span.start, span.stop
         if key not in self._blocks:
             device = self._model.device

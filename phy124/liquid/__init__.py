@@ -1,9 +1,10 @@
 """Liquids by pressure projection: incompressible flow on a staggered grid, with particles.
 
 `LiquidSolver` takes the place of `phy124.mpm.Solver` in scenes whose `accuracy.liquid` is
-"projection". `Walls` are the scene's boundaries as shapes for the liquid, `Solids` a free solid in
-it, `Cells` the window of the grid, `Projection` the conjugate gradients, `Phases` the launches of a
-step, and `WallImpulses` the impulses of walls. docs/design/liquids.md has the method.
+"projection". `Walls` are the scene's boundaries as shapes for the liquid, and `Solids` are free
+solids in the liquid. `Cells` is the window of the grid, `Projection` solves by conjugate gradients,
+`Phases` records the launches of a step, and `WallImpulses` sums the impulses of walls.
+docs/design/liquids.md has the method.
 """
 
 from typing import TYPE_CHECKING

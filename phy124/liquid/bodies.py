@@ -1,7 +1,7 @@
 """Bodies of other materials in a liquid; another solver moves them between steps of the liquid.
 
-For the liquid, a body is a wall whose shape follows from its particles. Pressures act on the
-particles at its surface during the substeps that follow. Momentum is exchanged exactly.
+For the liquid, a body is a wall whose shape follows from its particles. The liquid's pressure acts
+on the particles at a body's surface during the substeps that follow. Momentum is exchanged exactly.
 """
 
 from __future__ import annotations
@@ -346,7 +346,8 @@ class Bodies:
     ) -> tuple[float, wp.array]:
         """Return the height of the lowest liquid layer around a body, and the layers' weights.
 
-        Heights are in cells; weights are relative to the mean density, and empty for one liquid.
+        Heights are in cells. Weights are relative to the mean density; for a single liquid there
+        are none.
         """
         model, strength = self._model, float(np.linalg.norm(self._pull))
         if densities is None or strength == 0:

@@ -175,7 +175,7 @@ class Cells:
         return self._regions[wall]
 
     def clear_walls(self) -> None:
-        """Reset the description in the cells to one without walls."""
+        """Reset the walls' description in the cells to that of a window without walls."""
         self.distances.fill_(FAR * self.dx)
         self.owners.fill_(-1)
         self.eighths.fill_(1.0)

@@ -1,9 +1,9 @@
 """The time of a liquid's run, and the length of its steps.
 
-A step is limited by the distance that particles move, and by the waves on the surface, of which the
-fastest has a length of two cells. Pressure does not limit a step, since it is implicit. Viscosity
-limits a step only if the liquid is so viscous that its iterations would take longer than shorter
-steps.
+A step is limited by the distance that particles move, and by waves on the surface; the waves that
+limit it most are two cells long. Pressure does not limit a step, since it is implicit. Viscosity
+limits a step only if the liquid is so viscous that a long step's iterations would take longer than
+several shorter steps.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class LiquidClock(Clock):
     """Largest speed of bodies of other materials [m/s]."""
 
     def diffuse(self, rate: float) -> None:
-        """Limit steps by a viscosity: the rate at which velocities diffuse to a face [1/s]."""
+        """Limit steps by viscosity; the argument is the rate of diffusion to a face [1/s]."""
         self.viscosity, self.viscous = rate, DIFFUSED / rate if rate > 0 else math.inf
 
     def stable(self) -> Substep:
@@ -75,7 +75,7 @@ class LiquidClock(Clock):
         return self.last_dt / 2 * float(self.pull @ momentum)
 
     def sweeps(self, kick: float) -> int:
-        """Return the number of pairs of Jacobi steps after which the error is a thousandth."""
+        """Return the number of pairs of Jacobi steps that reduce the error to a thousandth."""
         k = 6 * self.viscosity * kick
         if k == 0:  # the first kick of a probe has no duration
             return 1

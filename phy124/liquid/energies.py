@@ -97,7 +97,7 @@ class Energies:
         return [(STAGE, self._model.launch(kernel, self._count, inputs, [self._row(worker)]))]
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
-        """Return a worker's launch for displacements' work: before (sign -1) or after them (1)."""
+        """Return a worker's launch for the work of displacements: sign -1 before, 1 after them."""
         if not self._on:
             return []
         threads, *fraction = shared_out(run.stop - run.start, self._model.device)

@@ -1,4 +1,4 @@
-"""Mixture: density and viscosity at each face, in a tank whose liquids may differ."""
+"""Mixture: density and viscosity at each face, in a tank that may contain several liquids."""
 
 from __future__ import annotations
 

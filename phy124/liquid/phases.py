@@ -259,7 +259,7 @@ class Phases:
         return name, self._model.launch(kernel, count, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return a worker's pushes; if one push cannot be divided, the first worker has all."""
+        """Return a worker's pushes; the first worker has all pushes if one cannot be divided."""
         if all(stage.by_run for stage in stages):
             with grid.only(None, worker, len(self._workers)):
                 return launches([(stage.name, stage.record(grid)) for stage in stages])

@@ -1,4 +1,4 @@
-"""Velocity changes by forces on particles, in the cells, for the pressure at walls.
+"""Velocity changes that forces on particles cause in each cell, for the pressure at walls.
 
 Between the centre of a cell and a wall, the pressure changes by the weight of the liquid. A force
 on particles acts like a weight, but it may differ between cells.
@@ -22,7 +22,7 @@ STAGE = "walls"
 
 
 class Pushes:
-    """Measures the particles' velocity changes; without such forces, the arrays are empty."""
+    """Measures velocity changes; without forces on particles, the arrays are empty."""
 
     def __init__(self, model: Model, state: State, cells: Cells) -> None:
         """Store the particles and the cells.

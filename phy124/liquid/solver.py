@@ -1,7 +1,7 @@
 """Solver of a liquid; each step removes the divergence of the velocities.
 
-It has the interface of `phy124.mpm.Solver`, so that a run, its observers, pauses and live changes
-treat both alike. All particles of the run are one liquid.
+The solver has the interface of `phy124.mpm.Solver`, so that a run, its observers, pauses and live
+changes treat both solvers alike. All particles of the run are one liquid.
 """
 
 from __future__ import annotations

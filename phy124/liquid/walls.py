@@ -176,7 +176,7 @@ class Walls:
     def share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
         """Return a worker's launch that computes the solid shares of the B-splines in a region.
 
-        For each B-spline, it computes the fraction that is inside walls.
+        For each B-spline, the launch computes the fraction that is inside walls.
 
         Args:
             cells: The cells.

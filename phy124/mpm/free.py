@@ -1,8 +1,8 @@
 """Free bodies: rigid solids without particles that exchange momentum with the material.
 
-Their position, orientation and motion are on the device (phy124/kernels/free has the mechanics). In
-a substep they collide with each particle body after the contact between bodies, and before walls
-act.
+The position, orientation and motion of free bodies are on the device (phy124/kernels/free has the
+mechanics). In a substep, free bodies collide with each particle body after contact between particle
+bodies, and before walls act.
 """
 
 from __future__ import annotations

@@ -141,7 +141,7 @@ class Grid:
         return low, high
 
     def run(self, particles: int) -> slice:
-        """Return the span, among `particles` particles, that launches recorded now may push."""
+        """Return the span of `particles` particles that the current worker's launches may push."""
         ends = (self.worker, self.worker + 1)
         return slice(*(particles * end // self.workers for end in ends))
 

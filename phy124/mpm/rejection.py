@@ -1,9 +1,9 @@
 """Step rejection: a substep that may be too long is run as a trial, and shortened if necessary.
 
-Before the gather, a substep changes only the velocities of pushed particles. It can therefore be
-rejected after the grid update at the cost of one scatter. Only substeps that may be too long are
-run as trials: near the limits of speed and gradient, under forces on particles, or under a very
-large acceleration.
+Before the gather, a substep changes only the velocities of pushed particles. A substep can
+therefore be rejected after the grid update, at the cost of one scatter. Only substeps that may be
+too long are run as trials: near the limits of speed and gradient, under forces on particles, or
+under a very large acceleration.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ class Repair:
         self._started, self._strain, self._last = False, 0.0, 0.0
 
     def begin(self, clock: Clock) -> None:
-        """Start a frame, or a further attempt at it."""
+        """Start a frame, or another attempt at the same frame."""
         self._resets.assign([self.count, self.first])
         self._launch(self._reset)
         self.count, self.first = self._resets.numpy().tolist()

@@ -1,8 +1,8 @@
 """Solver: explicit MLS-MPM substeps of stable length.
 
-The launches of a substep are recorded (phy124/mpm/substep.py). They are repeated by one thread, by
-several threads that each process a part of the particles (phy124/mpm/workers.py), or by a CUDA
-device alone (phy124/mpm/graph.py).
+The launches of a substep are recorded (phy124/mpm/substep.py). The recorded launches are repeated
+by one thread, by several threads that each process a part of the particles (phy124/mpm/workers.py),
+or by a CUDA device alone (phy124/mpm/graph.py).
 """
 
 from __future__ import annotations

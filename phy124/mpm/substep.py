@@ -169,7 +169,7 @@ class Recorder:
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
-        """Return a worker's pushes; if one push cannot be divided, the first worker has all."""
+        """Return a worker's pushes; the first worker has all pushes if one cannot be divided."""
         if all(stage.by_run for stage in stages):
             with self._grid.only(None, worker, len(self.workers)):
                 return launches([(stage.name, stage.record(self._grid)) for stage in stages])

@@ -33,7 +33,7 @@ class Team(Generic[Task]):
     """Runs `work(member, task)` on every member's own thread; the caller's thread is member 0.
 
     `work` is not called for member 0: the caller puts a task, does its own share, and puts the next
-    task, which first waits for the other members. Load every kernel that `work` launches before
+    task. `put` first waits for the other members. Load every kernel that `work` launches before
     entering `running`, since loading is not thread-safe.
     """
 

@@ -4,7 +4,7 @@ dt = min(k dx sqrt(rho0 / A), 0.5 dx / |v|, 0.4 / |C|), where A is the largest e
 d ln sigma (an isolated particle is a harmonic oscillator with omega^2 = 4 A / (rho0 dx^2)), |v| the
 largest speed, and |C| the largest velocity gradient. See docs/design/physics.md.
 
-If the substep followed A in phase with a vibration, it would add energy to the vibration. The
+If the substep's length followed A in phase with a vibration, the vibration would gain energy. The
 assumed A therefore decays slowly after a measurement: leapfrog integration with substeps of equal
 length conserves energy.
 """
@@ -47,7 +47,7 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Return the extremes, but at least `speed` and the decayed earlier stiffness.
+        """Return the extremes, with a speed of at least `speed` and the earlier stiffness's decay.
 
         Args:
             before: Extremes measured `substeps` earlier.

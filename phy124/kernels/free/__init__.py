@@ -3,10 +3,10 @@
 The state of a body is its position X, its orientation q, its velocity V and its angular momentum L
 about X, in float64. In a substep, the nodes that the body touches take on the velocity of its
 surface, as at a wall: along the normal n if they approach the surface, and tangentially as far as
-Coulomb friction allows it. Body and nodes are solved together, because a light body would not come
-to rest if it exchanged momentum with one node after the other. Let u = V + w x r be the surface
-velocity at a node of mass m. The impulse on the node is m W (u' - v), with the velocity u' after
-the exchange, where W is 1 along n and a fraction of 1 across n. This gives six equations,
+Coulomb friction allows it. The velocities of body and nodes are solved for together: a light body
+that exchanged momentum with one node after the other would not come to rest. Let u = V + w x r be
+the surface velocity at a node of mass m. The impulse on the node is m W (u' - v), with the velocity
+u' after the exchange, where W is 1 along n and a fraction of 1 across n. This gives six equations,
 
     (M + sum B^T m W B) (V', w') = M (V, w) + sum B^T m W v,    u = B (V, w),
 

@@ -44,7 +44,8 @@ from phy124.kernels.window import strides
 def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
     """Return the fractions that contact removes from a node's velocity relative to a surface.
 
-    The first is along the normal out of the body, the second across the normal.
+    The first fraction is that of the component along the normal out of the body, the second that of
+    the component across the normal.
     """
     if sticky == 1:
         return wp.vec2d(wp.float64(1.0), wp.float64(1.0))
@@ -56,7 +57,7 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
 
 @build_once
 def make_begin(real: Any):
-    """Kernel of one thread: kicks a body once per substep; the solution starts from its motion."""
+    """Kernel of one thread: kicks a body once per substep; its motion is the first guess."""
 
     @kernel(f"phy124_free_begin_{real.__name__}", real)
     def begin(moments, clock, values, body_out, trial_out):
@@ -187,7 +188,7 @@ def make_apply(real: Any):
 
 @build_once
 def make_finish(real: Any):
-    """Kernel of one thread: adds to a body the walls' impulses and minus the nodes' impulses.
+    """Kernel of one thread: adds the walls' impulses to a body, and subtracts the nodes' impulses.
 
     `total_out` sums the impulses on the nodes of one grid since the start, with the moment about
     the origin of the world.

@@ -1,4 +1,4 @@
-"""Layout of the arrays that hold a free body's state and a solution, and derived quantities."""
+"""Layout of the arrays of a free body's state and solution, and quantities derived from them."""
 
 from typing import Any
 

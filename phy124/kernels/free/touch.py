@@ -69,7 +69,7 @@ def volume_of_box(d: Any, s: Any, geometry: Any, dx: Any):
 def make_touch(shape: str, real: Any):
     """Kernel over the nodes around a body: marks the nodes in contact, with their normals.
 
-    The surfaces meet by the same criterion as those of two particle bodies
+    Contact with the material has the same criterion as between two particle bodies
     (phy124/kernels/pairs.py), but the fraction that the solid fills around a node is known exactly.
     `fill` is the volume fraction per mass at a node of the material.
     """

@@ -38,7 +38,7 @@ SWEEPS = wp.constant(24)
 
 @wp.func
 def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
-    """Return the vector from a solid's centre to a point at which a plane may touch it [m].
+    """Return the vector from a solid's centre to one of the points that a plane may touch [m].
 
     Args:
         shape: Number of such points: 1 for a sphere, 2 for a capsule, 8 for a box.
@@ -66,14 +66,14 @@ def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
 def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
     """Return the change of angular velocity by an impulse J at r.
 
-    a, b and c are blocks from the inversion of the six equations.
+    Arguments a, b and c are blocks from the inversion of the six equations.
     """
     return c @ (wp.cross(r, J) - wp.transpose(b) @ (a @ J))
 
 
 @wp.func
 def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """Return the velocity change at r along a unit vector, by 1 N s along the same vector."""
+    """Return the velocity change at r along `way` that an impulse of 1 N s along `way` causes."""
     turn = turn_by(a, b, c, r, way)
     return wp.dot(way, a @ (way - b @ turn) + wp.cross(turn, r))
 
@@ -93,9 +93,10 @@ def make_walls(drifts: bool, real: Any):
     """Kernel of one thread: solves the six equations together with the impulses of flat walls.
 
     Each wall, defined by a point and an outward normal, may act at `points` of the body (see
-    `arm_to`). The variant that drifts ends a substep: walls stop the body, then the body moves. L
-    is constant during the motion, and w is computed from L at half of the rotation. If a rotating
-    corner would enter a wall, the body is moved back out of the wall.
+    `arm_to`). The variant with drift ends a substep: the walls stop the body, then the body moves.
+    The angular momentum L is constant during the motion, and the angular velocity is computed from
+    L at half of the rotation. If a rotating corner would enter a wall, the body is moved back out
+    of the wall.
     """
     name = f"phy124_free_{'drift' if drifts else 'solve'}_{real.__name__}"
 

@@ -1,21 +1,21 @@
 """Contact of surface points with a wall, by impulses on the nodes.
 
 A point at signed distance g from the wall must not approach it faster than g / dt. While a wall
-presses a point, the point moves away at -restore g. Impulses of the last substep are applied
-first; then projected Gauss-Seidel corrects them (friction in Coulomb's cone), forwards and back, in
-an order in which consecutive points are about a cell apart (phy124/lattice/surface.py). An
-impulse J changes the velocities of a point's nodes by w_i J / m_i, and so its own velocity by
-(sum w_i^2 / m_i) J.
+presses a point, the point moves away at the speed -restore g. Impulses of the last substep are
+applied first; then projected Gauss-Seidel corrects them (friction in Coulomb's cone), forwards and
+back, in an order in which consecutive points are about a cell apart (phy124/lattice/surface.py). An
+impulse J changes the velocities of a point's nodes by w_i J / m_i, and so its own velocity by (sum
+w_i^2 / m_i) J.
 
-Contact then neither creates nor sustains vibrations. The pass over all points, forwards and back,
-is a symmetric positive operator E on velocities. With C = E^-1 - 1, the impulses of the last
+Contact in this form neither creates nor sustains vibrations. The pass over all points, forwards and
+back, is a symmetric positive operator E on velocities. With C = E^-1 - 1, the impulses of the last
 substep are those of springs C / dt^2 that are integrated implicitly: (1 + C) v' = v - (K + C) x,
 which is stable for every stiffness K that is stable without walls. A single pass, which is not
-symmetric, excites vibrations. `restore` [1/s] is an integral gain; if it were larger than
-omega^2 dt, it would excite the body's slowest vibration, whose angular frequency is omega. It does
+symmetric, excites vibrations. `restore` [1/s] is an integral gain; if it were larger than omega^2
+dt, it would excite the body's slowest vibration, whose angular frequency is omega. `restore` does
 not grow as substeps shrink: otherwise a body that is squeezed hard would be thrown out.
 
-The result of Gauss-Seidel depends on the order of points, so each of its kernels is one thread.
+The result of Gauss-Seidel depends on the order of points, so each kernel of it has one thread.
 """
 
 from typing import Any
@@ -106,8 +106,8 @@ def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
 
     `inverse` is zero for nodes that a clamp holds. `force_out` holds the mean force
     on each point in the last substep [N]; it becomes zero where a point has left. `gap_out` is the
-    normal and the distance of each point near the wall; its distance is infinite for others. `near`
-    lists the points within reach.
+    normal and the distance of each point near the wall; for other points the distance is infinite.
+    `near` lists the points within reach.
 
     Args:
         shape: Name of a distance function.
@@ -171,8 +171,8 @@ def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
 def make_yields(real: Any, rows: Rows):
     """Kernel over points near a wall: computes their velocity changes per impulse [1/kg].
 
-    It is zero for points whose nodes are nearly all held by a clamp (`inverse` is zero, but `whole`
-    is not), since impulses on such points would move the other nodes violently.
+    The change is zero for points whose nodes are nearly all held by a clamp (`inverse` is zero, but
+    `whole` is not), since impulses on such points would move the other nodes violently.
     """
     t = types(real)
     yielding = rows.yielding
@@ -270,7 +270,7 @@ def mostly_held(
     s: int,
     first: int,
 ):
-    """Return whether clamps hold most of the nodes of a point, which begin with the `first`."""
+    """Return whether clamps hold most of a point's nodes, which begin at column `first`."""
     free = weights[s, first] * weights[s, first] * inverse[nodes[s, first]]
     total = weights[s, first] * weights[s, first] * whole[nodes[s, first]]
     for k in range(first + 1, first + wp.static(NODES)):
@@ -284,15 +284,17 @@ def mostly_held(
 def make_meet(real: Any, rows: Rows):
     """Kernel of one thread: finds the gaps of pairs of points, as `make_touch` does for walls.
 
-    A pair is treated like a single point. Its weights are those of the point minus those of the
-    opposite position, so that `rest_out` and the nodes give the vector between the two. The
-    opposite position follows the point along the surface, so that the impulses have no moment: its
-    weights change by `slopes` times the displacement in the body at rest, which is `back` times the
-    displacement along the surface. A position that moves farther than `far` is no longer opposite;
-    pairs farther apart than `reach` are ignored. `inverse` is zero for nodes that a clamp holds,
-    `whole` is not. Pairs of a body with itself (`between` is 0) that have such a node are ignored,
-    because the clamp does not count its impulses; those of two bodies are ignored if both points
-    are mostly held, since impulses would move the other nodes violently.
+    A pair is treated like a single point. The weights of a pair are those of the point minus those
+    of the opposite position, so that `rest_out` and the nodes give the vector from that position to
+    the point. The opposite position follows the point along the surface, so that the impulses have
+    no moment. The weights of the opposite position change by `slopes` times its displacement in the
+    body at rest; this is `back` times the displacement along the surface. A position that moves
+    farther than `far` is no longer opposite; pairs farther apart than `reach` are ignored.
+
+    `inverse` is zero for nodes that a clamp holds, `whole` is not. A pair of a body with itself
+    (`between` is 0) is ignored if a clamp holds a node of the pair, because the clamp would not
+    count the impulses of the pair. A pair of two bodies is ignored if both points are mostly held,
+    since impulses would move the other nodes violently.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -355,7 +357,8 @@ def make_meet(real: Any, rows: Rows):
 def make_exchange(real: Any):
     """Kernel of one thread: adds the impulses of pairs of surface points, and their moments.
 
-    `sign` is 1 for points of the body on which the summed impulse acts, -1 for those of the other.
+    `sign` is 1 for points of the body on which the summed impulse acts, and -1 for points of the
+    other body.
     """
     t = types(real)
 
@@ -410,8 +413,9 @@ def make_account(real: Any, rows: Rows):
     """Kernel over the points near a wall: adds their impulse, moment and work to the wall's sums.
 
     The work is the impulse times the mean of the velocities before the kick and after the substep.
-    With this mean, the work of all impulses is exactly the change of the kinetic energy. The mean
-    of the velocities before and after the contact would also include work of the stress.
+    With this mean velocity, the work of all impulses is exactly the change of the kinetic energy.
+    With the mean of the velocities before and after the contact, the sum would include work of the
+    stress.
     """
     t = types(real)
     moved_by = rows.moved_by

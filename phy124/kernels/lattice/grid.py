@@ -66,10 +66,11 @@ def make_grid_near(real: Any, rows: Rows):
 def make_grid_touch(real: Any, rows: Rows):
     """Kernel of one thread: finds points that touch the material, and applies earlier impulses.
 
-    `fill` is the filled part of the space at a node per mass. `gap_out` is the normal of the
-    material and the distance of each listed point, infinite for points out of reach; `on_out` its
-    position in nodes, and sum w_i m_i; `yields_out` the change of the relative velocity by an
-    impulse of 1 N s. A material that does not move (`moves` is 0) has no yield.
+    `fill` is the filled fraction of the space at a node, divided by the mass of the node. For each
+    listed point, `gap_out` is the normal of the material and the distance from it, infinite for
+    points out of reach; `on_out` is the point's position in nodes, and sum w_i m_i; `yields_out` is
+    the change of the relative velocity by an impulse of 1 N s. Impulses do not change the velocity
+    of a material that does not move (`moves` is 0).
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike

@@ -1,9 +1,10 @@
 """Kernels that sum impulses: of walls on each surface point, and of clamps on each node.
 
 A point's contact force acts over the kick of a substep. The impulse of clamps on a node is the
-change of its momentum while they act, minus the impulses of contact that they take:
-`make_add_momentum` first subtracts the node's momentum, and then adds it; `make_pass_on` subtracts
-the impulses. Both sums are float64, since a frame may have thousands of substeps.
+change of the node's momentum while the clamps act, minus the contact impulses that the clamps take.
+`make_add_momentum` subtracts the node's momentum before the clamps act, and adds it afterwards;
+`make_pass_on` subtracts the contact impulses. Both sums are float64, since a frame may have
+thousands of substeps.
 """
 
 from typing import Any
@@ -51,15 +52,16 @@ def make_add_momentum(real: Any):
 
 @build_once
 def make_pass_on(real: Any):
-    """Kernel over points: passes the parts of their impulses on held nodes on to the clamps.
+    """Kernel over points: passes the parts of the points' impulses on held nodes to the clamps.
 
-    Contact does not move a held node: its clamp takes the impulse at once. Since the sums of what
-    exerts the impulse have all of it, the clamp gets the opposite of the part on each held node.
-    Only the impulses on other nodes do work, so the work of the part is subtracted.
+    Contact does not move a held node: the node's clamp takes the impulse at once. The sums of the
+    wall or body that exerts an impulse contain the whole impulse, so the clamp gets the opposite of
+    the part on each held node. Only the parts on free nodes do work, so the work of the parts on
+    held nodes is subtracted.
 
     `inverse` is zero for held nodes, `whole` is not; `holder` is the row of a node's clamp in
-    `clamps_out`. `sums_out` has the sums with the work, `impulse_out` the impulse on each node;
-    either may be empty.
+    `clamps_out`. `sums_out` is the array of sums that includes the work, `impulse_out` has the
+    impulse on each node; either may be empty.
     """
     t = types(real)
 

@@ -55,7 +55,8 @@ def may_meet(
 def make_flag(real: Any):
     """Kernel over sampled points: flags those near which contact is possible.
 
-    `x` are the current positions of the samples, `far` the distance from which they are ignored.
+    `x` are the current positions of the samples; samples at a distance of `far` or more are
+    ignored.
     """
     t = types(real)
 

@@ -1,7 +1,8 @@
 """Integration points: their position, velocity and deformation from the nodes, and pushes on nodes.
 
-`rows` holds the first node of each of a cell's nine rows of three nodes along z, `offset` a point's
-position relative to its cell's first node [cells]. Eight consecutive points form a cell.
+The 27 nodes of a cell form nine rows of three nodes along z; `rows` holds the first node of each
+row. `offset` is a point's position relative to the first node of its cell [cells]. Eight
+consecutive points form a cell.
 """
 
 from typing import Any

@@ -82,7 +82,7 @@ def strike_rows(
 
 
 class Rows(NamedTuple):
-    """The functions above, in plain or in vectorised form."""
+    """The functions on rows of nodes, in plain or in vectorised form."""
 
     name: str
     """Prefix in names of modules."""
@@ -96,7 +96,7 @@ SIMD = Rows("simd_", moved_rows, yielding_rows, strike_rows)
 
 
 def rows_for(real: Any, device: str, *, vectors: bool = True) -> Rows:
-    """Return the functions for a precision and a device.
+    """Return the functions on rows of nodes for a precision and a device.
 
     Args:
         real: wp.float32 or wp.float64.

@@ -84,7 +84,7 @@ def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
 def make_stress_simd(law: Law, viscous: bool):
     """Kernel over blocks of sixteen cells: works like `make_stress`, for float32 on a CPU.
 
-    If the law is viscous, it also raises the maxima like `make_measure_simd`.
+    If the law is viscous, the kernel also raises the maxima, as `make_measure_simd` does.
     """
     kind = "viscous" if viscous else "elastic"
     pieces = [

@@ -3,7 +3,7 @@
 The impulses are computed like those of walls (phy124/kernels/lattice/contact.py), but the solid
 moves as well: an impulse J at r from its centre changes its velocity by -J / m and its angular
 velocity by -I^-1 (r x J). The numbers of the solid are those of phy124/kernels/free/numbers.py.
-`trial` holds its motion with the impulses that flat walls had in the last substep, so that the
+`trial` holds the motion of the solid under the last substep's impulses of flat walls, so that
 contact takes the support by the walls into account.
 """
 
@@ -44,7 +44,8 @@ point is at least this.
 def make_solid_begin(real: Any):
     """Kernel of one thread: kicks a solid, and predicts its motion under the walls' last impulses.
 
-    `impulses` are those of each wall at each of the `points` of the solid that it may touch.
+    `impulses` holds the impulse of each wall at each of the solid's `points` that the wall may
+    touch.
     """
 
     @kernel(f"phy124_lattice_solid_begin_{real.__name__}", real, seconds=0.4)
@@ -108,7 +109,7 @@ def react(
 
 @wp.func
 def solid_yields(mass: wp.float64, turning: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """Return the velocity change at r along a unit vector, by 1 N s along the same vector."""
+    """Return the velocity change at r along `way` that an impulse of 1 N s along `way` causes."""
     arm = wp.cross(r, way)
     return wp.float64(1.0) / mass + wp.dot(arm, turning @ arm)
 
@@ -155,11 +156,12 @@ def way_out(p: Any, half: Any, m: Any):
 
 @build_once
 def make_solid_touch(shape: str, real: Any, rows: Rows):
-    """Kernel of one thread: finds points near a solid, and applies their last impulses.
+    """Kernel of one thread: finds points near a solid, and applies the last substep's impulses.
 
-    `gap_out` is the normal and the distance of each listed point, infinite for points out of reach,
-    `place_out` its position. At the edges of a box, the normal is `side`, the point's own normal
-    where the body is flat, since the box's normals turn at its edges and would stop a sliding box.
+    `gap_out` is the normal and the distance of each listed point, infinite for points out of reach;
+    `place_out` is the position of each listed point. At the edges of a box, where the body is flat,
+    the normal comes from `side`, the point's own normal: the normal of the box turns at its edges,
+    which would stop a sliding box.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike

@@ -81,9 +81,9 @@ def make_shock(real: Any):
     """Kernel over points: adds the force of an artificial viscosity that resists fast compression.
 
     The pressure is `QUADRATIC` rho0 (l d)^2 for a volume that shrinks at the rate d: the viscosity
-    of von Neumann and Richtmyer (1950), which spreads a shock over a few cells. The length l is a
-    cell, made shorter like the shortest side of the squeezed material, so that the longest stable
-    substep depends only on d.
+    of von Neumann and Richtmyer (1950), which spreads a shock over a few cells. The length l is the
+    size of a cell, shortened in the same ratio as the shortest side of the squeezed material, so
+    that the longest stable substep depends only on d.
     """
     t = types(real)
 
@@ -117,8 +117,8 @@ def make_shock(real: Any):
 def compression(C: Any):
     """Return an upper bound of the rate of compression along any direction [1/s].
 
-    With the mean m and the norm q of the deviator of the strain rate, no eigenvalue is below m -
-    sqrt(2/3) q.
+    If m is the mean eigenvalue of the strain rate and q the norm of its deviator, no eigenvalue is
+    below m - sqrt(2/3) q.
     """
     D = type(C[0, 0])(0.5) * (C + wp.transpose(C))
     mean = wp.trace(D) / type(C[0, 0])(3.0)

@@ -2,8 +2,8 @@
 
 The pressure gives a body two responses: that of its rigid motion (`solids`), and that of the layer
 of mass at its surface to the change of the pressure since the last step (a Robin condition:
-Fernandez, Mullaert and Vidrascu 2013). The second one is zero at rest; without it, the deformation
-of a light or soft body would become unstable.
+Fernandez, Mullaert and Vidrascu 2013). The second response is zero at rest; without it, the
+deformation of a light or soft body would become unstable.
 """
 
 from typing import Any
@@ -69,9 +69,9 @@ def make_moments(real: Any):
 
 @wp.func
 def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size: wp.vec3i):
-    """Return `n` or the cell behind the face, whichever has more of the body's mass.
+    """Return, of the cell `n` and the next cell behind its more open face, the one with more mass.
 
-    `row` is minus the difference of the open shares, positive if the low face is more open.
+    `row` is positive if the low face of the two opposite faces is more open.
     """
     m = n - stride(axis, size)
     if row > wp.float64(0.0):
@@ -138,7 +138,7 @@ def make_yield(real: Any):
 
 @build_once
 def make_answer(real: Any):
-    """Kernel over bodies: writes the rigid motions and sums the impulses that pressure causes.
+    """Kernel over bodies: writes the rigid motions that pressure causes, and sums its impulses.
 
     `given_out` has the impulse on each body and its moment about the origin.
     """
@@ -210,8 +210,8 @@ def make_body_change(real: Any):
 def make_contact(real: Any):
     """Kernel over a region's cells: computes the area of a body's contact with fixed walls.
 
-    `still` has the open share of each face if bodies are ignored. The rows have the signs of
-    `make_jumps`.
+    `still` has the open share of each face if bodies are ignored. The areas have the signs of the
+    rows of `make_jumps`.
     """
     t = types(real)
 
@@ -298,8 +298,9 @@ def make_head(real: Any):
     """Kernel over cells: sums q less its hydrostatic part around a body's contact with walls.
 
     A contact's direction is that in which a film pushes the body: -x, +x, -y, +y, -z or +z.
-    `rows_out` [6] gets, for each direction, the sum by area over the cells of the body's surface
-    next to such a contact, the area of these cells, and the area of the contact.
+    `rows_out` [6] has three numbers for each direction: the sum, over the cells next to the
+    contact, weighted by the area of the body's surface in each cell; the total of these areas; and
+    the area of the contact.
     """
     t = types(real)
 
@@ -370,9 +371,9 @@ def make_film(real: Any):
     """Kernel over a region's cells: computes the pressure of a film between a body and walls.
 
     Where a body lies on a wall, the film is assumed to have the hydrostatic pressure of the liquid
-    around the contact, whose sums by direction are `rims` (`make_head`). In a cell of liquid
-    between both, in which opposite faces are equally open, the film has the pressure of the cell.
-    The film acts on the share of the contact that `share_of` returns.
+    around the contact; `rims` holds this liquid's sums by direction (`make_head`). In a cell of
+    liquid between body and wall, the film has the pressure of the cell. The film acts on the share
+    of the contact that `share_of` returns.
     """
     t = types(real)
 
@@ -438,8 +439,8 @@ def make_film(real: Any):
 def make_body_gather(real: Any):
     """Kernel: computes the rates at which the pressure changes v and C of a body's particles.
 
-    As in APIC, momentum and angular momentum are those of the cells. `most_out` is the largest
-    acceleration [m/s^2].
+    As in APIC, the changes of momentum and angular momentum equal those of the cells. `most_out` is
+    the largest acceleration [m/s^2].
     """
     t = types(real)
 

@@ -2,9 +2,9 @@
 
 The work of an impulse is its product with the mean of the velocities at the start and at the end of
 the step, so the works of all causes add up to the change of a face's kinetic energy, and all of
-them are zero in a liquid at rest, where pressure balances gravity. The faces behind walls and above
-the surface that have a share of the particles' mass move like their neighbours in the liquid, so
-their mass counts for these.
+them are zero in a liquid at rest, where pressure balances gravity. Faces behind walls and above the
+surface may have a share of the particles' mass. They move like their neighbours in the liquid, so
+their mass is added to that of these neighbours.
 """
 
 from typing import Any
@@ -81,8 +81,8 @@ def mass_with_outside(
 def make_face_work(real: Any):
     """Kernel over cells: adds the work of viscosity and pressure on the low faces to `sums_out`.
 
-    `before` holds the velocities before the pressure acts, `velocity` those after it and `after`
-    those at the end of the step.
+    `before` holds the velocities before the pressure acts, `velocity` the velocities after the
+    pressure has acted, and `after` the velocities at the end of the step.
     """
     t = types(real)
     vec8 = sums(real)
@@ -131,8 +131,8 @@ def make_face_work(real: Any):
 def make_wall_work(real: Any):
     """Kernel of one thread: adds the work of all walls in a step so far to `sums_out`.
 
-    `at` is the index of the work with the walls' velocities; the work with those of the liquid is
-    the next sum.
+    `at` is the index of the work that is computed with the walls' velocities; the next sum is the
+    work that is computed with the liquid's velocities.
     """
     t = types(real)
 
@@ -155,7 +155,8 @@ def make_wall_work(real: Any):
 def make_shift_work(real: Any):
     """Kernel: adds `sign` times the uniform acceleration times mass and position to `sums_out`.
 
-    Launched before displacements with the sign -1 and after them with 1, it adds their work.
+    A launch with the sign -1 before particles are displaced, and one with 1 afterwards, together
+    add the work of the displacements.
     """
 
     @kernel(f"phy124_liquid_shift_work_{real.__name__}", real, seconds=0.2)

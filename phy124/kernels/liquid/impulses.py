@@ -1,8 +1,9 @@
 """Sums the impulses of walls on the liquid from the pressure in the cells next to the walls.
 
-The solid surface inside a cell is minus the sum of the open faces (the area of a closed surface is
-zero). The pressure there is that of the cell's centre, plus the weight of the liquid between centre
-and wall. Forces on particles count as weight at fixed walls.
+The area vector of the solid surface inside a cell is minus the sum of the open faces' area vectors,
+since the area vectors of a closed surface add up to zero. The pressure on that solid surface is the
+pressure at the cell's centre, plus the weight of the liquid between centre and wall. Forces on
+particles count as weight at fixed walls.
 """
 
 from typing import Any
@@ -32,9 +33,9 @@ def way_to_wall(
 ):
     """Return the distance along an axis from a cell's centre to the wall in the cell [m].
 
-    The wall lies where the distance, linear between the centre and the face, is zero. At the edge
-    of a solid, the distance is taken along the one of nine lines across the face that ends deepest
-    in the solid.
+    The wall lies where the signed distance, interpolated linearly between the centre and the face,
+    is zero. At the edge of a solid, nine parallel lines are compared, and the interpolation uses
+    the line that ends deepest in the solid.
     """
     d = distances[point(cell, 1, 1, 1, size)]
     f = distances[solid_face(cell, axis, jump, size)]
@@ -111,8 +112,9 @@ def make_gains(real: Any):
 def make_wall_impulses(real: Any):
     """Kernel over parts of the listed cells: adds the impulses of pressure to `sums_out`.
 
-    For walls from number `bodies` on, `pressed_out` has the opposite sign. The first `fixed` walls
-    do not move freely; at these, the `gains` by forces on particles count.
+    `pressed_out` gets the opposite impulses, those on bodies, for walls from index `bodies` on. The
+    first `fixed` walls do not move freely; the `gains` by forces on particles count only at these
+    walls.
     """
     t = types(real)
 

@@ -1,6 +1,7 @@
 """Mixes a property of several liquids, such as their density, at faces and centres of cells.
 
-The property is relative to a reference value. It is 1 everywhere in a liquid alone.
+The property is relative to a reference value. Where there is a single liquid, the relative value is
+1 everywhere.
 """
 
 from functools import cache
@@ -20,7 +21,7 @@ CENTRE = wp.constant(3)
 def between(a: Any, b: Any):
     """Return the harmonic mean of two values; one or both may be zero.
 
-    It is the viscosity between two layers that have the same shear stress.
+    The harmonic mean is the viscosity between two layers that have the same shear stress.
     """
     total = a + b
     if total <= type(a)(0.0):

@@ -1,10 +1,10 @@
 """Computes displacements out of crowded cells into empty ones, to restore the rest density.
 
-The displacements are the gradient of the solution of a linear system. Its matrix is that of the
-pressure equation, and its right-hand side is the error of the density (Kugelstadt et al. 2019,
-"Implicit density projection for volume conserving liquids"). Below the surface, only an excess of
-density is corrected. In the first row of cells below the surface, the density is compared with the
-density below a flat surface.
+The displacements are the gradient of the solution of a linear system. The matrix of this system is
+that of the pressure equation, and the right-hand side is the error of the density (Kugelstadt et
+al. 2019, "Implicit density projection for volume conserving liquids"). Below the surface, only an
+excess of density is corrected. In the first row of cells below the surface, the density is compared
+with the density below a flat surface.
 """
 
 from typing import Any
@@ -34,8 +34,8 @@ def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size
 def make_excess(real: Any):
     """Kernel over cells: computes how much of the density's error a step removes.
 
-    Cells inside a wall have no unknown, so the density that is missing in them is added to the
-    cells in front of the wall; at an edge or corner between walls, to the cell in front of all of
+    Cells inside a wall have no unknown. The density that is missing in such a cell is added to the
+    cell in front of the wall or, at an edge or corner between walls, to the cell in front of all of
     these walls.
     """
     t = types(real)

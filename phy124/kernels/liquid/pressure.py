@@ -26,7 +26,7 @@ COMPRESSIBLE = wp.constant(1.0e-6)
 
 @wp.func
 def beyond(here: Any, there: Any):
-    """Return the first cell's distance from the surface, divided by the distance of the cells."""
+    """Return the first cell's distance from the surface over the distance between the cells."""
     if here >= type(here)(0.0):
         return type(here)(NEAREST)
     apart = here - there
@@ -204,9 +204,9 @@ def make_anticipate(real: Any):
 def make_gradient(real: Any):
     """Kernel over cells: subtracts the differences of q from the velocities of the low faces.
 
-    If `shifts` is above 0, it writes only the negated differences, as displacements of at most
-    `shifts` cells [m]. `known_out` gets a bit for each open face that touches liquid; other faces
-    become zero.
+    If `shifts` is above 0, the kernel writes only the negated differences, as displacements [m] of
+    at most `shifts` cells. `known_out` gets a bit for each open face that touches liquid; other
+    faces become zero.
     """
     t = types(real)
 

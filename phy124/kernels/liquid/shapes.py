@@ -144,7 +144,7 @@ def level_at(level: wp.array(dtype=Any), s: Any, size: wp.vec3i):
 def make_body_volume(real: Any):
     """Kernel over the cells of a region: sums the volume inside a body's surface [cells].
 
-    `volumes_out` also gets the change of this volume per cell by which the surface is shifted.
+    `volumes_out` also gets the change of this volume if the surface is shifted by a cell.
     """
     t = types(real)
 

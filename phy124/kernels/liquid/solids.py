@@ -6,8 +6,8 @@ velocity w. The pressure's impulse on the solid is rho dx^3 J^T q, so the pressu
 2007). The added matrix has rank six for each solid: conjugate gradients sum J^T s and apply the
 mobility rho dx^3 M^-1 in each iteration (`conjugate`). A cell is assigned to one solid only.
 
-A cell's pressure acts at its centre. The weight of the liquid between centre and surface is added,
-without which buoyancy would jump when the solid's bottom passes a layer of centres.
+A cell's pressure acts at its centre. The weight of the liquid between this centre and the solid's
+surface is added; otherwise buoyancy would jump when the solid's bottom passes a layer of centres.
 """
 
 from typing import Any
@@ -82,7 +82,7 @@ def put_motion(motions: wp.array2d(dtype=Any), wall: int, V: wp.vec3d, w: wp.vec
 def make_jumps(real: Any):
     """Kernel over cells: computes the rows of J for a solid's velocity and angular velocity.
 
-    `wall` is the number of the wall that is the first solid; all later walls are solids, too.
+    `wall` is the index of the first wall that is a solid; all later walls are solids, too.
     """
     t = types(real)
 
@@ -187,7 +187,8 @@ def make_lift(real: Any):
 def make_kick(real: Any):
     """Kernel of one thread: kicks a free solid, and writes its motion, mobility and centre.
 
-    `scale` is rho dx^3 [kg]. The mobility is scale / M, then scale times the inverse inertia.
+    `scale` is rho dx^3 [kg]. The mobility consists of the number scale / M and of the matrix scale
+    times the inverse inertia.
     """
 
     @kernel(f"phy124_liquid_kick_{real.__name__}", real, seconds=0.3)
@@ -223,7 +224,7 @@ def make_kick(real: Any):
 def make_predict(real: Any):
     """Kernel over solids: writes each solid's motion before the solved pressure acts.
 
-    It is the planned motion, plus the response to the sums of `make_lift`.
+    This motion is the planned motion, plus the response to the sums of `make_lift`.
     """
     t = types(real)
 

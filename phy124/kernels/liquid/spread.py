@@ -20,7 +20,8 @@ from phy124.kernels.liquid.walls import centre_of, point, speed_of
 def make_spread(real: Any):
     """Kernel over cells: sets unknown faces to the mean of their known neighbours.
 
-    Only unknown faces are written and only known ones are read, so the order of cells is free.
+    Only unknown faces are written and only known faces are read, so cells may be processed in any
+    order.
     """
     t = types(real)
 
@@ -101,12 +102,12 @@ def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size
 
 @build_once
 def make_slide(real: Any):
-    """Kernel over cells: faces inside walls follow the wall, and faces next to them feel friction.
+    """Kernel over cells: makes faces inside walls follow the wall; applies friction next to walls.
 
-    `frictions` has a row for each wall: its coefficient, and 1 if it sticks. The impulse of
-    friction on the liquid is added to `sums_out`; `weight` is the mass of a full cell [kg] of the
-    relative density 1. If `rubs` is 2, viscosity (`viscous`) makes the liquid stick, and this
-    kernel acts only inside walls.
+    `frictions` has a row for each wall: the coefficient of friction, and 1 if the wall is sticky.
+    The impulse of friction on the liquid is added to `sums_out`; `weight` is the mass of a full
+    cell [kg] of the relative density 1. If `rubs` is 2, viscosity (`viscous`) makes the liquid
+    stick, and this kernel acts only inside walls.
     """
     t = types(real)
 

@@ -69,7 +69,7 @@ def thickness(
 ):
     """Return the volume of a liquid layer on a wall, per cell of the wall [m^3]; 0 without a layer.
 
-    The next cell away from the wall has less than the volume `most`.
+    There is a layer only where the next cell away from the wall has less than the volume `most`.
     """
     result = type(most)(0.0)
     for axis in range(3):
@@ -103,7 +103,8 @@ def level(
 
     A layer on a wall is liquid, and counts as full, even if its surface is below the centre of its
     cells. The exception is a layer so thin that its particles count as drops. The spline of a cell
-    inside a wall reaches the liquid only with its rim, so its fill has half the weight.
+    inside a wall reaches the liquid only with its rim, so the fill of such a cell has half the
+    weight.
 
     Args:
         cells: Sums over the particles, of which `component` is the volume.
@@ -145,7 +146,8 @@ def make_levels(real: Any):
 
     `known_out` has a bit for each face that has a velocity, `liquid_out` is 1 in cells of liquid,
     `hats_out` the share of the linear kernel that is filled, including solid. `phi_out` is the
-    distance to the surface [cells], negative in the liquid. The uniform acceleration acts here.
+    distance to the surface [cells], negative in the liquid. This kernel also applies the uniform
+    acceleration.
     """
     t = types(real)
     vec8 = sums(real)

@@ -89,8 +89,8 @@ def scatter(
 ):
     """Add w (base + i X + j Y + k Z) and the faces' masses to the 64 cells around a particle.
 
-    The offset t is that in the second cell. The fourth component of `base` is the volume, which is
-    also added with linear weights.
+    The offset t is the particle's position in the second of four cells along each axis [cells]. The
+    fourth component of `base` is the volume, which is also added with linear weights.
     """
     wx = weights(t[0], 0)
     wy = weights(t[1], 1)
@@ -306,8 +306,9 @@ def make_scatter_volume(real: Any, form: str):
 def make_gather(real: Any, form: str):
     """Kernel: gathers velocity and its gradient from the faces, then moves the particles.
 
-    Positions follow the flow of the faces (midpoint rule). A single drop, or one outside the
-    window, moves on a parabola. The deformation gradient that the Gaussians follow is updated.
+    Positions follow the flow of the faces (midpoint rule). A particle that is a single drop, or is
+    outside the window, moves on a parabola. The kernel also updates the deformation gradient that
+    the Gaussians follow.
     """
     t = types(real)
     _, _, collect, carry = FORMS[form]

@@ -1,11 +1,12 @@
 """Viscosity of a liquid: implicit diffusion of the faces' velocities, solved by Jacobi's method.
 
-The velocity u of a face follows from that before, u0: (1 + k sum g) u = u0 + k sum g u', over the
-neighbouring faces, with k = eta dt / (rho dx^2) and g = 1. Between two liquids, eta is the harmonic
-mean of the viscosities at both faces. Across the surface nothing diffuses. A sticky wall at the
-distance d has its own velocity and g = dx / d; a smooth wall stops only the component across it.
-Each component diffuses by itself. This leaves out the coupling of components at a surface (Batty
-and Bridson 2008), so jets do not fold or coil correctly.
+The new velocity u of a face follows from its old velocity u0 and the velocities u' of the
+neighbouring faces: (1 + k sum g) u = u0 + k sum g u', with k = eta dt / (rho dx^2) and g = 1.
+Between two liquids, eta is the harmonic mean of the viscosities at both faces. Across the surface
+nothing diffuses. A sticky wall at the distance d counts as a neighbour with the wall's velocity and
+g = dx / d; a smooth wall stops only the component across the wall. Each component diffuses by
+itself. Separate diffusion leaves out the coupling of components at a surface (Batty and Bridson
+2008), so jets do not fold or coil correctly.
 """
 
 from typing import Any
@@ -38,7 +39,8 @@ def wall_link(
 ):
     """Return the wall next to a face: its index, sum of weights g, and sum of g times its velocity.
 
-    Every wall stops the component across it; only a sticky one stops the others.
+    Every wall stops the velocity component across the wall; only a sticky wall stops the other
+    components.
     """
     zero = type(open[n][0])(0.0)
     size = window[1]

@@ -69,8 +69,8 @@ def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
 def to_frame(x: Any, slot: int, values: wp.array(dtype=Any), frame: wp.array(dtype=wp.float64)):
     """Return a position in the frame of a shape, and whether the shape acts.
 
-    A wall is displaced by the value of its track, if its slot is above 0; a free solid has the
-    place and turn of its array (phy124/kernels/free/numbers.py).
+    A wall whose slot is above 0 is displaced by the value of its track. A free solid has the
+    position and orientation in its array (phy124/kernels/free/numbers.py).
     """
     active = type(x[0])(1.0)
     at = x
@@ -97,10 +97,10 @@ def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
 def make_wall_distance(shape: str, real: Any):
     """Kernel over points at half the spacing: stores the walls' distance if it is smaller.
 
-    `walls` has the walls' numbers, which are stored in the points nearest to them, and `geometries`
-    their shapes. `slots` has the index of the displacement of every wall, or 0 for those that never
-    move. A wall whose track has ended has no effect. The points are those of a region of the
-    window: its first cell and its size.
+    `walls` has the indices of the walls, which are stored in the points nearest to them;
+    `geometries` has their shapes. `slots` has the index of each wall's displacement, or 0 for a
+    wall that never moves. A wall whose track has ended has no effect. The points are those of a
+    region of the window; `region` is the region's first cell and its size.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -185,8 +185,9 @@ def wall_across(
 ):
     """Return the index of the wall that closes a cell's face; -1 if no wall closes it.
 
-    It is the nearest wall of the face's middle. Where walls meet, it is that of the point, of nine
-    on the face, at which the distance changes most along the axis: a floor, not a tank's side.
+    This wall is the one nearest to the face's middle. Where walls meet, nine points on the face are
+    compared: the result is the wall nearest to the point at which the distance changes most along
+    the axis. At the bottom of a tank it is the floor, not a side.
     """
     points = halves(size)
     middle = solid_face(cell, axis, jump, size)
@@ -367,7 +368,7 @@ def make_eighths(shape: str, real: Any):
 def make_solid_shares(real: Any):
     """Kernel over cells: computes which fractions of two B-splines lie inside walls.
 
-    They are the linear and the quadratic B-spline around the cell's centre.
+    The two are the linear and the quadratic B-spline around the cell's centre.
     """
     t = types(real)
     vec6 = wp.types.vector(6, real)
@@ -416,17 +417,17 @@ def make_solid_shares(real: Any):
 def make_push_out(shape: str, real: Any):
     """Kernel: moves particles out of all walls of a shape and stops them there.
 
-    `walls` has the walls' numbers, to which `slots` and `frictions` of all walls belong, and
-    `geometries` their shapes. The tangential velocity loses up to the coefficient of friction times
-    the normal velocity that the wall takes. The impulse on the particles and its work are added to
-    `sums_out`.
+    `walls` has the indices of these walls in `slots` and `frictions`, which are tables of all
+    walls; `geometries` has the shapes of these walls. A wall stops the normal velocity, and reduces
+    the tangential velocity by up to the coefficient of friction times the normal velocity. The
+    impulse on the particles and its work are added to `sums_out`.
     """
     t = types(real)
     distance = SHAPES[shape]
 
     @wp.func
     def stop(v: t.vec3, u: t.vec3, normal: t.vec3, friction: real):
-        """Return v after contact with a wall of velocity u: no motion into it, and friction."""
+        """Return v after contact with a wall of velocity u, which stops motion into it and rubs."""
         along = wp.dot(v - u, normal)
         if along >= real(0.0):
             return v

@@ -68,8 +68,8 @@ def native_kernel(
 ) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that adds a kernel to a Warp module; the kernel only calls C++.
 
-    The decorated function declares the parameters. It is a stub, or the function of the kernel that
-    is the plain form (`plain.func`).
+    The decorated function declares the parameters. The decorated function is a stub, or the
+    function of the kernel in plain form (`plain.func`).
 
     Args:
         module: The module's name.

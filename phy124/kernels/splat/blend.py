@@ -1,8 +1,8 @@
 """Blends splats front to back: per pixel (CUDA), per tile, or per tile in C++ (CPUs).
 
-The last two use the same algorithm; tests/test_render.py compares them. `gather_pixels` is the
-adjoint: for each splat, it sums the pixels' values, weighted by the splat's contribution to each
-pixel.
+The two forms per tile use the same algorithm; tests/test_render.py compares them. `gather_pixels`
+is the adjoint: for each splat, it sums the pixels' values, weighted by the splat's contribution to
+each pixel.
 """
 
 import warp as wp

@@ -1,4 +1,4 @@
-"""Draws boundaries as glass: finds where a ray enters and leaves, and the faces' opacity there.
+"""Draws boundaries as glass: finds where a ray enters and leaves one, and the opacity there.
 
 The player draws the same glass in its shaders (phy124/io/viewer/stage.js), function by function.
 """

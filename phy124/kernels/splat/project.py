@@ -263,7 +263,7 @@ def start_lists(
 ):
     """Start an empty list for each tile, after the entries of all tiles before it.
 
-    The lists have `room` entries in all; starts beyond it are moved to its end.
+    All lists together have `room` entries; a start beyond the last entry is moved to the end.
     """
     tile = wp.tid()
     start = wp.min(before[tile], room)

@@ -2,8 +2,8 @@
 
 Backdrop and floor are drawn behind all Gaussians, pixel by pixel, and glass in front of all
 Gaussians is blended over their light. A Gaussian seen through glass that lies among the Gaussians
-is tinted with the glass's colour instead. Blending is linear, so this equals inserting the glass at
-its depth, without a depth per pixel.
+is tinted with the glass's colour instead. Blending is linear, so the tint has the same effect as
+glass inserted at its depth, but needs no depth per pixel.
 """
 
 import warp as wp
