@@ -87,8 +87,8 @@ class Contacts(Observer):
     def after_frame(self, frame: Frame) -> Frame:
         """Return the frame with the mean force on each moving Gaussian [N,3], N.
 
-        The mean is over the time since the previous frame. The force on an inner particle is added
-        to the nearest Gaussian's.
+        The mean force is taken over the time since the previous frame. The force on an inner
+        particle is added to the force on the nearest Gaussian.
         """
         assert self._setup is not None
         moving = self._setup.scenery.moving
@@ -130,7 +130,7 @@ class Contacts(Observer):
     ) -> tuple[Stage, Stage, Stage]:
         """Return the stages that measure a wall: one before the wall acts, and two after.
 
-        The wall acts in `stages`.
+        The stages in which the wall itself acts are `stages`.
         """
         del stages
         near = NodesNear([wall], model)

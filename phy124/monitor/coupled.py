@@ -1,7 +1,7 @@
 """Observers of runs with both bodies on lattices and bodies of particles.
 
-Walls keep their sums for the lattices (phy124/monitor/lattice.py) and are measured on the grids of
-the particles.
+On lattices, each wall sums its own impulse (phy124/monitor/lattice.py). On the grids of the
+particles, observers measure the impulses of walls.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class CoupledWork(ExternalWork):
         super().bind(solver, observers)
 
     def _read_impulses(self) -> None:
-        """Keep the sums of earlier walls, and read the sums of the lattices' walls."""
+        """Store the sums of earlier walls, and read the current walls' sums on lattices."""
         if MEAN in self._device:
             self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.lattice.walls.sums
@@ -92,7 +92,7 @@ class CoupledWrenches(Wrenches):
         return super().wrap_walls(walls, inner)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; the walls of its lattices keep their own sums."""
+        """Bind to the solver; walls keep their own sums of impulses on lattices."""
         super().bind(solver, observers)
         self._before = self._now()
 
@@ -128,12 +128,12 @@ class CoupledContacts(Contacts):
         yield from LatticeContacts.kernels(subject, real)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Make the walls of the lattices sum their impulses."""
+        """Start to sum the impulses that walls exert on lattices."""
         self._lattices = LatticeContacts()
         self._lattices.bind(solver.lattice)
 
     def change(self, scene: Scene) -> None:
-        """Make the lattices' new walls sum their impulses."""
+        """Start to sum the impulses that the new walls exert on lattices."""
         self._lattices.change(scene)
 
     def before_attempt(self, *, closely: bool = False) -> None:
@@ -155,12 +155,12 @@ class CoupledPairs(LatticePairs):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row before a run."""
+        """Return the row of the effects report before a run."""
         bodies = ", ".join(elastic_names(subject.scene))
         return Effect(f"rest lattices (accuracy.solver = lattice) for {bodies}; others by MPM")
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row after a run."""
+        """Return the row of the effects report after a run."""
         return self.effect(subject)
 
 

@@ -83,13 +83,13 @@ class ExternalWork(Observer):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that measure walls; those for forces on a region compile in 0.3 s."""
+        """Yield the kernels that measure walls; force kernels are compiled when needed (0.3 s)."""
         if subject.scene.boundaries:
             yield from wall_kernels(real)
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row for the balance; it needs no sums if all forces are uniform and steady."""
+        """Return the report's row for the balance; steady uniform forces need no sums."""
         scene, why = (
             subject.scene,
             "checks.balance is off: an unstable run is detected only when values become NaN",
@@ -179,7 +179,7 @@ class ExternalWork(Observer):
         self._closed[PUSH][[kernels.WORK, kernels.TURNED]] += energy, abs(energy)
 
     def begin(self, momentum: Sums) -> None:
-        """Start a frame with a momentum [kg m/s]; the work of varying forces depends on it."""
+        """Start a frame with a momentum [kg m/s], on which the work of varying forces depends."""
         if self.by_momentum:
             self._momentum = momentum - self._sum()[IMPULSES]
             self._set_base()
@@ -271,7 +271,7 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum minus the sums still open, which include the walls' last impulse."""
+        """Store the momentum minus the open sums, which include the last impulse of the walls."""
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         walls = [
             self._open(name)[IMPULSES] if name in self._device else np.zeros(3)

@@ -121,7 +121,7 @@ class Interior(Observer):
     def _find_lost(self, x: wp.array) -> NDArray[np.bool_]:
         """Return a mask of inner particles that are too far from one of their rest neighbours.
 
-        The kernel is compiled only now, because most runs need none.
+        The kernel is compiled when it is first needed, because most runs do not need it.
         """
         assert self._inside is not None
         if self._uploaded is None:
@@ -156,7 +156,7 @@ class Interior(Observer):
     def _list_exposed(self, count: int) -> Exposed | None:
         """Return the particles that are exposed in any of `count` frames; None if there are none.
 
-        A frame that was not examined, because nothing had moved, is like the one before.
+        A frame that was not examined, because nothing had moved, is like the frame before it.
         """
         latest: Opened = {"ids": np.zeros(0, int), "x": np.zeros((0, 3), np.float32)}
         frames = [latest := self._opened.get(index, latest) for index in range(count)]

@@ -1,7 +1,7 @@
 """Observers of bodies on lattices, for momentum, energy, and the impulse and work of walls.
 
-Walls sum their impulses, moments and work themselves (phy124/kernels/lattice/contact.py), so that
-nothing is copied before and after they act.
+Each wall sums its own impulse, moment and work (phy124/kernels/lattice/contact.py), so that nothing
+has to be copied before and after walls act.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 class LatticeTotals(Totals):
-    """Sums for a body on a lattice: of momentum and kinetic energy over nodes, else over points."""
+    """Sums for a body on a lattice: momentum and kinetic energy over nodes, others over points."""
 
     def __init__(self, solver: LatticeSolver) -> None:
         """Record the launches."""
@@ -179,7 +179,7 @@ class LatticeContacts(Contacts):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row for contact forces, which cost less than the contact itself."""
+        """Return the report's row for contact forces, which cost less than the contact itself."""
         return super().effect(subject)._replace(cost=Cost())
 
     def wrap_walls(
@@ -189,13 +189,13 @@ class LatticeContacts(Contacts):
         return walls if inner is None else inner
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Make the solver's walls sum their impulses."""
+        """Start to sum the impulses of the solver's walls."""
         self._solver = solver
         solver.walls.keep_impulses()
         solver.record()
 
     def change(self, scene: Scene) -> None:
-        """Make the new walls sum their impulses."""
+        """Start to sum the impulses of the new walls."""
         self.bind(self._solver)
 
     def before_attempt(self, *, closely: bool = False) -> None:
@@ -250,7 +250,7 @@ class LatticeShock(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row before a run."""
+        """Return the row of the effects report before a run."""
         del subject
         return Effect(f"{cls.NAME}, if material is compressed nearly as fast as sound")
 
@@ -259,7 +259,7 @@ class LatticeShock(Observer):
         self._clock = getattr(solver.lattice, "clock", solver.clock)
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row after a run."""
+        """Return the row of the effects report after a run."""
         count = self._clock.shocked
         why = "nothing was compressed nearly as fast as sound"
         return Effect(f"{self.NAME}, in {count:,} substeps" if count else self.NAME, count > 0, why)
@@ -275,7 +275,7 @@ class LatticePairs(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row before a run."""
+        """Return the row of the effects report before a run."""
         del subject
         return Effect("contact of surface points between objects")
 
@@ -298,7 +298,7 @@ class LatticeSelfContact(Observer):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row before a run."""
+        """Return the row of the effects report before a run."""
         del subject
         return Effect("self-contact, if parts come near each other", cost=cls.LOOKING)
 

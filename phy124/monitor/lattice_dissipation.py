@@ -1,7 +1,8 @@
 """LatticeDissipation: energy that bodies on lattices lose, by cause.
 
-The solver sums the work of each cause in every substep (phy124/lattice/energies.py). Together they
-are the change of the kinetic energy up to rounding; the report shows the difference.
+The solver sums the work of each cause in every substep (phy124/lattice/energies.py). The works of
+all causes add up to the change of the kinetic energy, up to rounding; the report shows the
+difference.
 """
 
 from __future__ import annotations

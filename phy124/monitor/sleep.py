@@ -7,10 +7,10 @@ frames. In the worst case, the particle first moved by D to one side, turned, an
 distance D on the other side, moving away. A vibration in phase with the frames, with the largest
 speed v, can hide a displacement of v T / 2 pi.
 
-The object sleeps if the sum of both displacements is invisible and its speed does not grow. It
-sleeps until a force or a boundary anywhere in the scene changes, or the clip ends. Under gravity it
-must also have moved much less than a free body would; otherwise, in a clip with many frames per
-second, an object at the top of its path would count as resting.
+The object sleeps if the sum of both displacements is invisible and its speed does not grow. The
+object sleeps until a force or a boundary anywhere in the scene changes, or the clip ends. Under
+gravity, an object sleeps only if it has also moved much less than a free body would. Otherwise, in
+a clip with many frames per second, an object at the top of its path would count as resting.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ class Sleep(Observer):
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:
-        """Return whether material that is accelerated by a stays in place.
+        """Return whether material under the acceleration a [m/s^2] stays in place.
 
         Free material would move by a t^2 / 8.
         """
@@ -200,7 +200,7 @@ class Sleep(Observer):
         return way == 0 or self.drift <= HELD * way
 
     def _grows(self) -> bool:
-        """Return whether the last frame was the fastest, as when an object starts to topple."""
+        """Return whether the last frame had the fastest motion, as when an object topples."""
         *before, latest = self.speeds
         return latest > max(before, default=0.0)
 

@@ -7,8 +7,9 @@ about one cell, at which its worst regions reach `APART` (docs/design/stability.
 does not help, since it resolves sharper corners, which are stretched more; more particles per cell
 do help.
 
-Two signs are checked: particles that are stretched this far, and pieces that have separated. The
-first sign warns of a tear, but misses tears of thin stems; the second sign is a tear.
+Two signs are checked: particles that are stretched by `APART` or more, and pieces that have
+separated. The first sign warns of a tear, but misses tears of thin stems; the second sign is a
+tear.
 """
 
 from __future__ import annotations
@@ -219,7 +220,7 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """Return the number of particles outside the largest remainder of their piece.
+        """Return the number of particles outside the largest remaining part of their piece at rest.
 
         Args:
             x: Current positions [P,3], m.

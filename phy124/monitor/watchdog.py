@@ -2,9 +2,9 @@
 
 A state is sound if every number is finite and no more than a few particles are inverted (det F <
 0). The change of momentum must equal the impulse of forces and walls. Energy must not grow by more
-than their work (explicit MPM only loses energy, so a gain means that the run is unstable). The
-responsible particle and the remedies are determined only after a violation. The watchdog only reads
-the run: the solver repairs broken deformations itself (phy124/mpm/repair.py).
+than the work of forces and walls (explicit MPM only loses energy, so a gain means that the run is
+unstable). The responsible particle and the remedies are determined only after a violation. The
+watchdog only reads the run: the solver repairs broken deformations itself (phy124/mpm/repair.py).
 """
 
 from __future__ import annotations
@@ -323,7 +323,7 @@ class Watchdog(Observer):
         return problem
 
     def _check_energy(self, energy: float, turnover: float) -> Violation | None:
-        """Return the violation for spurious energy; rounding counts only if it would be visible."""
+        """Return the violation for spurious energy; ignore rounding errors that are not visible."""
         if energy <= ENERGY_GAIN * turnover:
             return None
         faded = FADING[self.model.precision] * self.clock.substeps

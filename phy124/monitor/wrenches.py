@@ -114,7 +114,7 @@ class Wrenches(Observer):
         self._read_impulses()
 
     def _read_impulses(self) -> None:
-        """Use the liquid solver's sums of the impulses on walls."""
+        """Read the liquid solver's sums of the impulses on walls."""
         solver: Any = self._solver
         if self._of_walls and solver.projects:
             impulses = solver.impulses

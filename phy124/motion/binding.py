@@ -108,11 +108,11 @@ def find_carriers(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
 
-    w = (1 - (d / R)^2)^2. R is the distance of the nearest particle that is not chosen. R is at
-    most twice the distance of the farthest chosen particle, and at most the larger of `farthest`
-    and twice the distance of the nearest particle [m]. The weights vary smoothly over the points,
-    since a particle enters and leaves the chosen set with weight 0. With fewer than K particles,
-    the last weights are 0.
+    The weight at a distance d is proportional to (1 - (d / R)^2)^2. R is the distance of the
+    nearest particle that is not chosen. R is at most twice the distance of the farthest chosen
+    particle, and at most the larger of `farthest` and twice the distance of the nearest particle
+    [m]. The weights vary smoothly over the points, since a particle enters and leaves the chosen
+    set with weight 0. With fewer than K particles, the last weights are 0.
     """
     low, high = particles.min(axis=0).astype(np.float64), particles.max(axis=0)
     extent = np.maximum(high - low, 1e-9)

@@ -1,9 +1,9 @@
 """Moves the Gaussians with the material: a frame follows from particles and Gaussians at rest.
 
-Phy124 (arXiv 2409.07179): Sigma_t = F Sigma_0 F^T with the total F; then Sigma = Q Lambda Q^T gives
-the rotation and the scales of the 4D representation. Here the axes are computed from A = F R_0 S_0
-(Sigma = A A^T), once per frame and in float64, never from an integrated Sigma. This preserves thin
-axes and positive definiteness (`phy124.kernels.deform`).
+The paper (Phy124, arXiv 2409.07179) computes Sigma_t = F Sigma_0 F^T with the total F; then Sigma =
+Q Lambda Q^T gives the rotation and the scales of the 4D representation. Here the axes are computed
+from A = F R_0 S_0 (Sigma = A A^T), once per frame and in float64, never from an integrated Sigma.
+The factor A preserves thin axes and positive definiteness (`phy124.kernels.deform`).
 
 Orientations are continuous: of all labellings of the axes (24 proper signed permutations), the one
 closest to the previous frame is chosen, with q . q_previous >= 0. Axes of equal length move with
@@ -32,9 +32,9 @@ class Deformer:
 
     With the binding `particles`, each Gaussian moves with its own particle. With `lattice`, the
     nearest particles of the lattice carry the Gaussian: x_g = sum w_i (x_i + F_i (X_g - X_i)) and
-    F_g = sum w_i F_i, with smooth weights w that sum to 1. This is exact for every affine motion;
-    for fluid and granular materials, only while the arms F_i (X_g - X_i) are at most twice as long
-    as at rest.
+    F_g = sum w_i F_i, with smooth weights w that sum to 1. The interpolation is exact for every
+    affine motion. For fluid and granular materials it is exact only while the arms F_i (X_g - X_i)
+    are at most twice as long as at rest.
     """
 
     def __init__(

@@ -20,7 +20,7 @@ class Exposed:
     """The G Gaussians of inner particles, and which of them are exposed in each of T frames.
 
     A hidden Gaussian is a small copy of the Gaussian above it; an exposed one is at the position of
-    its particle. The E exposures are in the order of the Gaussians, then of the frames.
+    its particle. The E exposures are sorted by Gaussian, then by frame.
     """
 
     grains: Gaussians

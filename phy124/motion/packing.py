@@ -189,8 +189,9 @@ class Steps:
 
 
 def hilbert_order(points: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the order of points [P,3] along a Hilbert curve (Skilling, AIP Conf. Proc. 707,
-    2004).
+    """Return the order of points [P,3] along a Hilbert curve (Skilling 2004).
+
+    See doi 10.1063/1.1751381.
     """
     if not len(points):
         return np.zeros(0, np.intp)
@@ -224,8 +225,9 @@ def _base(name: str, rest: NDArray) -> NDArray[np.float64]:
 
 
 def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
-    """Return the mean volume of the particles in each particle's object [P]; the binding needs no
-    more.
+    """Return, for each particle, the mean volume of its object's particles [P].
+
+    The binding needs no individual volumes.
     """
     volume = np.full(len(particles.x), particles.volume.mean() if len(particles.x) else 0.0)
     for body in () if particles.body is None else np.unique(particles.body):

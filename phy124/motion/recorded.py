@@ -175,7 +175,7 @@ class Recorded:
             return row
 
     def measurements(self, *, every: bool = True) -> list[Any]:
-        """Return the measurements of all frames, or only of the first and those computed so far."""
+        """Return the measurements of all frames, or of frame 0 and the frames computed so far."""
         for index in range(len(self) if every else 1):
             if index not in self._measured:
                 self.row(index)
@@ -263,7 +263,7 @@ class Torn:
     """
 
     def __init__(self, recorded: Frames, exposed: Exposed) -> None:
-        """Store the frames, which lack these Gaussians."""
+        """Store the frames, which lack the exposed Gaussians."""
         self._recorded, self._exposed = recorded, exposed
         self.count, self.turns = recorded.count + len(exposed.above), recorded.turns
         self._last: tuple[int, dict[str, Array]] = -1, {}

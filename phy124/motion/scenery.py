@@ -1,6 +1,6 @@
 """Adds to each frame the Gaussians that the solver does not move.
 
-They belong to static parts, to objects that follow a track, and to rigid solids.
+Such Gaussians belong to static parts, to objects that follow a track, and to rigid solids.
 """
 
 from __future__ import annotations

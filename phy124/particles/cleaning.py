@@ -3,16 +3,16 @@
 Every threshold is relative to the object: a micrometre and a kilometre are treated alike. The rules
 apply in this order:
 
-1. Not finite (NaN or infinity in any field): dropped.
-2. Repaired: a negative scale becomes positive (the covariance is the same), a zero scale becomes
-   `THINNEST` times the Gaussian's longest axis, a zero quaternion becomes the identity, an opacity
-   above 1 becomes 1, and any other quaternion is normalised.
-3. Invisible (opacity below one step of an 8-bit image, or no extent): dropped.
-4. Gigantic (longest axis above `GIGANTIC` times the object's longest side *and* above 20 times the
-   median longest axis): dropped.
-5. Stray: dropped. A group of Gaussians is stray if it is separated from the rest by more than about
-   `GAP` times the longest side (or the usual distance of neighbours, if that is larger), and if it
-   contains less than the fraction `STRAY` of all Gaussians or of their `visible_area`.
+- Gaussians with NaN or infinity in any field are dropped.
+- Other invalid values are repaired: a negative scale becomes positive (the covariance is the same),
+  a zero scale becomes `THINNEST` times the Gaussian's longest axis, a zero quaternion becomes the
+  identity, any other quaternion is normalised, and an opacity above 1 becomes 1.
+- Invisible Gaussians (opacity below one step of an 8-bit image, or no extent) are dropped.
+- Gigantic Gaussians (longest axis above `GIGANTIC` times the object's longest side *and* above 20
+  times the median longest axis) are dropped.
+- Stray groups are dropped. A group of Gaussians is stray if it is separated from the rest by more
+  than about `GAP` times the longest side (or the usual distance of neighbours, if that is larger),
+  and if it contains less than the fraction `STRAY` of all Gaussians or of their `visible_area`.
 """
 
 from __future__ import annotations

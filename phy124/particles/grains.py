@@ -1,8 +1,8 @@
 """Adds grains: small round Gaussians inside materials that fall apart.
 
 The Gaussians of a generator lie on the surface. If sand, snow or foam falls apart, the background
-would be visible between them. To prevent this, inner particles get round Gaussians in the colours
-of the surface above them. Grains do not change the motion.
+would be visible between these Gaussians. To prevent this, inner particles get round Gaussians in
+the colours of the surface above them. Grains do not change the motion.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def _round_gaussians(
 ) -> Gaussians:
     """Return spheres at x [G,3] with the colours of the Gaussians `above` [G].
 
-    Their colours do not depend on the view direction.
+    The colours of the spheres do not depend on the view direction.
     """
     sh = np.zeros((len(x), *gaussians.sh.shape[1:]), gaussians.sh.dtype)
     sh[:, 0] = gaussians.sh[above, 0]

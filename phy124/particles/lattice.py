@@ -4,8 +4,8 @@ The body is divided into cubic cells of side dx, from i dx to (i + 1) dx along e
 has eight points of equal volume at c +- s1 e1 +- s2 e2 +- s3 e3, where c is the centre of the part
 of the body in the cell, and s^2 and e are the eigenvalues and eigenvectors of its second moments
 per volume. The points have the volume, the centre and the second moments of the part. In a full
-cell they are the 2 x 2 x 2 Gauss points. Without exact second moments, plates thinner than a cell
-are up to 12 % too stiff.
+cell, the eight points are the 2 x 2 x 2 Gauss points. Without exact second moments, plates thinner
+than a cell are up to 12 % too stiff.
 """
 
 from __future__ import annotations
@@ -172,8 +172,8 @@ def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]
     """Return the cell of each voxel [V,3]; slivers become parts of a neighbouring cell.
 
     A sliver fills less than `SLIVER` of its cell, so that its nodes are light and squeezing it
-    would shorten the substep. As part of a neighbour it has the neighbour's weights, continued
-    beyond its cell, and keeps its volume and moments.
+    would shorten the substep. As a part of the neighbouring cell, a sliver has that cell's weights,
+    continued beyond the cell, and keeps its own volume and moments.
 
     Args:
         place: Index of each voxel's cell [V,3].

@@ -3,16 +3,16 @@
 The Gaussians may be a shell of flat discs with gaps, a fuzzy cloud, thin sheets, or a mixture. The
 interior is found in four steps:
 
-1. Each Gaussian is sampled within one standard deviation, finely enough for the voxels.
-2. The grid is flooded from outside; voxels that the flood does not reach are inside. The flood is
-   repeated with the samples dilated by increasing radii r (in voxels), which seals gaps up to 2 r.
-   Larger radii are used only where they enclose a new cavity; other narrow slots are not closed.
-   Wide openings are never sealed.
-3. If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
-   inside if axis-parallel rays from it meet the shell in at least five of the six directions.
-4. Of a surface voxel, only the fraction below the local surface is part of the solid. This surface
-   is a plane normal to the outward normal, at the upper limit of the voxel's samples. This makes
-   volumes accurate below the voxel size.
+- Each Gaussian is sampled within one standard deviation, finely enough for the voxels.
+- The grid is flooded from outside; voxels that the flood does not reach are inside. The flood is
+  repeated with the samples dilated by increasing radii r (in voxels), which seals gaps up to 2 r.
+  Larger radii are used only where they enclose a new cavity; other narrow slots are not closed.
+  Wide openings are never sealed.
+- If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
+  inside if axis-parallel rays from it meet the shell in at least five of the six directions.
+- Of a surface voxel, only the fraction below the local surface is part of the solid. The local
+  surface is a plane normal to the outward normal, at the upper limit of the voxel's samples. Such
+  fractions make volumes accurate below the voxel size.
 
 The voxels depend on the Gaussians alone; the solid is therefore the same for every simulation grid.
 The result is resampled to voxels that are aligned with the particle lattice (i + 1/2) * spacing:

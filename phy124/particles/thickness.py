@@ -1,11 +1,12 @@
 """Computes the proportions of an object that determine how well a grid resolves it.
 
 The local thickness at a point is the diameter of the largest ball that contains the point and lies
-inside the object (Hildebrand and Ruegsegger 1997, J. Microscopy 185). A morphological opening by
-balls of a certain diameter removes exactly the parts thinner than this diameter.
+inside the object (Hildebrand and Ruegsegger 1997, Journal of Microscopy 185). A morphological
+opening by balls of a certain diameter removes exactly the parts thinner than this diameter.
 
 The compliance is the deflection of the object as a beam that stands on the ground and is loaded
-sideways by its own weight (Euler and Bernoulli). It is large for a heavy top on a thin stem.
+sideways by its own weight (Euler and Bernoulli). The compliance is large for a heavy top on a thin
+stem.
 """
 
 from __future__ import annotations
@@ -60,8 +61,8 @@ def measure_proportions(*objects: tuple[Solid, float]) -> Proportions:
 def compliance(shape: Solid) -> float:
     """Return the mean deflection of an upright object in its softest horizontal direction [m].
 
-    The object is a beam whose lowest part, `FOOT` high, is clamped. It is loaded sideways by an
-    acceleration a with rho a / E = 1 / L, where L is its longest side.
+    The object is treated as a beam whose lowest part, `FOOT` high, is clamped. The beam is loaded
+    sideways by an acceleration a with rho a / E = 1 / L, where L is the object's longest side.
     """
     inside = _inside(shape)
     length, (_, _, height) = shape.voxel * max(inside.shape), inside.shape

@@ -122,7 +122,7 @@ def _part_moments(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return centres [V,3] and second moments [V,3,3] of the filled parts of voxels.
 
-    They are found from `SAMPLES` points per axis; points at the surface count in part.
+    Both are computed from `SAMPLES` points per axis; a point at the surface counts in part.
 
     Args:
         normal: Outward normals [V,3].
@@ -156,7 +156,7 @@ def _part_moments(
 def find_levels(height: NDArray, width: NDArray, fraction: NDArray) -> NDArray[np.float64]:
     """Return the levels [V,1] below which voxels are filled.
 
-    Sums in single precision are twice as fast; those that are close to the fraction are repeated in
+    Sums in single precision are twice as fast. Sums that are close to the fraction are repeated in
     double precision, so that the levels are those of double precision.
 
     Args:

@@ -1,8 +1,8 @@
 """Cameras of a view: on a turntable, on a dolly, or along a path of keyframes.
 
 Angles are those of the view: azimuth 0 is the front, 90 the right; with a positive elevation the
-camera looks down. Distances and targets are in object sizes, so that a camera fits any object.
-Values that a camera does not set come from the view.
+camera looks down. Distances and targets are relative to the object's size, so that a camera fits
+any object. Values that a camera does not set come from the view.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Estimates the energy that a scene may convert to strain: by impacts, forces, walls and hands.
 
-An argument `scene` is a `Scene`, whose module imports this one. The objects' shapes are not known
-here. So a wall that moves during the scene counts even if it never touches an object, and a force
-counts in full even if nothing stops the object that it accelerates.
+An argument `scene` is a `Scene`, whose module imports this one. The estimate does not know the
+shapes of the objects. A wall that moves during the scene therefore counts even if it never touches
+an object, and a force counts in full even if nothing stops the object that it accelerates.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ USUAL_THICKNESS = 0.2
 def energy(scene: Any, thickness: float | None = None) -> float:
     """Return twice the energy per mass that a scene may convert to strain [m^2/s^2].
 
-    It is v^2 + p^2 + 2 a h + sum(min(a L, a^2 t^2)): v is the initial speed (with spin) and the
-    speed that impacts give, p the speed of walls and hands, a the acceleration by forces, t the
-    time for which a force acts, h the object's lift, and L the object's size. Wind makes nothing
-    faster than itself.
+    The result is v^2 + p^2 + 2 a h + sum(min(a L, a^2 t^2)). Here v is the initial speed (with
+    spin) and the speed that impacts give, p the speed of walls and hands, a the acceleration by
+    forces, t the time for which a force acts, h the object's lift, and L the object's size. Wind
+    accelerates an object to the wind's own speed at most.
     """
     bodies, size, end = (scene.object, *scene.objects), scene.object.size, duration(scene)
     mass = _mass(scene, thickness)
@@ -52,7 +52,7 @@ def energy(scene: Any, thickness: float | None = None) -> float:
 def driven(scene: Any) -> float:
     """Return the largest displacement by a prescribed velocity, relative to the object's size.
 
-    It is an upper bound, which takes the largest speed for the whole time.
+    The result is an upper bound: it assumes the largest speed for the whole time.
     """
     end = duration(scene)
     moved = [

@@ -38,9 +38,10 @@ def find_elastic(scene: Any) -> list[bool]:
 def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     """Return the reason why a scene does not use lattices on a device; "" if it uses them.
 
-    By `accuracy.solver = "auto"` they are where lattices are supported and were measured better
-    (docs/lab/solvers.md). Among other objects they are not faster, and support less. On a GPU a
-    lattice that touches walls takes many times as long (docs/lab/cuda.md).
+    With `accuracy.solver = "auto"`, elastic objects use lattices where lattices are supported and
+    gave better results in measurements (docs/lab/solvers.md). Next to objects of other materials,
+    lattices are not faster, and support fewer features. On a GPU a lattice that touches walls takes
+    many times as long (docs/lab/cuda.md).
     """
     accuracy = scene.resolution
     if accuracy.solver != "auto":
@@ -65,7 +66,7 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
 
 
 def choose_solver(scene: Any, device: str) -> Any:
-    """Return the scene for a device; if `auto` means another solver there, the scene names it."""
+    """Return the scene for a device; names the solver if `auto` means another one there."""
     if device == "cpu" or scene.resolution.solver != "auto" or _only_on_lattice(scene):
         return scene
     return _with_solver(scene, "mpm")

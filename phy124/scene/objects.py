@@ -30,8 +30,8 @@ FLAT = Ground | HalfSpace | Press | Container
 class SceneObject(Object):
     """A further object: made from a picture, a file of Gaussians, a mesh, or a plain shape.
 
-    Without any of these the object is made from the next picture on the command line; without such
-    a picture it is a copy of the first object.
+    Without any of these sources, the object is made from the next picture on the command line;
+    without such a picture it is a copy of the first object.
     """
 
     name: Name = Field(description="Name of the object.")

@@ -79,8 +79,8 @@ class Appearance(NamedTuple):
     ) -> Callable[[Mapping[str, Array]], NDArray[np.float64]]:
         """Return a function that measures how elongated the Gaussians of a frame are.
 
-        For each law in alphabetical order, it returns the largest ratio of a Gaussian's longest
-        axis to its middle axis and to its shortest axis [L,2].
+        For each law in alphabetical order, the function returns the largest ratio of a Gaussian's
+        longest axis to its middle axis and to its shortest axis [L,2].
         """
         every = [self._of_law(law, materials) for law in _laws(materials)]
 

@@ -60,7 +60,7 @@ class Placed(NamedTuple):
     """Interior of the object; None if it is not known yet."""
 
     def within(self, scene: Scene) -> Placed:
-        """Return the object in another scene with another grid; it keeps the object's own parts."""
+        """Return the object in another scene with another grid; the object keeps its own parts."""
         return self._replace(scene=scene.model_copy(update={"parts": self.scene.parts}))
 
 

@@ -66,7 +66,7 @@ def notes(boundaries: Sequence[Boundary], model: Model) -> list[str]:
 def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried]:
     """Yield the walls that have material behind their surface at the start.
 
-    A bounded solid with sticky contact may be in the material: it is a clamp.
+    A bounded solid with sticky contact may overlap the material, because it is a clamp.
     """
     moves = model.moves
     for boundary in boundaries:

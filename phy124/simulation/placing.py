@@ -58,7 +58,7 @@ def placing(
 
 
 def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
-    """Raise each object that stands on another one until the two touch.
+    """Move each object that stands on another object vertically until the two touch.
 
     Args:
         placed: Each object in its place above the floor.
@@ -87,7 +87,7 @@ def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
 
 
 def _gap(below: Gaussians, above: Gaussians, cell: float) -> float | None:
-    """Return the smallest vertical gap between two objects [m]; None if no square has both."""
+    """Return the smallest vertical gap between two objects [m]; None if not above each other."""
     tops, bottoms = _heights(below, cell, 1.0), _heights(above, cell, -1.0)
     gaps = [-bottoms[at] - tops[at] for at in tops.keys() & bottoms.keys()]
     return min(gaps, default=None)

@@ -136,9 +136,7 @@ def _notes(run: Run) -> list[str]:
 
 
 def _unregistered_notes(classes: dict[str, str]) -> Iterator[str]:
-    """Yield notes on a run's files if the scene uses classes from outside without a registered
-    name.
-    """
+    """Yield notes on a run's files if the scene uses classes that have no registered name."""
     for name, group in classes.items():
         yield (
             f"{name} is defined by your program only: the clip can be filmed again, but the run "

@@ -309,7 +309,9 @@ class Simulation:
 
     @cached_property
     def deformer(self) -> Deformer:
-        """Computes the Gaussians of each frame; a run without shapes does not bind Gaussians to
+        """Computes the Gaussians of each frame.
+
+        The deformer is created at its first use, so a run without shapes binds no Gaussians to
         particles.
         """
         return Deformer(
@@ -398,8 +400,9 @@ class Simulation:
             clock.cfl, clock.ceiling, clock.measure_every = usual
 
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
-        """Attempt a frame. If it is valid return None; otherwise reset the state and return the
-        violation.
+        """Attempt a frame.
+
+        Return None if the frame is valid; otherwise reset the state and return the violation.
         """
         solver = self.solver
         run_timed(solver.timings, REPAIR, lambda: solver.repair.begin(solver.clock))

@@ -1,8 +1,6 @@
 """Prepares a scene for a run: places objects, makes particles, and rejects bad input.
 
-setup = prepare(gaussians, Scene.named("press"))
-for frame in Simulation(setup):
-    ...
+`prepare(gaussians, Scene.named("press"))` returns a setup, from which `Simulation` computes frames.
 """
 
 from __future__ import annotations
@@ -233,8 +231,9 @@ def sort_for_slabs(
 
 
 def costliest_scene(scene: Scene, materials: Sequence[AnyMaterial]) -> Scene:
-    """Return the scene for the cost estimate; a file of properties is replaced by its fastest
-    material.
+    """Return the scene for the cost estimate.
+
+    A file of properties is replaced by the material in it with the highest wave speed.
     """
     if scene.properties is None:
         return scene

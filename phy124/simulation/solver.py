@@ -156,7 +156,7 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
     """Return the arguments of the solver's `bind`: forces and boundaries, as wrapped by the
     observers.
 
-    A liquid by projection sums the impulses of its walls by itself.
+    The solver of a liquid by projection sums the impulses of its walls itself.
     """
     forces: Sequence[Attachable] = scene.acting
     walls: Sequence[Attachable] = scene.boundaries
@@ -178,8 +178,8 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
 def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     """Yield the kernels that one thread launches in a run of a scene.
 
-    Kernels of grabs and wrenches on a part of the object are omitted: their modules take 0.3 s
-    each.
+    Kernels of grabs and wrenches on a part of the object are omitted; when one is needed, it is
+    compiled in 0.3 s.
     """
     scene = choose_solver(scene, device)
     precision = scene.precision

@@ -1,7 +1,7 @@
 """Fits an object's material and initial motion to observations of its motion.
 
-fitted = fit(Fit.from_data(Fit.from_toml("fit.toml")), Path("out/fit"))
-fitted.scene, fitted.report
+`fit(Fit.from_data(Fit.from_toml("fit.toml")), Path("out/fit"))` returns the fitted scene and the
+report of the fit.
 """
 
 from phy124.studies.fit.budget import Outlook

@@ -46,7 +46,7 @@ class Budget:
         return self.clock() - self._begun
 
     def late(self, part: float) -> bool:
-        """Return whether more than a fraction `part` of the budget has been used."""
+        """Return whether more than the fraction `part` of the budget has been used."""
         return self.spent > part * self.seconds
 
 

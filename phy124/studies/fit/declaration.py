@@ -38,7 +38,7 @@ def parse_range(data: Any) -> Any:
 
 
 def _kind(data: Any) -> str:
-    """Return the tag of a range's type; for invalid data "even", whose type reports the error."""
+    """Return the tag of a range's type; "even" for invalid data, which that type then refuses."""
     log = isinstance(data, LogUniform) or (isinstance(data, dict) and "log_uniform" in data)
     return "log" if log else "even"
 

@@ -57,8 +57,9 @@ class Estimate:
         """Return the best point on a grid [P], and the half-width of its intervals [P].
 
         The values are extrapolated to a grid of this size; infinity means no grid error. The
-        uncertainty of the extrapolation is assumed to be its length, and at least `model`. It is a
-        systematic error, so it is added to the error due to the measurements.
+        uncertainty of the extrapolated values is assumed to be their shift by the extrapolation,
+        and at least `model`. This uncertainty is a systematic error, so it is added to the error
+        due to the measurements.
 
         Args:
             cells: Cells across the object; may be infinite.

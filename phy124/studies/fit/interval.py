@@ -6,8 +6,9 @@ l, the standard error is 1 / sqrt(l). The half-width of an interval is the sum o
 comes from a bootstrap over groups of measurements, the other is the effect of the grid's error.
 
 Each bootstrap draw selects G of the G groups, with replacement, and makes one Gauss-Newton step
-from the fitted point. Such a step needs no simulation. Errors that are common to a group, such as
-those of a badly tracked point, widen the interval because each group is drawn as a whole.
+from the fitted point. A Gauss-Newton step from that point needs no simulation. Errors that are
+common to a group, such as those of a badly tracked point, widen the interval because each group is
+drawn as a whole.
 """
 
 from __future__ import annotations
@@ -224,7 +225,7 @@ def suggest_experiment(names: Sequence[str]) -> str:
 def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind | None:
     """Return values that even exact measurements of this kind would not determine.
 
-    The result is None if there are no such values.
+    The result is None if exact measurements would determine all values.
 
     Args:
         names: Names of the values [P].

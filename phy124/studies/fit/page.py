@@ -1,6 +1,7 @@
 """Writes the comparison of a video with the fitted scene: an HTML page, a video, and an image.
 
-The web page also shows `figure`. It serves the script and the style sheet from phy124/io/viewer.
+The web page also shows `figure`. The web page serves the script and the style sheet from
+phy124/io/viewer.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Defines the search problem of a fit.
 
-A point of the unit cube stands for a set of values, with one axis per value. The problem predicts
-the measurements for such a point.
+A point of the unit cube stands for a set of values, with one axis per value. A problem predicts the
+measurements for a point of the cube.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Problem(Protocol):
         ...
 
     def late(self, part: float) -> bool:
-        """Return whether more than a fraction `part` of the time budget has been used."""
+        """Return whether more than the fraction `part` of the time budget has been used."""
         ...
 
 

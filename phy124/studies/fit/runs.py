@@ -142,7 +142,7 @@ class Runs:
         return predictions
 
     def late(self, part: float) -> bool:
-        """Return whether more than a fraction `part` of the time budget has been used."""
+        """Return whether more than the fraction `part` of the time budget has been used."""
         return self._budget.late(part)
 
     @contextmanager

@@ -54,7 +54,7 @@ def log2_screened(count: int) -> int:
 def generation_size(count: int) -> int:
     """Return the number of runs per generation for `count` values.
 
-    It is even, so that two cores are equally busy.
+    The number is even, so that two cores are equally busy.
     """
     return 2 * ((5 + int(3 * np.log(count))) // 2)
 

@@ -158,7 +158,8 @@ def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, 
 def _fit_similarity(mask: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> Values:
     """Return the transformation [2,3] (scale and shift) that aligns a mask with another mask.
 
-    The moments of the masks give the initial transformation. Gauss-Newton steps then refine it.
+    The moments of the masks give the initial transformation. Gauss-Newton steps then refine the
+    transformation.
     """
     size, masks = wanted.shape[::-1], (mask, wanted)
     areas = [max(int(outline.sum()), 1) for outline in masks]

@@ -1,8 +1,7 @@
 """Makes clips for many pictures, generators and values of a scene, with parallel workers.
 
-plan = Plan(Sweep.from_toml("sweep.toml"))
-run(plan, "out/sweep")
-for row, clip in Dataset("out/sweep"): ...
+`run(Plan(Sweep.from_toml("sweep.toml")), "out/sweep")` makes the clips. Then
+`Dataset("out/sweep")` yields the row and the clip of each.
 """
 
 from phy124.studies.sweep.cost import Expected, forecast_sweep, list_refused

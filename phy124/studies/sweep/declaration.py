@@ -31,7 +31,7 @@ class Counted(Section, ABC):
         """Return the value with an index, from 0."""
 
     def draw(self, u: float) -> Any:
-        """Return the value for a number u in 0..1; a uniform u makes all equally likely."""
+        """Return the value for a number u in 0..1; a uniform u makes all values equally likely."""
         return self.value(min(int(u * self.count), self.count - 1))
 
 
@@ -88,7 +88,7 @@ class Uniform(Section):
         return self
 
     def draw(self, u: float) -> float:
-        """Return the value for a number u in 0..1; a uniform u gives this distribution."""
+        """Return the value for a number u in 0..1; for uniform u, values have this distribution."""
         return interpolate(*self.uniform, u)
 
 
@@ -105,7 +105,7 @@ class LogUniform(Section):
         return self
 
     def draw(self, u: float) -> float:
-        """Return the value for a number u in 0..1; a uniform u gives this distribution."""
+        """Return the value for a number u in 0..1; for uniform u, values have this distribution."""
         return interpolate(*self.log_uniform, u, log=True)
 
 
@@ -125,7 +125,7 @@ class Choice(Section):
         return self
 
     def draw(self, u: float) -> Any:
-        """Return the value for a number u in 0..1; a uniform u gives this distribution."""
+        """Return the value for a number u in 0..1; for uniform u, values have this distribution."""
         weights = self.weights or (1.0,) * len(self.choice)
         rest = u * sum(weights)
         for value, weight in zip(self.choice, weights, strict=True):

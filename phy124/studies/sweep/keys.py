@@ -36,8 +36,8 @@ CUT_OUT = ("u2net", "u2netp")
 def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
     """Return the key of a clip.
 
-    It is the digest of the picture, the scene and its files, the generator, the weights, and the
-    code of this package.
+    The key is the digest of the picture, the scene and its files, the generator, the weights, and
+    the code of this package.
 
     Raises:
         InputError: The picture cannot be read.

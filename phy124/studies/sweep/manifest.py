@@ -32,7 +32,7 @@ FOLDERS = [f"rows/{digit:x}" for digit in range(16)]
 def keys_in(storage: Storage) -> Iterator[str]:
     """Yield the keys of all clips that the next run does not repeat.
 
-    They are read from the names of the row files.
+    The keys are read from the names of the row files.
     """
     return (_key(name) for name in _names(storage) if not name.endswith(FAILED))
 

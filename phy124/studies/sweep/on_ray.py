@@ -160,8 +160,9 @@ def _ray(address: str | None, workers: int | None) -> Any:
 def _mute(ray: Any) -> None:
     """Stop Ray from printing messages about dead workers, which Ray also writes to its logs.
 
-    Ray prints these messages to standard output even with `log_to_driver=False`. They would corrupt
-    JSON that phy124 prints there. Versions of Ray without this private attribute keep printing.
+    Ray prints these messages to standard output even with `log_to_driver=False`. The messages would
+    corrupt JSON that phy124 prints to standard output. Versions of Ray without the private
+    attribute that this function sets keep printing the messages.
     """
     worker: Any = getattr(getattr(ray, "_private", None), "worker", None)
     if hasattr(worker, "_worker_logs_enabled"):

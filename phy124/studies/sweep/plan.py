@@ -115,7 +115,7 @@ class Plan:
 
     @cached_property
     def _shift(self) -> NDArray[np.float64]:
-        """Random shift added to all samples, modulo 1; they stay evenly distributed."""
+        """Random shift added to all samples, modulo 1; the samples stay evenly distributed."""
         return np.random.default_rng(self.sweep.seed).random(len(self.axes))
 
     def _point(self, index: int) -> NDArray[np.float64]:

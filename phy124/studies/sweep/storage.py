@@ -136,7 +136,7 @@ def fetch(address: str) -> Iterator[Path]:
 
 
 def stamp(address: str) -> object:
-    """Return a value that changes when a file changes; None if the file system has none."""
+    """Return a value that changes when a file changes; None if the file system has no stamp."""
     files, path = _open(address)
     try:
         return files.ukey(path)

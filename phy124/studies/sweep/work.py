@@ -119,7 +119,8 @@ class Order:
     def read(self) -> bool:
         """Whether the Gaussians depend on the scene.
 
-        They do if they are read from files, or if the scene has further objects.
+        The Gaussians depend on the scene if they are read from files, or if the scene has further
+        objects.
         """
         of_files = not (needs_image(self.picture) and needs_image(self.generator))
         return of_files or bool(self.scene.get("objects"))
@@ -208,7 +209,7 @@ def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
 
 
 def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Row:
-    """Write the row of a clip, and return the row. The clip then counts as finished.
+    """Write the row of a clip, and return the row. A clip whose row is written counts as finished.
 
     Args:
         storage: The sweep's folder.

@@ -26,7 +26,7 @@ BLUE, GREY, ORANGE = "#2563a8", "#9aa3ad", "#c2571a"
 
 
 def find_dominated(rows: Sequence[Row]) -> set[str]:
-    """Return the names of all settings for which another one is no slower and no less accurate."""
+    """Return the names of the settings that are dominated by another setting."""
     known = [row for row in rows if _error(row) is not None]
     return {
         row.name

@@ -1,8 +1,8 @@
 """Problems with known solutions, for the same solver that makes clips.
 
 Each problem runs at one grid spacing, and yields the error of its result. Bars and columns are one
-particle thick. With nu = 0, or with both sides held, no quantity varies across them, so one row of
-particles represents the whole body.
+particle thick. With nu = 0, or with both sides held, no quantity varies across such a body, so one
+row of particles represents the whole body.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FLOOR_NODE = 0.75
 def angular_momentum(solver: Solver) -> Array:
     """Return the angular momentum [3], kg m^2/s, that APIC conserves exactly.
 
-    It is the sum of m (x cross v + dx^2/4 axial(C)) over all particles.
+    The angular momentum is the sum of m (x cross v + dx^2/4 axial(C)) over all particles.
     """
     m, x = solver.model.mass.numpy().astype(float)[:, None], solver.state.x.numpy().astype(float)
     v, C = solver.state.v.numpy().astype(float), solver.state.C.numpy().astype(float)

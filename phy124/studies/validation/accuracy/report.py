@@ -116,9 +116,9 @@ class Report:
 def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> float | None:
     """Return the error on any grid, from the errors of a study's levels.
 
-    On a grid between two levels, it is the error of the coarser level. On grids finer than all
-    levels, it decreases with the observed order (clamped to `TRUSTED`), or is constant if no order
-    was observed. On grids coarser than all levels, the error is unknown (None).
+    On a grid between two levels, the error is that of the coarser level. On grids finer than all
+    levels, the error decreases with the observed order (clamped to `TRUSTED`), or is constant if no
+    order was observed. On grids coarser than all levels, the error is unknown (None).
 
     Args:
         cells: Cells across the object on the grid.

@@ -4,8 +4,8 @@ A level is a setting that differs from the scene only in its grid spacing. All l
 extrapolated to zero spacing (Richardson) with the observed order. The error of a setting is its
 distance from this extrapolation, plus the uncertainty of the extrapolation (`convergence`). If the
 motions on the levels separate at some time, the errors describe only the motion up to that time. If
-the levels do not converge at all, there are no errors, only the distance between the two finest
-levels.
+the levels do not converge at all, the report has no errors, only the distance between the two
+finest levels.
 """
 
 from __future__ import annotations
@@ -116,7 +116,8 @@ class Study:
     def _conclude_or_keep(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
         """Return the report of the finished settings.
 
-        If comparing them fails and `keep` is true, the report has no errors.
+        If the comparison of the settings fails and `keep` is true, the report states the errors of
+        no setting.
         """
         try:
             return self._conclude(rows, skipped)
@@ -171,8 +172,8 @@ class Study:
         """Run one setting.
 
         Returns:
-            The row, None if the run stopped early; and the reason why there is no row or why it is
-            torn, empty if neither.
+            The row, which is None if the run stopped early; and a text that says why there is no
+            row or why the row is torn. The text is empty if there is a row that is not torn.
         """
         context = replace(self.context.aside(), progress=progress)
         simulation = Simulation(prepare(self.gaussians, scene, context, crop=self.crop))
@@ -211,9 +212,9 @@ class Study:
         ), f"{name}: {torn}" if torn else ""
 
     def _forecast(self, simulation: Simulation) -> float:
-        """Forecast the time of simulation and shapes [s], without splitting the energy loss.
+        """Forecast the time of simulation and shapes [s], without the split of the energy loss.
 
-        The energy loss is not split in a user's run of the scene.
+        A user's run of the scene does not split its energy loss by cause.
         """
         scene = simulation.scene
         if scene.checks.energy:
@@ -258,7 +259,7 @@ class Study:
     def _conclude_without_errors(
         self, rows: list[Row], skipped: tuple[str, ...], why: str
     ) -> Report:
-        """Return the report without errors, with the reason."""
+        """Return a report that states the errors of no setting, and the reason for this."""
         none, size = Convergence(None, why_not=why), self.scene.object.size
         promises = kept_promises(self.scene, self._proportions, tuple(rows), none)
         return Report(tuple(rows), skipped, none, size, why, promises)
@@ -273,7 +274,7 @@ class Study:
     ) -> Row:
         """Return a row with its difference from the finest level and its error.
 
-        A torn row is returned unchanged.
+        The row of a torn object is returned unchanged.
 
         Args:
             row: The row.

@@ -64,7 +64,8 @@ def verify(*, fine: bool = True) -> Iterator[Verdict]:
 def free_fall(fine: bool) -> Iterator[Verdict]:
     """Check that a thrown body follows the exact parabola up to rounding.
 
-    This requires that the first substep updates velocities by half a substep only (leapfrog).
+    An exact parabola requires that the first substep updates velocities by half a substep only
+    (leapfrog).
     """
     time = 0.4 if fine else 0.2
     for precision, limit in (("float64", 1e-12), ("float32", 5e-5)):
@@ -101,7 +102,7 @@ def vortex(fine: bool) -> Iterator[Verdict]:
 
 
 def hydrostatic_column(fine: bool) -> Iterator[Verdict]:
-    """Check the hydrostatic pressure on each grid, its mean and its values away from the floor."""
+    """Check the mean hydrostatic pressure, and the pressure away from the floor, on each grid."""
     cells = (8, 16, 32) if fine else (6, 12, 24)
     columns = [problems.hydrostatic_column(n) for n in cells]
     for quantity, limit in (("mean", 1e-3), ("inside", 0.01)):

@@ -1,6 +1,7 @@
 """Experiments: cantilevers with large bending by a weight at the tip or by their own weight.
 
-The exact shape is Euler's elastica. The load grows in steps, and the beam comes to rest at each.
+The exact shape is Euler's elastica. The load grows in steps, and the beam comes to rest after each
+step.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ OWN_LOADS = (2.0, 8.0, 20.0)
 def elastica_drop(load: float) -> float:
     """Return the tip deflection divided by the length, for a weight at the tip.
 
-    It is computed with elliptic integrals (Bisshopp and Drucker 1945).
+    The deflection is computed with elliptic integrals (Bisshopp and Drucker 1945).
 
     Args:
         load: P L^2 / E I.
@@ -86,7 +87,7 @@ def elastica_drop(load: float) -> float:
 def heavy_elastica_drop(load: float) -> float:
     """Return the tip deflection divided by the length, for a beam under its own weight.
 
-    It is computed from theta'' = -load (1 - s) cos theta by the shooting method.
+    The deflection is computed from theta'' = -load (1 - s) cos theta by the shooting method.
 
     Args:
         load: rho g A L^3 / E I.
@@ -133,8 +134,8 @@ def make_band(
 ) -> tuple[Quantity, ...]:
     """Return the tip deflection for each load, with its band.
 
-    The band extends from the deflection of a slender beam to that of a beam with twice as much
-    shear deflection as this beam.
+    The band extends from the deflection without shear to the deflection with twice this beam's
+    shear.
 
     Args:
         loads: Dimensionless loads.

@@ -2,9 +2,9 @@
 
 Hertz's theory treats the ball near its contact as a half-space with small strain. The finite
 elements describe the whole ball with the same neo-Hookean law as the particles. The solution is
-static and axisymmetric. Its linear quadrilaterals are smaller near the contact (Bonet and Wood
+static and axisymmetric. The linear quadrilaterals are smaller near the contact (Bonet and Wood
 2008, chapter 9), and the contact uses an active set (Alart and Curnier 1991). The code is
-independent of the material point method, so it can serve as a reference for it.
+independent of the material point method, and can therefore serve as its reference.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ DEPTHS = (0.01, 0.03, 0.05, 0.08, 0.11, 0.15)
 class Law:
     """The force of a ball on a plate as a function of the depth.
 
-    It is Hertz's force times 1 + a s + b s^2 + ..., where s^2 is the depth in radii.
+    The force is Hertz's force times 1 + a s + b s^2 + ..., where s^2 is the depth in radii.
     """
 
     nu: float

@@ -79,7 +79,7 @@ class Experiment:
 
 
 def find_root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Return the zero of a function in an interval at whose ends its signs differ.
+    """Return the zero of a function in an interval; the signs at its ends must differ.
 
     Args:
         function: Function of one number.
@@ -122,7 +122,7 @@ class Estimate:
 
     @property
     def by_its_error(self) -> bool:
-        """Whether `value` is inside only because the band was extended by `error`."""
+        """Whether `value` is within its band only because the band is extended by `error`."""
         return self.inside and not self.quantity.low <= self.value <= self.quantity.high
 
     @property
@@ -150,7 +150,7 @@ class Outcome:
 
     @property
     def control_holds(self) -> bool:
-        """Whether the control leaves at least one band, so that its mistake is detected."""
+        """Whether a value of the control is outside its band, so that the mistake is detected."""
         return any(each.control_outside for each in self.estimates)
 
     @property
@@ -160,7 +160,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether all runs succeeded, the control left a band, and all deviations have a reason."""
+        """Whether no run failed, the control leaves a band, and all deviations have a reason."""
         explained = not self.missed or bool(self.experiment.reason)
         return not self.failures and self.control_holds and explained
 

@@ -133,9 +133,9 @@ def started_flow() -> tuple[float, float]:
 def spread(cells: int, viscosity: float, longer: float = LONGER) -> Values:
     """Let a heap spread on a sticky floor; return the prefactor and the exponent of its radius.
 
-    The heap starts at time t0 with the height (1 - r^2 / R^2)^(1/3) of the similarity solution. Its
-    radius is sqrt(7/3) times the root mean square of the particles' distance from the axis, as for
-    this height. One quarter is simulated.
+    The heap starts at time t0 with the height (1 - r^2 / R^2)^(1/3) of the similarity solution. The
+    heap's radius is computed from the particles' root mean square distance from the axis, times
+    sqrt(7/3), which is exact for this profile of heights. One quarter of the heap is simulated.
 
     Args:
         cells: Cells across the height at the start.

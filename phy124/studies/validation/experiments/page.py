@@ -143,7 +143,7 @@ def summary(outcome: Outcome) -> str:
 
 
 def details(outcome: Outcome) -> list[str]:
-    """Return lines of text about failed runs and each quantity of an experiment."""
+    """Return an experiment's failed runs and its quantities as lines of text."""
     rows = [f"    {failure}" for failure in outcome.failures]
     for each in outcome.estimates:
         seen = "" if math.isnan(each.control) else _number(each.control)
@@ -227,7 +227,7 @@ def _overview(outcomes: Sequence[Outcome]) -> str:
 
 
 def _worst(outcome: Outcome) -> str:
-    """Describe the value that is farthest outside its band; "" if all are inside."""
+    """Describe the value that is farthest outside its band; "" if all values are inside."""
     if not outcome.missed:
         return ""
     worst = max(outcome.missed, key=lambda each: abs(each.deviation))

@@ -45,7 +45,8 @@ def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
 def publish() -> tuple[Quantity, ...]:
     """Return Poisson's ratio, and the exact stress / (E strain).
 
-    The stress is that of a block with free sides, with held sides, and under hydrostatic pressure.
+    The three stresses are those of a block with free sides, with held sides, and under hydrostatic
+    pressure.
     """
     axial = 1 - STRAIN
     free = find_root(lambda lateral: stress(axial, lateral)[1], 1.0, 1.02)

@@ -1,7 +1,7 @@
 """Experiment: the moment of inertia of a ball that rolls and of a plate that swings.
 
-Both run on their lattice at rest (`accuracy.solver = "lattice"`). Lumped nodes add dx^2 / 2 to the
-moment of inertia per mass about each axis.
+The lattice solver simulates ball and plate (`accuracy.solver = "lattice"`). Lumped nodes add dx^2 /
+2 to the moment of inertia per mass about each axis.
 """
 
 from __future__ import annotations

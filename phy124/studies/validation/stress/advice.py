@@ -116,7 +116,7 @@ def _run(scene: Scene, setting: Setting) -> Simulation:
 
 
 def _make_exploding(setting: Setting) -> Scene:
-    """Return a scene of particles, whose substeps grow in proportion to cfl."""
+    """Return a scene with particles, in which substeps are proportional to `cfl`."""
     scene = Scene.from_data({**SMALL, "object": {"spin": [0.0, 0.0, 3.0]}, "forces": []})
     update = {"cfl": TOO_LONG, "precision": setting.precision, "solver": "mpm"}
     wrong = scene.resolution.model_copy(update=update)

@@ -70,7 +70,8 @@ def units(setting: Setting) -> list[Check]:
 def free_fall(setting: Setting) -> list[Check]:
     """Check that a falling body follows the exact parabola up to rounding.
 
-    This requires that the first substep updates velocities by half a substep only (leapfrog).
+    An exact parabola requires that the first substep updates velocities by half a substep only
+    (leapfrog).
     """
     x = block()
     s = body(x, setting, forces=[Gravity()])

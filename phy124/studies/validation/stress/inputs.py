@@ -97,8 +97,8 @@ def below_zero(setting: Setting) -> list[Check]:
 def sizes(setting: Setting) -> list[Check]:
     """Check that Gaussians keep their scales without deformation.
 
-    Their sizes are 1 nm, 1 m and 1 km. Their shapes include flat ones, and needles with an aspect
-    ratio of 10,000.
+    The Gaussians' sizes are 1 nm, 1 m and 1 km. Some of the Gaussians are flat, and some are
+    needles with an aspect ratio of 10,000.
     """
     rng = np.random.default_rng(0)
     shapes = np.array([[1, 1, 1], [1, 1e-4, 1e-4], [1, 1, 1e-2], [1, 0.3, 1e-3]])
@@ -126,7 +126,8 @@ def sizes(setting: Setting) -> list[Check]:
 def odd_gaussians(setting: Setting) -> list[Check]:
     """Check the particles' mass for unusual Gaussians.
 
-    They are Gaussians with opacities 0 and 1, Gaussians at a single point, and one Gaussian.
+    The cases are Gaussians with opacities 0 and 1, Gaussians at a single point, and a single
+    Gaussian.
     """
     whole = surface_of_ball()
     opacities = whole.opacities.copy()

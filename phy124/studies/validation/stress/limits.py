@@ -35,7 +35,8 @@ POISSON = (0.0, 0.3, 0.45, 0.49)
 def check_isolated(setting: Setting) -> list[Check]:
     """Check the limit dx / sqrt(A / rho) for a single particle.
 
-    The particle must be stable with 0.95 of the limit, and become unstable soon with 1.10 of it.
+    The particle must be stable with substeps of 0.95 of the limit, and soon become unstable with
+    substeps of 1.10 of the limit.
     """
     checks = []
     for nu in POISSON:
@@ -45,7 +46,7 @@ def check_isolated(setting: Setting) -> list[Check]:
 
 
 def check_coincident(setting: Setting) -> list[Check]:
-    """Check the limit, as for a single particle, for a hundred particles at one point."""
+    """Check that the limit for a single particle also holds for a hundred at one point."""
     points = np.tile([[0.013, 0.021, 0.017]], (100, 1))
     return _around_the_limit("100 in one point", points, 0.3, setting)
 
@@ -109,7 +110,7 @@ def _stiffness(material: NeoHookean) -> float:
 
 
 def stiff(setting: Setting) -> list[Check]:
-    """Check, for E from 1e2 to 1e13 Pa, the number of substeps and that values are finite."""
+    """Check the number of substeps, and that values are finite, for E from 1e2 to 1e13 Pa."""
     checks = []
     for E in (1e2, 1e7, 1e9, 1e12, 1e13):
         x = block(4, 0.25)

@@ -1,4 +1,4 @@
-"""Liquids by pressure projection: fountain, waves, a box without room, films, light bodies."""
+"""Liquids by pressure projection: fountain, waves, a full box, films, light bodies."""
 
 from __future__ import annotations
 

@@ -53,14 +53,14 @@ def edge(x: Array) -> NDArray[np.bool_]:
 
 
 def table(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a table with four legs; a leg is 6 % of the size thick."""
+    """Return whether points are in a table whose four legs are as thick as 6 % of its size."""
     across = np.abs(x[:, :2])
     leg = (np.abs(across - 0.33).max(axis=1) < 0.03) & (x[:, 2] < 0.6)
     return leg | ((across.max(axis=1) < 0.4) & (np.abs(x[:, 2] - 0.57) < 0.07))
 
 
 def hairs(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a ball with 61 hairs; a hair is 4 % of the size thick."""
+    """Return whether points are in a ball with 61 hairs as thick as 4 % of its size."""
     ways = np.random.default_rng(1).normal(size=(60, 3))
     ways = np.vstack([(0, 0, -1), ways / np.linalg.norm(ways, axis=1, keepdims=True)])
     from_middle = x - (0, 0, 0.5)
@@ -168,7 +168,7 @@ def tips(setting: Setting) -> list[Check]:
 
 
 def tips_on_body(setting: Setting) -> list[Check]:
-    """Check that tips, edges and hairs enter another body by no more than the known depth."""
+    """Check that tips, edges and hairs penetrate another body by at most the known depth."""
     return [
         at_most(
             f"depth of {inside.__name__} at {accuracy} by {solver} in a cushion [cells]",
