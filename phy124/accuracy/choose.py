@@ -8,7 +8,7 @@ estimates, the chosen grid has at most 1.5 times the cells that the goal needs. 
 material (phy124/monitor/tearing.py), that level is repeated with one more particle per cell and
 axis, and all later levels use this number, too.
 
-For a maximum time, the finest grid whose forecast fits is run.
+For a maximum time, the scene is run on the finest grid whose forecast time is within the maximum.
 """
 
 from __future__ import annotations
@@ -278,7 +278,7 @@ def _why_torn(runs: _Runs) -> str:
 def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None, bool]:
     """Return a grid, its error, and whether the error meets the goal.
 
-    It is the coarsest grid that meets the goal, or the finest grid if none does.
+    The result is the coarsest grid that meets the goal, or the finest grid if no grid does.
     """
     levels = runs.whole
     for cells, error in zip(levels, result.errors, strict=False):
@@ -428,8 +428,9 @@ def _choose_next(
 ) -> int:
     """Return the next grid to forecast; 0 if there is none.
 
-    It is the finest one that is expected to fit, including its preparation, after which a grid that
-    already fits must still fit. If none is expected to fit, and none does, it is the coarsest one.
+    The result is the finest grid that is expected to fit into the maximum time, including its
+    preparation, after which the best grid so far must still fit. If no grid is expected to fit, and
+    none has fitted so far, the result is the coarsest grid.
 
     Args:
         cells: Cells across the object of the last grid.

@@ -74,7 +74,8 @@ class Convergence:
 def fit_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
     """Return the order of convergence for known errors.
 
-    It is the least-squares slope of the logarithm of the error over that of the spacing.
+    The order is the least-squares slope of the logarithm of the error over the logarithm of the
+    spacing.
     """
     return float(np.polyfit(np.log(spacings), np.log(np.abs(errors)), 1)[0])
 

@@ -1,6 +1,7 @@
 """Measures the difference between two clips of the same Gaussians.
 
-It is measured in metres, as a fraction of the object's size, in pixels, and as PSNR and SSIM.
+The difference is measured in metres, as a fraction of the object's size, in pixels, and as PSNR and
+SSIM.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Forecasts the time of a run before it starts.
 
-    seconds = substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures)
-
+The time [s] is substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures).
 The rates a and b are measured in probes of 20 substeps. The probes use the solver of the run, and
 then reset it to its initial state. The number of substeps comes from a pilot run on a coarse grid
 (`phy124.accuracy.probe`). The times of shapes, rendered frames and video are measured on a few

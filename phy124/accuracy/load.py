@@ -133,7 +133,8 @@ def _measure_fraction(threads: int) -> float:
 def _spin(seconds: float) -> float:
     """Return the fraction of a core that this thread gets while it busy-waits.
 
-    It spins for `seconds`, or longer if it has received too little CPU time for a measurement.
+    The thread spins for `seconds`, or longer if it has received too little CPU time for a
+    measurement.
     """
     start, start_cpu, passed, ran = time.perf_counter(), time.thread_time(), 0.0, 0.0
     while passed < seconds or (ran < ENOUGH * seconds and passed < LONGEST * seconds):

@@ -194,7 +194,7 @@ def _node_fraction(solver: AnySolver) -> float:
 
 
 def time_shapes(simulation: Simulation) -> tuple[float, float]:
-    """Return the time to bind the Gaussians to particles, and that to deform them in a frame [s].
+    """Return the time to bind the Gaussians to particles, and to deform them in a frame [s].
 
     The particles are randomly strained.
     """
@@ -251,8 +251,8 @@ def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[s
 def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
     """Predict the time to compile a scene's missing kernels on all cores [s]; 0 on a GPU.
 
-    The function creates kernels. Only one thread may call it at a time, and no solver may be built
-    meanwhile. Kernels of forces on a part of the object (0.3 s each) are not counted.
+    This function creates kernels. Only one thread may call this function at a time, and no solver
+    may be built meanwhile. Kernels of forces on a part of the object (0.3 s each) are not counted.
     """
     if device != "cpu" or wp.config.kernel_cache_dir is None:
         return 0.0
@@ -264,7 +264,7 @@ def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
 def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
     """Return a clip in which the object moves by 1 % of its size per frame.
 
-    This is a typical motion for a video encoder.
+    Such motion is typical of the videos that are encoded.
     """
     n = len(gaussians)
     shift = np.arange(count, dtype=np.float32)[:, None, None] * np.float32(scene.object.size / 100)
@@ -317,8 +317,9 @@ class Pilot:
     """Duration of the pilot run, including its preparation [s]."""
 
     def finer(self, dx: float) -> float:
-        """Return a grid's number of cells along the object, divided by the pilot run's; `dx` is the
-        side of a cell [m].
+        """Return the number of cells along the object, divided by that of the pilot run.
+
+        The side of a cell is `dx` [m].
         """
         return self.dx / dx
 

@@ -1,10 +1,10 @@
 """States the error of a scene or of a run (the "promise"), and words all messages about errors.
 
-The stated error depends on what is known so far; `promise` chooses it. Before a run it is the
-expectation of a model fitted to many objects (phy124/accuracy/expectation.py). After a run it is
-the run's own error (phy124/accuracy/companion.py), or the error that was measured for a goal. If
-none of these errors is known, the error is "not measured". A study of the scene (`phy124 accuracy`)
-can measure it.
+The stated error depends on what is known so far; `promise` chooses it. Before a run, the stated
+error is the expectation of a model fitted to many objects (phy124/accuracy/expectation.py). After a
+run, the stated error is the run's own error (phy124/accuracy/companion.py), or the error that was
+measured for a goal. If none of these errors is known, the error is "not measured". A study of the
+scene (`phy124 accuracy`) can measure the error.
 
 An error of the scene itself has two values: an estimate ("about") and a bound ("at most"). The
 bound held for 95 % of the objects and scenes with which it was compared. All percentages of an
@@ -69,7 +69,7 @@ class Promise:
 
     @property
     def of_scene(self) -> bool:
-        """Whether the error was measured on this scene itself."""
+        """Whether the error was measured with the scene itself, not predicted from other scenes."""
         return self.about is not None
 
     def size(self, whole: str = "the object's size") -> str:

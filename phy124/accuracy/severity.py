@@ -26,8 +26,8 @@ LOOKS = {"tint", "visibility"}
 def violence(scene: Scene, thickness: float | None = None) -> float:
     """Return the severity of a scene, its energy relative to the stiffness: 2 e / c^2 + s^2.
 
-    2 e is twice the energy per mass (see `energy`). c is the speed of waves in a bar of the
-    object's softest material. s is the deformation by walls and hands, relative to the object's
+    Here 2 e is twice the energy per mass (see `energy`), c the speed of waves in a bar of the
+    object's softest material, and s the deformation by walls and hands, relative to the object's
     size.
 
     Args:
@@ -41,7 +41,8 @@ def violence(scene: Scene, thickness: float | None = None) -> float:
 def yielding(scene: Scene, thickness: float | None = None) -> float:
     """Return the ratio of energy to yield stress, 2 e rho / sigma; 0 if no material yields.
 
-    2 e is twice the energy per mass (see `energy`). The largest ratio of all materials is returned.
+    Here 2 e is twice the energy per mass (see `energy`). The largest ratio of all materials is
+    returned.
     """
     supplied = energy(scene, thickness)
     yields = [getattr(section, "yield_stress", math.inf) for section in scene.materials]
@@ -52,7 +53,8 @@ def yielding(scene: Scene, thickness: float | None = None) -> float:
 def damping(scene: Scene) -> float:
     """Return the smallest relative damping, eta / (rho c L), of all materials.
 
-    eta is the damping or the viscosity, c the speed of waves in a bar, and L the object's size.
+    Here eta is the damping or the viscosity, c the speed of waves in a bar, and L the object's
+    size.
     """
     return min(
         getattr(section, "damping", getattr(section, "viscosity", 0.0))

@@ -1,8 +1,8 @@
 """Predicts the time of a substep on lattices, stage by stage.
 
 Probes at rest do not show the cost of a motion: contact, the search for parts that touch, and
-measurements of the frequency depend on it. A pilot run of the whole motion counts the calls of each
-stage; a probe on the run's own grid measures the duration of a call.
+measurements of the frequency take longer in motion. A pilot run of the whole motion counts the
+calls of each stage; a probe on the run's own grid measures the duration of a call.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ def average_stages(timings: Timings, substeps: int) -> dict[str, Stage]:
 def predict_substep(pilot: Stages, probe: Stages, finer: float, total: float) -> float:
     """Return the mean time of a substep in a run [s].
 
-    A stage whose calls take longer in motion than at rest, such as contact, has the time of the
-    pilot's calls, which grows as the number of surface points along a line.
+    Calls of some stages, such as contact, take longer in motion than at rest. For such a stage the
+    time of the pilot's calls is used, multiplied by `finer`, because the number of surface points
+    along a line grows with the number of cells.
 
     Args:
         pilot: The stages of the whole motion on a coarse grid.

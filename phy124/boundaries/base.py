@@ -168,7 +168,7 @@ class Boundary(Section):
     def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
         """Return the depth of points [P,3] inside the solid before it moves [P], m.
 
-        It is negative outside; -inf for boundaries that are not solids, such as clamps.
+        The depth is negative outside, and -inf for boundaries that are not solids, such as clamps.
         """
         del model
         return np.full(len(x), -np.inf)
@@ -321,9 +321,9 @@ class Movable(Boundary):
 def lightest(model: Model) -> float:
     """Return the mass of a node inside the lightest material [kg]; infinite if no bound is needed.
 
-    A solid needs no such bound: a cell heavier than at rest is compressed. In a material that
-    yields, cells may contain up to 1.6 times as many particles as at rest, without being
-    compressed.
+    A solid needs no such bound, because a cell that is heavier than at rest is compressed. In a
+    material that yields, cells may contain up to 1.6 times as many particles as at rest, without
+    being compressed.
     """
     densities = {section.density for section in model.materials}
     return min(densities) * model.dx**3 if yields(model) or len(densities) > 1 else math.inf
@@ -347,7 +347,8 @@ def seep_distance(model: Model) -> float:
 
     Material that separates into drops and grains would otherwise seep through a wall: drops and
     grains behind the wall would move on while the rest moves away. For cohesive material the
-    distance is infinite, because such nodes would stop it before it touches the wall.
+    distance is minus infinity: nodes that respond one by one would stop such material before it
+    touches the wall.
     """
     apart = any(section.rounds for section in model.materials)
     return REACH * model.dx if apart else -math.inf

@@ -190,7 +190,7 @@ def count_nodes(scene: Scene) -> int:
 def _max_speed(scene: Scene, length: float) -> float:
     """Return an upper bound on the speed of all objects [m/s].
 
-    It is the largest initial speed, plus the speed gained from the forces in at most 0.5 s.
+    The bound is the largest initial speed, plus the speed gained from the forces in at most 0.5 s.
     """
     initial = max(
         math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2

@@ -152,9 +152,10 @@ def _of_liquid(scene: Scene) -> Iterator[Effect]:
 def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Effect]:
     """Yield the effects of the materials.
 
-    Each cost is the difference between the times of two kernels. For viscosity, they are the
-    kernels with and without viscosity; for return mapping, G2P for metal and for an elastic law;
-    for several materials, the kernels with a law per particle and with a single law.
+    Each cost is the difference between the times of two kernels. For viscosity, the two are the
+    kernels with and without viscosity. For return mapping, they are G2P for metal and G2P for an
+    elastic law. For several materials, they are the kernels with a law per particle and with a
+    single law.
     """
     if scene.projects:
         yield from _of_liquid(scene)

@@ -94,9 +94,7 @@ def _choose_sounder_law(scene: Scene) -> Remedy | None:
 
 
 def _shorten_substep(scene: Scene) -> Remedy:
-    """Use a quarter of the substep; half of it did not suffice when the failed frame was
-    repeated.
-    """
+    """Use a quarter of the substep; half did not suffice when the failed frame was repeated."""
     return change_accuracy(scene, cfl=scene.resolution.cfl / 4)
 
 
@@ -119,8 +117,9 @@ def _soften(scene: Scene) -> Remedy | None:
 def find_speedups(scene: Scene, limiter: str, done: float) -> tuple[Remedy, ...]:
     """Return remedies for a run that has taken twice its time budget.
 
-    They lengthen the substep, coarsen the grid, or raise the budget. The proposed budget assumes
-    that the run's time grows as the square of the clip's length, as in an accelerating motion.
+    These remedies lengthen the substep, coarsen the grid, or raise the budget. The proposed budget
+    assumes that the run's time grows as the square of the clip's length, as in an accelerating
+    motion.
 
     Args:
         scene: The scene.

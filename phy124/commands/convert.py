@@ -226,7 +226,7 @@ def _note_far(content: Content) -> list[str]:
 
 
 def _show(files: list[Path], count: int, chosen: Format, notes: list[str], *, as_json: bool) -> int:
-    """Print what was written; returns the exit status."""
+    """Print the files that were written; returns the exit status."""
     size = sum(path.stat().st_size for path in files)
     if as_json:
         data = {"files": [str(path) for path in files], "gaussians": count, "bytes": size}

@@ -1,4 +1,7 @@
-"""`phy124 cutout` cuts an object out of a picture. Also the options of commands with a picture."""
+"""`phy124 cutout` cuts an object out of a picture.
+
+The options of other commands with a picture are declared here, too.
+"""
 
 from __future__ import annotations
 

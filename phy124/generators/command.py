@@ -3,9 +3,9 @@
     phy124 generate cat.jpg --generator "cmd: triposplat {image} {out}" --dialect triposplat
 
 The command gets a PNG with transparency and writes Gaussians or a mesh ({out}.glb sets a mesh's
-format); it may use a separate environment. It runs without a shell, for up to half an hour (with
-`cmd 120: ...`, two minutes). If its time runs out or the run is cancelled, the command and all
-processes that it started are killed.
+format); it may use a separate environment. The command runs without a shell, for up to half an hour
+(with `cmd 120: ...`, two minutes). If its time runs out or the run is cancelled, the command and
+all processes that it started are killed.
 """
 
 from __future__ import annotations

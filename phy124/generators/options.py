@@ -107,7 +107,7 @@ def effort_of(generator: Any) -> Effort | None:
 def speed_of(device: str, dtype: Any) -> Work:
     """Measure torch's floating-point operations per second, by kind, under the current load.
 
-    This takes about a second and uses arrays as large as those in the networks.
+    The measurement takes about a second and uses arrays as large as those in the networks.
     """
     import torch
     from torch.nn import functional as F

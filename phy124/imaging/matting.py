@@ -26,8 +26,8 @@ INSET = 1.0
 def fit_edge(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
     """Fit a coarse mask to the edges of an image; return the alpha [H,W].
 
-    This is a guided filter: within each window, alpha is a linear function of the colours (He, Sun,
-    Tang 2013). The coefficients are computed on the reduced image (He, Sun 2015).
+    The method is a guided filter: within each window, alpha is a linear function of the colours
+    (He, Sun, Tang 2013). The coefficients are computed on the reduced image (He, Sun 2015).
 
     Args:
         rgb: The image [H,W,3].

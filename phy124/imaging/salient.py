@@ -1,8 +1,8 @@
 """Segments the salient object by trained networks from ONNX files: BiRefNet-lite and IS-Net.
 
 Zheng et al. 2024, "Bilateral Reference for High-Resolution Dichotomous Image Segmentation"; Qin et
-al. 2022, "Highly Accurate Dichotomous Image Segmentation". Their masks have the network's
-resolution and soft edges, so they are not fitted to the image again.
+al. 2022, "Highly Accurate Dichotomous Image Segmentation". The masks of these networks have the
+network's resolution and soft edges, so they are not fitted to the image again.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ def measure_undecided(alpha: NDArray[np.uint8]) -> float:
     """Return the half-transparent area away from the outline, divided by the object's area.
 
     Half transparency is usual within a few pixels of the outline of an alpha [H,W]. Farther away,
-    it shows that the network did not decide.
+    half transparency shows that the network did not decide.
     """
     inside = (alpha > 127).astype(np.uint8)
     reach = WIDE * max(1.0, max(alpha.shape) / FITTED)

@@ -1,8 +1,8 @@
 """Splits two touching objects where the silhouette has a neck and the colours change.
 
 A narrow neck alone does not show two objects (heads sit on necks), nor does a change of colour
-alone (trousers and shirt). Both are required, and each part must be large. A boat's sail is still
-wrongly split off; docs/lab/cutouts.md has the error rates.
+alone (trousers and shirt). A split requires a neck and a change of colour, and each part must be
+large. A boat's sail is still wrongly split off; docs/lab/cutouts.md has the error rates.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ and shorter substeps.
 
 
 class Cost(NamedTuple):
-    """Time of a frame on the trial's grid: `substeps` and `others` [s]."""
+    """Time of a frame on the trial's grid, divided into `substeps` and `others` [s]."""
 
     cells: int
     substeps: float

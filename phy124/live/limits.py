@@ -1,8 +1,8 @@
 """Limits and defaults of a hand's inputs.
 
-By default a hand pulls with three times the object's weight. This lifts and throws the object, but
-cannot make it explode. The object's weight stretches the hand's spring by a few hundredths of the
-object's size.
+By default a hand pulls with three times the object's weight. Such a pull lifts and throws the
+object, but cannot make the object explode. The object's weight stretches the hand's spring by a few
+hundredths of the object's size.
 """
 
 from __future__ import annotations
@@ -72,15 +72,15 @@ class Limits:
         return 0.2 * self.size
 
     def force(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Return a force [N] capped at the limit, and a sentence that says so or is empty."""
+        """Return a force [N] capped at the limit, and a sentence about the cap if it applied."""
         return shorten(field, value, STRONGEST * self.weight, "N")
 
     def torque(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Return a torque [N m] capped at the limit, and a sentence that says so or is empty."""
+        """Return a torque [N m] capped at the limit, and a sentence about the cap if it applied."""
         return shorten(field, value, STRONGEST * self.weight * TWIST * self.size, "N m")
 
     def place(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Return a position [m] within a hand's reach, and a sentence that says so or is empty."""
+        """Return a position [m] within a hand's reach, and a sentence about the change, if any."""
         return shorten(field, value, FARTHEST * max(self.size, 1e-6), "m")
 
 

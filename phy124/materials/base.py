@@ -81,8 +81,8 @@ class Material(Section):
     def calm_strain(self, growth: float, stiffness: float) -> float:
         """Return the largest strain up to which the stiffness grows by at most a given factor.
 
-        This default is for fixed corotated material, which stiffens most of the elastic laws: by
-        the factor 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
+        The default is the strain for fixed corotated material, which stiffens more than other
+        elastic laws: by the factor 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
 
         Args:
             growth: Largest ratio of the stiffest particle's stiffnesses, above 1.

@@ -67,8 +67,9 @@ class Sand(Logarithmic):
         """Return (mu, lambda, alpha); alpha is the slope of the cone.
 
         An infinite slope flows without change of volume where its shear stress is 3 alpha / sqrt(2)
-        times the pressure, that is, at an angle a with tan(a) = 3 alpha / sqrt(2). At rest it bears
-        up to asin(tan(a)), so steep heaps stop above a. Therefore a is below their repose angle.
+        times the pressure, that is, at an angle a with tan(a) = 3 alpha / sqrt(2). At rest a slope
+        bears up to asin(tan(a)), so steep heaps come to rest at more than a. The angle a of a steep
+        heap is therefore smaller than its repose angle.
         """
         if self.repose_angle is not None:
             flow = self.repose_angle - STEEPER * max(0.0, self.repose_angle - GENTLE)

@@ -71,8 +71,9 @@ def _momentum_residual(clip: Clip, centres: NDArray[np.float64]) -> float | None
 def centre_paths_differ(a: Clip, b: Clip) -> float:
     """Return the relative difference between the paths of two clips' centres.
 
-    It is the largest distance between the centres' displacements at equal times, divided by the
-    largest displacement of either centre. It shows whether objects from two generators move alike.
+    The difference is the largest distance between the centres' displacements at equal times,
+    divided by the largest displacement of either centre. A small difference shows that objects from
+    two generators move alike.
 
     Raises:
         ValueError: The clips have different numbers of frames.

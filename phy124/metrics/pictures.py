@@ -31,8 +31,8 @@ def psnr(a: NDArray, b: NDArray) -> float:
 def ssim(a: NDArray, b: NDArray) -> float:
     """Return the structural similarity of two images [H,W,C], -1 to 1.
 
-    It is the index of Wang et al. 2004, "Image Quality Assessment", with a Gaussian window of
-    11 x 11 pixels. The result is the mean over the channels and over all windows inside the image.
+    The index is that of Wang et al. 2004, "Image Quality Assessment", with a Gaussian window of 11
+    x 11 pixels. The result is the mean over the channels and over all windows inside the image.
     """
     import cv2
 
@@ -63,9 +63,10 @@ def motion(video: Video) -> float:
 def flicker(video: Video) -> float:
     """Return the oscillation of the frames' mean colour, in per cent of the colour range.
 
-    It is half the mean absolute second difference in time of each channel's mean over the frame. It
-    is 0 if the mean changes at a constant rate, and 100 if frames alternate between black and
-    white. The mean hardly changes when an object only moves, so flicker does not measure motion.
+    Flicker is half the mean absolute second difference in time of each channel's mean over the
+    frame. Flicker is 0 if the mean changes at a constant rate, and 100 if frames alternate between
+    black and white. The mean hardly changes when an object only moves, so flicker does not measure
+    motion.
     """
     colours = to_unit(video).mean(axis=(1, 2))
     return 50 * float(np.abs(np.diff(colours, n=2, axis=0)).mean()) if len(colours) > 2 else 0.0

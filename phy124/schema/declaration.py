@@ -65,7 +65,10 @@ class Declaration:
 
 @cache
 def read_declaration(root: type[BaseModel]) -> Declaration:
-    """Return the declaration of a section class. It is cached, since it takes 0.2 s to make."""
+    """Return the declaration of a section class.
+
+    The declaration is cached, since it takes 0.2 s to make.
+    """
     return Declaration(root)
 
 

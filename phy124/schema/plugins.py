@@ -61,7 +61,7 @@ def list_plugins(group: str) -> list[str]:
 def load_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
     """Load all classes that packages register; classes that cannot be loaded are left out.
 
-    A scene that names such a class is refused; other scenes are not affected.
+    A scene that names a class that cannot be loaded is refused; other scenes are not affected.
     """
     kinds = {}
     for name in list_plugins(group):

@@ -59,7 +59,7 @@ def explain_options(error: ValidationError) -> InputError:
 def shorten(value: Any) -> str:
     """Return a value as text for a message, shortened to `LONGEST` characters.
 
-    Of a section, it has only the names of the values.
+    The text of a section has only the names of its values.
     """
     try:
         section = isinstance(value, dict) and value

@@ -49,7 +49,7 @@ def _list_types(section: type[Section], field: str) -> frozenset[Any]:
 
 
 def _is_other(value: Any, types: frozenset[Any]) -> bool:
-    """Return whether a plain value has none of these types."""
+    """Return whether a plain value has none of the listed types."""
     if not types:
         return False
     if bool not in types:

@@ -121,7 +121,7 @@ def predict_seconds(about: About) -> float | None:
 def multiply_rate() -> float:
     """Measure the floating-point operations per second of products of float32 matrices.
 
-    This takes a fraction of a second, and includes the current load of the machine.
+    The measurement takes a fraction of a second, and includes the current load of the machine.
     """
     a = np.ones((SIDE, SIDE), np.float32)
     np.matmul(a, a)

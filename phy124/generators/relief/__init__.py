@@ -1,10 +1,10 @@
 """Generator `relief`: inflates an image with alpha into a closed shell of flat Gaussians.
 
-It needs no trained weights. The shape is a guess, not a reconstruction: the most plausible solid
-for the silhouette (`phy124.generators.relief.solids`). The front shows the image; the back
-is invented (`phy124.generators.relief.back`). An image from the side replaces the guess of the
-depth (`phy124.generators.relief.hull`). docs/lab/relief.md compares the results with objects whose
-shape is known from all sides.
+The generator needs no trained weights. The shape is a guess, not a reconstruction: the most
+plausible solid for the silhouette (`phy124.generators.relief.solids`). The front shows the image;
+the back is invented (`phy124.generators.relief.back`). An image from the side replaces the guess of
+the depth (`phy124.generators.relief.hull`). docs/lab/relief.md compares the results with objects
+whose shape is known from all sides.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ def relief(
 ) -> Gaussians:
     """Inflate the opaque part of an image to a closed shell.
 
-    The object faces +x. A camera in front of it at the distance `VIEW_DISTANCE` sees its silhouette
-    at x = 0 with a longest side of 1 m. If the image from the side shows a longer side, that side
-    is 1 m. Equal seeds give equal Gaussians.
+    The object faces +x. A camera in front of the shell, at the distance `VIEW_DISTANCE`, sees the
+    shell's silhouette at x = 0 with a longest side of 1 m. If the image from the side shows a
+    longer side, that side is 1 m. Equal seeds give equal Gaussians.
 
     Args:
         image_rgba: The image [H,W,4].

@@ -1,9 +1,9 @@
 """Imagines the unseen back of an object, from the image of its front.
 
-An object seen from its side, whose silhouette is not symmetric, looks alike from the other side:
-its back is the mirrored front. An object seen from its front has a back of the same materials
-without the features: colours are interpolated between those near the rim, and get the fine texture
-of parts of the front that have similar colours and no strong edges.
+An object seen from its side has no symmetric silhouette, and is assumed to look alike from the
+other side: the back is the mirrored front. An object seen from its front has a back of the same
+materials without the features: colours are interpolated between those near the rim, and get the
+fine texture of parts of the front that have similar colours and no strong edges.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ ALIKE = 6
 def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
     """Choose the look of the back for an image [H,W,4]: plain if it shows a front, else mirrored.
 
-    A front has a symmetric silhouette, or else its upper part is symmetric, in outline and in the
-    image: a face above an arm that is stretched out.
+    An image shows a front if its silhouette is symmetric, or if the upper part is symmetric in
+    outline and in colour, such as a face above an outstretched arm.
     """
     solid = rgba[..., 3] > 0.5
     rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
@@ -70,7 +70,7 @@ def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
 def _fold(solid: NDArray[np.bool_]) -> tuple[float, int]:
     """Return the largest overlap (IoU) of a silhouette with its mirror image, and the axis.
 
-    The axis is twice its distance from the middle [pixels].
+    The axis is stated as twice its distance from the middle of the image [pixels].
     """
     width, area = solid.shape[1], np.count_nonzero(solid)
     best, axis = 0.0, 0

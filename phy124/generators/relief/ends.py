@@ -90,7 +90,7 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
 
 
 def _arc(solid: NDArray[np.bool_]) -> int:
-    """Return the height, in rows, of the arc at the silhouette's lower end; 0 if it is not flat.
+    """Return the height, in rows, of the arc at the silhouette's lower end; 0 if not a flat end.
 
     A flat end has corners. Above the corners, the sides are steep, so the width hardly changes.
     """

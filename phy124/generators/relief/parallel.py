@@ -1,8 +1,8 @@
 """Removes the perspective from the front and side images, as if their cameras were infinitely far.
 
-In the front image, a row appears larger the nearer it is to the camera. The side image shows this
-distance at the same height, and vice versa. A row's distance is that of the point where the row
-appears thickest or, at a flat end, that of the edge nearer to the camera.
+In the front image, a row appears larger the nearer it is to the camera. The side image shows the
+distance of a row at the same height, and vice versa. A row's distance is that of the point where
+the row appears thickest or, at a flat end, that of the edge nearer to the camera.
 """
 
 from __future__ import annotations

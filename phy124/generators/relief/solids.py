@@ -114,8 +114,8 @@ def flat_topped(inside: NDArray[np.bool_]) -> Field:
 def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size: int) -> Field:
     """Return squared half thicknesses near `wanted` that are smooth and exactly 0 on the rim.
 
-    The solution u of -Laplace(u) = 4 is smooth and 0 on the rim (for a disc it gives the ball). It
-    is multiplied by the smoothed ratio of the wanted thickness to u.
+    The solution u of -Laplace(u) = 4 is smooth and 0 on the rim (for a disc it gives the ball). The
+    result is u times the smoothed ratio of the wanted thickness to u.
     """
     u = silhouette.poisson(4.0)
     ratio = np.clip(wanted / np.maximum(u, 1e-9), low, high)
@@ -128,8 +128,8 @@ def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size
 def _balls(silhouette: Silhouette) -> Field:
     """Return the squared half thicknesses of the union of all balls in the silhouette.
 
-    They are the maximum over centres m of D(m)^2 - |x - m|^2, with D the distance to the rim: an
-    upper envelope of parabolas, computed along one axis after the other.
+    The result is the maximum over centres m of D(m)^2 - |x - m|^2, with D the distance to the rim.
+    This upper envelope of parabolas is computed along one axis after the other.
     """
     squares = silhouette.distance**2
     for _ in range(2):
@@ -269,8 +269,8 @@ def normalise_depth(depth: NDArray, alpha: NDArray) -> NDArray[np.float32]:
 def apply_depth(surface: Surface, depth: Field, object_mask: NDArray[np.bool_]) -> Surface:
     """Replace the front of a surface by a depth map [H,W] in 0..1, in which near is 1.
 
-    The scale and offset of the map are unknown. Its mean and standard deviation are therefore set
-    to those of the inflated front, unless the map is flat. The back is unchanged.
+    The scale and offset of the map are unknown. The mean and standard deviation of the map are
+    therefore set to those of the inflated front, unless the map is flat. The back is unchanged.
     """
     far, _ = nearest_of(~object_mask)
     known = far > min(MIXED_RIM / 2, 0.5 * float(far.max()))

@@ -160,7 +160,7 @@ def _no_help_texts() -> Iterator[None]:
 
 @contextmanager
 def _ensure_width() -> Iterator[None]:
-    """Lay out help texts at least `NARROWEST` characters wide; for less, tyro never finishes."""
+    """Lay out help texts at least `NARROWEST` characters wide; tyro never ends with less width."""
     usual = os.environ.get("COLUMNS")
     if shutil.get_terminal_size().columns < NARROWEST:
         os.environ["COLUMNS"] = str(NARROWEST)

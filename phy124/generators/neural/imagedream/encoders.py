@@ -1,7 +1,8 @@
 """The frozen networks of ImageDream, apart from its U-Net: text and image encoder, autoencoder.
 
-Their architectures come from transformers (CLIP) and diffusers (VAE). Their sizes, those of Stable
-Diffusion 2.1 and CLIP ViT-H/14, are stated here: only weight files are needed, no config files.
+The architectures of these networks come from transformers (CLIP) and diffusers (VAE). The sizes,
+which are those of Stable Diffusion 2.1 and CLIP ViT-H/14, are stated here, so that only weight
+files are needed, and no config files.
 """
 
 from __future__ import annotations

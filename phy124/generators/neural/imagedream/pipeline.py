@@ -1,7 +1,7 @@
 """Sampling of ImageDream: one image to four views of its object.
 
 Wang & Shi 2023, "ImageDream"; classifier-free guidance (Ho & Salimans 2022). A fifth frame contains
-the image itself. It is denoised as well, and LGM drops it.
+the image itself. The fifth frame is denoised as well, and LGM drops this frame.
 """
 
 from __future__ import annotations
