@@ -72,7 +72,8 @@ class FrameEncoder:
     def static(self) -> list[Message]:
         """Return the static transforms: the world's, and those of all fixed cameras seen so far.
 
-        They are sent before all frames, and as a whole again when a camera is added.
+        These transforms are sent before all frames; all of them are sent again when a camera is
+        added.
         """
         world = {
             "header": {"stamp": cdr.time(self.epoch), "frame_id": self.options.parent_frame},

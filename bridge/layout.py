@@ -69,9 +69,9 @@ def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, A
 def draco_cloud(frame: Frame, bits: int, header: dict[str, Any]) -> dict[str, Any]:
     """Return the CompressedPointCloud2 of `viz`, as draco_point_cloud_transport decodes it.
 
-    Its decoder writes attribute i of the Draco data at the offset of field i. Here attribute 0 has
-    all three coordinates and attribute 1 the four bytes of `rgb`, so `rgb` is the second field.
-    Points that are not finite are left out.
+    The decoder of that package writes attribute i of the Draco data at the offset of field i. In
+    this message attribute 0 has all three coordinates and attribute 1 the four bytes of `rgb`, so
+    `rgb` is the second field. Points that are not finite are left out.
 
     Args:
         frame: The frame.

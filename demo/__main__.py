@@ -42,8 +42,8 @@ def import_gradio() -> None:
     """Import gradio, but keep it from writing .pyi files for editors; this saves a third of the
     time.
 
-    Whenever it is imported, gradio derives a .pyi file from the source code of each component. It
-    leaves out components whose file is unknown.
+    Whenever it is imported, gradio derives a .pyi file from the source code of each component.
+    Gradio leaves out components whose source file is unknown.
     """
     usual = inspect.getfile
 

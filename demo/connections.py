@@ -92,7 +92,7 @@ class Patient(H11Protocol):
         self.stalled = self.loop.call_later(STALLED, self.transport.abort)
 
     def resume_writing(self) -> None:
-        """Stop this timer, because the client is reading again."""
+        """Stop the timer for reading, because the client is reading again."""
         self._read()
         super().resume_writing()
 

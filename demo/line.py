@@ -161,7 +161,7 @@ class Line:
     def seconds_to_start(self, job: Job) -> float:
         """Forecast the time until a job starts [s]; 0 once it has started.
 
-        The forecasts of the jobs before it are those without other load times the slowdown of the
+        For each job before it, the forecast without other load is multiplied by the slowdown of the
         last jobs.
         """
         with self._changed:

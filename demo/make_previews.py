@@ -1,7 +1,8 @@
 """Render the previews of preset cards and material chips, and the finished results of the page.
 
 Run `python -m demo.make_previews` again after changes of presets or their physics. Each preview
-takes some seconds. A finished result is a film for the page's stage, and for some a player.
+takes some seconds. A finished result is a film for the page's stage and, for some presets, a
+player.
 """
 
 from __future__ import annotations

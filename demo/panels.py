@@ -153,7 +153,7 @@ def mark_answers(page: Any) -> None:
     """Wrap the handlers of a `gr.Blocks`, so that all answers to the same panel differ.
 
     Gradio does not send a panel a value that equals the previous value. Each answer therefore gets
-    a mark. Without it, a panel would wait forever if a request is refused twice with the same
+    a mark. Without the mark, a panel would wait forever if a request is refused twice with the same
     message. Handlers do not see the marks.
     """
     for event in page.fns.values():

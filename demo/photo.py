@@ -107,7 +107,7 @@ def _describe_as_file(component: Any, name: str) -> Any:
 
 
 def refusal(text: str) -> gr.Error:
-    """Create an error for a program; it is not logged, because it is no error of the server."""
+    """Create an error for a program; it is not logged, because the server did not fail."""
     return gr.Error(text, print_exception=False)
 
 

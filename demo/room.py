@@ -115,7 +115,8 @@ class _Upload:
 class Arrivals:
     """Uploads of programs without cookies, kept until a request names them.
 
-    Their disk space is small, and limited per address. Callers hold the lock of `demo.visitors`.
+    The disk space for such uploads is small, and limited per address. Callers hold the lock of
+    `demo.visitors`.
     """
 
     def __init__(self, folder: Path, room: Room) -> None:

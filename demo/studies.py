@@ -98,7 +98,8 @@ def grids(scene: Scene) -> tuple[int, ...]:
 def on_grid(scene: Scene, cells: int) -> Scene:
     """Return the scene on another grid, with the same solver of elastic objects.
 
-    It is in single precision, which does not affect its error (docs/lab/accuracy.md).
+    The scene is computed in single precision, which does not affect the error
+    (docs/lab/accuracy.md).
     """
     changes = {"cells": cells, "precision": "float32", "solver": scene.solver}
     accuracy = scene.resolution.model_copy(update=changes)

@@ -301,7 +301,10 @@ def _answer(text: str, data: dict[str, Any], *, failed: bool = False) -> types.C
 
 
 def _summary(result: Mapping[str, Any]) -> str:
-    """Return a result as text for the agent: run, links, sentences. All else is structured data."""
+    """Return a result as text for the agent: run, links, sentences.
+
+    All other parts of the result are structured data.
+    """
     lines = [f"run: {result['run']}"] if "run" in result else []
     lines += [str(result[name]) for name in ("sentence", "error") if result.get(name) is not None]
     lines += [f"[{Path(link).name}]({link})" for link in result.get("files", [])]

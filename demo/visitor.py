@@ -128,7 +128,8 @@ class Visitor:
     def give_up(self, most: float, keep: Collection[Path] = ()) -> bool:
         """Remove exports, then results, the oldest first, until no more than `most` bytes are left.
 
-        The latest result of each stage and paths in `keep` stay. Return whether this suffices.
+        The latest result of each stage and paths in `keep` stay. Return whether the removal
+        suffices.
         """
         for path in self._oldest():
             if self.measure() <= most:

@@ -1,7 +1,7 @@
 """A pinhole camera with pixel centres at half-integers, and the four views of the paper.
-Only this module defines the camera's axes. They are OpenCV's: x
-right, y down, z forward; pixel (i, j) covers [i, i+1) x [j, j+1), so its centre is (i + 0.5, j +
-0.5), and the optical axis meets the image at (width/2, height/2) unless it is shifted.
+Only this module defines the camera's axes. The axes are OpenCV's: x right, y down, z forward. Pixel
+(i, j) covers [i, i+1) x [j, j+1), so its centre is (i + 0.5, j + 0.5). The optical axis meets the
+image at (width/2, height/2) unless it is shifted.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Reports the progress of work by calling a function with stage, steps done, and total steps.
 
-A progress function may raise `Cancelled`. Callers do not catch it; so every loop that reports
-progress can also be stopped.
+A progress function may raise `Cancelled`. Callers do not catch `Cancelled`, so every loop that
+reports progress can also be stopped.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,7 @@
 """Messages on topics and service calls that viewers send over Foxglove's websocket, as JSON.
 
-Both arrive on threads of the server, and are carried out on the thread that calls `listen`.
+Messages and calls arrive on threads of the server, and are carried out on the thread that calls
+`listen`.
 """
 
 from __future__ import annotations
@@ -146,8 +147,9 @@ class Clients:
 
 
 def _wake(obey: Obey) -> None:
-    """Do nothing. Queued as a job, it wakes the waiting thread, which then also reads the
-    messages.
+    """Do nothing.
+
+    A queued job of this kind wakes the waiting thread, which then also reads the messages.
     """
     del obey
 

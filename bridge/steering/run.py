@@ -50,7 +50,10 @@ def checked_duration(name: str, seconds: float) -> float:
 
 
 class SteeredRun:
-    """A live run; other programs push, pause, step and reset it. Sinks show it like a playback."""
+    """A live run; other programs push, pause, step and reset it.
+
+    Sinks show the run like a playback.
+    """
 
     rate: float | None = None
     loop, dropped = False, 0

@@ -155,7 +155,7 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
 def report_of(studio: Studio, job: Job) -> dict[str, Any]:
     """Return the report panel's value for a finished run, with the errors of its scene.
 
-    It has three sentences for a visitor, what a finer run would cost, and tables for experts.
+    The value has three sentences for a visitor, the cost of a finer run, and tables for experts.
     """
     done: Done = job.progress.result
     report, study = done.report, read_study(done.study)

@@ -2,7 +2,7 @@
 
     browser (static/touch.js) <-> relay (this server) <-> process (phy124.live), one per run
 The process makes the Gaussians, chooses a grid that runs in real time on this machine, and
-simulates. It sends the nodes of the lattice to which the browser binds the Gaussians.
+simulates. The process sends the nodes of the lattice to which the browser binds the Gaussians.
 """
 
 from .relay import socket_route

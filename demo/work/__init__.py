@@ -1,7 +1,7 @@
 """The job that Generate starts: cut-out -> Gaussians -> clip -> films, without stages already done.
 
 The job of an order with grids is: cut-out -> Gaussians -> error of the scene.
-`steps` runs a job in a thread and yields events. When it is asked to stop, it raises `Cancelled`
+`steps` runs a job in a thread and yields events. When a job is asked to stop, it raises `Cancelled`
 within a substep or a rendered frame. Orders and events can be pickled, because on ZeroGPU the job
 runs in a forked process.
 """

@@ -61,9 +61,7 @@ def others_of(visitor: Visitor, scene: Scene) -> tuple[Other, ...]:
 
 
 def with_crops(scene: Scene, others: tuple[Other, ...]) -> Scene:
-    """Return the scene; each of these objects refers to the part of its picture that was cut
-    out.
-    """
+    """Return the scene, in which these objects refer to the cut-out parts of their pictures."""
     objects = list(scene.objects)
     for other in others:
         with Image.open(other.cutout) as cutout:

@@ -208,9 +208,9 @@ class Clip:
     def velocity(self, index: int) -> Array | None:
         """Return the velocities of the centres at a frame [N,3], m/s; None for a single frame.
 
-        They are the simulated velocities if the clip has them (`velocities = true` in its scene),
-        else the difference quotient of the adjacent frames, (x_after - x_before) /
-        (t_after - t_before), which is one-sided at the first and last frame.
+        The result is the simulated velocities if the clip has them (`velocities = true` in its
+        scene). Otherwise it is the difference quotient of the adjacent frames, (x_after - x_before)
+        / (t_after - t_before), which is one-sided at the first and last frame.
         """
         if self.velocities is not None:
             return self.velocities[index]

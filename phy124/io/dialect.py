@@ -2,7 +2,8 @@
 axes.
 
 Few programs name themselves in their files. The guess therefore relies on the known output of each
-program (docs/guide/plugins.md). It is reported to the user and applied only if the user agrees.
+program (docs/guide/plugins.md). The guess is reported to the user, and applied only if the user
+agrees.
 """
 
 from __future__ import annotations

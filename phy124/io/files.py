@@ -89,8 +89,9 @@ def is_stream(path: Path) -> bool:
 def create_temporary(path: Path) -> Path:
     """Create an empty temporary file, which `move_to` moves to `path` when it is complete.
 
-    Its name has the extension of `path`, which some writers need. It lies in the folder of the file
-    to which `path` resolves, or in the system's temporary folder if `path` is a stream.
+    The temporary file's name has the extension of `path`, which some writers need. The temporary
+    file is in the folder of the file to which `path` resolves, or in the system's temporary folder
+    if `path` is a stream.
 
     Raises:
         OSError: If no file can be written there.

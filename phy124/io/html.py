@@ -99,7 +99,7 @@ def pack(
 def _write_arrays(file: IO[bytes], clip: Clip, head: dict[str, Any]) -> None:
     """Append the arrays of the Gaussians to a file, frame by frame.
 
-    A clip is longer than the memory is large; each array's place in the file is known.
+    A clip may be larger than the memory, so each frame is written at its known places in the file.
     """
     rest = np.maximum(clip.scales[0], 1e-9)
     file.write(_colours(clip).tobytes() + rest.astype("<f4").tobytes())

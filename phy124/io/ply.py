@@ -168,7 +168,8 @@ def _activate(table: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.floa
 def _are_activated(scales: NDArray[np.float64], opacities: NDArray[np.float64]) -> bool:
     """Whether a file stores lengths and opacities instead of the usual logarithms and logits.
 
-    Scales alone cannot decide this: in a capture in millimetres, all logarithms may be positive.
+    Scales alone cannot decide whether they are logarithms: in a capture in millimetres, all
+    logarithms may be positive.
     """
     sound = np.isfinite(scales).all(axis=1) & np.isfinite(opacities)
     scales, opacities = scales[sound], opacities[sound]

@@ -1,7 +1,7 @@
 """Writes videos: H.264 in MP4 for players, VP9 in WebM and ProRes 4444 in MOV for editing with
 transparency, GIF or animated WebP for chats, and PNGs for film tools.
 
-Frames are streamed into the encoder while they are rendered. MP4s are yuv420p. They are converted
+Frames are streamed into the encoder while they are rendered. MP4s are yuv420p. Frames are converted
 to ITU-R BT.709 limited range and tagged as such: without tags, players assume BT.709 only for HD
 video, not for smaller video. The index is at the front of the file, so that a browser can start
 playback before it has downloaded the whole file.
@@ -103,7 +103,8 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: f
     """Write frames [H,W,3] uint8 as one MP4, and return their number.
 
     H.264 needs an even width and height: if the width or height is odd, the last column or row is
-    repeated. The file appears whole or not at all. A generator `frames` is closed in any case.
+    repeated. The file appears whole or not at all. If `frames` is a generator, it is closed in any
+    case.
 
     Raises:
         InputError: If there are no frames, `fps` is out of range, the file cannot be written, or

@@ -219,7 +219,7 @@ def go_on(
 ) -> Result:
     """Continue an interrupted run in its folder; the result equals that of an uninterrupted run.
 
-    The two are equal bit for bit with the same number of threads.
+    Both results are equal bit for bit if the number of threads is the same.
 
     Args:
         out: The folder of the interrupted run.

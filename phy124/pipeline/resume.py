@@ -1,7 +1,7 @@
 """Saves a paused simulation as a safetensors file, and continues it later.
 
-On a CPU the continued run is equal bit for bit. On a GPU, which sums in no fixed order, it is equal
-within rounding.
+On a CPU the continued run equals an uninterrupted run bit for bit. On a GPU, which sums in no fixed
+order, both runs are equal within rounding.
 """
 
 from __future__ import annotations

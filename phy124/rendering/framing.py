@@ -45,7 +45,7 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
 
     Unless the distance is set (`View.fits`), the camera is as near as possible while it shows the
     whole motion; if the motion would then look too small, the camera follows the object. With
-    several objects it moves in and out.
+    several objects, the camera moves in and out instead.
     """
     known = _placed.setdefault(clip, {})
     if (view, side) not in known:

@@ -161,7 +161,8 @@ class Renderer:
         """Start to render one image as bytes; return a function that waits for the image, as
         `picture` does.
 
-        A GPU draws while the caller prepares the next picture. The function is called once.
+        A GPU draws while the caller prepares the next picture. The returned function must be called
+        once.
 
         Args:
             gaussians: The Gaussians to draw.
@@ -193,8 +194,9 @@ class Renderer:
     ) -> Callable[[], dict[str, NDArray[Any]]]:
         """Start to render an image; return a function that waits for the named arrays.
 
-        Colours `image` [H*W,3], `coverage` [H*W], and with a thread per pixel `bytes` [H*W*3]. On a
-        CPU without a thread per pixel they alias the renderer's buffers.
+        The arrays are the colours `image` [H*W,3], `coverage` [H*W] and, with a thread per pixel,
+        `bytes` [H*W*3]. On a CPU without a thread per pixel, the arrays alias the renderer's
+        buffers.
         """
         view, pixels = self._look(camera), camera.width * camera.height
         colour = wp.vec3(*_checked_background(BLACK if stage else background))

@@ -71,7 +71,8 @@ def is_compiled(kernel: Any, device: str = "cpu") -> bool:
 def looking_up(kernels: Iterable[Any], device: str = "cpu") -> Iterator[None]:
     """Look up kernels in Warp's cache in another thread while the block runs.
 
-    Warp then knows the hash of their code, so `compile_missing` takes less time after the context.
+    Warp then knows the hash of the kernels' code, so `compile_missing` takes less time after the
+    context.
 
     Args:
         kernels: The kernels; an iterator is read by the second thread.

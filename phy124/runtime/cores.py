@@ -34,7 +34,7 @@ def physical_cores() -> int:
 
 
 def free_cores() -> int:
-    """Return the number of these cores that no other program is using, at least 1."""
+    """Return the number of usable cores that no other program is using, at least 1."""
     # The quota limits only this process: other programs do not count against it.
     return max(1, min(physical_cores(), _hardware_threads() - _others_running()))
 

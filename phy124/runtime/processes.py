@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 def processes(count: int) -> Iterator[ProcessPoolExecutor]:
     """Provide a pool of `count` processes, which are terminated on exit.
 
-    They are spawned, because a forked process would share the threads of Warp.
+    The processes are spawned, because a forked process would share the threads of Warp.
     """
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin)

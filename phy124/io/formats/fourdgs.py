@@ -1,12 +1,12 @@
 """Writes `.4dgs` files: all frames in one file, as keyframes and the changes between them.
 
-This is the open container of 4dgs.dev, version 1, model `keyframe-delta`. The official library
-encodes its records (package fourdgs, Apache-2.0, needs only numpy). The library's `write_sequence`
-would hold all frames, so this module writes its file one frame at a time. The file declares an
-error bound for each value: 2 % of the first frame's median scale for positions, 0.5 % for scales,
-0.0005 for rotations, 0.5 / 255 for colours and opacities. Every Gaussian keeps its index in all
-frames, and readers can seek. Colours are constant and of degree 0. The axes are those of glTF: y
-up, z to the front, metres.
+The format is the open container of 4dgs.dev, version 1, model `keyframe-delta`. The official
+library encodes the file's records (package fourdgs, Apache-2.0, needs only numpy). The library's
+`write_sequence` would hold all frames, so this module writes its file one frame at a time. The file
+declares an error bound for each value: 2 % of the first frame's median scale for positions, 0.5 %
+for scales, 0.0005 for rotations, 0.5 / 255 for colours and opacities. Every Gaussian keeps its
+index in all frames, and readers can seek. Colours are constant and of degree 0. The axes are those
+of glTF: y up, z to the front, metres.
 """
 
 from __future__ import annotations

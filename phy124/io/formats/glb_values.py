@@ -7,7 +7,7 @@ Scales are lengths in the ratified KHR_gaussian_splatting, but logarithms in its
 file does not say which text it follows. Negative scales must be logarithms. Some programs, named in
 the field `generator`, are known to write logarithms. If all logarithms are positive, as in a file
 in millimetres, the Gaussians decide: in an object, their width is about the distance between them.
-Logarithms that are mistaken for lengths are much smaller than this distance.
+Logarithms that are mistaken for lengths are much smaller than the distance between the Gaussians.
 """
 
 from __future__ import annotations

@@ -228,7 +228,7 @@ def measure_size(points: NDArray[np.float64]) -> float:
 def measure(clip: Clip) -> dict[str, Any]:
     """Measure, over all frames, the ranges of values that the player needs when it starts.
 
-    These are the bounding box; the range of the log ratios of scales, which is clipped to
+    The ranges are the bounding box; the range of the log ratios of scales, which is clipped to
     +-`TALLEST`; the largest speed; and the ends of the colour ramp for stretch, which are symmetric
     about 1. Stretch is the longest axis of a Gaussian divided by its longest axis at rest.
     """
@@ -256,7 +256,8 @@ def measure(clip: Clip) -> dict[str, Any]:
 def measure_speeds(clip: Clip) -> Iterator[NDArray]:
     """Yield the speeds of each frame [N], m/s.
 
-    They come from the clip's velocities, or without them from the positions of adjacent frames.
+    The speeds come from the clip's velocities or, if the clip has none, from the positions of
+    adjacent frames.
     """
     if clip.velocities is not None or len(clip) < 2:
         for index in range(len(clip)):

@@ -1,9 +1,9 @@
 """Quantises numbers to 256 codes, vectors to the entries of a palette, and quaternions to 3
 numbers.
 
-The largest component of a unit quaternion is not stored. Since q and -q are the same rotation, that
-component can be made positive; it then follows from the length 1. The other components are at most
-1 / sqrt 2.
+The largest component of a unit quaternion is not stored. Since q and -q are the same rotation, the
+largest component can be made positive, and then follows from the length 1. The other components are
+at most 1 / sqrt 2.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ COMPONENTS = 8
 def make_codebook(values: NDArray) -> NDArray[np.float64]:
     """Return 256 ascending codes that minimise the mean square distance to `values [N]`.
 
-    This is Lloyd's algorithm in one dimension: since the values are sorted, the mean of each cell
-    is a difference of two cumulative sums. Half of the initial codes are quantiles, which represent
-    dense regions; the other half are evenly spaced, which represents outliers.
+    The method is Lloyd's algorithm in one dimension: since the values are sorted, the mean of each
+    cell is a difference of two cumulative sums. Half of the initial codes are quantiles, which
+    represent dense regions; the other half are evenly spaced, which represents outliers.
     """
     ordered = np.sort(np.asarray(values, np.float64))
     sums = np.concatenate([[0], np.cumsum(ordered)])

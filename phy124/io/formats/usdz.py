@@ -1,8 +1,8 @@
 """Writes a clip as USDZ: the coloured surface of the first frame, and its motion.
 
 The file is an archive with one .usdc: a mesh whose points are sampled in time, one time code per
-frame. Its material shows the colours of the vertices without further light. The axes are y up and
-z to the front, in metres, as AR viewers on phones expect. The topology is constant, as in
+frame. The mesh's material shows the colours of the vertices without further light. The axes are y
+up and z to the front, in metres, as AR viewers on phones expect. The topology is constant, as in
 `phy124/io/formats/moving_mesh.py`.
 """
 

@@ -220,7 +220,7 @@ def pack_stage(
 ) -> tuple[dict[str, Any], NDArray[np.uint8]] | None:
     """Return a clip's stage in the format of the player (phy124/io/viewer/stage.js).
 
-    It consists of plain data, and of shadow maps [T,cells,cells], where 255 means no light.
+    The result consists of plain data, and of shadow maps [T,cells,cells], where 255 means no light.
 
     Args:
         stage: The stage.

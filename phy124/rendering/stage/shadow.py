@@ -9,7 +9,8 @@ layer hides the layers above it. A layer at height h then dims
 - the sky: by its coverage weighted with h^2 / (pi (h^2 + r^2)^2), the part of a uniform sky's light
   that comes through it (ambient occlusion).
 
-Both are convolutions: a map takes one Fourier transform per layer, and one inverse transform.
+The blur and the weighted coverage are convolutions: a map takes one Fourier transform per layer,
+and one inverse transform.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ def span_container(container: Container, low: NDArray, high: NDArray) -> Corners
     """Return the box that shows a container around an object that lies, at rest, between two
     corners [m].
 
-    Its walls end a little above the object; open sides end at 2 object sizes.
+    The walls of the box end a little above the object; open sides end at 2 object sizes.
     """
     size = float((high - low).max())
     room = size * np.array([2.0, 2.0, 0.1])

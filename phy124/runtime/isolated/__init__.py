@@ -61,7 +61,8 @@ def run(
 ) -> T:
     """Call a module's function in another process, and return its result.
 
-    An exception of the function is raised here, too. Arguments and result must be picklable.
+    An exception of the function is raised in this process, too. Arguments and result must be
+    picklable.
 
     Args:
         function: The function.
