@@ -1,8 +1,8 @@
 """Live runs: a visitor grabs and throws the object in the viewer, over a WebSocket.
 
-    browser (static/touch.js) <-> relay (this server) <-> process (phy124.live), one per run
-The process makes the Gaussians, chooses a grid that runs in real time on this machine, and
-simulates. The process sends the nodes of the lattice to which the browser binds the Gaussians.
+A relay in this server connects the browser (static/touch.js) with a process (phy124.live), one per
+run. The process makes the Gaussians, chooses a grid that runs in real time on this machine, and
+simulates. It sends the browser the nodes of the lattice to which the Gaussians are bound.
 """
 
 from .relay import socket_route
