@@ -94,10 +94,10 @@ def test_a_guessed_order_takes_a_small_step(quick, monkeypatch):
     plain = choose.richardson
 
     def rough(spacings, apart, **options):
-        found = plain(spacings, apart, **options)
+        result = plain(spacings, apart, **options)
         if len(spacings) > 3:
-            return found
-        return replace(found, note="errors are rough", errors=(0.4, 0.3, 0.018), order=0.5)
+            return result
+        return replace(result, note="errors are rough", errors=(0.4, 0.3, 0.018), order=0.5)
 
     monkeypatch.setattr(choose, "richardson", rough)
     about = run_for_goal(Goal.error("1%"), ball(600), quick).about

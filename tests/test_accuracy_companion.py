@@ -57,17 +57,19 @@ def test_own_error_leaves_the_run_unchanged(run, monkeypatch):
     monkeypatch.setattr(companion, "AFFORDABLE", 1e3)
     simulation, clip = run
     after = with_own_error(simulation, clip)
-    own = after.report["error"]
-    assert 0 < own["about"] < own["at_most"] and own["cells"] == 8 and not own["why_not"]
+    stated = after.report["error"]
+    assert (
+        0 < stated["about"] < stated["at_most"] and stated["cells"] == 8 and not stated["why_not"]
+    )
     assert after.means is clip.means
     same = ("error", "effects")
     assert {k: v for k, v in after.report.items() if k not in same} == {
         k: v for k, v in clip.report.items() if k not in same
     }
     assert "own error, from D/8" in after.report["effects"]["ran"][-1]
-    told = promise(SCENE, Proportions(0.5, 0.3), after.report)
-    assert told.error == own["at_most"] and told.about == own["about"]
-    assert told.sentence.startswith("This run is off by about ")
+    entry = promise(SCENE, Proportions(0.5, 0.3), after.report)
+    assert entry.error == stated["at_most"] and entry.about == stated["about"]
+    assert entry.sentence.startswith("This run is off by about ")
 
 
 def test_companion_follows_the_same_gaussians(run):
@@ -132,8 +134,8 @@ def test_torn_run_has_no_own_error(run, monkeypatch):
     monkeypatch.setattr(companion, "_compare", None)  # nor does its companion run
     balance = {**clip.report["balance"], "tearing": {"likely": True}}
     torn = with_own_error(simulation, clip.with_report({**clip.report, "balance": balance}))
-    own = torn.report["error"]
-    assert own["about"] is None and own["at_most"] is None and "torn" in own["why_not"]
+    stated = torn.report["error"]
+    assert stated["about"] is None and stated["at_most"] is None and "torn" in stated["why_not"]
 
 
 def test_coarse_positions_have_no_own_error(tmp_path):

@@ -21,20 +21,20 @@ def results(order: float, scale: float = 3.0) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("order", [1.0, 1.3, 2.0])
 def test_order_and_errors_of_all_levels_are_found(order):
-    found = richardson(H, distances(results(order)))
-    assert found.order == pytest.approx(order, abs=0.01)
-    assert found.errors == pytest.approx(3.0 * H**order, rel=0.02)
-    assert not found.why_not
-    assert not found.note
+    result = richardson(H, distances(results(order)))
+    assert result.order == pytest.approx(order, abs=0.01)
+    assert result.errors == pytest.approx(3.0 * H**order, rel=0.02)
+    assert not result.why_not
+    assert not result.note
 
 
 def test_any_result_has_an_error_by_its_distances():
     levels = results(1.5)
-    found = richardson(H, distances(levels))
+    result = richardson(H, distances(levels))
     other = levels[0] + 0.05 * np.random.default_rng(1).normal(size=levels[0].shape)
     apart = np.array([distances([other, level])[0, 1] for level in levels])
     exact = results(1.5, scale=0.0)[0]
-    assert found.error_of(apart) == pytest.approx(distances([other, exact])[0, 1], rel=0.01)
+    assert result.error_of(apart) == pytest.approx(distances([other, exact])[0, 1], rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -59,24 +59,24 @@ def test_errors_hold_until_levels_part():
     levels = [np.stack([x.reshape(-1, 3)] * 12) for x in results(1.0)]
     parted = [x.copy() for x in levels]
     parted[3][8:] += 50
-    found, frames = longest_convergence(H, parted)
-    assert frames == 8 and found.order == pytest.approx(1, abs=0.02)
-    assert found.errors == pytest.approx(3.0 * H, rel=0.02)
+    result, frames = longest_convergence(H, parted)
+    assert frames == 8 and result.order == pytest.approx(1, abs=0.02)
+    assert result.errors == pytest.approx(3.0 * H, rel=0.02)
     assert longest_convergence(H, levels)[1] == 12
     parted[3] += 50
     parted[2] -= 50
-    found, frames = longest_convergence(H, parted, size=2.0)
-    assert not found.errors and frames == 12 and "no convergence" in found.why_not
+    result, frames = longest_convergence(H, parted, size=2.0)
+    assert not result.errors and frames == 12 and "no convergence" in result.why_not
 
 
 def test_levels_that_do_not_come_closer_have_no_number():
     levels = results(1.0)
     levels[0], levels[2] = levels[2], levels[0]
-    found = richardson(H, distances(levels))
-    assert found.order is None
-    assert found.error is None
-    assert found.error_of(np.ones(4)) is None
-    assert found.why_not == "no convergence: results on finer grids are no closer together"
+    result = richardson(H, distances(levels))
+    assert result.order is None
+    assert result.error is None
+    assert result.error_of(np.ones(4)) is None
+    assert result.why_not == "no convergence: results on finer grids are no closer together"
 
 
 def test_two_levels_show_no_order():
@@ -87,18 +87,18 @@ def test_two_levels_show_no_order():
 def test_a_low_order_is_said_and_not_trusted(order):
     """Errors are about those of first order: the levels are too coarse to tell."""
     apart = distances(results(order))
-    found = richardson(H, apart)
-    assert found.order == pytest.approx(max(order, 0.5), abs=0.02)
-    assert "outside 1 to 2, so the errors are rough estimates" in found.note
+    result = richardson(H, apart)
+    assert result.order == pytest.approx(max(order, 0.5), abs=0.02)
+    assert "outside 1 to 2, so the errors are rough estimates" in result.note
     first = apart[-2, -1] / (H[-2] - H[-1]) * H[-1]
-    assert 0.8 * first < found.error < 1.5 * first
+    assert 0.8 * first < result.error < 1.5 * first
 
 
 def test_levels_that_agree_have_no_order_but_an_error():
-    found = richardson(H, 1e-7 * distances(results(1.0)))
-    assert found.order is None
-    assert 0 < found.error < 1e-6
-    assert "does not depend on the grid" in found.note
+    result = richardson(H, 1e-7 * distances(results(1.0)))
+    assert result.order is None
+    assert 0 < result.error < 1e-6
+    assert "does not depend on the grid" in result.note
 
 
 def test_fitted_order_is_the_slope():

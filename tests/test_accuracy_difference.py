@@ -18,18 +18,18 @@ def clips():
 
 
 def test_a_clip_does_not_differ_from_itself(clips):
-    found = difference(clips[0], clips[0], VIEW)
-    assert found.metres == found.pixels == found.worst == 0
-    assert found.psnr == float("inf") and found.ssim == pytest.approx(1)
+    result = difference(clips[0], clips[0], VIEW)
+    assert result.metres == result.pixels == result.worst == 0
+    assert result.psnr == float("inf") and result.ssim == pytest.approx(1)
 
 
 def test_metres_fraction_and_worst_frame_are_those_of_the_step(clips):
-    found = difference(clips[1], clips[0], VIEW)
-    assert found.metres == pytest.approx(STEP / np.sqrt(3), rel=1e-5)
+    result = difference(clips[1], clips[0], VIEW)
+    assert result.metres == pytest.approx(STEP / np.sqrt(3), rel=1e-5)
     size = np.ptp(clips[0].means[0], axis=0).max()
-    assert found.relative == pytest.approx(found.metres / size, rel=1e-6)
-    assert found.worst_frame == 2 and found.worst == pytest.approx(STEP / size, rel=1e-5)
-    assert 20 < found.psnr < 60 and 0.5 < found.ssim < 1
+    assert result.relative == pytest.approx(result.metres / size, rel=1e-6)
+    assert result.worst_frame == 2 and result.worst == pytest.approx(STEP / size, rel=1e-5)
+    assert 20 < result.psnr < 60 and 0.5 < result.ssim < 1
 
 
 def test_pixels_scale_with_the_picture(clips):

@@ -206,10 +206,10 @@ def test_pixels_per_size_is_what_the_camera_sees():
 def test_the_report_compares_what_was_predicted(tmp_path, capsys):
     arguments = ["generate", str(DUCK), *QUICK, "--json", "--out", str(tmp_path)]
     assert main([*arguments, "--forecast"]) == 0
-    told = json.loads(capsys.readouterr().out)["forecast"]
-    assert set(told["stages"]) == {"simulate", "deform", "render", "encode", "save"}
-    assert told["ratio"] == pytest.approx(told["spent"] / told["predicted"])
-    assert told["caveat"] is None
+    output = json.loads(capsys.readouterr().out)["forecast"]
+    assert set(output["stages"]) == {"simulate", "deform", "render", "encode", "save"}
+    assert output["ratio"] == pytest.approx(output["spent"] / output["predicted"])
+    assert output["caveat"] is None
     assert main(arguments) == 0
     report = json.loads(capsys.readouterr().out)
     assert "forecast" not in report
@@ -220,8 +220,8 @@ def test_dry_run_says_how_long_and_makes_nothing(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = ["generate", str(DUCK), *QUICK, "--dry-run", "--json"]
     assert main(arguments) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert set(told["stages"]) == {
+    output = json.loads(capsys.readouterr().out)
+    assert set(output["stages"]) == {
         "image",
         "generate",
         "particles",
@@ -231,8 +231,8 @@ def test_dry_run_says_how_long_and_makes_nothing(tmp_path, capsys, monkeypatch):
         "encode",
         "save",
     }
-    assert told["measured"] == ["particles", "generate", "image"]
-    assert told["seconds"] == pytest.approx(sum(told["stages"].values()))
+    assert output["measured"] == ["particles", "generate", "image"]
+    assert output["seconds"] == pytest.approx(sum(output["stages"].values()))
     assert not list(tmp_path.iterdir())
 
 
@@ -243,8 +243,10 @@ def test_the_pilot_s_grid_resolves_what_the_scene_s_does(radius, cells):
     small = {"name": "small", "shape": "box", "size": 2 * radius, "motion": {"kind": "free"}}
     changes = {"boundaries": [{"kind": "ground"}, wall]}, {"objects": [small]}
     for change in changes:
-        told = Scene.named("drop").replaced({"accuracy": "standard", "object.size": 1.0, **change})
-        assert coarsen(told).resolution.cells == cells
+        declared = Scene.named("drop").replaced(
+            {"accuracy": "standard", "object.size": 1.0, **change}
+        )
+        assert coarsen(declared).resolution.cells == cells
 
 
 def test_speed_up_is_that_of_the_benchmarks():

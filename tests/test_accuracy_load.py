@@ -17,16 +17,18 @@ def test_a_busy_machine_is_less_sure():
 
 
 @pytest.mark.parametrize(
-    ("one", "two", "thread", "simulation"),
+    ("single", "two", "thread", "simulation"),
     [
         (1.0, 0.99, 1.0, 1.0),
         (1.0, 0.7, 1.0, 1.5),  # one other leaves a core to us: there is no second thread
         (0.5, 0.3, 2.0, 3.0),
     ],
 )
-def test_others_are_seen_by_what_they_leave_of_the_cores(monkeypatch, one, two, thread, simulation):
+def test_others_are_seen_by_what_they_leave_of_the_cores(
+    monkeypatch, single, two, thread, simulation
+):
     monkeypatch.setattr(load, "cores", lambda: 2)
-    monkeypatch.setattr(load, "_measure_fraction", {1: one, 2: two}.get)
+    monkeypatch.setattr(load, "_measure_fraction", {1: single, 2: two}.get)
     assert Load.measure() == Load(thread, simulation)
 
 

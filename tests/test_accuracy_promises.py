@@ -138,13 +138,13 @@ def test_presets_are_promised_what_was_measured(name):
     scene = Scene.named(name)
     scenes = [scene.replaced({"accuracy": level}) for level in PRESETS]
     said = [promise(scene, USUAL) for scene in scenes]
-    errors = [one.error for one in said if one.error is not None]
-    assert all("not measured" in one.sentence for one in said if one.error is None)
+    errors = [item.error for item in said if item.error is not None]
+    assert all("not measured" in item.sentence for item in said if item.error is None)
     assert len(errors) == 3 or name in SHOWN
     assert all(0 <= error < 0.4 for error in errors)
     for solver in ("mpm", "lattice"):
         pairs = zip(scenes, said, strict=True)
-        same = [one.error or 0.0 for scene, one in pairs if scene.solver == solver]
+        same = [item.error or 0.0 for scene, item in pairs if scene.solver == solver]
         assert same == sorted(same, reverse=True)
 
 
@@ -272,8 +272,8 @@ def test_player_and_report_word_the_parting_alike():
     script = (ROOT / "phy124/io/viewer/player.js").read_text("utf-8")
     words = "s the motion differs from grid to grid: it is plausible, but not a prediction."
     assert words in script
-    own = {"about": 0.01, "at_most": 0.02, "until": 1.2, "cells": 16}
-    assert words in promise_own(own).sentence
+    entry = {"about": 0.01, "at_most": 0.02, "until": 1.2, "cells": 16}
+    assert words in promise_own(entry).sentence
 
 
 @pytest.mark.parametrize("name", ["snow", "sand"])
@@ -325,9 +325,9 @@ def test_a_run_that_may_be_torn_or_stopped_keeps_no_promise(tmp_path, monkeypatc
     scene = scene.replaced({"accuracy": {"cells": 16, "solver": "mpm"}})
     assert promise(scene, USUAL).error is not None
     result = simulate(ball(100), scene, tmp_path)
-    told = json.loads((tmp_path / "report.json").read_text())["promise"]
-    assert told == result.report["promise"]
-    assert told["error"] is None and "torn" in told["why"]
+    output = json.loads((tmp_path / "report.json").read_text())["promise"]
+    assert output == result.report["promise"]
+    assert output["error"] is None and "torn" in output["why"]
     assert promise(scene, USUAL, {"complete": False}).error is None
 
 
@@ -352,5 +352,5 @@ def test_no_one_else_words_a_promise():
         for kind in ("py", "js")
         for path in (ROOT / part).rglob(f"*.{kind}")
     ]
-    found = {p.name for p in sources if any(word in p.read_text("utf-8") for word in words)}
-    assert found == {"promises.py"}
+    results = {p.name for p in sources if any(word in p.read_text("utf-8") for word in words)}
+    assert results == {"promises.py"}

@@ -65,14 +65,14 @@ def test_liquid_by_projection_is_not_run_with_half_the_substep():
 
 
 def test_errors_fall_and_hold_the_finest_levels_own(study):
-    found = study[1].convergence
+    result = study[1].convergence
     levels = [row for row in study[1].rows if row.level]
     errors = [row.error for row in levels]
     assert errors == sorted(errors, reverse=True)
-    assert errors[-1] == found.error > 0
+    assert errors[-1] == result.error > 0
     apart = levels[0].from_finest
-    assert errors == pytest.approx(list(found.errors))
-    assert abs(errors[0] / found.factor - apart.relative) < found.error
+    assert errors == pytest.approx(list(result.errors))
+    assert abs(errors[0] / result.factor - apart.relative) < result.error
     assert apart.psnr < levels[1].from_finest.psnr
     assert levels[0].pixels > levels[1].pixels > 0
 
@@ -139,17 +139,17 @@ def test_levels_run_with_default_particles(name):
 
 def test_levels_alone_are_run_where_nothing_else_is_asked():
     scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32, "binding": "lattice"})
-    told = []
+    messages = []
     report = Study(
         ball(300),
         scene,
         levels=(8, 10),
         thorough=False,
-        context=RunContext(progress=lambda *at: told.append(at)),
+        context=RunContext(progress=lambda *at: messages.append(at)),
     ).run()
     assert [row.name for row in report.rows] == ["D/8", "D/10"]
     assert all(row.predicted is None and row.from_finest is None for row in report.rows)
-    assert told.count(("study", 1, 2)) > report.rows[1].substeps / 2, "also while it runs"
+    assert messages.count(("study", 1, 2)) > report.rows[1].substeps / 2, "also while it runs"
 
 
 def test_a_level_that_is_stopped_is_left_out():
@@ -222,9 +222,9 @@ def test_too_few_whole_levels_have_no_order(monkeypatch):
 
 
 def test_study_has_the_error_that_each_run_states(study):
-    own = {row.name: row.stated for row in study[1].rows}
-    assert all("of the time of the dynamics" in own[f"D/{n}"]["why_not"] for n in LEVELS)
-    assert {own[name] for name in own if not name.startswith("D/")} == {None}
+    stated = {row.name: row.stated for row in study[1].rows}
+    assert all("of the time of the dynamics" in stated[f"D/{n}"]["why_not"] for n in LEVELS)
+    assert {stated[name] for name in stated if not name.startswith("D/")} == {None}
 
 
 def test_json_is_whole(study):
@@ -242,10 +242,10 @@ def row(cells: int, error: float | None, seconds: float, name: str = "") -> Row:
 
 
 def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
-    found, scene = Convergence(1.0, (0.01,)), Scene.named("press")
+    result, scene = Convergence(1.0, (0.01,)), Scene.named("press")
     monkeypatch.setattr(report_of, "promise", lambda scene, thickness: Promise(0.06, ""))
     broken = replace(row(32, 0.08, 3), stated={"at_most": 0.09, "until": 0.5})
-    said = kept_promises(scene, 0.5, (row(16, 0.05, 1), broken), found)
+    said = kept_promises(scene, 0.5, (row(16, 0.05, 1), broken), result)
     assert said["draft"] == "at most 6.0 %, measured 5.0 %: holds"
     assert said["standard"] == (
         "at most 6.0 %, measured 8.0 %: DOES NOT HOLD; "
@@ -255,7 +255,7 @@ def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
     monkeypatch.setattr(
         report_of, "promise", lambda scene, thickness: Promise(None, "not measured")
     )
-    said = kept_promises(scene, 0.5, (row(16, 0.05, 1),), found)
+    said = kept_promises(scene, 0.5, (row(16, 0.05, 1),), result)
     assert said["draft"] == "this kind of scene has no expected error; measured here: 5.0 %"
     lost = Convergence(
         None, why_not="no convergence: results on finer grids are no closer together"
@@ -266,14 +266,14 @@ def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
 
 
 def test_the_recommendation_is_the_fastest_that_is_good_enough():
-    found = Convergence(1.0, (0.01,))
+    result = Convergence(1.0, (0.01,))
     rows = (row(16, 0.09, 1.0), row(32, 0.03, 3.0), row(48, 0.02, 9.0))
-    assert recommend(rows, found, (4, 4)) == (
+    assert recommend(rows, result, (4, 4)) == (
         "Recommended: D/32, with an error of about 3.0 % of the object's size in 3.0 s; "
         "D/48 would take 3.0 times as long, with an error of about 2.0 %."
     )
     unknown = Convergence(None, why_not="no convergence: x")
-    assert recommend((row(8, 0.3, 0.5), row(16, 0.2, 1.0)), found, (4, 4)) == (
+    assert recommend((row(8, 0.3, 0.5), row(16, 0.2, 1.0)), result, (4, 4)) == (
         "Most accurate: D/16, with an error of about 20 % of the object's size in 1.0 s. No grid "
         "is recommended, since none has an error of at most 4.0 %; this needs a finer one."
     )
@@ -281,12 +281,12 @@ def test_the_recommendation_is_the_fastest_that_is_good_enough():
 
 
 def test_brief_errors_recommend_nothing():
-    rows, found = (row(4, 0.001, 0.1), row(6, 0.001, 0.2)), Convergence(1.0, (0.01,))
-    assert "coarser than D/8" in recommend(rows, found, (4, 4))
+    rows, result = (row(4, 0.001, 0.1), row(6, 0.001, 0.2)), Convergence(1.0, (0.01,))
+    assert "coarser than D/8" in recommend(rows, result, (4, 4))
     fine = (row(16, 0.01, 1.0),)
-    assert recommend(fine, found, (2, 4)).startswith("Recommended: D/16,")
+    assert recommend(fine, result, (2, 4)).startswith("Recommended: D/16,")
     for known in ((1, 1), (1, 2), (2, 5)):
-        assert f"for only {known[0]} of {known[1]} frames" in recommend(fine, found, known)
+        assert f"for only {known[0]} of {known[1]} frames" in recommend(fine, result, known)
 
 
 def test_what_another_setting_beats_is_dominated():
@@ -348,11 +348,11 @@ def test_difference_of_a_known_shift():
 
 def test_levels_that_are_done_survive_an_interrupt():
     """The second level is cancelled in its second frame."""
-    told = []
+    messages = []
 
     def cancel(stage, done, total):
-        told.append(done)
-        if told.count(1) == 3:
+        messages.append(done)
+        if messages.count(1) == 3:
             raise Cancelled
 
     options = {"levels": (6, 8), "context": RunContext(progress=cancel)}
@@ -360,7 +360,7 @@ def test_levels_that_are_done_survive_an_interrupt():
     report = Study(ball(300), scene, keep=True, **options).run()
     assert report.interrupted and [row.name for row in report.rows] == ["D/6"]
     assert report.skipped[-4] == "D/8 was not run: interrupted." and len(report.skipped) >= 4
-    told.clear()
+    messages.clear()
     with pytest.raises(Cancelled):
         Study(ball(300), scene, **options).run()
 

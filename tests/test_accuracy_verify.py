@@ -121,6 +121,6 @@ def test_verify_on_the_command_line(capsys, monkeypatch):
     assert "all as expected" in text
     monkeypatch.setattr(problems, "free_fall", lambda **_: 0.5)
     assert main(["accuracy", "--verify", "--json"]) == 1
-    found = json.loads(capsys.readouterr().out)
-    assert found["passed"] is False
-    assert found["checks"][0]["value"] == 0.5
+    result = json.loads(capsys.readouterr().out)
+    assert result["passed"] is False
+    assert result["checks"][0]["value"] == 0.5

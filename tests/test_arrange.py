@@ -41,9 +41,9 @@ def test_plate_may_enter_the_box_and_a_block_may_not():
 
 def test_solids_are_sorted_by_rank():
     places = (-0.5, 0.1, 0.7, -0.9, 0.5, 0.0)
-    found = arranged([pane(x) for x in places], CAMERA, BOX)
-    assert found.counts == [2, 2, 2]
-    assert found.solids["centre"][:, 0] == pytest.approx([0.7, 0.5, 0.1, 0.0, -0.5, -0.9])
+    result = arranged([pane(x) for x in places], CAMERA, BOX)
+    assert result.counts == [2, 2, 2]
+    assert result.solids["centre"][:, 0] == pytest.approx([0.7, 0.5, 0.1, 0.0, -0.5, -0.9])
 
 
 @pytest.mark.parametrize("broken", [np.nan, np.inf])

@@ -15,18 +15,20 @@ def random_rotation(rng) -> np.ndarray:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_places_shapes_and_colours_turn_by_any_rotation(rng, degree):
-    given, rotation = random_gaussians(rng, degree=degree), random_rotation(rng)
-    made = rotate_gaussians(given, rotation)
-    assert np.allclose(made.means, given.means @ rotation.T, atol=1e-6)
-    assert np.allclose(made.covariances(), rotation @ given.covariances() @ rotation.T, atol=1e-6)
+    gaussians, rotation = random_gaussians(rng, degree=degree), random_rotation(rng)
+    made = rotate_gaussians(gaussians, rotation)
+    assert np.allclose(made.means, gaussians.means @ rotation.T, atol=1e-6)
+    assert np.allclose(
+        made.covariances(), rotation @ gaussians.covariances() @ rotation.T, atol=1e-6
+    )
     directions = rng.normal(size=(20, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    count = given.sh.shape[1]
-    before = np.einsum("dk,nkc->ndc", sh_basis(directions, count), given.sh)
+    count = gaussians.sh.shape[1]
+    before = np.einsum("dk,nkc->ndc", sh_basis(directions, count), gaussians.sh)
     after = np.einsum("dk,nkc->ndc", sh_basis(directions @ rotation.T, count), made.sh)
     assert np.abs(after - before).max() < 2e-5
     back = rotate_gaussians(made, rotation.T)
-    assert np.allclose(back.means, given.means, atol=1e-5)
+    assert np.allclose(back.means, gaussians.means, atol=1e-5)
 
 
 def test_angles_are_about_x_then_y_then_z():

@@ -19,5 +19,5 @@ def test_a_program_finds_what_the_tests_share(program):
     imports = [n for n in body if isinstance(n, ast.ImportFrom) and n.module]
     ours = [n.lineno for n in imports if n.module.partition(".")[0] in OURS]
     path = PATHS[len(program.relative_to(ROOT / "tests").parts) - 1]
-    found = [n.lineno for n in body if ast.unparse(n) == path]
-    assert not ours or (found and found[0] < ours[0]), f"before the import: {path}"
+    result = [n.lineno for n in body if ast.unparse(n) == path]
+    assert not ours or (result and result[0] < ours[0]), f"before the import: {path}"

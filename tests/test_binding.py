@@ -67,8 +67,8 @@ def test_field_follows_bending_to_second_order(rng):
         x = lattice([cells] * 3, 1 / cells).astype(np.float32)
         F = np.tile(np.eye(3), (len(x), 1, 1))
         F[:, 2, 0] = x[:, 0]
-        one = np.ones(len(x))
-        particles = Particles(x, one, one, one.astype(np.int32), -one.astype(np.int32))
+        first = np.ones(len(x))
+        particles = Particles(x, first, first, first.astype(np.int32), -first.astype(np.int32))
         frame = Deformer(gaussians, particles)(bend(x), F, index=0, time=0)
         errors.append(np.abs(frame.gaussians.means - bend(points)).mean())
     assert errors[0] < 2e-3

@@ -31,8 +31,8 @@ def test_the_threads_of_a_deformer_end_with_it():
     others = threading.enumerate()
     deformer = Deformer(gaussians, threads=3)
     deformer(gaussians.means, np.tile(np.eye(3), (len(gaussians), 1, 1)), index=0, time=0)
-    waiting = [one for one in threading.enumerate() if one not in others]
-    assert 1 <= len(waiting) <= 2 and all(one.name.startswith(THREADS) for one in waiting)
+    waiting = [item for item in threading.enumerate() if item not in others]
+    assert 1 <= len(waiting) <= 2 and all(item.name.startswith(THREADS) for item in waiting)
     del deformer
     gc.collect()
     for thread in waiting:

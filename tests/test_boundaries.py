@@ -402,8 +402,8 @@ def test_walls_do_not_depend_on_where_the_threads_part(walls):
         s.advance(0.03)
         return s.state.x.numpy()
 
-    one, several = run(1), run(5)
-    np.testing.assert_allclose(several, one, rtol=0, atol=1e-13)
+    single, several = run(1), run(5)
+    np.testing.assert_allclose(several, single, rtol=0, atol=1e-13)
     assert np.array_equal(several, run(5))
 
 

@@ -25,7 +25,7 @@ def test_a_bag_is_a_folder_or_one_file():
 
 
 def test_topics_have_type_hashes_and_bags_no_clock():
-    known = [one for one in vars(topics).values() if isinstance(one, topics.Topic)]
+    known = [first for first in vars(topics).values() if isinstance(first, topics.Topic)]
     assert len(known) >= 7
     for topic in known:
         assert messages.HASHES[topic.type].startswith("RIHS01_"), topic.name

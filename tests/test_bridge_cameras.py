@@ -67,16 +67,16 @@ def record(path, clip, chosen):
 
 def messages(bag):
     """Topic -> messages, as rosbags reads them."""
-    found = {}
+    results = {}
     with Reader(bag) as reader:
         for connection, _, raw in reader.messages():
             message = JAZZY.deserialize_cdr(raw, connection.msgtype)
-            found.setdefault(connection.topic, []).append(message)
-    return found
+            results.setdefault(connection.topic, []).append(message)
+    return results
 
 
-def camera(found, name, end):
-    return found[f"/phy124/player/camera/{name}/{end}"]
+def camera(result, name, end):
+    return result[f"/phy124/player/camera/{name}/{end}"]
 
 
 def pixels(image):
@@ -100,21 +100,21 @@ def project(points, info, link):
 
 def test_points_land_on_their_pixels(tmp_path):
     clip = dots_clip()
-    found = messages(record(tmp_path / "bag", clip, options(images=("mask",))))
+    result = messages(record(tmp_path / "bag", clip, options(images=("mask",))))
     for index in range(len(clip)):
         (fixed,) = [
             link
-            for link in found["/tf_static"][-1].transforms
+            for link in result["/tf_static"][-1].transforms
             if link.child_frame_id == "phy124_camera_front_optical"
         ]
-        (moving,) = found["/tf"][index].transforms
+        (moving,) = result["/tf"][index].transforms
         assert moving.child_frame_id == "phy124_camera_orbit_optical"
         for name, link in (("front", fixed), ("orbit", moving)):
-            info = camera(found, name, "camera_info")[index]
+            info = camera(result, name, "camera_info")[index]
             assert (info.width, info.height, *info.d) == (*SIZE, 0, 0, 0, 0, 0)
             assert info.header.frame_id == link.child_frame_id
             np.testing.assert_array_equal(info.p.reshape(3, 4)[:, :3], info.k.reshape(3, 3))
-            mask = pixels(camera(found, name, "mask")[index])[..., 0].astype(float)
+            mask = pixels(camera(result, name, "mask")[index])[..., 0].astype(float)
             for x, y in project(clip.means[index], info, link):
                 left, top = round(x) - 4, round(y) - 4
                 spot = mask[top : top + 9, left : left + 9]
@@ -126,35 +126,37 @@ def test_points_land_on_their_pixels(tmp_path):
 def test_images_are_those_of_the_renderer(tmp_path):
     clip = dots_clip()
     chosen = options(images=("rgb", "depth", "flow", "jpeg"))
-    found = messages(record(tmp_path / "bag", clip, chosen))
+    result = messages(record(tmp_path / "bag", clip, chosen))
     view = choose_view(chosen, Scene())
     for side in view.sides:
         path = cameras(clip, view, side)
         seen = Seen(clip, path, ("depth", "flow"))
         for index in range(len(clip)):
             picture = Renderer().picture(clip.frame(index).gaussians, path[index])
-            np.testing.assert_array_equal(pixels(camera(found, side, "image_raw")[index]), picture)
-            packed = camera(found, side, "image_raw/compressed")[index]
+            np.testing.assert_array_equal(pixels(camera(result, side, "image_raw")[index]), picture)
+            packed = camera(result, side, "image_raw/compressed")[index]
             opened = np.asarray(Image.open(io.BytesIO(packed.data)), float)
             assert np.abs(opened - picture).mean() < 3
             rasters, covered = seen.rasters(Renderer(), index)
-            depth = pixels(camera(found, side, "depth")[index])
+            depth = pixels(camera(result, side, "depth")[index])
             np.testing.assert_array_equal(depth[covered], rasters["depth"][covered])
             assert np.isnan(depth[~covered]).all()
-        assert len(camera(found, side, "flow")) == len(clip) - 1
+        assert len(camera(result, side, "flow")) == len(clip) - 1
     # A dot that sinks moves downwards by f * distance / depth.
-    flow, mask = pixels(camera(found, "front", "flow")[0]), covered
+    flow, mask = pixels(camera(result, "front", "flow")[0]), covered
     down = flow[..., 1][flow[..., 1] != 0]
-    focal = camera(found, "front", "camera_info")[0].k[4]
+    focal = camera(result, "front", "camera_info")[0].k[4]
     nearest, farthest = (focal * 0.03 / (path[0].eye[0] - x) for x in (0.5, -0.5))
     assert mask.any() and down.min() > 0.9 * farthest and down.max() < 1.2 * nearest
 
 
 def test_video_has_one_picture_per_message(tmp_path):
     clip = dots_clip(6)
-    found = messages(record(tmp_path / "bag", clip, options(images=("rgb", "h264"), size="161x99")))
-    units = [bytes(message.data) for message in camera(found, "front", "video")]
-    pictures = [pixels(image) for image in camera(found, "front", "image_raw")]
+    result = messages(
+        record(tmp_path / "bag", clip, options(images=("rgb", "h264"), size="161x99"))
+    )
+    units = [bytes(message.data) for message in camera(result, "front", "video")]
+    pictures = [pixels(image) for image in camera(result, "front", "image_raw")]
     # Each message begins with an access unit delimiter; only the first has parameter sets (7).
     assert all(unit.startswith(b"\0\0\0\1\x09") for unit in units)
     assert [b"\0\0\1\x67" in unit for unit in units] == [True] + [False] * 5
@@ -297,7 +299,7 @@ def test_dds_publishes_cameras(monkeypatch):
     chosen = options(views=("front",), size="32x24", images=("rgb",))
     (frame,) = seen_frames(dots_clip(1), chosen)
     with DdsSink(chosen) as sink:
-        peer, found = DomainParticipant(sink._discovery.domain), []
+        peer, result = DomainParticipant(sink._discovery.domain), []
         readers = []
         for topic in list_topics(chosen):
             name = f"rt{full_name(topic.name, 'player')}"
@@ -306,10 +308,10 @@ def test_dds_publishes_cameras(monkeypatch):
         sink.write(frame)
 
         def arrived():
-            found.extend(sample for reader in readers for sample in reader.take(5))
-            return len(found) == 2
+            result.extend(sample for reader in readers for sample in reader.take(5))
+            return len(result) == 2
 
         until(arrived)
-    info, image = sorted(found, key=lambda sample: hasattr(sample, "encoding"))
+    info, image = sorted(result, key=lambda sample: hasattr(sample, "encoding"))
     assert info.k[2] == 15.5
     np.testing.assert_array_equal(image.data, frame.pictures[0].images["rgb"].ravel())

@@ -126,8 +126,8 @@ def test_bulk_data_may_be_any_buffer(wrap):
     expected = rosbags_bytes(
         "sensor_msgs/msg/PointCloud2", value | {"data": np.arange(7, dtype=np.uint8)}
     )
-    given = list(data) if wrap in (np.array, list) else data
-    assert encode("sensor_msgs/msg/PointCloud2", {"data": wrap(given)}) == expected
+    inputs = list(data) if wrap in (np.array, list) else data
+    assert encode("sensor_msgs/msg/PointCloud2", {"data": wrap(inputs)}) == expected
 
 
 def test_points_may_be_plain_sequences():

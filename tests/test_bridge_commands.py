@@ -54,8 +54,8 @@ def test_two_minuses_end_the_options(capsys):
 
 def test_after_two_minuses_nothing_is_meant_for_ros():
     typed = ["play", "--ros-args", "-r", "a:=b", "--", "--live", "--", "--ros-args"]
-    own, ros = split_ros_arguments(typed)
-    assert own == ["play", "--live", "--", "--ros-args"]
+    remaining, ros = split_ros_arguments(typed)
+    assert remaining == ["play", "--live", "--", "--ros-args"]
     assert ros == ["--ros-args", "-r", "a:=b", "--"]
 
 
@@ -82,9 +82,9 @@ def test_record_info_and_recover(clip, capsys):
 
 
 def test_recording_keeps_scene_and_report(clip):
-    one = clip.parent / "one.mcap"
-    assert main(["record", str(clip), str(one), "--compression", "zstd"]) == 0
-    with open(one, "rb") as stream:
+    first = clip.parent / "one.mcap"
+    assert main(["record", str(clip), str(first), "--compression", "zstd"]) == 0
+    with open(first, "rb") as stream:
         *_, record = make_reader(stream).iter_metadata()
     assert json.loads(record.metadata["scene"]) == random_clip().scene
     assert json.loads(record.metadata["report"]) == random_clip(frames=6).report
@@ -101,13 +101,15 @@ def test_info_of_a_clip(clip, capsys):
 
 def test_info_says_where_velocities_come_from():
     assert "from the positions" in describe_clip(random_clip(velocities=False))[1]
-    one = random_clip(frames=1, velocities=False)
-    assert "no (vx, vy, vz will be NaN)" in describe_clip(one)[1]
+    body = random_clip(frames=1, velocities=False)
+    assert "no (vx, vy, vz will be NaN)" in describe_clip(body)[1]
 
 
 def test_info_has_the_error_of_the_report():
-    own = promise_own({"about": 0.01, "at_most": 0.02, "until": None, "cells": 16})
-    assert describe_clip(random_clip().with_report({"promise": asdict(own)}))[2] == own.sentence
+    stated = promise_own({"about": 0.01, "at_most": 0.02, "until": None, "cells": 16})
+    assert (
+        describe_clip(random_clip().with_report({"promise": asdict(stated)}))[2] == stated.sentence
+    )
 
 
 def test_play_and_record_beside(clip, monkeypatch, capsys):
@@ -263,5 +265,5 @@ def test_help_of_every_command(command, capsys):
 
 
 def test_every_set_of_a_live_run_counts():
-    given = ["play", "p.png", "--set", "a=1", "--live", "--set", "b=2"]
-    assert join_repeats(given, COMMANDS) == ["play", "p.png", "--live", "--set", "a=1", "b=2"]
+    arguments = ["play", "p.png", "--set", "a=1", "--live", "--set", "b=2"]
+    assert join_repeats(arguments, COMMANDS) == ["play", "p.png", "--live", "--set", "a=1", "b=2"]

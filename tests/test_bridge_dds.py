@@ -176,12 +176,12 @@ def test_what_ros_2_looks_for(domain):
         publications = BuiltinDataReader(observer, BuiltinTopicDcpsPublication)
         topic = Topic(observer, "ros_discovery_info", idl_type(DISCOVERY.type))
         discovery = DataReader(observer, topic, qos=quality(DISCOVERY))
-        found = {}
+        results = {}
 
         def complete():
             for sample in publications.take(20):
-                found[sample.topic_name] = sample
-            return len(found) == 6
+                results[sample.topic_name] = sample
+            return len(results) == 6
 
         wait_until(complete)
         (info,) = discovery.take(1) or [discovery.take_one(timeout=5 * 10**9)]
@@ -193,10 +193,10 @@ def test_what_ros_2_looks_for(domain):
         "rt/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
         "ros_discovery_info": DISCOVERY.type,
     }
-    assert found.keys() == types.keys()
+    assert results.keys() == types.keys()
     for name, kind in types.items():
         package, _, base = kind.split("/")
-        sample = found[name]
+        sample = results[name]
         assert sample.type_name == f"{package}::msg::dds_::{base}_"
         assert sample.qos[Policy.Userdata].data == f"typehash={HASHES[kind]};".encode()
         kept = name != "rt/diagnostics"
@@ -205,7 +205,7 @@ def test_what_ros_2_looks_for(domain):
     (node,) = info.node_entities_info_seq
     assert (node.node_namespace, node.node_name) == ("/phy124", "player")
     written = {bytes(gid.data) for gid in node.writer_gid_seq}
-    named = [name for name, sample in found.items() if sample.key.bytes in written]
+    named = [name for name, sample in results.items() if sample.key.bytes in written]
     assert sorted(named) == sorted(types.keys() - {"ros_discovery_info"})
 
 

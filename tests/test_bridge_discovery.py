@@ -32,64 +32,64 @@ def discovery(monkeypatch, *, network=False, **variables):
     return Discovery.from_environment(network=network)
 
 
-def settings(found):
+def settings(result):
     """Paths in the first configuration -> texts, and the peers."""
-    root = ET.fromstring(found.configurations()[0])
+    root = ET.fromstring(result.configurations()[0])
     texts = {node.tag: node.text for node in root.iter() if node.text}
     return texts, [node.get("address") for node in root.iter("Peer")]
 
 
-def interfaces(found):
-    root = ET.fromstring(found.configurations()[0])
+def interfaces(result):
+    root = ET.fromstring(result.configurations()[0])
     return [node.get("address") or "autodetermine" for node in root.iter("NetworkInterface")]
 
 
 def test_subnet_is_the_default_and_stays_on_this_machine(monkeypatch):
-    found = discovery(monkeypatch)
-    texts, peers = settings(found)
+    result = discovery(monkeypatch)
+    texts, peers = settings(result)
     assert (texts["AllowMulticast"], texts["MulticastTimeToLive"]) == ("spdp", "0")
     assert (texts["ParticipantIndex"], texts["MaxAutoParticipantIndex"]) == ("auto", "32")
     assert peers == ["localhost"]
-    assert interfaces(found) == ["127.0.0.1", "autodetermine"]
-    assert found.audience() == (
+    assert interfaces(result) == ["127.0.0.1", "autodetermine"]
+    assert result.audience() == (
         "Discovery range SUBNET, domain 0: visible to nodes on this machine; "
         "there: `export ROS_DOMAIN_ID=0 ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET`."
     )
 
 
 def test_network_is_what_a_node_does_by_itself(monkeypatch):
-    found = discovery(monkeypatch, network=True, STATIC_PEERS="10.0.0.5;robot<1>", DOMAIN_ID="9")
-    texts, peers = settings(found)
+    result = discovery(monkeypatch, network=True, STATIC_PEERS="10.0.0.5;robot<1>", DOMAIN_ID="9")
+    texts, peers = settings(result)
     assert "AllowMulticast" not in texts
     assert "MulticastTimeToLive" not in texts
-    assert (peers, interfaces(found)) == (["10.0.0.5", "robot<1>"], [])
-    assert "this machine and network and 10.0.0.5" in found.audience()
-    assert "ROS_DOMAIN_ID=9" in found.export()
+    assert (peers, interfaces(result)) == (["10.0.0.5", "robot<1>"], [])
+    assert "this machine and network and 10.0.0.5" in result.audience()
+    assert "ROS_DOMAIN_ID=9" in result.export()
 
 
 def test_localhost_sends_nothing_by_multicast(monkeypatch):
-    found = discovery(monkeypatch, AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", STATIC_PEERS=" a ; b;")
-    texts, peers = settings(found)
+    result = discovery(monkeypatch, AUTOMATIC_DISCOVERY_RANGE="LOCALHOST", STATIC_PEERS=" a ; b;")
+    texts, peers = settings(result)
     assert texts["AllowMulticast"] == "false"
     assert peers == ["localhost", "a", "b"]
 
 
 def test_localhost_only_prevails_and_warns(monkeypatch, caplog):
-    given = {"LOCALHOST_ONLY": "1", "AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "STATIC_PEERS": "a"}
-    found = discovery(monkeypatch, **given)
-    assert (found.range, found.peers) == ("LOCALHOST", ())
+    options = {"LOCALHOST_ONLY": "1", "AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "STATIC_PEERS": "a"}
+    result = discovery(monkeypatch, **options)
+    assert (result.range, result.peers) == ("LOCALHOST", ())
     assert "use ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST" in caplog.text
     assert discovery(monkeypatch, LOCALHOST_ONLY="0").range == "SUBNET"
 
 
 @pytest.mark.parametrize("reach", ["OFF", "SYSTEM_DEFAULT"])
 def test_ranges_without_peers(monkeypatch, caplog, reach):
-    found = discovery(monkeypatch, AUTOMATIC_DISCOVERY_RANGE=reach, STATIC_PEERS="a")
-    texts, peers = settings(found)
+    result = discovery(monkeypatch, AUTOMATIC_DISCOVERY_RANGE=reach, STATIC_PEERS="a")
+    texts, peers = settings(result)
     assert peers == []
     assert ("Tag" in texts) is (reach == "OFF")
     assert f"ROS_STATIC_PEERS is ignored in the range {reach}" in caplog.text
-    assert ("visible to no other process." in found.audience()) is (reach == "OFF")
+    assert ("visible to no other process." in result.audience()) is (reach == "OFF")
 
 
 def test_an_unknown_range_is_localhost_as_in_ros(monkeypatch, caplog):
@@ -130,8 +130,8 @@ def test_stock_peers_hear_us(network, reach, heard):
     run = subprocess.run(
         private_network.inside(script), capture_output=True, text=True, check=True, timeout=120
     )
-    found = {line["peer"]: line["frames"] for line in map(json.loads, run.stdout.splitlines())}
-    assert found == dict.fromkeys(heard, 4)
+    results = {line["peer"]: line["frames"] for line in map(json.loads, run.stdout.splitlines())}
+    assert results == dict.fromkeys(heard, 4)
 
 
 def test_type_objects_of_fast_dds_are_ignored_only_without_ros(monkeypatch):

@@ -100,13 +100,13 @@ def test_a_state_that_is_set_is_the_state_that_moves_on(solver):
     assert serve(run, "SetEntityState")(entity="object", state=asked)["result"]["result"] == 1
     for _ in range(12):
         run.advance()
-    found = serve(run, "GetEntityState")(entity="object")["state"]
-    assert found["header"]["frame_id"] == "phy124"
-    assert [*found["pose"]["position"].values()] == pytest.approx([0.45, 0, 0.8], abs=1e-3)
-    angle = 2 * np.arctan2(found["pose"]["orientation"]["z"], found["pose"]["orientation"]["w"])
+    result = serve(run, "GetEntityState")(entity="object")["state"]
+    assert result["header"]["frame_id"] == "phy124"
+    assert [*result["pose"]["position"].values()] == pytest.approx([0.45, 0, 0.8], abs=1e-3)
+    angle = 2 * np.arctan2(result["pose"]["orientation"]["z"], result["pose"]["orientation"]["w"])
     assert angle == pytest.approx(np.pi / 2 + 0.5, abs=0.03)
-    assert [*found["twist"]["linear"].values()] == pytest.approx([0.5, 0, 0], abs=1e-3)
-    assert [*found["twist"]["angular"].values()] == pytest.approx([0, 0, 1], abs=1e-2)
+    assert [*result["twist"]["linear"].values()] == pytest.approx([0.5, 0, 0], abs=1e-3)
+    assert [*result["twist"]["angular"].values()] == pytest.approx([0, 0, 1], abs=1e-2)
     assert "does not repeat" in run.remarks.last and run.remarks.count == 1
 
 
@@ -148,11 +148,11 @@ def test_free_solids_move_at_once_and_fixed_solids_are_refused():
     assert serve(run, "SetEntityState")(entity="box", state=asked)["result"]["result"] == Code.OK
     for _ in range(12):
         run.advance()
-    found = serve(run, "GetEntityState")(entity="box")["state"]
-    assert [*found["pose"]["position"].values()] == pytest.approx([2, 0.5, 1], abs=1e-6)
-    z, w = (found["pose"]["orientation"][axis] for axis in "zw")
+    result = serve(run, "GetEntityState")(entity="box")["state"]
+    assert [*result["pose"]["position"].values()] == pytest.approx([2, 0.5, 1], abs=1e-6)
+    z, w = (result["pose"]["orientation"][axis] for axis in "zw")
     assert 2 * np.arctan2(z, w) == pytest.approx(np.pi / 2 + 1)
-    assert [*found["twist"]["angular"].values()] == pytest.approx([0, 0, 2])
+    assert [*result["twist"]["angular"].values()] == pytest.approx([0, 0, 2])
     flags = {"set_pose": True, "set_twist": False}
     serve(run, "SetEntityState")(entity="box", state=state((2, 0, 1)), **flags)
     motion = run.live.motions["box"]

@@ -179,8 +179,8 @@ def test_what_is_no_message_is_refused_in_a_sentence():
             from_json("geometry_msgs/msg/Point", data)
     message = from_json("geometry_msgs/msg/PointStamped", b'{"point": {"y": 2}}')
     assert (message.header.frame_id, message.point.x, message.point.y) == ("", 0.0, 2)
-    told = schema("simulation_interfaces/msg/SimulatorFeatures")["properties"]
-    assert told["features"] == {"type": "array", "items": {"type": "integer"}}
+    answer = schema("simulation_interfaces/msg/SimulatorFeatures")["properties"]
+    assert answer["features"] == {"type": "array", "items": {"type": "integer"}}
     assert schema("geometry_msgs/msg/Point")["properties"]["x"] == {"type": "number"}
 
 

@@ -54,9 +54,9 @@ def test_small_profile_is_read_within_its_bounds(extent):
 
 
 def test_small_profile_of_one_no_and_non_finite_points():
-    one = random_clip(count=1).frame(0)
-    places, _ = documented_reader()(SimpleNamespace(**cloud(one, "small", {})))
-    np.testing.assert_allclose(places, one.gaussians.means, rtol=1e-6)
+    body = random_clip(count=1).frame(0)
+    places, _ = documented_reader()(SimpleNamespace(**cloud(body, "small", {})))
+    np.testing.assert_allclose(places, body.gaussians.means, rtol=1e-6)
     assert cloud(random_clip(count=0).frame(0), "small", {})["row_step"] == 16
     broken = random_clip().frame(0)
     broken.gaussians.means[3, 1] = np.nan

@@ -19,9 +19,9 @@ def clip(tmp_path):
     return str(tmp_path / "clip.safetensors")
 
 
-def manage(ros, clip, *steps, spins=40, **given):
+def manage(ros, clip, *steps, spins=40, **options):
     """Run the node through transitions and functions of the node, with spins between them."""
-    Node.parameters = {"clip": clip, "loop": False, **given}
+    Node.parameters = {"clip": clip, "loop": False, **options}
     done = []
 
     def take(step):

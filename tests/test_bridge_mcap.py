@@ -53,9 +53,9 @@ def clouds(bag):
 def test_rosbags_reads_every_value_to_the_last_bit(tmp_path, profile):
     clip = random_clip()
     bag = record(tmp_path / "bag", clip, profile=profile)
-    found = list(clouds(bag))
-    assert len(found) == len(clip)
-    for frame, (cloud, stamp) in zip(clip.frames(), found, strict=True):
+    result = list(clouds(bag))
+    assert len(result) == len(clip)
+    for frame, (cloud, stamp) in zip(clip.frames(), result, strict=True):
         table = points(frame, profile)
         assert [field.name for field in cloud.fields] == list(table.dtype.names)
         np.testing.assert_array_equal(cloud.data, table.view(np.uint8))
@@ -326,9 +326,9 @@ def test_foxglove_reads_every_value_to_the_last_bit(tmp_path, node_modules, prof
     bag = record(tmp_path / "bag", clip, profile=profile, translation=(1, 2, 3))
     head, *lines = read_by_foxglove(bag, node_modules)
     assert head == {"profile": "ros2", "messages": len(clip) + 1}
-    found = [line for line in lines if "data" in line]
-    assert len(found) == len(clip)
-    for frame, line in zip(clip.frames(), found, strict=True):
+    result = [line for line in lines if "data" in line]
+    assert len(result) == len(clip)
+    for frame, line in zip(clip.frames(), result, strict=True):
         table = points(frame, profile)
         names = list(table.dtype.names)
         assert line["fields"] == [[name, 4 * i, 7, 1] for i, name in enumerate(names)]
@@ -353,10 +353,10 @@ def test_foxglove_reads_cameras(tmp_path, node_modules):
     lines = [line for line in read_by_foxglove(tmp_path / "bag", node_modules) if "logTime" in line]
     for kind, end in kinds.items():
         topic = f"/phy124/player/camera/front/{end}"
-        found = [line for line in lines if line["topic"] == topic]
+        result = [line for line in lines if line["topic"] == topic]
         images = [frame.pictures[0].images[kind] for frame in frames]
         data = [image if isinstance(image, bytes) else image.tobytes() for image in images]
-        assert [line["data"] for line in found] == [hashlib.sha256(d).hexdigest() for d in data]
+        assert [line["data"] for line in result] == [hashlib.sha256(d).hexdigest() for d in data]
     assert {line.get("encoding") or line.get("format") for line in lines if "k" not in line} >= {
         "rgb8",
         "32FC1",

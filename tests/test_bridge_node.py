@@ -24,21 +24,21 @@ TIMEOUT = 20.0
 """Seconds after which a test that waits gives up."""
 
 
-def run_node(ros, tmp_path, stop_after, script=(), **given):
+def run_node(ros, tmp_path, stop_after, script=(), **options):
     """The node `player` with these parameters, ended from outside after so many spins."""
     path = tmp_path / "clip.safetensors"
     random_clip(frames=5, fps=1000).save(path)
-    Node.parameters = {"clip": str(path), **given}
+    Node.parameters = {"clip": str(path), **options}
     ros.script += [*script, *[lambda made: None] * stop_after]
     ros.script.append(lambda made: setattr(made.context, "over", True))
     node.main()
     return ros.nodes[0]
 
 
-def refused(ros, tmp_path, **given):
+def refused(ros, tmp_path, **options):
     """The one line the node ends with."""
     with pytest.raises(SystemExit) as ended:
-        run_node(ros, tmp_path, 1, **given)
+        run_node(ros, tmp_path, 1, **options)
     assert ended.value.code == 1
     assert ros.log == ["init", "shutdown"]
     (line,) = [text for severity, text in ros.nodes[0].logger.lines if severity == "FATAL"]
@@ -83,7 +83,7 @@ def test_whole_numbers_do_for_numbers(ros, tmp_path, name, whole):
 
 
 @pytest.mark.parametrize(
-    ("given", "sentence"),
+    ("arguments", "sentence"),
     [
         ({"speed": -1.0}, "speed = -1.0: It must lie between 0.01 and 100."),
         ({"speed": 1000}, "speed = 1000: It must lie between"),
@@ -108,8 +108,8 @@ def test_whole_numbers_do_for_numbers(ros, tmp_path, name, whole):
         ),
     ],
 )
-def test_a_refusal_is_one_line_at_fatal(ros, tmp_path, given, sentence):
-    assert sentence in refused(ros, tmp_path, **given)
+def test_a_refusal_is_one_line_at_fatal(ros, tmp_path, arguments, sentence):
+    assert sentence in refused(ros, tmp_path, **arguments)
 
 
 def test_parameters_can_be_set_while_it_runs(ros, tmp_path):
@@ -193,8 +193,11 @@ def test_the_command_line_takes_arguments_for_ros(ros, tmp_path):
 
     arguments = ["play", str(tmp_path / "clip.safetensors"), "--backend", "rclpy"]
     assert main([*arguments, "--ros-args", "-r", "__ns:=/a", "-p", "speed:=50", "--"]) == 0
-    (((program, *given), _),) = ros.init
-    assert (program, given) == ("rclpy", ["--ros-args", "-r", "__ns:=/a", "-p", "speed:=50", "--"])
+    (((program, *options), _),) = ros.init
+    assert (program, options) == (
+        "rclpy",
+        ["--ros-args", "-r", "__ns:=/a", "-p", "speed:=50", "--"],
+    )
     assert values(statuses(ros.nodes[0])[-1])["speed"] == "50"
 
 

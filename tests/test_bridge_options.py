@@ -40,8 +40,8 @@ def test_roll_pitch_yaw_turn_about_the_fixed_axes():
     half = math.sqrt(0.5)
     assert Options(rotation=(0, 0, math.pi / 2)).rotation == pytest.approx((0, 0, half, half))
     assert Options(rotation=(math.pi, 0, 0)).rotation == pytest.approx((1, 0, 0, 0))
-    given = (0.3, -0.7, 2.1)
-    assert angles(*quaternion(*given)) == pytest.approx(given)
+    inputs = (0.3, -0.7, 2.1)
+    assert angles(*quaternion(*inputs)) == pytest.approx(inputs)
 
 
 def test_live_limit_applies_only_where_none_was_chosen():

@@ -45,9 +45,9 @@ def imported(path):
         elif isinstance(node, ast.Import):
             yield from (alias.name.split(".")[0] for alias in node.names)
         elif isinstance(node, ast.Call) and ast.unparse(node.func) == "import_module":
-            given = node.args[0]
-            if isinstance(given, ast.Constant):
-                yield given.value.split(".")[0]
+            inputs = node.args[0]
+            if isinstance(inputs, ast.Constant):
+                yield inputs.value.split(".")[0]
 
 
 def test_package_xml_is_what_rep_149_asks_for():
@@ -202,7 +202,7 @@ def nodes(started):
     return [entity for entity in started if entity.kind == "Node"]
 
 
-def given(node):
+def node_parameters(node):
     return {name: value.args[0].name for name, value in node.parameters[1].items()}
 
 
@@ -211,7 +211,7 @@ def test_launch_starts_the_player_and_rviz(launched):
     assert (player.package, player.executable) == (NAME, "player")
     assert (player.namespace, player.name) == ("/robot1", PLAYER)
     # What is not given is left to the parameter file.
-    assert given(player) == {"clip": "clip", "rate": "rate"}
+    assert node_parameters(player) == {"clip": "clip", "rate": "rate"}
     assert player.parameters[1]["rate"].value_type is float
     assert player.parameters[0].name == "config"
     assert (rviz.package, rviz.executable) == ("rviz2", "rviz2")
@@ -236,7 +236,7 @@ def test_launch_ends_with_the_player(launched):
 def test_launch_starts_the_managed_node(launched):
     managed, _ = nodes(launched(clip="a.safetensors", managed="true", loop="false"))
     assert (managed.executable, managed.name) == ("managed", PLAYER)
-    assert given(managed) == {"clip": "clip", "loop": "loop"}
+    assert node_parameters(managed) == {"clip": "clip", "loop": "loop"}
     with pytest.raises(ValueError, match="managed:=true needs clip:="):
         launched(source="p.png", managed="true")
 
@@ -244,7 +244,7 @@ def test_launch_starts_the_managed_node(launched):
 def test_launch_simulates_a_picture(launched):
     live, _ = nodes(launched(source="p.png", scene="drop", profile="viz", rate="10"))
     assert live.executable == "simulate"
-    assert given(live).keys() == {"source", "scene", "profile"}
+    assert node_parameters(live).keys() == {"source", "scene", "profile"}
 
 
 @pytest.mark.parametrize("arguments", [{}, {"clip": "a", "source": "b"}])
@@ -255,11 +255,13 @@ def test_launch_needs_a_clip_or_a_source(launched, arguments):
 
 def test_launch_arguments_are_parameters_of_the_node(launched):
     for name, start in (("player", {"clip": "a"}), ("simulate", {"source": "a"})):
-        own = parameters.CLIP | parameters.RUNNING if name == "player" else parameters.SIMULATED
+        declared = (
+            parameters.CLIP | parameters.RUNNING if name == "player" else parameters.SIMULATED
+        )
         every = {"scene", "profile", "frame_id", "speed", "rate", "loop"}
         node, _ = nodes(launched(**dict.fromkeys(every, "1"), **start))
         running = parameters.RUNNING_LIVE if name == "simulate" else {}
-        assert given(node).keys() <= {*own, *running, *Options.model_fields}
+        assert node_parameters(node).keys() <= {*declared, *running, *Options.model_fields}
         assert node.executable == name
 
 

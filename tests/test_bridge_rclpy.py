@@ -281,8 +281,8 @@ def test_diagnostics_count_what_was_shown_and_lost(ros, monkeypatch):
         made.publishers["points"].subscriptions = 2
         live.play(clip, sink, Player(clip.times, speed=10))
     kind = "diagnostic_msgs/msg/DiagnosticArray"
-    found = decoded(made.publishers["/diagnostics"], kind)
-    first, last = (values(array.status[0]) for array in (found[0], found[-1]))
+    result = decoded(made.publishers["/diagnostics"], kind)
+    first, last = (values(array.status[0]) for array in (result[0], result[-1]))
     assert (first["frames shown"], last["frames shown"]) == ("0", "3")
     assert (last["subscribers"], last["frames lost"]) == ("2", "0")
     assert {"real-time factor", "frames dropped", "position [s]"} <= last.keys()
@@ -441,7 +441,7 @@ def listening(ros, clock):
 def ages(listening, *, hz, frame, frames=60):
     """Age of the newest pose that is used in each frame, which takes `frame` seconds [s]."""
     run, reading, made, clock = listening
-    found, sent = [], clock.now
+    results, sent = [], clock.now
     for _ in range(frames):
         clock.sleep(frame)
         while sent + 1 / hz <= clock.now:
@@ -451,8 +451,8 @@ def ages(listening, *, hz, frame, frames=60):
         reading.briefly()
         assert clock.now - before < max(0.03, 0.5 * frame), "reading takes too long"
         _, place = run.inputs._transforms._links["tool"]
-        found.append(clock.now - place[0, 3])
-    return found
+        results.append(clock.now - place[0, 3])
+    return results
 
 
 @pytest.mark.parametrize("frame", [1 / 12, 1.0])

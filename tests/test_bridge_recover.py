@@ -62,12 +62,12 @@ def test_cut_anywhere_keeps_every_complete_frame(tmp_path, compression):
     for cut in [*sizes, *(size - 1 for size in sizes[1:]), *cuts.tolist()]:
         (path / "bag_0.mcap").write_bytes(whole[:cut])
         (path / "metadata.yaml").unlink(missing_ok=True)
-        found = recover(path)
+        outcome = recover(path)
         safe = sum(size <= cut for size in sizes)
         # A chunk may be complete before the index records that follow it.
-        assert found.frames in (safe, safe + 1)
-        assert found.repaired
-        assert frames_in(path) == expected[: found.frames]
+        assert outcome.frames in (safe, safe + 1)
+        assert outcome.repaired
+        assert frames_in(path) == expected[: outcome.frames]
 
 
 def test_recovered_file_has_index_channels_and_metadata(tmp_path):
@@ -96,8 +96,8 @@ def test_a_whole_recording_is_left_alone(tmp_path):
     path = tmp_path / "bag"
     recorded(path, random_clip())
     before = (path / "bag_0.mcap").stat().st_mtime_ns
-    found = recover(path)
-    assert (found.frames, found.repaired) == (4, False)
+    outcome = recover(path)
+    assert (outcome.frames, outcome.repaired) == (4, False)
     assert (path / "bag_0.mcap").stat().st_mtime_ns == before
 
 
@@ -115,8 +115,8 @@ def test_to_another_place_leaves_the_damaged_one(tmp_path):
     file = path / "bag_0.mcap"
     damaged = file.read_bytes()[: sizes[1]]
     file.write_bytes(damaged)
-    found = recover(path, tmp_path / "copy")
-    assert (found.path, found.frames) == (tmp_path / "copy", 2)
+    outcome = recover(path, tmp_path / "copy")
+    assert (outcome.path, outcome.frames) == (tmp_path / "copy", 2)
     assert len(frames_in(tmp_path / "copy")) == 2
     assert file.read_bytes() == damaged
 
@@ -212,10 +212,10 @@ def kill_and_recover(folder, seconds, count, compression):
         time.sleep(seconds)
         writer.send_signal(signal.SIGKILL)
         begun = 1 + sum(1 for _ in writer.stdout)
-    found = recover(path)
-    assert found.repaired
-    assert len(frames_in(path)) == found.frames
-    return begun, found.frames
+    outcome = recover(path)
+    assert outcome.repaired
+    assert len(frames_in(path)) == outcome.frames
+    return begun, outcome.frames
 
 
 def check_kill(folder, rng, count):

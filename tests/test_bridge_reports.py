@@ -63,8 +63,12 @@ def test_each_change_publishes_the_playback_status():
     seen.reports.change(Playback(paused=True))
     (status,) = seen.of("status")
     assert status.message == "paused" and status.name == "/phy124/player: playback"
-    told = values(status)
-    assert told["speed"] == "0.5" and told["rate [Hz]"] == "every frame" and told["loop"] == "True"
+    answer = values(status)
+    assert (
+        answer["speed"] == "0.5"
+        and answer["rate [Hz]"] == "every frame"
+        and answer["loop"] == "True"
+    )
     seen.reports.change(Playback(finished=True))
     assert seen.of("status")[-1].message == "finished"
 

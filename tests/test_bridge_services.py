@@ -31,8 +31,8 @@ def offered(ros):
 
 def test_triggers_ask_and_pass_on_the_reason_of_a_refusal(offered):
     assert offered("pause") == (["pause"], {"message": "", "success": True})
-    told = {"message": "there is nothing to play", "success": False}
-    assert offered("play") == (["play"], told)
+    options = {"message": "there is nothing to play", "success": False}
+    assert offered("play") == (["play"], options)
 
 
 def test_seek_takes_ros_time_and_rate_is_the_speed(offered):

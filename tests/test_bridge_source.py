@@ -137,7 +137,8 @@ def test_a_doubtful_cut_out_is_said(tmp_path, monkeypatch, caplog):
     )
     asked = []
     monkeypatch.setattr(
-        "phy124.pipeline.gaussians.cut_out", lambda *_, **given: asked.append(given) or doubtful
+        "phy124.pipeline.gaussians.cut_out",
+        lambda *_, **gaussians: asked.append(gaussians) or doubtful,
     )
     monkeypatch.setattr("phy124.generators.GENERATORS", {"relief": lambda: lambda *_, **__: "made"})
     options = LiveOptions(cutting=Cutting(pick="0.2,0.7"))

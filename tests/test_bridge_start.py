@@ -71,7 +71,7 @@ def test_the_command_line(clip, command, moment):
 
 
 def test_an_interrupt_that_native_code_wraps_is_one(monkeypatch, capsys):
-    def run(given, description):
+    def run(arguments, description):
         raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
 
     monkeypatch.setattr("bridge.command_line._command", run)

@@ -327,11 +327,11 @@ def test_wall_wrench_is_about_the_centre_of_mass():
     for _ in range(4):
         run.advance()
     messages = contact_messages(run.live, OPTIONS, run.position)
-    found = {m.topic.name: JAZZY.deserialize_cdr(m.data, m.topic.type) for m in messages}
-    (link,) = found["/tf"].transforms
+    results = {m.topic.name: JAZZY.deserialize_cdr(m.data, m.topic.type) for m in messages}
+    (link,) = results["/tf"].transforms
     assert (link.header.frame_id, link.child_frame_id) == ("phy124", "phy124_com")
     assert link.transform.translation.z == pytest.approx(run.live.centre[2])
-    ground = found["~/contact/ground"]
+    ground = results["~/contact/ground"]
     assert ground.header.frame_id == "phy124_com"
     assert (ground.header.stamp.sec, ground.header.stamp.nanosec) == (EPOCH, 125_000_000)
     wanted = run.live.contacts()["ground"]
@@ -369,35 +369,35 @@ def test_topics_and_frames_name_the_object(tmp_path, monkeypatch):
     forces = {force.kind: force.object for force in run.live.session().forces}
     assert forces == {"gravity": None, "wrench": "object", "grab": "box"}
     with Reader(tmp_path / "bag") as recorded:
-        told = [
+        options = [
             (channel.topic, JAZZY.deserialize_cdr(data, channel.msgtype))
             for channel, _, data in recorded.messages()
         ]
-    pressed = [m for topic, m in told if topic == "/phy124/live/contact/object_on_box"]
-    assert [one.header.frame_id for one in pressed] == 3 * ["phy124_box_com"]
-    for one, (exerted, centre, centres) in zip(pressed, wanted, strict=True):
+    pressed = [m for topic, m in options if topic == "/phy124/live/contact/object_on_box"]
+    assert [first.header.frame_id for first in pressed] == 3 * ["phy124_box_com"]
+    for first, (exerted, centre, centres) in zip(pressed, wanted, strict=True):
         force, torque = (
-            [getattr(v, a) for a in "xyz"] for v in (one.wrench.force, one.wrench.torque)
+            [getattr(v, a) for a in "xyz"] for v in (first.wrench.force, first.wrench.torque)
         )
         assert np.allclose(force, exerted.force)
         about_all = np.add(torque, np.cross(centres["box"] - centre, force))
         assert np.allclose(about_all, exerted.torque, atol=1e-9)
     assert pressed[-1].wrench.force.z < -1  # the object stands on the box
-    (links, *_) = (message.transforms for topic, message in told if topic == "/tf")
+    (links, *_) = (message.transforms for topic, message in options if topic == "/tf")
     frames = [link.child_frame_id for link in links]
     assert frames == ["phy124_com", "phy124_object_com", "phy124_box_com"]
-    clouds = [message for topic, message in told if topic == "/phy124/points"]
+    clouds = [message for topic, message in options if topic == "/phy124/points"]
     assert all(cloud.fields[-1].name == "object_id" for cloud in clouds)
 
 
 def test_command_steers_an_object_and_keeps_the_session(tmp_path, capsys, monkeypatch):
     clip, session = tmp_path / "clip.safetensors", tmp_path / "session.toml"
-    own = scene(**{"time.frames": 2})
-    Simulation(prepare(ball(400), own, RunContext(threads=1))).run().save(clip)
-    given = ["--backend", "foxglove", "--port", "0", "--frames", "3", "--threads", "1"]
+    declared = scene(**{"time.frames": 2})
+    Simulation(prepare(ball(400), declared, RunContext(threads=1))).run().save(clip)
+    arguments = ["--backend", "foxglove", "--port", "0", "--frames", "3", "--threads", "1"]
     coarse = ["--set", "accuracy={cells=8}", "--session", str(session)]
     bag = tmp_path / "bag"
-    assert main(["live", str(clip), *given, *coarse, "--record", str(bag)]) == 0
+    assert main(["live", str(clip), *arguments, *coarse, "--record", str(bag)]) == 0
     assert "8 cells across" in capsys.readouterr().out
     (bag / "metadata.yaml").unlink()
     assert recover(bag).frames == 3, "as if it had been killed"
@@ -414,10 +414,10 @@ def test_command_steers_an_object_and_keeps_the_session(tmp_path, capsys, monkey
             if channel.topic == "/phy124/points"
         ]
     assert len(vx) == 3 and np.isfinite(vx).all(), "the profile `full` has velocities"
-    assert [one.header.frame_id for one in wrenches] == 3 * ["phy124_com"]
+    assert [item.header.frame_id for item in wrenches] == 3 * ["phy124_com"]
     kept = Scene.named(str(session))
-    assert kept.time.frames == 3 and kept.object == own.object
-    assert main(["live", str(clip), *given, *coarse, "--record", str(bag)]) == 2
+    assert kept.time.frames == 3 and kept.object == declared.object
+    assert main(["live", str(clip), *arguments, *coarse, "--record", str(bag)]) == 2
     sound = Live.step
 
     def step(live):
@@ -427,10 +427,10 @@ def test_command_steers_an_object_and_keeps_the_session(tmp_path, capsys, monkey
 
     monkeypatch.setattr(Live, "step", step)
     again = ["--record", str(bag), "--overwrite"]
-    assert main(["live", str(clip), *given, *coarse, *again]) == 3
+    assert main(["live", str(clip), *arguments, *coarse, *again]) == 3
     assert "its good frames are kept. frame 2 is not valid." in capsys.readouterr().err
     assert Scene.named(str(session)).time.frames == 2 and recover(bag).frames == 2
-    assert main(["live", str(clip), *given]) == 3, "while the grid is chosen"
+    assert main(["live", str(clip), *arguments]) == 3, "while the grid is chosen"
     for wrong in (["--speed", "nan"], ["--push-seconds", "-1"]):
         assert main(["live", str(clip), *wrong]) == 2
     assert main(["live", str(tmp_path / "nothing.png")]) == 2

@@ -58,8 +58,8 @@ def test_a_rigid_body_faster_than_its_stiffness_is_noted():
     hard = {"material": {"law": "rigid"}, "time.frames": 2, "object.lift": 3.0}
     slow = run(**hard, **{"object.velocity": [0, 0, -3.0]})
     fast = run(**hard, **{"object.velocity": [0, 0, -100.0], "time.fps": 200.0})
-    for one in (slow, fast):
-        one.run()
+    for item in (slow, fast):
+        item.run()
     assert not any("its stiffness is for impacts" in note for note in slow.report()["notes"])
     assert any("material.speed = 100 makes" in note for note in fast.report()["notes"])
 
@@ -83,18 +83,18 @@ def test_a_stiffness_that_repeats_within_a_frame_is_noted():
     profile = {"kind": "sine", "frequency": 1000.0, "offset": 2.0}
     quick = run(stiffness_profile=profile)
     slow = run(stiffness_profile={**profile, "frequency": 1.0})
-    found = [
-        [n for n in one.report()["notes"] if "stiffness_profile" in n] for one in (quick, slow)
+    result = [
+        [n for n in item.report()["notes"] if "stiffness_profile" in n] for item in (quick, slow)
     ]
-    assert len(found[0]) == 1 and not found[1]
+    assert len(result[0]) == 1 and not result[1]
 
 
 @pytest.mark.parametrize("cfl", [0.75, 0.9])
 def test_a_larger_cfl_that_only_shortens_substeps_is_noted(cfl):
     accuracy = {"cells": 8, "cfl": cfl, "solver": "mpm"}
     thick = {"material.damping": 2e4, "accuracy": accuracy, "time.frames": 2}
-    one = run(**thick, **{"object.lift": 0.0})
-    one.run()
-    assert set(one.solver.clock.limiters) == {"viscous"}
-    found = [note for note in one.report()["notes"] if "accuracy.cfl = 0.75" in note]
-    assert len(found) == (cfl > 0.75)
+    first = run(**thick, **{"object.lift": 0.0})
+    first.run()
+    assert set(first.solver.clock.limiters) == {"viscous"}
+    result = [note for note in first.report()["notes"] if "accuracy.cfl = 0.75" in note]
+    assert len(result) == (cfl > 0.75)

@@ -56,17 +56,17 @@ def test_the_floor_is_found_in_any_unit_and_orientation(tmp_path, seed, changes)
     floor = read.about["capture"]["floor"]
     assert degrees(floor["normal"], place.up) < 1
     (part,) = read.scene.parts
-    own = part.gaussians[0]
+    region = part.gaussians[0]
     assert part.static and part.gaussians[1] == len(read.gaussians)
     # Floaters below the floor, and the rim of the ball, are counted with it.
-    assert 0.95 * (place.kind == 1).sum() <= len(read.gaussians) - own
+    assert 0.95 * (place.kind == 1).sum() <= len(read.gaussians) - region
     assert floor["gaussians"] <= 1.12 * (place.kind == 1).sum()
-    assert own >= (0.97 - 3 * changes.get("noise", 0)) * (place.kind == 0).sum()
+    assert region >= (0.97 - 3 * changes.get("noise", 0)) * (place.kind == 0).sum()
     # The object is upright, 1 m, and its floor is at z = 0.
-    low, high = (f(read.gaussians.means[:own], axis=0) for f in (np.min, np.max))
+    low, high = (f(read.gaussians.means[:region], axis=0) for f in (np.min, np.max))
     assert low == pytest.approx([-0.5, -0.5, 0], abs=0.07)
     assert high == pytest.approx([0.5, 0.5, 1], abs=0.07)
-    heights = read.gaussians.means[own:, 2]
+    heights = read.gaussians.means[region:, 2]
     assert abs(np.median(heights)) < 0.01
 
 
@@ -106,9 +106,9 @@ def test_a_lifted_object_leaves_its_floor_on_the_ground(tmp_path):
         PlyFile(saved(tmp_path, captured(2)), FLOOR), scene("drop", **{"object.lift": 0.4})
     )
     run = Simulation(prepare(read.gaussians, read.scene))
-    own = run.setup.cleaned_scene.parts[0].gaussians[0]
-    assert abs(np.median(run.setup.gaussians.means[own:, 2])) < 0.03
-    assert run.setup.gaussians.means[:own, 2].min() == pytest.approx(0.4, abs=0.03)
+    region = run.setup.cleaned_scene.parts[0].gaussians[0]
+    assert abs(np.median(run.setup.gaussians.means[region:, 2])) < 0.03
+    assert run.setup.gaussians.means[:region, 2].min() == pytest.approx(0.4, abs=0.03)
 
 
 def test_up_that_is_told_keeps_walls_out(tmp_path, rng):
@@ -119,8 +119,8 @@ def test_up_that_is_told_keeps_walls_out(tmp_path, rng):
     everything = np.concatenate([place.gaussians.means @ orientation(), place.in_file(wall)])
     assert degrees(find_floor(everything).normal, place.up) > 45
     tilted = place.up + 0.3 * np.cross(place.up, [0.3, 0.5, 0.8])
-    found = find_floor(everything, tilted / np.linalg.norm(tilted))
-    assert degrees(found.normal, place.up) < 1
+    result = find_floor(everything, tilted / np.linalg.norm(tilted))
+    assert degrees(result.normal, place.up) < 1
 
 
 @pytest.mark.parametrize(
@@ -186,8 +186,8 @@ def test_a_cylinder_turned_in_the_files_own_units(tmp_path, rng, floor):
     as_file = PlyFile(path, Reading(up="z", front="x")).open().gaussians.means
     turn = rng.normal(size=4)
     turn /= np.linalg.norm(turn)
-    own = rotation_matrices(turn[None])[0]
-    centre, half = place.in_file([[0, 0, 0.8]])[0] @ own, 0.35 * place.scale
+    axes = rotation_matrices(turn[None])[0]
+    centre, half = place.in_file([[0, 0, 0.8]])[0] @ axes, 0.35 * place.scale
     region = PartRegion(
         lower=(centre - half).tolist(),
         upper=(centre + half).tolist(),
@@ -200,7 +200,7 @@ def test_a_cylinder_turned_in_the_files_own_units(tmp_path, rng, floor):
     placed = read.scene.parts[0].region
     assert (placed.cylinder, placed.units) == ("y", "metres")
     inside = placed.contains(prepare(read.gaussians, read.scene).gaussians.means).sum()
-    off = as_file @ own - centre
+    off = as_file @ axes - centre
     expected = (np.abs(off[:, 1]) < half) & (np.hypot(off[:, 0], off[:, 2]) < half)
     assert inside == pytest.approx(expected.sum(), abs=2)
     assert 100 < inside < (np.abs(off) < half).all(axis=1).sum() - 20
@@ -225,11 +225,11 @@ def test_a_region_in_file_units_without_a_file_is_refused():
 
 def test_parts_count_the_gaussians_that_were_given():
     """Dropping some before the run does not shift which ones a part names."""
-    given = ball(1000)
-    means = given.means.copy()
+    gaussians = ball(1000)
+    means = gaussians.means.copy()
     means[:50] = np.nan
     part = {"static": True, "gaussians": [500, 600]}
-    run = Simulation(prepare(replace(given, means=means), scene(**{"parts": [part]})))
+    run = Simulation(prepare(replace(gaussians, means=means), scene(**{"parts": [part]})))
     assert len(run.setup.gaussians) == 950
     assert np.flatnonzero(~run.setup.scenery.moves).tolist() == list(range(450, 550))
     assert run.clip is not None and run.setup.cleaned_scene.parts[0].gaussians == (450, 550)
@@ -331,17 +331,17 @@ def test_an_interrupted_generator_that_is_a_capture_goes_on(tmp_path):
     changes = {"time.frames": 4, "time.sleep": False, "view.size": 32, "view.views": ["front"]}
     changes["view.stage"] = "studio"  # as the command has it
     chosen = Scene.named("drop").replaced({"accuracy": {"cells": 8}} | changes)
-    out, told = tmp_path / "out", {"generator": path, "reading": FLOOR}
-    pipeline.generate("any.png", chosen, out, **told, progress=cancel, keep=True)
+    out, answer = tmp_path / "out", {"generator": path, "reading": FLOOR}
+    pipeline.generate("any.png", chosen, out, **answer, progress=cancel, keep=True)
     again = ["generate", "any.png", "--generator", path, *OPTIONS, "--out", str(out), "--resume"]
     assert main(again) == 0
     assert Clip.load(out / "clip.safetensors").report["complete"]
 
 
-@pytest.mark.parametrize("told", [["--floor"], ["--crop", "0,0,0,1,1,1"], ["--up", "z"]])
-def test_what_is_told_of_a_file_needs_one(tmp_path, capsys, told):
-    assert main(["generate", "any.png", *told, "--out", str(tmp_path / "out")]) == 2
-    assert f"generator = relief: {told[0]} is for a file of Gaussians" in capsys.readouterr().err
+@pytest.mark.parametrize("options", [["--floor"], ["--crop", "0,0,0,1,1,1"], ["--up", "z"]])
+def test_what_is_told_of_a_file_needs_one(tmp_path, capsys, options):
+    assert main(["generate", "any.png", *options, "--out", str(tmp_path / "out")]) == 2
+    assert f"generator = relief: {options[0]} is for a file of Gaussians" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -53,8 +53,8 @@ def test_velocities_are_differences_of_neighbouring_frames(clip):
     for frame in bare.frames(velocities=True):  # a metre per frame along each axis
         assert frame.velocities.dtype == np.float32
         assert frame.velocities == pytest.approx(np.full((3, 3), 24.0), rel=1e-5)
-    one = Clip.from_frames([bare.frame(0)])
-    assert one.frame(0, velocities=True).velocities is None
+    body = Clip.from_frames([bare.frame(0)])
+    assert body.frame(0, velocities=True).velocities is None
 
 
 def test_colours_turn_with_the_material(rng, three_gaussians):

@@ -21,32 +21,32 @@ def read(path, left_out=(), *, kinds=None, ascii=False, **more):
 
 @pytest.mark.parametrize("ascii", [False, True])
 def test_the_filter_of_mip_splatting_is_applied(tmp_path, ascii):
-    found = read(tmp_path, filter_3D=[0.008, 0.0, -0.008], ascii=ascii)
+    result = read(tmp_path, filter_3D=[0.008, 0.0, -0.008], ascii=ascii)
     wide, thin = np.hypot(0.01, 0.008), 0.9 * (1e-4 / 1.64e-4) ** 1.5
-    np.testing.assert_allclose(found.gaussians.scales[:, 0], [wide, 0.01, wide], rtol=1e-5)
-    np.testing.assert_allclose(found.gaussians.opacities, [thin, 0.9, thin], rtol=1e-5)
-    assert len(found.notes) == 1 and "filter_3D" in found.notes[0]
+    np.testing.assert_allclose(result.gaussians.scales[:, 0], [wide, 0.01, wide], rtol=1e-5)
+    np.testing.assert_allclose(result.gaussians.opacities, [thin, 0.9, thin], rtol=1e-5)
+    assert len(result.notes) == 1 and "filter_3D" in result.notes[0]
 
 
 def test_the_filter_widens_each_side_by_itself(tmp_path):
     sides = {"scale_0": np.log(0.03), "scale_1": np.log(0.02), "scale_2": -np.inf}
-    found = read(tmp_path, **sides, filter_3D=0.01)
+    result = read(tmp_path, **sides, filter_3D=0.01)
     wanted = np.sqrt(np.square([0.03, 0.02, 0]) + 1e-4)
-    np.testing.assert_allclose(found.gaussians.scales, np.tile(wanted, (3, 1)), rtol=1e-5)
-    assert not found.gaussians.opacities.any(), "a flat one has no volume to spread"
+    np.testing.assert_allclose(result.gaussians.scales, np.tile(wanted, (3, 1)), rtol=1e-5)
+    assert not result.gaussians.opacities.any(), "a flat one has no volume to spread"
 
 
 def test_a_filter_without_numbers_drops_the_row(tmp_path):
-    found = read(tmp_path, filter_3D=[0.0, np.nan, np.inf])
-    assert (len(found.gaussians), found.dropped) == (1, 2)
+    result = read(tmp_path, filter_3D=[0.0, np.nan, np.inf])
+    assert (len(result.gaussians), result.dropped) == (1, 2)
 
 
 def test_activated_values_are_read_as_they_are(tmp_path):
     values = {"scale_0": 0.03, "scale_1": 0.02, "scale_2": 0.01, "opacity": [0.0, 0.25, 1.0]}
-    found = read(tmp_path, **values)
-    np.testing.assert_allclose(found.gaussians.scales[0], [0.03, 0.02, 0.01], rtol=1e-6)
-    np.testing.assert_allclose(found.gaussians.opacities, [0, 0.25, 1], rtol=1e-6)
-    assert len(found.notes) == 1 and "not logarithms" in found.notes[0]
+    result = read(tmp_path, **values)
+    np.testing.assert_allclose(result.gaussians.scales[0], [0.03, 0.02, 0.01], rtol=1e-6)
+    np.testing.assert_allclose(result.gaussians.opacities, [0, 0.25, 1], rtol=1e-6)
+    assert len(result.notes) == 1 and "not logarithms" in result.notes[0]
 
 
 @pytest.mark.parametrize(
@@ -60,32 +60,32 @@ def test_activated_values_are_read_as_they_are(tmp_path):
     ids=["millimetres", "opacities", "one opacity", "one scale"],
 )
 def test_only_all_scales_and_all_opacities_tell_activated_values(tmp_path, values):
-    found = read(tmp_path, **values)
+    result = read(tmp_path, **values)
     raw = {**STANDARD, **values}
     wanted = np.broadcast_to(np.exp(raw["scale_0"]), 3)
-    np.testing.assert_allclose(found.gaussians.scales[:, 0], wanted, rtol=1e-5)
+    np.testing.assert_allclose(result.gaussians.scales[:, 0], wanted, rtol=1e-5)
     wanted = np.broadcast_to(1 / (1 + np.exp(-np.array(raw["opacity"]))), 3)
-    np.testing.assert_allclose(found.gaussians.opacities, wanted, rtol=1e-5)
-    assert found.notes == ()
+    np.testing.assert_allclose(result.gaussians.opacities, wanted, rtol=1e-5)
+    assert result.notes == ()
 
 
 def test_rows_without_numbers_do_not_hide_activated_values(tmp_path):
     scales = {f"scale_{i}": [0.1, np.nan, 0.2] for i in range(3)}
-    found = read(tmp_path, **scales, opacity=[0.5, 0.5, 0.7])
-    np.testing.assert_allclose(found.gaussians.scales[:, 0], [0.1, 0.2], rtol=1e-6)
-    assert found.dropped == 1
+    result = read(tmp_path, **scales, opacity=[0.5, 0.5, 0.7])
+    np.testing.assert_allclose(result.gaussians.scales[:, 0], [0.1, 0.2], rtol=1e-6)
+    assert result.dropped == 1
 
 
 def test_gaussians_of_2dgs_are_flat(tmp_path):
-    found = read(tmp_path, ["scale_2"], scale_1=np.log(0.02))
-    np.testing.assert_allclose(found.gaussians.scales[0], [0.01, 0.02, 0.0001], rtol=1e-5)
-    assert len(found.notes) == 1 and "2DGS" in found.notes[0]
+    result = read(tmp_path, ["scale_2"], scale_1=np.log(0.02))
+    np.testing.assert_allclose(result.gaussians.scales[0], [0.01, 0.02, 0.0001], rtol=1e-5)
+    assert len(result.notes) == 1 and "2DGS" in result.notes[0]
 
 
 def test_gaussians_of_one_scale_are_round(tmp_path):
-    found = read(tmp_path, ["scale_1", "scale_2"])
-    np.testing.assert_allclose(found.gaussians.scales[0], [0.01] * 3, rtol=1e-5)
-    assert len(found.notes) == 1 and "round" in found.notes[0]
+    result = read(tmp_path, ["scale_1", "scale_2"])
+    np.testing.assert_allclose(result.gaussians.scales[0], [0.01] * 3, rtol=1e-5)
+    assert len(result.notes) == 1 and "round" in result.notes[0]
 
 
 @pytest.mark.parametrize(
@@ -94,31 +94,33 @@ def test_gaussians_of_one_scale_are_round(tmp_path):
 @pytest.mark.parametrize("ascii", [False, True])
 def test_colours_as_rgb_take_the_place_of_harmonics(tmp_path, kind, values, ascii):
     rgb = dict(zip(("red", "green", "blue"), values, strict=True))
-    found = read(
+    result = read(
         tmp_path, ["f_dc_0", "f_dc_1", "f_dc_2"], **rgb, ascii=ascii, kinds=dict.fromkeys(rgb, kind)
     )
-    np.testing.assert_allclose(found.gaussians.rgb[0], [1, 0, 0.2], atol=1e-6)
+    np.testing.assert_allclose(result.gaussians.rgb[0], [1, 0, 0.2], atol=1e-6)
 
 
 def test_colours_beside_harmonics_are_only_a_copy(tmp_path):
-    found = read(tmp_path, red=[0, 0, 0], green=0, blue=0, kinds={"red": "u1"})
-    np.testing.assert_allclose(found.gaussians.sh[0, 0], [0.5, 0, -0.5])
-    assert SH_C0 > 0 and found.notes == ()
+    result = read(tmp_path, red=[0, 0, 0], green=0, blue=0, kinds={"red": "u1"})
+    np.testing.assert_allclose(result.gaussians.sh[0, 0], [0.5, 0, -0.5])
+    assert SH_C0 > 0 and result.notes == ()
 
 
 def test_harmonics_of_degree_4_are_left_out(tmp_path):
     rest = {f"f_rest_{i}": float(i) for i in range(72)}
-    found = read(tmp_path, **rest)
-    assert found.gaussians.sh.shape == (3, 16, 3)
+    result = read(tmp_path, **rest)
+    assert result.gaussians.sh.shape == (3, 16, 3)
     for channel in range(3):
-        np.testing.assert_allclose(found.gaussians.sh[0, 1:, channel], np.arange(15) + 24 * channel)
-    assert found.notes == ("Harmonics of degree 4 are left out.",)
+        np.testing.assert_allclose(
+            result.gaussians.sh[0, 1:, channel], np.arange(15) + 24 * channel
+        )
+    assert result.notes == ("Harmonics of degree 4 are left out.",)
 
 
 def test_unknown_columns_are_named_once(tmp_path):
     more = {"roughness": 0.5, "obj_dc_0": 0, "obj_dc_1": 0, "obj_dc_2": 0, "t\x1b[31mx": 0, "nx": 0}
-    found = read(tmp_path, **more, **{f"f_rest_{i}": 0.0 for i in range(9)})
-    (note,) = found.notes
+    result = read(tmp_path, **more, **{f"f_rest_{i}": 0.0 for i in range(9)})
+    (note,) = result.notes
     assert note.endswith("ignored: roughness, obj_dc_0 to obj_dc_2, t?[31mx.")
 
 
@@ -129,13 +131,13 @@ def test_many_unknown_columns_make_a_short_note(tmp_path):
 
 def test_what_no_object_names_goes_with_its_neighbour(tmp_path):
     places = {"x": [0.0, 5.0, 5.1, 0.1, 9.0], "y": 0.0}
-    found = read(tmp_path, **places, object_id=[0, 3, np.nan, -1, 2e9])
-    assert found.gaussians.object_id.tolist() == [0, 3, 3, 0, 10**6]
-    assert (found.dropped, len(found.notes)) == (0, 1)
-    assert found.notes[0].startswith("2 Gaussians belong to no object")
+    result = read(tmp_path, **places, object_id=[0, 3, np.nan, -1, 2e9])
+    assert result.gaussians.object_id.tolist() == [0, 3, 3, 0, 10**6]
+    assert (result.dropped, len(result.notes)) == (0, 1)
+    assert result.notes[0].startswith("2 Gaussians belong to no object")
 
 
 def test_where_nothing_names_an_object_all_are_one(tmp_path):
-    found = read(tmp_path, object_id=[np.nan, -1, -np.inf])
-    assert found.gaussians.object_id is None and len(found.gaussians) == 3
-    assert "one object" in found.notes[0]
+    result = read(tmp_path, object_id=[np.nan, -1, -np.inf])
+    assert result.gaussians.object_id is None and len(result.gaussians) == 3
+    assert "one object" in result.notes[0]

@@ -25,7 +25,7 @@ def clip(tmp_path, three_gaussians):
     return tmp_path / "clip.safetensors"
 
 
-def told(capsys, *words) -> dict:
+def run_json(capsys, *words) -> dict:
     assert main([*map(str, words), "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
@@ -33,11 +33,11 @@ def told(capsys, *words) -> dict:
 @pytest.mark.parametrize("name", [n for n, f in FORMATS.items() if f.encode and f.read])
 def test_one_frame_and_all_frames_of_still_formats(clip, capsys, three_gaussians, name):
     suffix = FORMATS[name].suffix
-    (file,) = told(capsys, "export", clip, "--to", name, "--frame", 2)["files"]
+    (file,) = run_json(capsys, "export", clip, "--to", name, "--frame", 2)["files"]
     assert file == str(clip.with_name(f"clip_0003{suffix}")), "named as with --all"
     there = read_gaussians(file).gaussians.means
     np.testing.assert_allclose(there, three_gaussians.means + [2, 0, 0], atol=1e-3)
-    files = told(capsys, "export", clip, "--to", name, "--all")["files"]
+    files = run_json(capsys, "export", clip, "--to", name, "--all")["files"]
     assert files == [str(clip.parent / f"clip-{name}/clip_000{i}{suffix}") for i in (1, 2, 3)]
     for i, path in enumerate(files):
         there = read_gaussians(path).gaussians.means
@@ -46,7 +46,7 @@ def test_one_frame_and_all_frames_of_still_formats(clip, capsys, three_gaussians
 
 def test_all_frames_go_into_an_archive(clip, capsys):
     out = clip.with_name("it.zip")
-    answer = told(capsys, "export", clip, "--to", "spz", "--all", "--out", out)
+    answer = run_json(capsys, "export", clip, "--to", "spz", "--all", "--out", out)
     assert answer["files"] == [str(out)] and answer["bytes"] == out.stat().st_size
     with zipfile.ZipFile(out) as archive:
         assert archive.namelist() == [f"clip_000{i}.spz" for i in (1, 2, 3)]
@@ -55,7 +55,7 @@ def test_all_frames_go_into_an_archive(clip, capsys):
 def test_moving_formats_hold_the_clip_or_one_frame(clip, capsys, three_gaussians):
     """Read by the format's own library."""
     fourdgs = pytest.importorskip("fourdgs.keyframe_delta_file", reason="fourdgs is not installed")
-    (file,) = told(capsys, "export", clip, "--to", "4dgs")["files"]
+    (file,) = run_json(capsys, "export", clip, "--to", "4dgs")["files"]
     assert file == str(clip.with_suffix(".4dgs"))
     decoded, index = fourdgs.decode_indexed(clip.with_suffix(".4dgs").read_bytes())
     assert len(index) == 3
@@ -73,7 +73,9 @@ def test_moving_formats_hold_the_clip_or_one_frame(clip, capsys, three_gaussians
         assert np.abs(state["rgb"] - three_gaussians.rgb).max() <= bounds.rgb / 2 + 1e-6
         opacities = three_gaussians.opacities
         assert np.abs(state["opacity"] - opacities).max() <= bounds.alpha / 2 + 1e-6
-    told(capsys, "export", clip, "--to", "4dgs", "--frame", 1, "--out", clip.with_name("a.4dgs"))
+    run_json(
+        capsys, "export", clip, "--to", "4dgs", "--frame", 1, "--out", clip.with_name("a.4dgs")
+    )
     _, index = fourdgs.decode_indexed(clip.with_name("a.4dgs").read_bytes())
     assert len(index) == 1
 
@@ -112,16 +114,16 @@ def test_exports_that_cannot_be_are_refused(clip, capsys, monkeypatch, words, se
 def test_convert_keeps_up_axis_and_metadata(tmp_path, capsys, rng):
     wanted = many(rng, 30, 2)
     write_gaussians(tmp_path / "a.spz", wanted, antialiased=True)
-    told(capsys, "convert", tmp_path / "a.spz", tmp_path / "b.ply")
+    run_json(capsys, "convert", tmp_path / "a.spz", tmp_path / "b.ply")
     content = read_gaussians(tmp_path / "b.ply")
     np.testing.assert_allclose(content.gaussians.means, wanted.means, atol=1e-5)
     assert content.antialiased and content.gaussians.sh_degree == 2
-    told(capsys, "convert", tmp_path / "b.ply", tmp_path / "c.glb", "--up", "y", "--front", "z")
+    run_json(capsys, "convert", tmp_path / "b.ply", tmp_path / "c.glb", "--up", "y", "--front", "z")
     turned = read_gaussians(tmp_path / "c.glb").gaussians.means
     np.testing.assert_allclose(turned, wanted.means * [-1, 1, -1], atol=1e-5)
-    notes = told(capsys, "convert", tmp_path / "c.glb", tmp_path / "d.splat")["notes"]
+    notes = run_json(capsys, "convert", tmp_path / "c.glb", tmp_path / "d.splat")["notes"]
     assert len(notes) == 1 and "no harmonics above degree 0" in notes[0]
-    told(capsys, "convert", tmp_path / "c.glb", tmp_path / "e.spz", "--to", "spz4")
+    run_json(capsys, "convert", tmp_path / "c.glb", tmp_path / "e.spz", "--to", "spz4")
     assert (tmp_path / "e.spz").read_bytes()[:8] == b"NGSP\x04\0\0\0"
     assert main(["convert", str(tmp_path / "c.glb"), str(tmp_path / "f.splat")]) == 0
     assert "opens in antimatter15/splat" in capsys.readouterr().out

@@ -66,9 +66,9 @@ def test_a_doubtful_cut_out_is_told_before_the_work(dark, tmp_path, capsys, monk
     for command in ("cutout", "generate"):
         more = [*QUICK, "--dry-run"] if command == "generate" else []
         assert main([command, str(picture), "--mask", "inverted.png", *more]) == 0
-        told = capsys.readouterr().err
-        assert "warning: The cut-out touches 4 edges of the picture" in told
-        assert "--mask FILE (white where the object is)" in told
+        output = capsys.readouterr().err
+        assert "warning: The cut-out touches 4 edges of the picture" in output
+        assert "--mask FILE (white where the object is)" in output
 
 
 @pytest.mark.parametrize(

@@ -23,9 +23,9 @@ def clip():
 
 
 def test_a_clip_equals_itself(clip):
-    found = compare(clip, clip)
-    assert found.position_rms == found.position_max == found.colour_rms == 0
-    assert (found.frames, found.gaussians) == (4, 500)
+    result = compare(clip, clip)
+    assert result.position_rms == result.position_max == result.colour_rms == 0
+    assert (result.frames, result.gaussians) == (4, 500)
 
 
 def test_grains_are_not_compared(clip):
@@ -47,25 +47,25 @@ def test_known_differences_are_measured(clip):
     grey = replace(clip, sh=sh.copy())
     sh[:, 0, 0] = (0.45 - 0.5) / SH_C0
     size = np.ptp(clip.means[0], axis=0).max()
-    found = compare(grey, replace(clip, means=means, sh=sh))
-    assert found.worst_frame == 2
-    assert found.position_max * size == pytest.approx(0.5, rel=1e-5)
+    result = compare(grey, replace(clip, means=means, sh=sh))
+    assert result.worst_frame == 2
+    assert result.position_max * size == pytest.approx(0.5, rel=1e-5)
     expected = math.sqrt((500 * 0.1**2 + 0.5**2) / (4 * 500))
-    assert found.position_rms * size == pytest.approx(expected, rel=1e-5)
-    assert found.colour_max == pytest.approx(0.2, rel=1e-4)
-    assert found.colour_rms == pytest.approx(0.2 / math.sqrt(3), rel=1e-4)
+    assert result.position_rms * size == pytest.approx(expected, rel=1e-5)
+    assert result.colour_max == pytest.approx(0.2, rel=1e-4)
+    assert result.colour_rms == pytest.approx(0.2 / math.sqrt(3), rel=1e-4)
 
 
 def test_pictures_add_up_to_those_of_the_video(rng):
     a = rng.integers(0, 255, (3, 20, 30, 3), dtype=np.uint8)
     b = np.clip(a.astype(int) + rng.integers(-9, 9, a.shape), 0, 255).astype(np.uint8)
     pictures, same = Pictures(), Pictures()
-    for one, other in zip(a, b, strict=True):
-        pictures.add(one, other)
-        same.add(one, one)
-    found = pictures.likeness("front")
-    assert found.psnr == pytest.approx(psnr(a, b))
-    assert found.ssim == pytest.approx(np.mean([ssim(x, y) for x, y in zip(a, b, strict=True)]))
+    for first, other in zip(a, b, strict=True):
+        pictures.add(first, other)
+        same.add(first, first)
+    result = pictures.likeness("front")
+    assert result.psnr == pytest.approx(psnr(a, b))
+    assert result.ssim == pytest.approx(np.mean([ssim(x, y) for x, y in zip(a, b, strict=True)]))
     assert same.likeness("front").psnr is None
 
 

@@ -59,10 +59,10 @@ def empty_cache(monkeypatch, tmp_path):
 
 
 def test_only_missing_modules_compile_with_progress(empty_cache):
-    told, made = [], [small("first"), small("second")]
+    messages, made = [], [small("first"), small("second")]
     assert not any(map(is_compiled, made))
-    assert compile_missing(made, progress=lambda *step: told.append(step)) == 2
-    assert told == [("compile", 0, 2), ("compile", 1, 2), ("compile", 2, 2)]
+    assert compile_missing(made, progress=lambda *step: messages.append(step)) == 2
+    assert messages == [("compile", 0, 2), ("compile", 1, 2), ("compile", 2, 2)]
     assert all(map(is_compiled, made))
     values = wp.ones(3)
     wp.launch(made[0], 3, inputs=[values])
@@ -74,7 +74,7 @@ def test_warp_is_started_before_anything_is_loaded(empty_cache, monkeypatch):
     """A thread that starts it would discard what the others know of their modules."""
     done, load = [], wp.load_module
     monkeypatch.setattr(compiling, "start", lambda: done.append("start"))
-    monkeypatch.setattr(wp, "load_module", lambda *given: (done.append("load"), load(*given)))
+    monkeypatch.setattr(wp, "load_module", lambda *options: (done.append("load"), load(*options)))
     assert compile_missing([small("started")]) == 1
     assert done == ["start", "load"]
 
@@ -114,8 +114,8 @@ def test_an_error_of_the_compiler_is_raised(monkeypatch):
 def test_all_threads_share_the_headers_of_earlier_runs(empty_cache):
     runtime = wp._src.context.runtime
     with ThreadPoolExecutor(1) as other:
-        found = {runtime.get_clang_pch_dir(), other.submit(runtime.get_clang_pch_dir).result()}
-    assert found == {str(headers_folder())}
+        results = {runtime.get_clang_pch_dir(), other.submit(runtime.get_clang_pch_dir).result()}
+    assert results == {str(headers_folder())}
 
 
 def test_uncached_headers_are_made_where_warp_makes_them(monkeypatch):

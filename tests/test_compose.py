@@ -61,7 +61,7 @@ def test_the_camera_of_a_photograph_is_found():
     assert quality > 38
     # Which of distance and focal length it is cannot be told from a single picture.
     apparent = [
-        one.focal / np.linalg.norm(np.subtract(one.eye, one.target)) for one in (camera, true)
+        item.focal / np.linalg.norm(np.subtract(item.eye, item.target)) for item in (camera, true)
     ]
     assert apparent[0] == pytest.approx(apparent[1], rel=5e-3)
     assert camera.centre == pytest.approx(true.centre, abs=0.3)
@@ -83,12 +83,12 @@ def test_seen_colours_approach_the_photograph():
     g = patched()
     wrong = Gaussians(g.means, g.quats, g.scales, g.opacities, sh)
     before = match_colours(g, true, photograph).psnr
-    found = match_colours(wrong, true, photograph)
-    better = found.sh
-    assert 30 < found.psnr <= before
+    result = match_colours(wrong, true, photograph)
+    better = result.sh
+    assert 30 < result.psnr <= before
     behind = g.means[:, 0] < -0.2
     np.testing.assert_array_equal(better[behind], sh[behind])
-    assert (found.sizes[behind] == 1).all()
+    assert (result.sizes[behind] == 1).all()
     assert np.abs(better - sh).max() > 0.1
 
 
@@ -108,11 +108,11 @@ def test_sums_by_gaussian_are_the_adjoint_of_drawing(rng, blend):
 def test_both_forms_of_the_sums_agree_gaussian_by_gaussian(rng):
     g, camera = patched(2000), Camera((2.0, 0.0, 0.5), (0.0, 0.0, 0.5), *SIZE, 40.0)
     values = rng.normal(size=(*SIZE[::-1], 3))
-    (sums, weights), (wanted, told) = (
+    (sums, weights), (wanted, answer) = (
         Adjoint(device="cpu", blend=blend).sums(g, camera, values) for blend in ("simd", "pixel")
     )
-    assert told.max() > 1
-    np.testing.assert_allclose(weights, told, atol=1e-3 * told.max())
+    assert answer.max() > 1
+    np.testing.assert_allclose(weights, answer, atol=1e-3 * answer.max())
     np.testing.assert_allclose(sums, wanted, atol=1e-3 * np.abs(wanted).max())
 
 

@@ -107,8 +107,8 @@ def test_races_that_are_there_are_found(races):
 def test_no_two_threads_of_a_launch_race(group, races):
     raced = {
         f"{kernel}: {what}": runs
-        for kernel, found in races(group)["raced"].items()
-        for what, runs in found.items()
+        for kernel, result in races(group)["raced"].items()
+        for what, runs in result.items()
         if what not in HARMLESS
     }
     assert raced.keys() <= MASSES, raced
@@ -126,7 +126,7 @@ def test_every_kernel_was_looked_at(races):
 @pytest.mark.parametrize("group", ["presets", "laws", "solids", "lattices"])
 def test_the_order_of_threads_does_not_matter(group, cache):
     apart = asked("order", group, cache)
-    assert {name: found for name, found in apart.items() if max(found) > TOLERANCE} == {}
+    assert {name: results for name, results in apart.items() if max(results) > TOLERANCE} == {}
 
 
 def kernels() -> list[str]:
@@ -153,7 +153,7 @@ def noted(*accesses: tuple[int, int, int, int]) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("one", "other", "found"),
+    ("first", "other", "result"),
     [
         ((0, 1, 4, WRITE), (0, 2, 4, WRITE), {"write-write a": 1}),
         ((0, 1, 16, WRITE), (8, 2, 8, READ), {"read-write a": 2}),
@@ -167,9 +167,9 @@ def noted(*accesses: tuple[int, int, int, int]) -> np.ndarray:
         ((64, 1, 4, WRITE), (64, 2, 4, WRITE), {}),  # in no array: memory of one thread
     ],
 )
-def test_which_accesses_of_two_threads_race(one, other, found):
-    assert conflicts(noted(one, other), {"a": (0, 32)}) == found
-    assert conflicts(noted(other, one), {"a": (0, 32)}) == found
+def test_which_accesses_of_two_threads_race(first, other, result):
+    assert conflicts(noted(first, other), {"a": (0, 32)}) == result
+    assert conflicts(noted(other, first), {"a": (0, 32)}) == result
 
 
 TEXT = """

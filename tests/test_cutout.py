@@ -22,8 +22,8 @@ def disc(size=120, radius=40, noise=6.0):
     return Image.fromarray(np.clip(rgb, 0, 255).astype(np.uint8)), mask
 
 
-def alpha_of(found):
-    return np.asarray(found.picture)[..., 3]
+def alpha_of(result):
+    return np.asarray(result.picture)[..., 3]
 
 
 def saved(folder, picture, name="it.png", **options):
@@ -40,15 +40,15 @@ def no_weights(monkeypatch):
 def test_alpha_is_used_when_it_separates(monkeypatch):
     picture, mask = disc()
     picture.putalpha(Image.fromarray(255 * mask.astype(np.uint8)))
-    found = foreground(picture)
-    assert found.method == "alpha"
-    np.testing.assert_array_equal(np.asarray(found.picture), np.asarray(picture))
+    result = foreground(picture)
+    assert result.method == "alpha"
+    np.testing.assert_array_equal(np.asarray(result.picture), np.asarray(picture))
     # One transparent pixel does not make an alpha, but it stays transparent.
     picture.putalpha(255)
     picture.putpixel((0, 0), (0, 0, 0, 0))
     monkeypatch.setitem(METHODS, "u2netp", found_as(np.ones_like(mask) & (np.arange(120) < 90)))
-    found = foreground(picture)
-    assert found.method == "u2netp" and alpha_of(found)[0, 0] == 0 < alpha_of(found)[0, 1]
+    result = foreground(picture)
+    assert result.method == "u2netp" and alpha_of(result)[0, 0] == 0 < alpha_of(result)[0, 1]
     with pytest.raises(InputError, match=r'no transparency.*Choose "auto"'):
         foreground(picture, "alpha")
 
@@ -58,9 +58,9 @@ def test_grabcut_finds_a_disc(noise):
     picture, mask = disc(noise=noise)
     cut = foreground(picture, "grabcut")
     alpha = alpha_of(cut)
-    found = alpha > 127
+    result = alpha > 127
     assert cut.method == "grabcut" and cut.warnings == ()
-    assert (found & mask).sum() / (found | mask).sum() > 0.97
+    assert (result & mask).sum() / (result | mask).sum() > 0.97
     # Soft only near the edge, and nothing anywhere else.
     assert np.mean((alpha > 0) & (alpha < 255)) < 0.1
     assert alpha[:10].max() == 0
@@ -116,9 +116,9 @@ def test_full_u2net_precedes_the_small_one(monkeypatch):
     picture, mask = disc()
     way = Method(lambda _: True, lambda *_: 255 * mask.astype(np.uint8))
     monkeypatch.setitem(METHODS, "u2net", way)
-    found = foreground(picture)
-    assert found.method == "u2net"
-    np.testing.assert_array_equal(alpha_of(found) > 0, mask)
+    result = foreground(picture)
+    assert result.method == "u2net"
+    np.testing.assert_array_equal(alpha_of(result) > 0, mask)
 
 
 @pytest.mark.parametrize("kind", ["turned", "CMYK", "YCbCr", "16 bits", "grey", "palette", "WebP"])
@@ -133,10 +133,10 @@ def test_the_network_sees_every_kind_of_picture_alike(tmp_path, monkeypatch, kin
 
     monkeypatch.setitem(METHODS, "u2netp", Method(lambda _: True, find))
     path, shown = written_as(kind, picture, tmp_path)
-    found = cut_out(path)
-    assert found.method == "u2netp" and found.picture.mode == "RGBA"
+    result = cut_out(path)
+    assert result.method == "u2netp" and result.picture.mode == "RGBA"
     np.testing.assert_allclose(np.asarray(seen[0], int), np.asarray(shown, int), atol=14)
-    np.testing.assert_array_equal(alpha_of(found) > 127, mask)
+    np.testing.assert_array_equal(alpha_of(result) > 127, mask)
 
 
 def written_as(kind, picture, folder):
@@ -172,10 +172,10 @@ def test_what_is_transparent_hides_its_colours_from_a_search(monkeypatch):
         lambda _: True, lambda image, _: seen.append(image) or np.full((120, 120), 255, np.uint8)
     )
     monkeypatch.setitem(METHODS, "grabcut", way)
-    found = foreground(picture, "grabcut")
+    result = foreground(picture, "grabcut")
     assert seen[0].getpixel((40, 60)) == (255, 255, 255, 255)
     assert seen[0].getpixel((80, 60))[:3] == (200, 40, 30)
-    np.testing.assert_array_equal(alpha_of(found), np.asarray(picture)[..., 3])
+    np.testing.assert_array_equal(alpha_of(result), np.asarray(picture)[..., 3])
 
 
 def test_a_new_method_is_one_line(monkeypatch):
@@ -209,14 +209,14 @@ def test_grabcut_on_a_photograph_whatever_was_drawn_before():
 @pytest.mark.parametrize("name", ["m.png", "m.jpg", "m.gif", "m.bmp", "m.tif", "m.pgm"])
 def test_a_mask_of_any_format_says_where_the_object_is(tmp_path, name):
     picture, mask = disc()
-    given = saved(tmp_path, Image.fromarray(255 * mask.astype(np.uint8)), name)
-    found = cut_out(saved(tmp_path, picture), mask=given)
-    assert (found.method, found.pieces, found.warnings) == ("mask", 1, ())
-    assert found.coverage == pytest.approx(mask.mean(), abs=0.01)
-    assert ((alpha_of(found) > 127) == mask).mean() > 0.99
-    opaque = alpha_of(found) > 250
+    inputs = saved(tmp_path, Image.fromarray(255 * mask.astype(np.uint8)), name)
+    result = cut_out(saved(tmp_path, picture), mask=inputs)
+    assert (result.method, result.pieces, result.warnings) == ("mask", 1, ())
+    assert result.coverage == pytest.approx(mask.mean(), abs=0.01)
+    assert ((alpha_of(result) > 127) == mask).mean() > 0.99
+    opaque = alpha_of(result) > 250
     np.testing.assert_array_equal(
-        np.asarray(found.picture)[opaque][:, :3], np.asarray(picture)[opaque]
+        np.asarray(result.picture)[opaque][:, :3], np.asarray(picture)[opaque]
     )
 
 
@@ -226,9 +226,9 @@ def test_masks_of_any_mode(tmp_path):
     clear = Image.new("RGBA", picture.size, (10, 20, 30, 0))
     clear.putalpha(grey)
     deep = Image.fromarray(65535 * mask.astype(np.uint16))
-    for given in (grey.convert("1"), grey.convert("P"), grey.convert("RGB"), clear, deep):
-        found = cut_out(saved(tmp_path, picture), mask=saved(tmp_path, given, "mask.png"))
-        np.testing.assert_array_equal(alpha_of(found) > 127, mask, err_msg=given.mode)
+    for inputs in (grey.convert("1"), grey.convert("P"), grey.convert("RGB"), clear, deep):
+        result = cut_out(saved(tmp_path, picture), mask=saved(tmp_path, inputs, "mask.png"))
+        np.testing.assert_array_equal(alpha_of(result) > 127, mask, err_msg=inputs.mode)
 
 
 def test_what_was_transparent_stays_so_under_a_mask():
@@ -236,8 +236,8 @@ def test_what_was_transparent_stays_so_under_a_mask():
     left = np.zeros(mask.shape, np.uint8)
     left[:, :60] = 255
     picture.putalpha(Image.fromarray(left))
-    found = foreground(picture, mask=Image.fromarray(255 * mask.astype(np.uint8)))
-    np.testing.assert_array_equal(alpha_of(found) > 127, mask & (left > 0))
+    result = foreground(picture, mask=Image.fromarray(255 * mask.astype(np.uint8)))
+    np.testing.assert_array_equal(alpha_of(result) > 127, mask & (left > 0))
 
 
 def test_masks_that_do_not_fit_are_refused(tmp_path):
@@ -276,12 +276,12 @@ def test_a_wrong_cut_out_is_told(monkeypatch):
     table[80:] = True
     table[20:, :2] = table[20:, -2:] = True
     monkeypatch.setitem(METHODS, "grabcut", found_as(table))
-    found = foreground(picture, "grabcut")
-    assert found.touches == ("left", "right", "bottom")
-    told = " ".join(found.warnings)
-    assert "touches 3 edges of the picture (left, right, bottom)" in told
-    assert "outline runs where the picture has no edge" in told
-    assert found.data()["warnings"] == list(found.warnings)
+    result = foreground(picture, "grabcut")
+    assert result.touches == ("left", "right", "bottom")
+    warning = " ".join(result.warnings)
+    assert "touches 3 edges of the picture (left, right, bottom)" in warning
+    assert "outline runs where the picture has no edge" in warning
+    assert result.data()["warnings"] == list(result.warnings)
 
 
 def two_coloured(beside):
@@ -293,42 +293,42 @@ def two_coloured(beside):
     return Image.fromarray(rgb), mask
 
 
-@pytest.mark.parametrize(("beside", "told"), [([200, 40, 30], True), ([60, 60, 200], False)])
-def test_colours_of_the_object_around_it_are_told(monkeypatch, beside, told):
+@pytest.mark.parametrize(("beside", "doubted"), [([200, 40, 30], True), ([60, 60, 200], False)])
+def test_colours_of_the_object_around_it_are_told(monkeypatch, beside, doubted):
     picture, mask = two_coloured(beside)
     monkeypatch.setitem(METHODS, "grabcut", found_as(mask))
-    found = foreground(picture, "grabcut")
-    assert (found.alike > 0.1) == told
+    result = foreground(picture, "grabcut")
+    assert (result.alike > 0.1) == doubted
     assert (
-        any("of the cut-out's surroundings has the cut-out's colours" in w for w in found.warnings)
-        == told
+        any("of the cut-out's surroundings has the cut-out's colours" in w for w in result.warnings)
+        == doubted
     )
     # Of what a person gave, colours tell nothing.
-    given = foreground(picture, mask=Image.fromarray(255 * mask.astype(np.uint8)))
-    assert given.warnings == ()
+    masked = foreground(picture, mask=Image.fromarray(255 * mask.astype(np.uint8)))
+    assert masked.warnings == ()
 
 
-@pytest.mark.parametrize(("name", "told"), [("chelsea", True), ("coffee", False)])
-def test_half_a_cat_is_told_and_a_whole_cup_is_not(name, told):
+@pytest.mark.parametrize(("name", "doubted"), [("chelsea", True), ("coffee", False)])
+def test_half_a_cat_is_told_and_a_whole_cup_is_not(name, doubted):
     photo = Image.fromarray(getattr(pytest.importorskip("skimage.data"), name)())
-    found = foreground(photo, "grabcut")
-    assert bool(found.warnings) == told, found.data()
+    result = foreground(photo, "grabcut")
+    assert bool(result.warnings) == doubted, result.data()
 
 
 @pytest.mark.parametrize(
-    ("places", "told"),
+    ("places", "doubted"),
     [
         ([(20, 20), (20, 80), (80, 20), (80, 80)], "is in 4 pieces"),
         ([(60, 60)], "is tiny: 1.0% of the picture"),
     ],
 )
-def test_pieces_and_tiny_objects_are_told(places, told):
+def test_pieces_and_tiny_objects_are_told(places, doubted):
     solid = np.zeros((120, 120), bool)
     for row, column in places:
         solid[row : row + 12, column : column + 12] = True
     rgb = np.where(solid[..., None], [200, 40, 30], [120, 125, 130]).astype(np.uint8)
-    found = foreground(Image.fromarray(rgb), mask=Image.fromarray(255 * solid.astype(np.uint8)))
-    assert len(found.warnings) == 1 and told in found.warnings[0]
+    result = foreground(Image.fromarray(rgb), mask=Image.fromarray(255 * solid.astype(np.uint8)))
+    assert len(result.warnings) == 1 and doubted in result.warnings[0]
 
 
 def found_as(solid):
@@ -339,14 +339,14 @@ def found_as(solid):
 def test_a_tight_crop_with_transparency_is_not_doubted():
     picture, mask = disc(90, 44)
     picture.putalpha(Image.fromarray(255 * mask.astype(np.uint8)))
-    found = foreground(picture.crop((5, 1, 90, 89)))
-    assert len(found.touches) == 4 and found.warnings == ()
+    match = foreground(picture.crop((5, 1, 90, 89)))
+    assert len(match.touches) == 4 and match.warnings == ()
 
 
 def test_an_inverted_mask_is_doubted():
     picture, mask = disc(noise=0)
-    found = foreground(picture, mask=Image.fromarray(255 * (~mask).astype(np.uint8)))
-    assert "touches 4 edges" in found.warnings[0]
+    result = foreground(picture, mask=Image.fromarray(255 * (~mask).astype(np.uint8)))
+    assert "touches 4 edges" in result.warnings[0]
 
 
 @pytest.mark.parametrize("name", ["a.webp", "a.png"])
@@ -355,9 +355,9 @@ def test_of_an_animation_the_first_frame_is_taken_with_a_word(tmp_path, name, mo
     frames = [disc(noise=noise)[0] for noise in (0.0, 3.0, 6.0)]
     options = {"lossless": True} if name == "a.webp" else {}
     path = saved(tmp_path, frames[0], name, save_all=True, append_images=frames[1:], **options)
-    found = cut_out(path)
-    np.testing.assert_array_equal(np.asarray(found.picture)[..., :3], np.asarray(frames[0]))
-    assert found.warnings == ("The picture is an animation of 3 frames; the first is used.",)
+    result = cut_out(path)
+    np.testing.assert_array_equal(np.asarray(result.picture)[..., :3], np.asarray(frames[0]))
+    assert result.warnings == ("The picture is an animation of 3 frames; the first is used.",)
     assert foreground(frames[0]).frames == 1
 
 
@@ -379,5 +379,5 @@ def test_unsure_network_warns_and_cropped_person_does_not(monkeypatch):
     alpha = np.where(person & (y > 80), 140, 255 * person).astype(np.uint8)
     unsure = Method(lambda picture: False, lambda picture, deadline: alpha)
     monkeypatch.setitem(METHODS, "u2netp", unsure)
-    (told,) = foreground(image, "u2netp").warnings
-    assert "half transparent away from its outline" in told
+    (warning,) = foreground(image, "u2netp").warnings
+    assert "half transparent away from its outline" in warning

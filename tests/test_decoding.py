@@ -77,8 +77,8 @@ def test_odd_tags_leave_a_photograph_whole_and_upright(tag):
     expected = turned(6)
     for kind, count, fill in itertools.product(TYPES, (0, 1, 3), (b"\0", b"\xff", b"6")):
         data = fill * (TYPES[kind] * count)
-        found = colours(rotated(Entry(tag, kind, count, data)))
-        np.testing.assert_allclose(found, expected, atol=14, err_msg=f"type {kind} x {count}")
+        result = colours(rotated(Entry(tag, kind, count, data)))
+        np.testing.assert_allclose(result, expected, atol=14, err_msg=f"type {kind} x {count}")
 
 
 @pytest.mark.parametrize("kind", ["PNG", "WEBP", pytest.param("AVIF", marks=AVIF)])
@@ -96,8 +96,8 @@ def test_odd_tags_leave_a_mask_in_tiff_whole_and_upright(tag):
     grey = np.asarray(quarters())[..., 0]
     for kind, count, fill in itertools.product(TYPES, (0, 1, 3), (b"\0", b"\xff", b"6")):
         odd = Entry(tag, kind, count, fill * (TYPES[kind] * count))
-        found = colours(photographs.tiff_of(grey, upright(6), odd), MASK)
-        np.testing.assert_array_equal(found[..., 0], turned(6)[..., 0], f"type {kind} x {count}")
+        result = colours(photographs.tiff_of(grey, upright(6), odd), MASK)
+        np.testing.assert_array_equal(result[..., 0], turned(6)[..., 0], f"type {kind} x {count}")
 
 
 @settings(max_examples=60, deadline=None)
@@ -146,10 +146,10 @@ def test_each_orientation_is_turned_upright_once(kind, orientation):
         exif[0x0112] = orientation
         data = file_of(quarters(), kind, exif=exif, quality=100, lossless=True)
     expected = turned(orientation if 1 <= orientation <= 8 else 1)
-    found = colours(data, MASK if kind == "TIFF" else PHOTOGRAPH)
-    middles = found[4::8, 4::8]
+    result = colours(data, MASK if kind == "TIFF" else PHOTOGRAPH)
+    middles = result[4::8, 4::8]
     np.testing.assert_allclose(middles, expected[4::8, 4::8], atol=60)
-    assert found.shape == expected.shape
+    assert result.shape == expected.shape
 
 
 def test_the_name_of_a_file_and_its_thumbnail_do_not_matter(tmp_path):
@@ -201,8 +201,8 @@ def patch_of(picture: Image.Image, kind: str, profile: bytes, **options: object)
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", pytest.param("AVIF", marks=AVIF)])
 def test_colours_of_a_phone_become_srgb(kind):
-    found = patch_of(PATCH, kind, photographs.display_p3())
-    np.testing.assert_allclose(found, (218, 0, 4, 255), atol=1 if kind == "PNG" else 5)
+    result = patch_of(PATCH, kind, photographs.display_p3())
+    np.testing.assert_allclose(result, (218, 0, 4, 255), atol=1 if kind == "PNG" else 5)
 
 
 def test_a_profile_converts_each_mode_and_keeps_alpha():
@@ -246,15 +246,15 @@ def test_print_inks_become_srgb_by_their_profile():
     ids=["text", "zeros", "cut", "overwritten", "of grey", "of ink"],
 )
 def test_profiles_that_cannot_be_used_are_noted(profile):
-    found = decode(file_of(PATCH, "PNG", icc_profile=profile), PHOTOGRAPH, 2048)
-    assert np.asarray(found.picture)[8, 8].tolist() == [200, 40, 30, 255]
-    assert [note for note in found.notes if "colour profile cannot be used" in note]
+    result = decode(file_of(PATCH, "PNG", icc_profile=profile), PHOTOGRAPH, 2048)
+    assert np.asarray(result.picture)[8, 8].tolist() == [200, 40, 30, 255]
+    assert [note for note in result.notes if "colour profile cannot be used" in note]
 
 
 def test_a_profile_of_which_a_part_is_missing_is_noted():
     parts = b"ICC_PROFILE\0" + bytes([1, 2]) + photographs.display_p3()
-    found = decode(with_segment(file_of(PATCH, "JPEG"), 0xE2, parts), PHOTOGRAPH, 2048)
-    assert found.notes and "colour profile" in found.notes[0]
+    result = decode(with_segment(file_of(PATCH, "JPEG"), 0xE2, parts), PHOTOGRAPH, 2048)
+    assert result.notes and "colour profile" in result.notes[0]
 
 
 @settings(max_examples=60, deadline=None)
@@ -315,8 +315,8 @@ def test_a_png_whose_transparency_is_damaged_is_refused():
 
 def test_grey_levels_as_floats_go_from_0_to_1():
     levels = np.linspace(0, 1, 256, dtype=np.float32).reshape(16, 16)
-    found = colours(file_of(Image.fromarray(levels), "TIFF"), MASK)
-    np.testing.assert_array_equal(found[..., 0], np.arange(256).reshape(16, 16))
+    result = colours(file_of(Image.fromarray(levels), "TIFF"), MASK)
+    np.testing.assert_array_equal(result[..., 0], np.arange(256).reshape(16, 16))
     for wrong in (levels * 400, levels * np.float32("nan"), levels - 1):
         with pytest.raises(Unusable, match="not all from 0 to 1"):
             decode(file_of(Image.fromarray(wrong), "TIFF"), MASK, 2048)
@@ -326,9 +326,9 @@ def test_grey_levels_as_floats_go_from_0_to_1():
 def test_the_first_of_several_pictures_is_taken(kind):
     others = [Image.new("RGB", (48, 32), colour) for colour in ("red", "blue")]
     data = file_of(quarters(), kind, save_all=True, append_images=others, lossless=True)
-    found = decode(data, MASK, 2048)
-    assert found.frames == (1 if kind == "TIFF" else 3)
-    np.testing.assert_allclose(np.asarray(found.picture)[..., :3].astype(int), turned(1), atol=2)
+    result = decode(data, MASK, 2048)
+    assert result.frames == (1 if kind == "TIFF" else 3)
+    np.testing.assert_allclose(np.asarray(result.picture)[..., :3].astype(int), turned(1), atol=2)
 
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", "GIF", "BMP", "TIFF", "PPM"])

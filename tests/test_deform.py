@@ -38,11 +38,11 @@ def moved(gaussians, F, deformer=None):
     return (deformer or Deformer(gaussians))(x, F, index=1, time=0.1).gaussians
 
 
-def covariance_error(found, gaussians, F):
+def covariance_error(result, gaussians, F):
     """Largest error of Sigma relative to its own size."""
     wanted = F @ gaussians.covariances() @ np.swapaxes(F, -1, -2)
     size = np.linalg.norm(wanted, axis=(1, 2))
-    return (np.linalg.norm(found.covariances() - wanted, axis=(1, 2)) / size).max()
+    return (np.linalg.norm(result.covariances() - wanted, axis=(1, 2)) / size).max()
 
 
 def turns(quats, others):
@@ -77,10 +77,10 @@ def test_covariance_is_the_papers_for_every_f(kind, gaussians, rng):
         "flat": rotations(n, rng) * [1, 0.5, 0] @ rotations(n, rng),
         "line": rotations(n, rng) * [2, 0, 0] @ rotations(n, rng),
     }[kind]
-    found = moved(gaussians, F)
-    assert covariance_error(found, gaussians, F) < 1e-5
-    assert (found.scales >= 0).all() and np.isfinite(found.scales).all()
-    assert np.abs(np.linalg.norm(found.quats, axis=1) - 1).max() < 1e-6
+    result = moved(gaussians, F)
+    assert covariance_error(result, gaussians, F) < 1e-5
+    assert (result.scales >= 0).all() and np.isfinite(result.scales).all()
+    assert np.abs(np.linalg.norm(result.quats, axis=1) - 1).max() < 1e-6
 
 
 def test_scales_are_the_papers_eigenvalues(gaussians, rng):
@@ -88,11 +88,11 @@ def test_scales_are_the_papers_eigenvalues(gaussians, rng):
     round_ones = random_gaussians(500, rng, thinnest=-0.7)
     F = IDENTITY + 0.2 * rng.normal(size=(500, 3, 3))
     values, axes = np.linalg.eigh(F @ round_ones.covariances() @ np.swapaxes(F, 1, 2))
-    found = moved(round_ones, F)
-    order = np.argsort(found.scales, axis=1)
-    scales = np.take_along_axis(found.scales, order, axis=1)
+    result = moved(round_ones, F)
+    order = np.argsort(result.scales, axis=1)
+    scales = np.take_along_axis(result.scales, order, axis=1)
     assert scales == pytest.approx(np.sqrt(values), rel=2e-5)
-    columns = np.take_along_axis(rotation_matrices(found.quats), order[:, None], axis=2)
+    columns = np.take_along_axis(rotation_matrices(result.quats), order[:, None], axis=2)
     aligned = np.abs(np.einsum("nij,nij->nj", columns, axes))
     apart = (np.diff(np.sqrt(values), axis=1) > 0.05 * np.sqrt(values[:, 1:])).all(axis=1)
     assert aligned[apart].min() > 1 - 1e-6
@@ -129,11 +129,11 @@ def test_orientations_are_continuous_along_smooth_motions(rng):
     for k in range(80):
         step = 0.15 * spin + 0.1 * np.sin(0.3 * k) * strain
         F = F + step @ F + 0.5 * step @ step @ F
-        found = moved(gaussians, F, deformer)
-        assert covariance_error(found, gaussians, F) < 1e-5
-        assert (found.quats * last.quats).sum(axis=1).min() >= 0
-        assert turns(found.quats, last.quats).max() < 63  # no turn of a cube is farther than 62.8
-        last = found
+        result = moved(gaussians, F, deformer)
+        assert covariance_error(result, gaussians, F) < 1e-5
+        assert (result.quats * last.quats).sum(axis=1).min() >= 0
+        assert turns(result.quats, last.quats).max() < 63  # no turn of a cube is farther than 62.8
+        last = result
 
 
 def test_a_slow_spin_is_followed_exactly(gaussians):
@@ -142,10 +142,10 @@ def test_a_slow_spin_is_followed_exactly(gaussians):
     for k in range(1, 217):
         a = np.radians(10 * k)
         spin = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
-        found = moved(gaussians, spin, deformer)
-        assert np.abs(turns(found.quats, last.quats) - 10).max() < 0.1
-        assert np.allclose(found.scales, gaussians.scales, rtol=1e-5)
-        last = found
+        result = moved(gaussians, spin, deformer)
+        assert np.abs(turns(result.quats, last.quats) - 10).max() < 0.1
+        assert np.allclose(result.scales, gaussians.scales, rtol=1e-5)
+        last = result
 
 
 @pytest.mark.parametrize("scales", [[1, 1, 1], [1, 1, 0.01], [1, 0.01, 0.01]])
@@ -160,8 +160,8 @@ def test_equal_axes_do_not_flicker(scales, rng):
     deformer = Deformer(still)
     for _ in range(20):
         noise = 3e-7 * rng.uniform(-1, 1, size=(n, 3, 3))
-        found = moved(still, IDENTITY + noise, deformer)
-        assert turns(found.quats, still.quats).max() < 0.1
+        result = moved(still, IDENTITY + noise, deformer)
+        assert turns(result.quats, still.quats).max() < 0.1
 
 
 @settings(max_examples=40, deadline=None)
@@ -169,11 +169,11 @@ def test_equal_axes_do_not_flicker(scales, rng):
 def test_any_finite_f_gives_a_finite_frame(entries):
     gaussians = random_gaussians(20, np.random.default_rng(5), thinnest=-4)
     F = np.reshape(entries, (3, 3))
-    found = moved(gaussians, F)
-    assert np.isfinite(found.quats).all() and np.isfinite(found.scales).all()
-    assert np.linalg.norm(found.quats, axis=1) == pytest.approx(np.ones(20), abs=1e-6)
+    result = moved(gaussians, F)
+    assert np.isfinite(result.quats).all() and np.isfinite(result.scales).all()
+    assert np.linalg.norm(result.quats, axis=1) == pytest.approx(np.ones(20), abs=1e-6)
     wanted = F @ gaussians.covariances() @ F.T
-    error = np.abs(found.covariances() - wanted).max(axis=(1, 2))
+    error = np.abs(result.covariances() - wanted).max(axis=(1, 2))
     assert (error <= 1e-5 * np.abs(wanted).max(axis=(1, 2)) + 1e-75).all()
 
 
@@ -192,11 +192,11 @@ def test_colours_turn_with_the_material(rng):
     turn = rotations(200, rng)
     stretch = IDENTITY + 0.1 * (lambda s: s + np.swapaxes(s, 1, 2))(rng.normal(size=(200, 3, 3)))
     deformer = Deformer(gaussians)
-    found = moved(gaussians, turn @ stretch, deformer)
+    result = moved(gaussians, turn @ stretch, deformer)
     assert turns(deformer.rotations, quaternions(turn)).max() < 0.1
     view = np.array([[0.6, 0, 0.8]])
     before = np.einsum("nvk,nkc->nvc", sh_basis(view @ turn, 16), gaussians.sh)
-    after = np.einsum("vk,nkc->nvc", sh_basis(view, 16), found.sh)
+    after = np.einsum("vk,nkc->nvc", sh_basis(view, 16), result.sh)
     assert np.abs(after - before).max() < 1e-4
 
 
@@ -256,9 +256,9 @@ def test_affine_motions_are_exact_for_both_bindings(binding, rng):
 
 def test_the_order_of_the_gaussians_does_not_matter(gaussians, rng):
     order, F = rng.permutation(2000), IDENTITY + 0.3 * rng.normal(size=(2000, 3, 3))
-    found, shuffled = moved(gaussians, F), moved(gaussians.select(order), F[order])
+    result, shuffled = moved(gaussians, F), moved(gaussians.select(order), F[order])
     for name in ("means", "quats", "scales"):
-        assert np.array_equal(getattr(found, name)[order], getattr(shuffled, name))
+        assert np.array_equal(getattr(result, name)[order], getattr(shuffled, name))
 
 
 def test_refusals_say_what_is_wrong(gaussians, three_gaussians):
@@ -287,9 +287,9 @@ def test_axes_that_become_equal_do_not_flicker(rng):
     last = moved(balls, pressed, deformer)
     for _ in range(20):
         noise = 3e-7 * rng.uniform(-1, 1, size=(n, 3, 3))
-        found = moved(balls, pressed + noise, deformer)
-        assert turns(found.quats, last.quats).max() < 0.1
-        last = found
+        result = moved(balls, pressed + noise, deformer)
+        assert turns(result.quats, last.quats).max() < 0.1
+        last = result
 
 
 def test_torn_material_is_shown_stretched_as_far_as_it_can_hold(gaussians, rng):
@@ -338,7 +338,7 @@ def test_eight_at_a_time_are_deformed_as_one_by_one(rng, count):
     change = rng.normal(0, 0.4, (count, 3, 3))
     change[::7] *= 1e-3
     turned = np.where(rng.random(count) < 0.1, -1.0, 1.0)[:, None, None]
-    found = []
+    results = []
     for kernel, each in ((deform.deform_shapes, 1), (deform.deform_shapes_simd, 8)):
         threads = -(-count // each)
         model = [
@@ -357,9 +357,9 @@ def test_eight_at_a_time_are_deformed_as_one_by_one(rng, count):
             inputs = [*model, wp.clone(out[1]), wp.array(F, dtype=wp.mat33d)]
             wp.launch(kernel, threads, inputs, out, device="cpu")
             frames.append([array.numpy().copy() for array in out])
-        found.append(frames)
-    for one, eight in zip(*found, strict=True):
-        for name, a, b in zip(("inner", "quats", "scales"), one, eight, strict=True):
+        results.append(frames)
+    for first, eight in zip(*results, strict=True):
+        for name, a, b in zip(("inner", "quats", "scales"), first, eight, strict=True):
             np.testing.assert_allclose(b, a, rtol=3e-6, atol=3e-7, err_msg=name)
 
 

@@ -44,10 +44,10 @@ class Page:
         async def receive() -> dict[str, Any]:
             return parts.pop() if parts else await asyncio.sleep(1000, {})
 
-        told = {"host": "localhost", **headers}
+        options = {"host": "localhost", **headers}
         scope = {
             "type": "http", "method": method, "path": path, "client": ("10.0.0.1", 1),
-            "headers": [(name.encode(), value.encode()) for name, value in told.items()],
+            "headers": [(name.encode(), value.encode()) for name, value in options.items()],
         }  # fmt: skip
         return asyncio.create_task(self.door(scope, receive, self._send))
 

@@ -130,8 +130,10 @@ def test_each_format_is_offered_with_size_and_program(export, done, name, result
     if FORMATS[name].encode and FORMATS[name].read:
         there = read_gaussians(path).gaussians.means
         np.testing.assert_allclose(there, clip.means[0], atol=1e-3)
-    (told,) = [f for f in results.takeaway_of(done)["files"] if f["file"].get("path") == str(path)]
-    assert told["hint"] == offer.hint
+    (answer,) = [
+        f for f in results.takeaway_of(done)["files"] if f["file"].get("path") == str(path)
+    ]
+    assert answer["hint"] == offer.hint
     assert {o["kind"] for o in results.takeaway_of(done)["offers"]} == {*EXPORTS, "share"} - {name}
 
 
@@ -146,21 +148,21 @@ def test_a_link_shows_the_player_as_long_as_its_visitor_is_known(
     studio = studio_of(visitors)
     monkeypatch.setattr("demo.handlers.results.visitor_of", lambda request: request)
     prepare, asked = results.on_prepare(studio), SimpleNamespace(_data={"kind": "share"})
-    told = prepare(done, None, asked, "cookie me")["share"]
-    assert told == prepare(done, None, asked, "cookie me")["share"], "one link for one result"
-    assert "1.5 minutes" in told["lasts"]
+    stated = prepare(done, None, asked, "cookie me")["share"]
+    assert stated == prepare(done, None, asked, "cookie me")["share"], "one link for one result"
+    assert "1.5 minutes" in stated["lasts"]
     assert "no longer has this result" in prepare(done, None, asked, "cookie you")["message"]
     app = Starlette(routes=[Route("/phy124/shared/{token}", shared_route(visitors))])
     with TestClient(app) as client:
-        answer = client.get(told["link"])
+        answer = client.get(stated["link"])
         assert answer.status_code == 200 and "Phy124Player.mount" in answer.text
         assert answer.headers["content-type"].startswith("text/html")
         wrong = client.get("/phy124/shared/guessed")
         assert wrong.status_code == 404 and "no longer kept" in wrong.text
         seen = studio.visitors.get("cookie me").seen = 1.0
-        client.get(told["link"])
+        client.get(stated["link"])
         studio.visitors.sweep()
-        assert client.get(told["link"]).status_code == 404, f"{seen}: looking keeps nothing"
+        assert client.get(stated["link"]).status_code == 404, f"{seen}: looking keeps nothing"
 
 
 def test_unknown_formats_and_failing_writers_leave_nothing(export, done):
@@ -277,10 +279,10 @@ def test_stroke_is_a_hint_that_follows_edges(tmp_path):
     alpha = np.zeros((200, 200), np.uint8)
     alpha[60:140, 40:100] = 255
     marks = np.asarray(paint([_stroke(True, (0.53, 0.5), width=0.03)], (200, 200)))
-    found = apply_marks(rgb, alpha, marks)
-    square = found[92:108, 102:112] > 127
+    result = apply_marks(rgb, alpha, marks)
+    square = result[92:108, 102:112] > 127
     assert square.mean() > 0.9 and (marks[92:108, 102:112] == 2).mean() < 0.3
-    assert (found[60:140, 40:90] == 255).all() and (found[:50] == 0).all()
+    assert (result[60:140, 40:90] == 255).all() and (result[:50] == 0).all()
 
 
 def _report() -> dict:

@@ -120,7 +120,7 @@ def test_video_is_decoded_up_to_the_length_of_the_scene(tmp_path):
 )
 def test_what_comes_after_the_scene_is_left_out(tmp_path, monkeypatch, seconds, speed, count):
     monkeypatch.setattr("demo.fits.video.resource.setrlimit", lambda *_: None)
-    monkeypatch.setattr("demo.fits.video.isolated.run", lambda work, *given, **_: work(*given))
+    monkeypatch.setattr("demo.fits.video.isolated.run", lambda work, *options, **_: work(*options))
     path = filmed(tmp_path / "a.mp4")
     assert read_video(path, tmp_path / "out", seconds, speed, LONG).count == count
     with pytest.raises(InputError, match="the video has only 1 picture in this time"):
@@ -132,7 +132,7 @@ def test_what_comes_after_the_scene_is_left_out(tmp_path, monkeypatch, seconds, 
 
 def test_what_cannot_be_fitted_is_refused_in_a_sentence(studio):
     done, video = prepared(studio, Search())
-    for result, path, told, sentence in (
+    for result, path, answer, sentence in (
         (None, video, {}, "no result yet"),
         (done, None, {}, "no video yet"),
         (done, "/etc/passwd", {}, "does not have this video"),
@@ -146,7 +146,7 @@ def test_what_cannot_be_fitted_is_refused_in_a_sentence(studio):
         (done, video, {"seconds": True}, "number"),
     ):
         with pytest.raises(InputError, match=sentence):
-            studio.fits.begin("a", result, path, told)
+            studio.fits.begin("a", result, path, answer)
     with pytest.raises(InputError, match="no result yet"):
         studio.fits.begin("b", done, sent(studio, "b"), {})
     water = result_of(
@@ -173,8 +173,8 @@ def test_a_fit_is_forecast_and_asked_for_as_declared(studio):
     offer = studio.fits.offer(done)
     least, value, most = (offer["budget"][name] for name in ("least", "value", "most"))
     assert 0 < least < value < most == 300 and "A fit takes" in offer["sentence"]
-    told = {"seconds": value, "side": "right", "speed": 0.5, "other": 1}
-    assert studio.fits.begin("a", done, video, told).wait(60)
+    options = {"seconds": value, "side": "right", "speed": 0.5, "other": 1}
+    assert studio.fits.begin("a", done, video, options).wait(60)
     (wanted,) = studio.fits.search.asked
     assert (wanted.side, wanted.fps, wanted.seconds, wanted.align) == ("right", 24, value, True)
     assert Scene().replaced(wanted.set).view.only("right").sides == ("right",)
@@ -267,7 +267,7 @@ def test_the_panel_shows_film_and_fit_picture_by_picture(studio, handlers):
     )
     assert panel["found"]["material"]["E"] == Scene.named("press").data()["material"]["E"]
     assert "<polyline" in panel["found"]["figure"] and panel["found"]["film"]["size"] == 4
-    assert [one["label"] for one in files["files"] if "Fit" in one["label"]] == [
+    assert [item["label"] for item in files["files"] if "Fit" in item["label"]] == [
         "Fit: video and simulation",
         "Fit: report",
         "Fit: scene",
@@ -315,14 +315,14 @@ def test_the_softness_of_a_pressed_duck_is_found(tmp_path):
     job = studio.fits.begin("a", done, video, {"seconds": seconds})
     assert job.wait(2 * seconds) and job.progress.state == "done", job.progress.message
     report = job.progress.result.report
-    found = report["found"]["material.E"]
+    result = report["found"]["material.E"]
     # The truth is that of a grid of 28 cells, whose own error is not that of a limit; the error
     # shrinks as the spacing does (Richardson).
     part = report["cells"] / CELLS
-    ends = zip(found["interval"], found["limit"]["interval"], strict=True)
+    ends = zip(result["interval"], result["limit"]["interval"], strict=True)
     low, high = (part * here + (1 - part) * limit for here, limit in ends)
     assert low < 6e4 < high
-    assert found["value"] == pytest.approx(6e4, rel=0.15)
+    assert result["value"] == pytest.approx(6e4, rel=0.15)
     shown = report["pictures"]
     assert max(shown["fitted"]) < 0.6 * max(shown["before"])
     assert str(tmp_path) not in json.dumps(report)

@@ -52,7 +52,7 @@ def changed(**columns: float) -> bytes:
 @pytest.fixture(autouse=True)
 def unlimited(monkeypatch):
     """Read in this process, which is quicker and must not be limited."""
-    monkeypatch.setattr(module.isolated, "run", lambda work, *given, **_: work(*given))
+    monkeypatch.setattr(module.isolated, "run", lambda work, *options, **_: work(*options))
 
 
 @pytest.fixture
@@ -86,8 +86,8 @@ def test_file_is_thinned_drawn_in_24_poses_and_simulated(studio):
     assert len(made) == 24 and {name.split("_")[0] for name in made} == set(UPS)
     visitor, scene = studio.visitors.get("a"), Scene.named("press")
 
-    def order(told):
-        return studio.order((visitor, file, scene), studio.check_extras("a", told))
+    def order(answer):
+        return studio.order((visitor, file, scene), studio.check_extras("a", answer))
 
     chosen, other = order({"up": "y", "front": "z"}), order(None)
     assert (other.extras.reading.up, other.extras.reading.front) == ("-y", "x")
@@ -162,17 +162,17 @@ def test_file_type_follows_content_and_has_limits(studio):
 
 def test_what_is_told_must_suit_the_object(studio):
     file = GaussianFile("a.ply", "3DGS PLY", 10, Axes("-y", "-z", False))
-    for told, source, option in (
+    for answer, source, option in (
         ({"up": "y"}, Cutout("", ""), "up"),
         ({"thickness": 0.5}, file, "thickness"),
         ({"near": "black"}, file, "near"),
     ):
         with pytest.raises(InputError, match="Leave it out") as refused:
-            studio.check_extras("a", told).suit(source)
+            studio.check_extras("a", answer).suit(source)
         assert refused.value.field == option
-    for told in ({"up": "w"}, {"up": "y", "front": "-y"}):
+    for answer in ({"up": "w"}, {"up": "y", "front": "-y"}):
         with pytest.raises(InputError, match=r"axis"):
-            studio.check_extras("a", told)
+            studio.check_extras("a", answer)
 
 
 def test_the_forecast_is_that_of_the_file(studio):
@@ -181,8 +181,8 @@ def test_the_forecast_is_that_of_the_file(studio):
     file = read(studio, of())
     small = replace(file, count=file.count // 8)
     both = [
-        studio.forecaster(Scene.from_data(scene), gaussians=studio.count(one), generated=True)
-        for one in (file, small)
+        studio.forecaster(Scene.from_data(scene), gaussians=studio.count(item), generated=True)
+        for item in (file, small)
     ]
     assert both[0].seconds > both[1].seconds
     assert studio.forecast("a", file, scene).sentence == both[0].sentence

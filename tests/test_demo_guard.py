@@ -102,8 +102,8 @@ def test_a_page_gets_a_nonce_even_if_a_script_is_cut_in_two():
 
 
 def test_new_visitor_gets_an_http_only_cookie():
-    given = _answer()["set-cookie"]
-    assert given.startswith("phy124=") and "HttpOnly" in given and "SameSite=Lax" in given
+    inputs = _answer()["set-cookie"]
+    assert inputs.startswith("phy124=") and "HttpOnly" in inputs and "SameSite=Lax" in inputs
     assert "set-cookie" not in _answer(cookie=b"phy124=abc")
     assert "Secure; Partitioned" in _answer(embedded=True)["set-cookie"]
 
@@ -125,8 +125,8 @@ def _refused(path: str = "/gradio_api/run/predict", method: str = "POST", **head
     async def send(message):
         sent.append(message)
 
-    told = {"host": "demo.example", **{k.replace("_", "-"): v for k, v in headers.items()}}
-    pairs = [(k.encode(), v.encode()) for k, v in told.items()]
+    options = {"host": "demo.example", **{k.replace("_", "-"): v for k, v in headers.items()}}
+    pairs = [(k.encode(), v.encode()) for k, v in options.items()]
     scope = {"type": "http", "method": method, "path": path, "headers": pairs}
     door = Doorkeeper(page, NAMES, split_names("demo.example"))
     asyncio.run(door(scope, None, send))

@@ -128,7 +128,7 @@ def test_only_pictures_that_a_visitor_has_sent_are_read(studio, tmp_path, kind):
     folder = studio.visitors.get("a").folder / "uploads"
     link = folder / "link.png"
     link.symlink_to(DUCK)
-    given = {
+    options = {
         "file": DUCK,
         "other": other,
         "device": "/dev/zero",
@@ -138,7 +138,7 @@ def test_only_pictures_that_a_visitor_has_sent_are_read(studio, tmp_path, kind):
         "odd": "\0/../..",
     }[kind]
     with pytest.raises(InputError) as refusal:
-        studio.cut_out("a", str(given))
+        studio.cut_out("a", str(options))
     assert (
         str(refusal.value)
         == "picture = unknown: The server does not have this picture. Choose it again."
@@ -205,8 +205,8 @@ def test_a_run_is_done_when_its_room_is_no_longer_promised(tmp_path, monkeypatch
     usual, over = studio.visitors.writing, []
 
     @contextmanager
-    def writing(*given: Any) -> Iterator[None]:
-        with usual(*given):
+    def writing(*options: Any) -> Iterator[None]:
+        with usual(*options):
             yield
         over.append(job.over)
 
@@ -237,22 +237,22 @@ def test_doubtful_cutout_warns_once(studio, tmp_path, monkeypatch):
         with Image.open(job.progress.result.path) as written:
             return " ".join(job.progress.result.doubts), how_cut(written) or {}
 
-    told, how = doubts()
-    assert "outline runs where the picture has no edge" in told
+    answer, how = doubts()
+    assert "outline runs where the picture has no edge" in answer
     # The picture itself knows it for the report, whenever it is used.
     assert doubts() == ("", how)
-    assert how["method"] == "u2netp" and told == " ".join([MISSING, *how["warnings"]])
-    told, how = doubts((Stroke(keep=False, width=0.2, points=((0.1, 0.5),)),))
-    assert told == "" and how["method"] == "brush"
+    assert how["method"] == "u2netp" and answer == " ".join([MISSING, *how["warnings"]])
+    answer, how = doubts((Stroke(keep=False, width=0.2, points=((0.1, 0.5),)),))
+    assert answer == "" and how["method"] == "brush"
 
 
 def test_click_picks_an_object_that_the_brush_corrects(studio, tmp_path, monkeypatch):
-    found = np.zeros((60, 90), np.uint8)
-    found[10:50, 5:45] = found[30:50, 60:80] = 255
-    way = cutout.Method(lambda _: True, lambda *_: found, "a test")
+    result = np.zeros((60, 90), np.uint8)
+    result[10:50, 5:45] = result[30:50, 60:80] = 255
+    way = cutout.Method(lambda _: True, lambda *_: result, "a test")
     monkeypatch.setitem(cutout.METHODS, "u2netp", way)
     monkeypatch.setattr(cutout.u2net, "weights_file", lambda: None)
-    Image.fromarray(np.dstack([found // 2 + 60] * 3)).save(tmp_path / "a.png")
+    Image.fromarray(np.dstack([result // 2 + 60] * 3)).save(tmp_path / "a.png")
     studio.visitors.get("a")
     sent = str(studio.visitors.store("a", (tmp_path / "a.png").read_bytes(), ".png"))
 

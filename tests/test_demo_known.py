@@ -65,7 +65,7 @@ def test_generator_is_offered_if_the_server_has_weights(studio, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("told", "message"),
+    ("options", "message"),
     [
         ({"thickness": 9}, "thickness = 9: .*a number from 0.05 to 4"),
         ({"thickness": "thin"}, "thickness = "),
@@ -81,9 +81,9 @@ def test_generator_is_offered_if_the_server_has_weights(studio, monkeypatch):
         ({"depth": ["duck.png"]}, "does not have this picture"),
     ],
 )
-def test_what_cannot_be_used_is_refused_readably(studio, told, message):
+def test_what_cannot_be_used_is_refused_readably(studio, options, message):
     with pytest.raises(InputError, match=message):
-        studio.check_extras("a", told)
+        studio.check_extras("a", options)
 
 
 def test_other_pictures_have_the_limits_of_the_first(studio, tmp_path):
@@ -106,8 +106,8 @@ def test_a_program_names_a_picture_as_often_as_it_likes(studio):
 
 
 def test_nothing_told_and_only_defaults_told_are_the_same(studio):
-    told = {"side": None, "facing": "left", "near": None, "thickness": None}
-    assert studio.check_extras("a", told) == studio.check_extras("a", None) == NO_EXTRAS
+    options = {"side": None, "facing": "left", "near": None, "thickness": None}
+    assert studio.check_extras("a", options) == studio.check_extras("a", None) == NO_EXTRAS
     assert NO_EXTRAS.generator("relief") is relief
 
 
@@ -121,9 +121,9 @@ def test_other_views_are_cut_out_once_and_reach_the_generator(studio):
     made = cut.stat().st_mtime_ns
     known.cut_views(SOON)
     assert cut.stat().st_mtime_ns == made
-    given = known.generator("relief").keywords
-    assert (given["facing"], given["highlights"]) == ("right", "remove")
-    assert given["side"].getchannel("A").tobytes() == Image.open(DUCK).getchannel("A").tobytes()
+    inputs = known.generator("relief").keywords
+    assert (inputs["facing"], inputs["highlights"]) == ("right", "remove")
+    assert inputs["side"].getchannel("A").tobytes() == Image.open(DUCK).getchannel("A").tobytes()
 
 
 def test_extra_picture_is_cut_out_and_is_no_first_picture(studio):
@@ -149,13 +149,15 @@ def test_gaussians_are_remade_only_for_new_inputs(studio):
     same = studio.visitors.store("a", DUCK.read_bytes(), ".png")
     scene, duck = Scene.named("press"), Cutout(str(DUCK), str(DUCK))
 
-    def file_of(told) -> Path:
-        return made_gaussians(studio.order((visitor, duck, scene), studio.check_extras("a", told)))
+    def file_of(options) -> Path:
+        return made_gaussians(
+            studio.order((visitor, duck, scene), studio.check_extras("a", options))
+        )
 
-    told = [None, {"side": side}, {"side": side, "facing": "right"}, {"back": side}]
-    told += [{"thickness": 0.6}, {"highlights": "remove"}, {"depth": side}]
-    told += [{"depth": side, "near": "black"}]
-    files = [file_of(one) for one in told]
+    options = [None, {"side": side}, {"side": side, "facing": "right"}, {"back": side}]
+    options += [{"thickness": 0.6}, {"highlights": "remove"}, {"depth": side}]
+    options += [{"depth": side, "near": "black"}]
+    files = [file_of(item) for item in options]
     assert len(set(files)) == len(files)
     assert file_of({"side": str(same)}) == files[1]
 

@@ -31,8 +31,8 @@ def test_jobs_are_done_in_turn_and_know_their_place():
         done.append(job.kind)
         job.end("done")
 
-    one, two = (line.submit(Job(kind, Path("/nowhere/stop")), work) for kind in ("one", "two"))
-    assert (holding.place, one.place, two.place) == (0, 1, 2)
+    single, two = (line.submit(Job(kind, Path("/nowhere/stop")), work) for kind in ("one", "two"))
+    assert (holding.place, single.place, two.place) == (0, 1, 2)
     with pytest.raises(InputError, match="Too many visitors"):
         line.submit(Job("three", Path("/nowhere/stop")), work)
     done.append("let go")
@@ -63,9 +63,11 @@ def test_waiting_time_follows_the_durations_of_the_last_jobs():
     holding.progress.expected = 20
     for job in waiting:
         line.submit(job, lambda job: job.end("done"))
-    one, two = (job.seconds_to_start for job in waiting)
+    single, two = (job.seconds_to_start for job in waiting)
     assert (
-        holding.seconds_to_start == 0 and 19 < one <= 20 and two == pytest.approx(one + 10, abs=1)
+        holding.seconds_to_start == 0
+        and 19 < single <= 20
+        and two == pytest.approx(single + 10, abs=1)
     )
     for job in (holding, *waiting):
         job.progress.unloaded = job.progress.expected / 2  # the machine is forecast to be busy

@@ -16,8 +16,8 @@ def _asked(answer: Any, value: Any) -> tuple[list[Any], list[Any]]:
 
     got = []
 
-    def handle(given: Any) -> tuple[Any, int]:
-        got.append(given)
+    def handle(inputs: Any) -> tuple[Any, int]:
+        got.append(inputs)
         return answer, 3
 
     event = SimpleNamespace(fn=handle, outputs=[gradio.HTML(render=False), object()])

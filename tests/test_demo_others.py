@@ -72,7 +72,7 @@ def test_object_without_picture_is_a_copy(studio):
     other = _order(studio, _collide(**{"objects.0.picture": _sent(studio, TEDDY.read_bytes())}))
     duck = _order(studio, _collide(**{"objects.0.picture": _sent(studio, DUCK.read_bytes())}))
     same = _order(studio, _collide(**{"objects.0.picture": _sent(studio, DUCK.read_bytes())}))
-    assert len({made_gaussians(one) for one in (plain, other, duck, same)}) == 3
+    assert len({made_gaussians(item) for item in (plain, other, duck, same)}) == 3
     assert made_gaussians(duck) == made_gaussians(same)
 
 
@@ -131,8 +131,8 @@ def test_a_picture_without_an_object_is_named(studio, tmp_path):
 
 def test_each_picture_is_forecast_and_learned_from():
     estimator, scene = Estimator(), Scene.named("collide")
-    one, two = (estimator(scene, pictures=count).seconds for count in (1, 2))
-    assert two - one == pytest.approx(estimator.rates.generate * estimator.load().of("generate"))
+    single, two = (estimator(scene, pictures=count).seconds for count in (1, 2))
+    assert two - single == pytest.approx(estimator.rates.generate * estimator.load().of("generate"))
     report = {
         "stages": [{"name": "generate", "seconds": 6.0}],
         "substeps": 100,
@@ -170,7 +170,7 @@ def test_grab_and_its_clip_take_the_same_object(studio):
     data = Scene.named("stack").replaced({"objects.1.picture": picture}).data()
     order, said = _order(studio, data), []
     line = SimpleNamespace(
-        tell=lambda *one: said.append(one), heard=list, wait=lambda seconds: None
+        tell=lambda *message: said.append(message), heard=list, wait=lambda seconds: None
     )
     most = limits_of(studio.settings, 3000)
     player = Player(Play(order, most), line)  # pyright: ignore[reportArgumentType]

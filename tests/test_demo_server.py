@@ -65,10 +65,10 @@ class _Closing:
 def generate(client, picture=DUCK, known=None, **options):
     from gradio_client import handle_file
 
-    given = {"preset": "drop", "accuracy": "draft", "frames": 2, "changes": FEW, "formats": []}
+    inputs = {"preset": "drop", "accuracy": "draft", "frames": 2, "changes": FEW, "formats": []}
     image = handle_file(str(picture)) if isinstance(picture, Path) else picture
     return client.predict(
-        image, *{**given, **options}.values(), api_name="/generate", **(known or {})
+        image, *{**inputs, **options}.values(), api_name="/generate", **(known or {})
     )
 
 
@@ -155,12 +155,12 @@ def test_api_takes_gaussians_with_an_up_axis(client, tmp_path):
     _, report = generate(client, file, known={"up": "y"})
     assert report["file"] == {"up": "y", "front": None, "program": None}
     assert (report["gaussians"], report["generator"]) == (300, "3DGS PLY")
-    for picture, told, message in (
+    for picture, answer, message in (
         (DUCK, {"up": "y"}, "up: This option is only for a file of Gaussians"),
         (file, {"front": "w"}, "front: It is not an axis"),
     ):
         with pytest.raises(Exception, match=message):
-            generate(client, picture, known=told)
+            generate(client, picture, known=answer)
 
 
 def test_generate_then_render_then_evaluate(client):
@@ -187,7 +187,7 @@ def _refuses_what_is_no_video(client) -> None:
     """The result of this session is fitted to a video and nothing else, said in one sentence."""
     from gradio_client import handle_file
 
-    for video, told, sentence in (
+    for video, answer, sentence in (
         (handle_file(str(DUCK)), {}, "video: It is not an MP4"),
         (handle_file(str(DUCK)), {"speed": 0}, "speed"),
         ({"path": "a.mp4", "url": "data:video/mp4;base64,AAAA"}, {}, "video: This is no file"),
@@ -196,7 +196,7 @@ def _refuses_what_is_no_video(client) -> None:
         (None, {}, "video: There is no video yet"),
     ):
         with pytest.raises(Exception, match=sentence) as refusal:
-            client.predict(video, **told, api_name="/fit")
+            client.predict(video, **answer, api_name="/fit")
         said = str(refusal.value)
         assert "Traceback" not in said and "passwd" not in said and len(said) < 300
 
@@ -242,15 +242,15 @@ def test_the_error_of_a_scene_is_measured_by_name(client):
     assert 0 < error < 1 and f"about {format_percent(error)} of" in said
     assert [level["cells"] for level in levels] == [12, 16, 24]
     assert all({"name", "seconds", "error", "torn"} <= set(level) for level in levels)
-    told = client.view_api(return_format="dict")["named_endpoints"]["/measure"]
-    assert [value["label"] for value in told["returns"]] == ["error", "sentence", "levels"]
+    answer = client.view_api(return_format="dict")["named_endpoints"]["/measure"]
+    assert [value["label"] for value in answer["returns"]] == ["error", "sentence", "levels"]
 
 
 def test_without_frames_the_preset_says_how_long_it_is(client):
     from phy124.scene import Scene
 
-    given = {"preset": "press", "frames": None, "changes": {**FEW, "accuracy": {"cells": 8}}}
-    assert generate(client, **given)[1]["frames"] == Scene.named("press").time.frames
+    options = {"preset": "press", "frames": None, "changes": {**FEW, "accuracy": {"cells": 8}}}
+    assert generate(client, **options)[1]["frames"] == Scene.named("press").time.frames
 
 
 def test_endpoints_equal_the_snapshot(client):
@@ -270,10 +270,13 @@ def test_endpoints_have_typed_arguments(client):
     assert set(described) == {"/generate", "/render", "/evaluate", "/measure", "/fit"}
     words = str(described).lower()
     assert "public" not in words and "://" not in words, "nothing is fetched"
-    told = {p["parameter_name"]: p for p in described["/generate"]["parameters"]}
-    kinds = {name: parameter["python_type"]["type"] for name, parameter in told.items()}
+    options = {p["parameter_name"]: p for p in described["/generate"]["parameters"]}
+    kinds = {name: parameter["python_type"]["type"] for name, parameter in options.items()}
     assert kinds["frames"] == "int" and kinds["image"] == kinds["side"] == "filepath"
-    assert told["frames"]["parameter_has_default"] and told["frames"]["parameter_default"] is None
+    assert (
+        options["frames"]["parameter_has_default"]
+        and options["frames"]["parameter_default"] is None
+    )
     assert "'draft'" in kinds["accuracy"] and "'press'" in kinds["preset"]
 
 
@@ -461,20 +464,20 @@ def test_a_program_sends_a_picture_for_each_object(client, tmp_path):
         return {"second": handle_file(str(path))}
 
     teddy, few = DUCK.with_name("teddy.png"), {**FEW, "accuracy": {"cells": 8}}
-    given = {"preset": "collide", "changes": few}
-    files, report = generate(client, known=second(teddy), **given)
+    options = {"preset": "collide", "changes": few}
+    files, report = generate(client, known=second(teddy), **options)
     assert set(report["objects"]) == {"left", "right"} and set(report["sources"]) == {"right"}
     (clip,) = (Path(path) for path in files if Path(path).name == "clip.safetensors")
-    found = Clip.load(clip)
-    assert found.objects == ("left", "right") and "/" not in found.scene["objects"][0]["picture"]
+    result = Clip.load(clip)
+    assert result.objects == ("left", "right") and "/" not in result.scene["objects"][0]["picture"]
     _, again = client.predict(["back"], 48, 20, api_name="/render")
     assert again["substeps"] == report["substeps"] and set(again["sources"]) == {"right"}
     url = "data:image/png;base64," + base64.b64encode(teddy.read_bytes()).decode()
-    _, same = generate(client, known={"second": {"url": url}}, **given)
+    _, same = generate(client, known={"second": {"url": url}}, **options)
     assert same["objects"] == report["objects"]
     (tmp_path / "broken.png").write_bytes(b"this is no picture")
     (tmp_path / "large.png").write_bytes(teddy.read_bytes() + bytes(2_000_000))
-    for told, message in (
+    for answer, message in (
         (second(tmp_path / "broken.png"), "not a PNG"),
         (second(tmp_path / "large.png"), "larger than 2 MB"),
         ({"second": {"url": "data:image/png;base64,*"}}, "data: URL is broken"),
@@ -482,6 +485,6 @@ def test_a_program_sends_a_picture_for_each_object(client, tmp_path):
         ({"second": handle_file(str(DUCK)), "third": handle_file(str(DUCK))}, "1 further objects"),
     ):
         with pytest.raises(Exception, match=message):
-            generate(client, known=told, **given)
+            generate(client, known=answer, **options)
     with pytest.raises(Exception, match="The scene takes one picture"):
         generate(client, known=second(teddy))

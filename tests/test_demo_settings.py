@@ -45,9 +45,9 @@ def test_every_setting_is_an_option_as_well(capsys):
     }
     with pytest.raises(SystemExit):
         read_options(["--help"])
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     for name, field in Settings.model_fields.items():
-        assert f"PHY124_{name.upper()}" in told and (field.description or "").split()[0] in told
+        assert f"PHY124_{name.upper()}" in output and (field.description or "").split()[0] in output
     assert main(["--port", "0"]) == 2
     assert "PHY124_PORT = 0: it must be a whole number" in capsys.readouterr().err
 
@@ -65,10 +65,10 @@ def test_a_space_listens_to_the_outside_and_a_desk_does_not():
 
 
 def test_gradios_own_variables_are_honoured_and_ours_come_first():
-    given = {"GRADIO_SERVER_NAME": "0.0.0.0", "GRADIO_SERVER_PORT": "8001"}
-    settings = Settings.from_environment(given)
+    options = {"GRADIO_SERVER_NAME": "0.0.0.0", "GRADIO_SERVER_PORT": "8001"}
+    settings = Settings.from_environment(options)
     assert (settings.host, settings.port) == ("0.0.0.0", 8001)
-    assert Settings.from_environment({**given, "PHY124_PORT": "9000"}).port == 9000
+    assert Settings.from_environment({**options, "PHY124_PORT": "9000"}).port == 9000
     with pytest.raises(InputError, match="GRADIO_SERVER_PORT = x"):
         Settings.from_environment({"GRADIO_SERVER_PORT": "x"})
 
@@ -326,14 +326,14 @@ def test_rates_are_measured_less_what_others_took(monkeypatch):
         "frames": 2,
         "particles": 1000,
     }
-    scene, found = Scene.named("press"), []
+    scene, result = Scene.named("press"), []
     for before, after in ((1.0, 1.0), (2.0, 2.0), (3.0, 1.0)):
         looks = iter([Load(before, before), Load(after, after)] * 2)
         monkeypatch.setattr("demo.forecast.Load.measure", lambda *_, looks=looks: next(looks))
         forecaster = Estimator()
         forecaster.calibrate(lambda: (report, scene), lambda: (report, scene))
-        found.append(forecaster.rates.substep)
-    assert found[1] == found[2] == pytest.approx(found[0] / 2)
+        result.append(forecaster.rates.substep)
+    assert result[1] == result[2] == pytest.approx(result[0] / 2)
 
 
 def test_a_forecast_can_be_measured_on_the_object_itself(three_gaussians):

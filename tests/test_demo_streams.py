@@ -67,7 +67,9 @@ def test_of_too_many_streams_of_a_cookie_the_oldest_ends():
             "body": b"",
             "more_body": False,
         }
-        assert page.open == STREAMS_EACH + 1 and not any(one.done() for one in (*opened[1:], other))
+        assert page.open == STREAMS_EACH + 1 and not any(
+            item.done() for item in (*opened[1:], other)
+        )
         assert set(page.statuses) == {200}
 
     asyncio.run(visit())

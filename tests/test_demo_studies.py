@@ -26,7 +26,7 @@ DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 QUICK = {"time.frames": 3, "binding": "lattice", "accuracy": {"cells": 32}}
 
 
-def _found(*errors: float | None, torn: int = 0, rate: float | None = 1.0) -> Measurement:
+def measurement(*errors: float | None, torn: int = 0, rate: float | None = 1.0) -> Measurement:
     levels = tuple(
         Level(cells=cells, seconds=cells / 10, error=error, torn=cells == torn)
         for cells, error in zip(GRIDS, errors, strict=True)
@@ -36,24 +36,24 @@ def _found(*errors: float | None, torn: int = 0, rate: float | None = 1.0) -> Me
 
 
 def test_the_error_is_told_for_the_chosen_grid():
-    found = _found(0.08, 0.06, 0.04)
+    result = measurement(0.08, 0.06, 0.04)
     for cells, error, why in (
         (16, 0.06, "Measured on D/12, D/16 and D/24."),
         (20, 0.06, "Measured on D/16."),
         (48, 0.02, "Extrapolated to D/48 from D/12, D/16 and D/24."),
     ):
-        said = found.promise(cells)
+        said = result.promise(cells)
         assert said.about == pytest.approx(error) and said.why == why
-    assert found.promise(16).sentence.startswith("This run is off by about 6.0 % of the object")
-    assert "no grid this coarse was measured" in found.promise(8).sentence
+    assert result.promise(16).sentence.startswith("This run is off by about 6.0 % of the object")
+    assert "no grid this coarse was measured" in result.promise(8).sentence
 
 
 def test_torn_or_diverging_grids_promise_nothing():
-    torn = _found(0.08, 0.06, None, torn=24)
+    torn = measurement(0.08, 0.06, None, torn=24)
     assert all(torn.promise(cells).error is None for cells in (12, 16, 24, 32))
     assert "on D/24 the grid may tear the material" in torn.promise(16).sentence
     assert "may be torn" in torn.table()
-    lost = _found(None, None, None, rate=None)
+    lost = measurement(None, None, None, rate=None)
     assert "none can be promised: no convergence" in lost.promise(24).sentence
 
 
@@ -74,9 +74,9 @@ def test_grids_are_run_once_and_serve_every_accuracy_and_view(study):
     events = [event for event in steps(study) if event is not None]
     assert {e.stage for e in events if isinstance(e, Step)} == {"generate", "measure"}
     assert events[-1] == Measured(study_file(study))
-    found = read_study(study_file(study))
-    assert [level.cells for level in found.levels] == [8, 10, 12]
-    assert all(level.seconds > 0 for level in found.levels)
+    result = read_study(study_file(study))
+    assert [level.cells for level in result.levels] == [8, 10, 12]
+    assert all(level.seconds > 0 for level in result.levels)
     finer = study.scene.replaced({"accuracy": "fine", "view.elevation": 40.0})
     again = [event for event in steps(replace(study, scene=finer)) if event is not None]
     assert again == [Reused("generate"), Reused("measure"), events[-1]]
@@ -111,9 +111,9 @@ def test_torn_grids_are_kept_as_such(study, monkeypatch):
     monkeypatch.setattr(Tearing, "likely", property(lambda self: True))
     study = replace(study, scene=study.scene.replaced({"accuracy.solver": "mpm"}))
     list(steps(study))
-    found = read_study(study_file(study))
-    assert all(level.torn and level.error is None for level in found.levels)
-    assert promise_of(study.scene, 0.5, found).error is None
+    result = read_study(study_file(study))
+    assert all(level.torn and level.error is None for level in result.levels)
+    assert promise_of(study.scene, 0.5, result).error is None
 
 
 @pytest.fixture
@@ -176,7 +176,7 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch):
     assert "not measured for" in report["tables"]
     study = Job("measure", studio.visitors.get("a").new_stop_file())
     studio.visitors.get("a").remember(study)
-    shown.study.write_text(_found(0.08, 0.06, 0.04).model_dump_json(), "utf-8")
+    shown.study.write_text(measurement(0.08, 0.06, 0.04).model_dump_json(), "utf-8")
     study.end("done", result=Measured(shown.study))
     event = gr.EventData(None, {"job": study.name})
     finished = handlers.on_job_end(studio)(cutout, data, None, shown, event, None)

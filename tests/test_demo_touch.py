@@ -181,14 +181,14 @@ class Spoken:
     """A line of which everything is kept."""
 
     def __init__(self) -> None:
-        self.told, self.orders = [], []
+        self.sent, self.orders = [], []
 
     def tell(self, letter, content):
-        self.told.append((letter, content))
+        self.sent.append((letter, content))
 
     def take_messages(self):
-        found, self.orders = self.orders, []
-        return found
+        result, self.orders = self.orders, []
+        return result
 
     def wait(self, seconds):
         pass
@@ -217,13 +217,13 @@ def bound(sent: bytes, splats: int, nodes: int) -> dict[str, np.ndarray]:
         ("weights", "u1", splats, 8),
         ("colours", "u1", splats, 4),
     ]
-    found = {}
+    results = {}
     for name, kind, rows, columns in kinds:
         size = rows * columns * np.dtype(kind).itemsize
-        found[name] = np.frombuffer(sent[:size], kind).reshape(rows, columns)
+        results[name] = np.frombuffer(sent[:size], kind).reshape(rows, columns)
         sent = sent[size:]
     assert not sent
-    return found
+    return results
 
 
 def test_browser_binding_matches_the_engine(live):
@@ -313,7 +313,7 @@ def test_failed_simulation_is_reported(player, monkeypatch):
     monkeypatch.setattr(run.live, "step", fail)
     monkeypatch.setattr("demo.touch.player.Player", lambda what, line: run)
     play(run._what, line)
-    assert b'"ended"' in line.told[-1][1] and b"not valid" in line.told[-1][1]
+    assert b'"ended"' in line.sent[-1][1] and b"not valid" in line.sent[-1][1]
 
 
 def test_orders_that_cannot_be_done_are_said_and_the_run_goes_on(player):
@@ -331,7 +331,7 @@ def test_orders_that_cannot_be_done_are_said_and_the_run_goes_on(player):
     ]
     line.orders = [json.dumps({"do": do, "value": value, "seq": 7}) for do, value in bad]
     run.frame()
-    kinds = [letter for letter, _ in line.told]
+    kinds = [letter for letter, _ in line.sent]
     assert kinds.count(b"t") - 2 == len(bad), "a sentence for each, after the two at the start"
     line.orders = [json.dumps({"do": "grab", "value": [0, 0, 1.0]})]
     run.frame()
@@ -339,8 +339,8 @@ def test_orders_that_cannot_be_done_are_said_and_the_run_goes_on(player):
         json.dumps({"do": "to", "value": at, "seq": 9}) for at in ([0, 0, 1.2], [1e30, 0, 0], mars)
     ]
     run.frame()
-    assert "reduced to the limit" in line.told[-2][1].decode(), "of three targets, the last"
-    assert HEAD.unpack(line.told[-1][1][: HEAD.size])[1] == 9
+    assert "reduced to the limit" in line.sent[-2][1].decode(), "of three targets, the last"
+    assert HEAD.unpack(line.sent[-1][1][: HEAD.size])[1] == 9
     x, F = run.live.particles
     assert np.isfinite(x).all() and np.isfinite(F).all()
 
@@ -354,8 +354,8 @@ def test_a_saved_session_is_a_scene_no_longer_than_a_run_may_be(player):
     count = run.live.count
     run.frame()
     assert run.live.count == count, "it pauses"
-    session = Scene.from_data(json.loads(dict(line.told)[b"s"]))
-    assert session.time.frames == 4 and "the first" in line.told[-1][1].decode()
+    session = Scene.from_data(json.loads(dict(line.sent)[b"s"]))
+    assert session.time.frames == 4 and "the first" in line.sent[-1][1].decode()
     assert {force.kind for force in session.forces} == {"gravity", "grab"}
     assert shorten_session(session, Settings(max_frames=5)) is session
     line.orders = ['{"do": "reset"}']

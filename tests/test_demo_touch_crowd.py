@@ -79,16 +79,16 @@ def until(condition) -> None:
 
 def runs() -> list[int]:
     """Processes of live runs that this one has started."""
-    found = []
+    results = []
     for path in Path("/proc").glob("[0-9]*"):
         try:
-            told = path.joinpath("stat").read_text().rsplit(")", 1)[1].split()
+            text = path.joinpath("stat").read_text().rsplit(")", 1)[1].split()
             command = path.joinpath("cmdline").read_bytes()
         except (OSError, IndexError):
             continue
-        if int(told[1]) == os.getpid() and b"touch/child.py" in command:
-            found.append(int(path.name))
-    return found
+        if int(text[1]) == os.getpid() and b"touch/child.py" in command:
+            results.append(int(path.name))
+    return results
 
 
 def descriptors() -> int:

@@ -35,10 +35,10 @@ def test_keys_depend_on_every_part_and_on_nothing_else():
 
 
 def test_folders_cannot_be_guessed_and_are_kept_apart(visitors):
-    one, two = visitors.get("a"), visitors.get("b")
-    assert one is visitors.get("a")
-    assert one.folder != two.folder and one.folder.name != "a"
-    assert len(one.folder.name) >= 32
+    single, two = visitors.get("a"), visitors.get("b")
+    assert single is visitors.get("a")
+    assert single.folder != two.folder and single.folder.name != "a"
+    assert len(single.folder.name) >= 32
 
 
 def test_removing_a_visitor_removes_pictures_and_results(visitors, tmp_path):
@@ -153,8 +153,8 @@ def test_uploads_without_a_name_are_few_for_each_address(visitors):
 
 def test_an_upload_is_counted_where_it_is(visitors):
     path = visitors.store(None, bytes(100), ".png")
-    own = visitors.find_upload("a", str(path))
-    assert own.exists() and visitors.find_upload("a", str(path)) == own
+    upload = visitors.find_upload("a", str(path))
+    assert upload.exists() and visitors.find_upload("a", str(path)) == upload
     assert visitors.used == visitors.get("a").used == 100 and visitors.arrivals.size == 0
 
 

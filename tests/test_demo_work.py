@@ -42,9 +42,9 @@ def _stages(events) -> set[str]:
 
 
 def test_a_visitor_sees_that_kernels_are_compiled(order):
-    told = []
-    Watching(order, Limits(order, told.append)).progress("compile", 3, 13)
-    assert told[-1] == Step("simulate", 0, 3, "compiling, 3 of 13")
+    messages = []
+    Watching(order, Limits(order, messages.append)).progress("compile", 3, 13)
+    assert messages[-1] == Step("simulate", 0, 3, "compiling, 3 of 13")
 
 
 def test_everything_is_made(order):

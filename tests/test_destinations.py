@@ -137,10 +137,10 @@ def test_to_another_file_system_it_is_copied(kind, tmp_path, monkeypatch):
     file.write_text("new")
     replace = os.replace
 
-    def apart(one, other):
-        if str(one) == str(source):
+    def apart(first, other):
+        if str(first) == str(source):
             raise OSError(18, "Invalid cross-device link")
-        replace(one, other)
+        replace(first, other)
 
     monkeypatch.setattr(os, "replace", apart)
     monkeypatch.setattr(os, "rename", apart)

@@ -31,23 +31,23 @@ def solver(rng):
 
 
 def test_momentum_kinetic_energy_and_extremes_are_those_of_numpy(solver):
-    found = diagnose(solver)
+    result = diagnose(solver)
     m, x, v = solver.model.mass.numpy(), solver.state.x.numpy(), solver.state.v.numpy()
     C, J = solver.state.C.numpy(), np.linalg.det(solver.state.F.numpy())
-    np.testing.assert_allclose(found.momentum, m @ v)
-    np.testing.assert_allclose(found.middle, m @ x)
+    np.testing.assert_allclose(result.momentum, m @ v)
+    np.testing.assert_allclose(result.middle, m @ x)
     # APIC (Jiang et al. 2015): C holds energy and angular momentum, too, with D = dx^2/4.
     axial = np.stack([C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], 1)
-    np.testing.assert_allclose(found.angular, m @ (np.cross(x, v) + DX**2 / 4 * axial))
+    np.testing.assert_allclose(result.angular, m @ (np.cross(x, v) + DX**2 / 4 * axial))
     kinetic = m / 2 * ((v**2).sum(axis=1) + DX**2 / 4 * (C**2).sum(axis=(1, 2)))
-    assert found.kinetic == pytest.approx(kinetic.sum())
-    assert (found.min_J, found.max_J) == pytest.approx((J.min(), J.max()))
-    assert found.broken == found.inverted == 0
+    assert result.kinetic == pytest.approx(kinetic.sum())
+    assert (result.min_J, result.max_J) == pytest.approx((J.min(), J.max()))
+    assert result.broken == result.inverted == 0
 
 
 def test_energies_of_particles_add_up_and_speeds_are_norms(solver):
-    found, each = diagnose(solver), energies(solver.model, solver.state)
-    assert each.sum() == pytest.approx(found.kinetic + found.elastic)
+    result, each = diagnose(solver), energies(solver.model, solver.state)
+    assert each.sum() == pytest.approx(result.kinetic + result.elastic)
     np.testing.assert_allclose(speeds(solver.state), np.linalg.norm(solver.state.v.numpy(), axis=1))
 
 
@@ -56,15 +56,15 @@ def test_unsound_particles_are_counted_and_the_first_is_named(solver):
     F[[7, 5]] = np.diag([-1.0, 1, 1])
     F[[11, 13, 20], 0, 0] = np.nan
     solver.state.F.assign(F)
-    found = diagnose(solver)
-    assert (found.broken, found.inverted) == (3, 2)
+    result = diagnose(solver)
+    assert (result.broken, result.inverted) == (3, 2)
     # Particles are sorted by law; the numbers are those of the solver.
-    assert (found.first_broken, found.first_inverted) == (11, 5)
+    assert (result.first_broken, result.first_inverted) == (11, 5)
     assert np.isinf(energies(solver.model, solver.state)).sum() == 3
 
 
 def test_a_snapshot_is_plain_data_and_comes_back(solver):
-    found = diagnose(solver)
-    again = Diagnostics.from_snapshot(json.loads(json.dumps(found.snapshot())))
-    np.testing.assert_array_equal(again.angular, found.angular)
-    assert again.energy == found.energy and again.min_J == found.min_J
+    result = diagnose(solver)
+    again = Diagnostics.from_snapshot(json.loads(json.dumps(result.snapshot())))
+    np.testing.assert_array_equal(again.angular, result.angular)
+    assert again.energy == result.energy and again.min_J == result.min_J

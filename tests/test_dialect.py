@@ -46,8 +46,8 @@ def layout(path, names, rng, *, reach=0.5, unit=True):
     ],
 )
 def test_who_may_have_written_it(tmp_path, rng, names, options, dialect):
-    found = likely_dialect(layout(tmp_path / "a.ply", names, rng, **options))
-    assert (found and found[0]) == dialect
+    result = likely_dialect(layout(tmp_path / "a.ply", names, rng, **options))
+    assert (result and result[0]) == dialect
 
 
 def test_the_end_of_a_file_is_looked_at_too(tmp_path, rng):
@@ -72,10 +72,10 @@ def test_what_phy124_writes_is_read_as_it_is(tmp_path):
 def test_the_guess_is_told_unless_the_axes_are_given(tmp_path, rng):
     file = str(layout(tmp_path / "a.ply", LGM, rng, reach=1.0))
     with pytest.warns(UserWarning, match="may be a file of LGM: .* give --dialect lgm"):
-        told = PlyFile(file)()
+        answer = PlyFile(file)()
     for reading in (Reading(dialect="lgm"), Reading(up="-y"), Reading(rotate="0,0,90")):
         PlyFile(file, reading)()
-    assert np.allclose(told.means, PlyFile(file, Reading(up="-y", front="-z"))().means)
+    assert np.allclose(answer.means, PlyFile(file, Reading(up="-y", front="-z"))().means)
 
 
 @pytest.mark.parametrize(
@@ -98,8 +98,8 @@ def test_a_file_is_asked_which_way_up_it_is(tmp_path, rng, comment, up, said):
 
 
 def test_program_is_guessed_and_format_axes_are_known(tmp_path, rng):
-    found = likely_axes(layout(tmp_path / "a.ply", LGM, rng, reach=1.0), Y_DOWN)
-    assert found[:3] == ("y", "z", False) and "LGM" in (found.program or "")
+    result = likely_axes(layout(tmp_path / "a.ply", LGM, rng, reach=1.0), Y_DOWN)
+    assert result[:3] == ("y", "z", False) and "LGM" in (result.program or "")
     for name, said in (("a.glb", True), ("a.splat", False)):
         write_gaussians(tmp_path / name, ball(100))
         axes = read_as_is(tmp_path / name).axes

@@ -122,9 +122,9 @@ def test_the_objects_of_the_gallery_are_credited(real_objects):
     """Each with the author and the licence that stand beside the files."""
     about = (real_objects / "README.md").read_text("utf-8")
     rows = [line.split(" | ") for line in about.splitlines()]
-    told = {row[0].strip("| "): row[1:3] for row in rows if ".splat" in row[0]}
+    options = {row[0].strip("| "): row[1:3] for row in rows if ".splat" in row[0]}
     page = (ROOT / "docs/gallery.md").read_text("utf-8")
-    assert len(told) == 15
-    for file, (licence, author) in told.items():
+    assert len(options) == 15
+    for file, (licence, author) in options.items():
         (line,) = re.findall(rf"^\| {Path(file).stem} \| .*$", page, re.M)
         assert author in line and licence.lower() in line.lower()

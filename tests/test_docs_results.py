@@ -29,7 +29,7 @@ def test_times_of_the_readme_are_those_of_the_lab():
 
 def test_numbers_of_results_are_read_from_the_lab():
     pages = [(ROOT / f"docs/results/{page}.md").read_text("utf-8") for page in summaries.BLOCKS]
-    used = {found[2] for page in pages for found in summaries.NUMBER.finditer(page)}
+    used = {results[2] for page in pages for results in summaries.NUMBER.finditer(page)}
     assert used == set(summaries.NUMBERS)
     # A comment at the start of a line would end the paragraph.
     assert not any(re.search(r"^ *<!-- =", page, re.M) for page in pages)

@@ -32,20 +32,20 @@ class Function(NamedTuple):
 
     @property
     def parameters(self) -> list[str]:
-        given = self.node.args
-        named = [*given.posonlyargs, *given.args, *given.kwonlyargs]
-        rest = [one for one in (given.vararg, given.kwarg) if one is not None]
-        return [one.arg for one in [*named, *rest] if one.arg not in ("self", "cls")]
+        inputs = self.node.args
+        named = [*inputs.posonlyargs, *inputs.args, *inputs.kwonlyargs]
+        rest = [item for item in (inputs.vararg, inputs.kwarg) if item is not None]
+        return [item.arg for item in [*named, *rest] if item.arg not in ("self", "cls")]
 
     def section(self, title: str) -> str:
-        found = re.search(rf"^{title}:\n((?:    .*\n?|\n)+)", self.docstring, re.M)
-        return found[1] if found else ""
+        match = re.search(rf"^{title}:\n((?:    .*\n?|\n)+)", self.docstring, re.M)
+        return match[1] if match else ""
 
 
 @cache
 def functions(room: str) -> list[Function]:
     """Public functions and methods of a folder or file, none of private classes."""
-    found = []
+    results = []
     at = ROOT / room
     for path in sorted(at.rglob("*.py")) if at.is_dir() else [at]:
         module = ast.parse(path.read_text("utf-8"))
@@ -56,14 +56,14 @@ def functions(room: str) -> list[Function]:
                 if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
                     if on_device(node):
                         continue
-                    found.append(Function(f"{path.stem}.{node.name}", node))
-    return found
+                    results.append(Function(f"{path.stem}.{node.name}", node))
+    return results
 
 
 def on_device(node: ast.FunctionDef) -> bool:
     """Whether it is device code: headings and kernels/transfer.py explain its parameters once."""
     return any(
-        re.match(r"(wp\.|(native_)?kernel\()", ast.unparse(one)) for one in node.decorator_list
+        re.match(r"(wp\.|(native_)?kernel\()", ast.unparse(item)) for item in node.decorator_list
     )
 
 

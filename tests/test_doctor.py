@@ -21,8 +21,8 @@ def test_an_encoder_that_does_not_work_is_a_fault(program, monkeypatch, capsys):
     (fault,) = [line for line in lines if line.startswith("FAULT")]
     assert "ffmpeg, does not work here" in fault and "Install imageio-ffmpeg again" in fault
     assert main(["doctor", "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["encoder"] is None and fault.endswith(told["faults"][0])
+    output = json.loads(capsys.readouterr().out)
+    assert output["encoder"] is None and fault.endswith(output["faults"][0])
 
 
 def test_an_encoder_that_works_is_no_fault(capsys):

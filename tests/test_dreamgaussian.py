@@ -214,7 +214,14 @@ def test_known_views_of_a_simple_object_are_reconstructed():
     known = (front.rgb.permute(2, 0, 1), front.alpha)
     splats, steps = start(settings, draw), []
     before = held_out(splats, guidance)
-    fit(splats, guidance, settings, draw, known=known, progress=lambda *told: steps.append(told))
+    fit(
+        splats,
+        guidance,
+        settings,
+        draw,
+        known=known,
+        progress=lambda *arguments: steps.append(arguments),
+    )
     after = held_out(splats, guidance)
     assert after > 25 > before + 5, (before, after, len(splats))
     assert len(splats) != settings.points

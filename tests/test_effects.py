@@ -85,10 +85,10 @@ def test_differenced_velocities_match_the_run():
     fall = {"object.lift": 5.0, "object.velocity": [1.0, 0, 2.0], "velocities": True}
     clip = Simulation(prepare(ball(300), Scene.named("drop").replaced({**QUICK, **fall}))).run()
     bare = type(clip)(**{**vars(clip), "velocities": None})
-    kept, found = clip.frame(1).velocities, bare.frame(1, velocities=True).velocities
+    kept, match = clip.frame(1).velocities, bare.frame(1, velocities=True).velocities
     assert bare.frame(1).velocities is None
     # A velocity is half a substep behind its place.
-    assert np.abs(found - kept).max() < 9.81 * clip.report["substep"]["mean"]
+    assert np.abs(match - kept).max() < 9.81 * clip.report["substep"]["mean"]
 
 
 def test_sleep_and_static_parts_are_named():
@@ -158,10 +158,10 @@ def test_what_looks_for_tears_and_tries_substeps_is_named():
     named = [scene.replaced({"accuracy": {"solver": "mpm"}}) for scene in scenes]
     solid, flowing = (Effects.of(scene) for scene in named)
     assert search in solid.ran and "flow" in whys(flowing)[search]
-    for one in (solid, flowing):
+    for item in (solid, flowing):
         assert (
             "trial substeps, which are repeated with a shorter substep if they are too long"
-            in one.ran
+            in item.ran
         )
 
 

@@ -60,11 +60,11 @@ def test_a_ball_that_is_hardly_pressed_follows_hertz():
     """Deeper it is stiffer, between two plates as Tatara says; on one plate still more."""
     depths = 0.004, 0.03, 0.06
     half = [Law(NU).force(depth) for depth in depths]
-    two, one = (plate_forces(depths, NU, whole=whole) / half for whole in (False, True))
-    assert two[0] == pytest.approx(1, abs=0.04) and one[0] == pytest.approx(1, abs=0.06)
-    for depth, hertz, found in list(zip(depths, half, two, strict=True))[1:]:
-        assert found == pytest.approx(tatara(0.5 * depth) / (hertz * 1e5 * 0.25), rel=0.02)
-    assert one[2] > two[2] + 0.1
+    two, first = (plate_forces(depths, NU, whole=whole) / half for whole in (False, True))
+    assert two[0] == pytest.approx(1, abs=0.04) and first[0] == pytest.approx(1, abs=0.06)
+    for depth, hertz, result in list(zip(depths, half, two, strict=True))[1:]:
+        assert result == pytest.approx(tatara(0.5 * depth) / (hertz * 1e5 * 0.25), rel=0.02)
+    assert first[2] > two[2] + 0.1
 
 
 def test_twice_as_many_elements_agree_within_a_per_cent():
@@ -74,8 +74,8 @@ def test_twice_as_many_elements_agree_within_a_per_cent():
 
 def test_law_matches_elements_and_its_slope():
     fitted = fit_law(NU, whole=False)
-    found = plate_forces((0.02, 0.1), NU, whole=False)
-    np.testing.assert_allclose([fitted.force(d) for d in (0.02, 0.1)], found, rtol=0.01)
+    result = plate_forces((0.02, 0.1), NU, whole=False)
+    np.testing.assert_allclose([fitted.force(d) for d in (0.02, 0.1)], result, rtol=0.01)
     slope = (fitted.force(0.05 + 1e-6) - fitted.force(0.05 - 1e-6)) / 2e-6
     assert fitted.slope(0.05) == pytest.approx(slope)
     assert Law(NU).force(0.04) == pytest.approx(4 / 3 / 0.91 * 0.008)

@@ -49,7 +49,7 @@ QUARTER = Quantity.within("a quarter", 0.25, 0.02)
 
 def made(**changes) -> Experiment:
     """An experiment that needs no solver: its error is 1 / cells^2."""
-    told = {
+    options = {
         "name": "made",
         "title": "Made",
         "source": "nobody",
@@ -62,7 +62,7 @@ def made(**changes) -> Experiment:
         "grids": (4, 6, 8),
         "across": "it",
     }
-    return Experiment(**{**told, **changes})
+    return Experiment(**{**options, **changes})
 
 
 def result(experiment: Experiment) -> Outcome:
@@ -166,15 +166,17 @@ def test_ball_of_shells_and_lattice_have_their_sizes():
 
 def test_three_grids_give_the_value_of_none():
     """An error of second order is taken away; a mistake leaves the band."""
-    one = result(made()).estimates[0]
-    assert one.value == pytest.approx(0.25, abs=1e-6) and one.order == pytest.approx(2, abs=0.05)
-    assert one.error == pytest.approx(1 / 64, rel=0.05)
-    assert one.inside and one.control_outside
+    first = result(made()).estimates[0]
+    assert first.value == pytest.approx(0.25, abs=1e-6) and first.order == pytest.approx(
+        2, abs=0.05
+    )
+    assert first.error == pytest.approx(1 / 64, rel=0.05)
+    assert first.inside and first.control_outside
 
 
 def test_diverging_grids_give_the_finest_and_the_spread():
-    one = estimate((4, 6, 8), QUARTER, (0.25, 0.3, 0.2), 0.5)
-    assert one.order is None and one.value == 0.2 and one.error == pytest.approx(0.1)
+    first = estimate((4, 6, 8), QUARTER, (0.25, 0.3, 0.2), 0.5)
+    assert first.order is None and first.value == 0.2 and first.error == pytest.approx(0.1)
 
 
 def test_a_value_that_is_in_by_its_error_alone_is_told_apart():
@@ -223,12 +225,12 @@ def test_progress_stops_the_runs(monkeypatch):
 def test_experiments_that_are_done_survive_an_error(tmp_path, monkeypatch, capsys):
     """A process of the second is killed."""
 
-    def one(*_: object, **options: object):
+    def fail_after_first(*_: object, **options: object):
         yield result(first)
         raise OSError(errno.EIO, "a process was killed")
 
     first = made(name="hertz")
-    monkeypatch.setattr(validate, "run_all", one)
+    monkeypatch.setattr(validate, "run_all", fail_after_first)
     monkeypatch.setattr(validate, "EXPERIMENTS", [first, made(name="second")])
     monkeypatch.setattr(page_module, "save_plot", lambda outcome, path: path.touch())
     assert main(["validate", "--json", "--out", str(tmp_path / "out")]) == 1
@@ -309,8 +311,8 @@ def test_names_are_refused_with_those_that_exist(capsys):
 def test_an_experiment_comes_out_as_the_page_says(name, capsys):
     """Its control leaves the band, and what misses it is known to."""
     assert Validate(name=name, json=True).run() == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["good"] and told["experiments"][0]["control_holds"]
+    output = json.loads(capsys.readouterr().out)
+    assert output["good"] and output["experiments"][0]["control_holds"]
 
 
 class Oscillators:

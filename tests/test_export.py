@@ -40,12 +40,12 @@ def check(names, files, clip):
 
 
 def test_a_folder_of_numbered_files(tmp_path, clip):
-    told = []
+    messages = []
     folder = tmp_path / "out"
-    names = write_ply_sequence(folder, clip, name="duck", progress=lambda *s: told.append(s))
+    names = write_ply_sequence(folder, clip, name="duck", progress=lambda *s: messages.append(s))
     assert sorted(p.name for p in folder.iterdir()) == names
     check(names, [folder / n for n in names], clip)
-    assert told == [("export", i, 3) for i in (1, 2, 3)]
+    assert messages == [("export", i, 3) for i in (1, 2, 3)]
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
     assert b"y down" in (folder / names[0]).read_bytes()[:400]
 
@@ -122,12 +122,12 @@ def turning(clip, rng) -> Clip:
 def test_usd_reads_back(pxr, tmp_path, clip, rng, ending):
     from pxr import Usd, UsdGeom, UsdVol
 
-    told = []
+    messages = []
     clip = turning(clip, rng)
     path = tmp_path / f"duck.{ending}"
-    write_usd(path, clip, progress=lambda *s: told.append(s))
+    write_usd(path, clip, progress=lambda *s: messages.append(s))
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
-    assert told == [("export", i, 3) for i in (1, 2, 3)]
+    assert messages == [("export", i, 3) for i in (1, 2, 3)]
     assert path.read_bytes().startswith(b"#usda" if ending == "usda" else b"PXR-USDC")
     stage = Usd.Stage.Open(str(path))
     assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1

@@ -109,8 +109,8 @@ def test_clip_without_velocities_takes_speeds_from_positions(clip):
 
 
 def test_a_single_frame_and_equal_positions_are_packed_too(clip):
-    one = Clip.from_frames([clip.frame(0)])
-    head, arrays = _unpacked(pack(one, CAMERA))
+    body = Clip.from_frames([clip.frame(0)])
+    head, arrays = _unpacked(pack(body, CAMERA))
     assert head["speed"] >= 0 and np.isfinite(arrays["means"]).all()
 
 

@@ -56,11 +56,11 @@ def run(forces=(), boundaries=(), v=(0, 0, 0)):
 
 
 def test_gravity_gives_weight_times_time_and_weight_times_height():
-    solver, _, given, (start, end) = run([Gravity()])
+    solver, _, exchanged, (start, end) = run([Gravity()])
     mass, time = solver.model.total_mass, solver.clock.time - solver.clock.last_dt / 2
-    np.testing.assert_allclose(given.impulse, [0, 0, -9.81 * mass * time])
-    assert given.work == pytest.approx(-9.81 * (end.middle - start.middle)[2])
-    assert given.moved == pytest.approx(9.81 * mass * time)
+    np.testing.assert_allclose(exchanged.impulse, [0, 0, -9.81 * mass * time])
+    assert exchanged.work == pytest.approx(-9.81 * (end.middle - start.middle)[2])
+    assert exchanged.moved == pytest.approx(9.81 * mass * time)
 
 
 @pytest.mark.parametrize(
@@ -69,15 +69,15 @@ def test_gravity_gives_weight_times_time_and_weight_times_height():
     ids=["on particles", "that swings"],
 )
 def test_impulse_and_work_are_the_change_of_momentum_and_energy(force):
-    _, _, given, (start, end) = run([force], v=(0.5, 0, 0))
-    np.testing.assert_allclose(given.impulse, end.momentum - start.momentum, atol=1e-9)
-    assert given.work == pytest.approx(end.kinetic - start.kinetic, rel=1e-6)
+    _, _, exchanged, (start, end) = run([force], v=(0.5, 0, 0))
+    np.testing.assert_allclose(exchanged.impulse, end.momentum - start.momentum, atol=1e-9)
+    assert exchanged.work == pytest.approx(end.kinetic - start.kinetic, rel=1e-6)
 
 
 def test_work_of_a_force_on_C_includes_affine_energy():
     spun = SetVelocity(spin=(0, 0, 2), end=1e-5)
-    _, _, given, (start, end) = run([ParticleForce(f=(1e-3, 0, 0)), spun])
-    assert given.work == pytest.approx(end.energy - start.energy, rel=1e-3)
+    _, _, exchanged, (start, end) = run([ParticleForce(f=(1e-3, 0, 0)), spun])
+    assert exchanged.work == pytest.approx(end.energy - start.energy, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -114,17 +114,19 @@ def test_forces_that_promise_to_keep_C_do(force):
 
 def test_a_wall_at_rest_takes_momentum_and_does_no_work():
     held = Box(lower=(-1, -1, -1), upper=(1, 1, 1), contact="sticky")
-    _, _, given, (start, end) = run(boundaries=[held], v=(1, 0, 0))
-    np.testing.assert_allclose(given.impulse, end.momentum - start.momentum, atol=1e-9)
-    assert given.impulse[0] == pytest.approx(-start.momentum[0], rel=1e-3)
-    assert given.work == given.turned == 0
+    _, _, exchanged, (start, end) = run(boundaries=[held], v=(1, 0, 0))
+    np.testing.assert_allclose(exchanged.impulse, end.momentum - start.momentum, atol=1e-9)
+    assert exchanged.impulse[0] == pytest.approx(-start.momentum[0], rel=1e-3)
+    assert exchanged.work == exchanged.turned == 0
 
 
 def test_nothing_outside_gives_nothing_and_measures_nothing():
     external = ExternalWork()
     assert external.wrap_forces([]) == [] and external.wrap_walls([]) == []
-    _, _, given, _ = run(v=(1, 2, 3))
-    assert not given.impulse.any() and given.work == given.moved == given.turned == 0
+    _, _, exchanged, _ = run(v=(1, 2, 3))
+    assert (
+        not exchanged.impulse.any() and exchanged.work == exchanged.moved == exchanged.turned == 0
+    )
 
 
 def test_a_snapshot_without_rows_is_restored():
@@ -135,15 +137,15 @@ def test_a_snapshot_without_rows_is_restored():
 
 
 def test_a_snapshot_is_plain_data_and_restores_the_sums():
-    solver, external, given, (start, end) = run([ParticleForce(f=(1e-3, 0, 0))])
+    solver, external, exchanged, (start, end) = run([ParticleForce(f=(1e-3, 0, 0))])
     kept, way = json.loads(json.dumps(external.snapshot())), end.middle - start.middle
     solver.advance(FRAMES / FPS + 0.01)
-    assert external.total(solver.clock, way, end.momentum).impulse[0] > 1.1 * given.impulse[0]
+    assert external.total(solver.clock, way, end.momentum).impulse[0] > 1.1 * exchanged.impulse[0]
     external.restore(kept)
     np.testing.assert_array_equal(
-        external.total(solver.clock, way, end.momentum).impulse, given.impulse
+        external.total(solver.clock, way, end.momentum).impulse, exchanged.impulse
     )
     fresh = ExternalWork()
     fresh.restore(kept)
     closed = np.sum(list(fresh.snapshot()["closed"].values()), axis=0)
-    assert closed[0] == pytest.approx(given.impulse[0]), "sums of no launch yet are kept, too"
+    assert closed[0] == pytest.approx(exchanged.impulse[0]), "sums of no launch yet are kept, too"

@@ -166,6 +166,6 @@ def test_the_bridge_says_the_same(name, monkeypatch, capsys):
 def test_what_is_kept_is_said_with_the_cause(cause, status, said):
     problem = Incomplete("a.clip is there.")
     problem.__cause__ = cause
-    found = failure(problem)
-    assert found.status == status and said in found.sentence
+    result = failure(problem)
+    assert result.status == status and said in result.sentence
     assert pickle.loads(pickle.dumps(Incomplete("kept"))).kept == "kept"

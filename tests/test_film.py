@@ -139,8 +139,8 @@ def test_slow_motion_plays_the_same_pictures_longer(tmp_path, clip):
 
 
 def test_choppy_slow_motion_is_told_of(clip):
-    (told,) = film_notes(clip, view(speed=0.25))
-    assert told is not None and "6 frames per second" in told and "--fps 96" in told
+    (warning,) = film_notes(clip, view(speed=0.25))
+    assert warning is not None and "6 frames per second" in warning and "--fps 96" in warning
     assert film_notes(clip, view(speed=0.5)) == film_notes(clip, view(fps=2)) == []
 
 
@@ -198,12 +198,12 @@ def test_ffmpeg_opens_every_film_and_gif_fits(tmp_path, clip, size):
         if (kind := path.suffix[1:]) == "webp":
             assert path.stat().st_size <= 4000 and len(frames(path)) == len(clip)
             continue
-        found = _probe(path)
-        assert found["codec_name"] == codecs[kind]
+        result = _probe(path)
+        assert result["codec_name"] == codecs[kind]
         if kind == "gif":
             assert path.stat().st_size <= 4000
         else:
-            assert (found["width"], found["height"]) == size
+            assert (result["width"], result["height"]) == size
 
 
 def test_animation_too_small_for_its_frames_is_refused(tmp_path, clip):

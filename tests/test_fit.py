@@ -76,11 +76,11 @@ class Oscillator:
 
 def test_a_damped_oscillator_is_found_on_an_infinitely_fine_grid():
     problem = Oscillator()
-    found = estimate(problem)
-    limit, errors = found.on(np.inf)
+    result = estimate(problem)
+    limit, errors = result.on(np.inf)
     assert np.all(np.abs(limit - TRUTH) < errors)
-    assert abs(limit[0] - TRUTH[0]) < 0.2 * abs(found.places[1][0] - TRUTH[0])
-    assert np.array_equal(found.on(24)[0], found.places[1])
+    assert abs(limit[0] - TRUTH[0]) < 0.2 * abs(result.places[1][0] - TRUTH[0])
+    assert np.array_equal(result.on(24)[0], result.places[1])
     assert problem.calls[1] < problem.calls[0] / 4, "the finer grid is for the last steps only"
 
 
@@ -91,10 +91,10 @@ def covered(seeds):
         problem = Oscillator(seed, grids=(1_000_000,))
         distance = Distance(problem)
         slopes = differentiate(problem, TRUTH, 0, 0.01)
-        found = refine(problem, distance, TRUTH + 0.02, slopes, 0)
-        weighted = distance.weigh(found.jacobian), distance.residual(found.predicted)
+        result = refine(problem, distance, TRUTH + 0.02, slopes, 0)
+        weighted = distance.weigh(result.jacobian), distance.residual(result.predicted)
         spread = bootstrap(*weighted, problem.groups, problem.kinds, seed)
-        held += np.abs(found.place - TRUTH) <= spread.errors
+        held += np.abs(result.place - TRUTH) <= spread.errors
     return held
 
 
@@ -106,8 +106,8 @@ def test_intervals_hold_the_truth():
 @pytest.mark.slow
 def test_intervals_hold_the_truth_in_90_of_100_seeds():
     assert np.all(covered(range(100)) >= 90)
-    found = [estimate(Oscillator(seed), seed=seed) for seed in range(100)]
-    held = sum(np.abs(one.on(np.inf)[0] - TRUTH) <= one.on(np.inf)[1] for one in found)
+    result = [estimate(Oscillator(seed), seed=seed) for seed in range(100)]
+    held = sum(np.abs(item.on(np.inf)[0] - TRUTH) <= item.on(np.inf)[1] for item in result)
     assert np.all(held >= 90)
 
 
@@ -157,10 +157,10 @@ def test_no_error_of_a_size_shifts_values_further():
 
 @pytest.mark.parametrize("bent", [0.3, 5.0])
 def test_the_error_of_the_grid_widens_an_interval(bent):
-    found = estimate(Oscillator(bent=bent))
-    limit, errors = found.on(np.inf)
+    result = estimate(Oscillator(bent=bent))
+    limit, errors = result.on(np.inf)
     assert np.all(np.abs(limit - TRUTH) < errors)
-    assert found.model[1] > bent * estimate(Oscillator()).sampling[1]
+    assert result.model[1] > bent * estimate(Oscillator()).sampling[1]
 
 
 def test_a_value_that_the_error_of_the_grid_hides_is_refused():
@@ -338,8 +338,8 @@ class Heights:
 
     def __call__(self, scene):
         self.calls += 1
-        found = np.array([scene["material"]["E"], scene["accuracy"]["cells"]], float)
-        return (None if found[0] > 9e4 else found), 0.25
+        result = np.array([scene["material"]["E"], scene["accuracy"]["cells"]], float)
+        return (None if result[0] > 9e4 else result), 0.25
 
 
 def runs_in(folder, progress=silent):

@@ -58,12 +58,12 @@ def test_the_comparison_shows_target_fitted_and_difference(tmp_path):
     both.write_sheet(tmp_path / "c.png")
     with Image.open(tmp_path / "c.png") as picture:
         assert picture.size == (3 * 192, 2 * 192)
-        found = np.asarray(picture)
-    assert tuple(found[40, 90]) == (40, 40, 40), "the target"
-    assert tuple(found[40, 2 * 192 + 90]) == ONLY_SEEN
-    assert tuple(found[96, 2 * 192 + 96]) == ONLY_FITTED
+        result = np.asarray(picture)
+    assert tuple(result[40, 90]) == (40, 40, 40), "the target"
+    assert tuple(result[40, 2 * 192 + 90]) == ONLY_SEEN
+    assert tuple(result[96, 2 * 192 + 96]) == ONLY_FITTED
     both.write_film(tmp_path / "c.mp4", 10)
-    assert np.abs(read_video(tmp_path / "c.mp4")[0].astype(int) - found[:192]).mean() < 3
+    assert np.abs(read_video(tmp_path / "c.mp4")[0].astype(int) - result[:192]).mean() < 3
 
 
 REPORT = {

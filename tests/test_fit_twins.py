@@ -20,8 +20,8 @@ def declared(tmp_path, picture, scene, cells, **more):
     """The points of a twin, and a fit of them with another number of Gaussians."""
     # As long as the presets once were; the fit follows the points.
     brief = {"time.frames": 14, "time.fps": 24.0 if scene == "press" else 20.0}
-    found = Scene.named(scene).replaced(brief)
-    clip = twin(make_gaussians(picture, Scene(), count=3000).gaussians, found, cells)
+    result = Scene.named(scene).replaced(brief)
+    clip = twin(make_gaussians(picture, Scene(), count=3000).gaussians, result, cells)
     write_points(tmp_path / "points.csv", clip, seed=1)
     write_forces(tmp_path / "forces.csv", clip, seed=1)
     write_ply(tmp_path / "object.ply", make_gaussians(picture, Scene(), count=2000).gaussians)
@@ -33,7 +33,7 @@ def declared(tmp_path, picture, scene, cells, **more):
         "seconds": 1e5,
         **more,
     }
-    return Fit.from_data(data), found.material
+    return Fit.from_data(data), result.material
 
 
 @pytest.mark.slow
@@ -46,15 +46,15 @@ def declared(tmp_path, picture, scene, cells, **more):
 )
 def test_stiffness_within_a_tenth(tmp_path, picture, scene, cells, find):
     asked, material = declared(tmp_path, picture, scene, cells, find={"material.E": find})
-    found = fit(asked, tmp_path / "out", workers=2)
-    told = found.report["found"]["material.E"]
-    low, high = told["interval"]
-    assert told["value"] == pytest.approx(material.E, rel=0.1)
+    result = fit(asked, tmp_path / "out", workers=2)
+    entry = result.report["found"]["material.E"]
+    low, high = entry["interval"]
+    assert entry["value"] == pytest.approx(material.E, rel=0.1)
     assert low < material.E < high
-    assert told["value"] == found.scene.material.E
+    assert entry["value"] == result.scene.material.E
     again = fit(asked, tmp_path / "out")
     assert again.report["runs"] == [0, 0], "all runs were kept"
-    assert again.report["found"] == found.report["found"]
+    assert again.report["found"] == result.report["found"]
 
 
 @pytest.mark.slow
@@ -64,9 +64,9 @@ def test_density_needs_a_force(tmp_path):
     with pytest.raises(InputError, match=r"in the same way.*--forces"):
         fit(asked, tmp_path / "out", workers=2)
     forces = asked.model_copy(update={"forces": str(tmp_path / "forces.csv")})
-    found = fit(forces, tmp_path / "out", workers=2).report["found"]
-    assert found["material.E"]["value"] == pytest.approx(material.E, rel=0.1)
-    assert np.isclose(found["material.density"]["value"], material.density, rtol=0.1)
+    result = fit(forces, tmp_path / "out", workers=2).report["found"]
+    assert result["material.E"]["value"] == pytest.approx(material.E, rel=0.1)
+    assert np.isclose(result["material.density"]["value"], material.density, rtol=0.1)
 
 
 @pytest.mark.slow
@@ -86,9 +86,9 @@ def test_a_pressed_duck_does_not_tell_its_poissons_ratio(tmp_path, seen):
     with pytest.raises(InputError, match=r"nu: the error of the grid .* slippery plates"):
         fit(asked, tmp_path / "out", workers=2)
     asked = Fit.from_data({**asked.model_dump(), "find": {"material.E": "1e4..2e5"}})
-    told = fit(asked, tmp_path / "out", workers=2).report["found"]["material.E"]
-    assert told["value"] == pytest.approx(4e4, rel=0.1)
-    assert told["interval"][0] < 4e4 < told["interval"][1]
+    entry = fit(asked, tmp_path / "out", workers=2).report["found"]["material.E"]
+    assert entry["value"] == pytest.approx(4e4, rel=0.1)
+    assert entry["interval"][0] < 4e4 < entry["interval"][1]
 
 
 SLIDING = {
@@ -131,8 +131,8 @@ def test_a_motion_that_tells_a_value_gives_it_on_draft_grids(
         "seconds": 1e5,
         "find": {path: f"{least}..{most}"},
     }
-    told = fit(Fit.from_data(asked), tmp_path / "out", workers=2).report["found"][path]
-    low, high = told["interval"]
-    assert told["value"] == pytest.approx(0.3, rel=0.05)
+    entry = fit(Fit.from_data(asked), tmp_path / "out", workers=2).report["found"][path]
+    low, high = entry["interval"]
+    assert entry["value"] == pytest.approx(0.3, rel=0.05)
     assert low < 0.3 < high
     assert high - low < 0.1

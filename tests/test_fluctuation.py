@@ -66,11 +66,11 @@ def test_round_trip_keeps_linear_and_angular_momentum(scheme):
 
 
 def test_two_threads_compute_what_one_does():
-    one, two = shaken(Scheme(2), threads=1), shaken(Scheme(2), threads=2)
-    for solver in (one, two):
+    single, two = shaken(Scheme(2), threads=1), shaken(Scheme(2), threads=2)
+    for solver in (single, two):
         solver.advance(0.02)
     assert len(two.workers) == 2
-    assert np.allclose(one.state.x.numpy(), two.state.x.numpy(), atol=1e-5)
+    assert np.allclose(single.state.x.numpy(), two.state.x.numpy(), atol=1e-5)
 
 
 def test_a_run_continues_bit_for_bit_from_a_snapshot():

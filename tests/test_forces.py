@@ -73,9 +73,9 @@ def test_an_impulse_at_once_and_one_with_a_profile_are_whole_too():
 def test_a_monstrous_impulse_is_still_exact():
     """A million times the weight on one particle: finite, and all of it arrives."""
     x = block()
-    one = Region(lower=tuple(x[0] - 1e-6), upper=tuple(x[0] + 1e-6))
+    first = Region(lower=tuple(x[0] - 1e-6), upper=tuple(x[0] + 1e-6))
     weight = 0.1 * 9.81
-    blow = Impulse(p=(1e6 * weight * 1e-4, 0, 0), duration=1e-4, region=one)
+    blow = Impulse(p=(1e6 * weight * 1e-4, 0, 0), duration=1e-4, region=first)
     s = solver(blow, x=x, precision="float32")
     s.advance(2e-3)
     assert np.all(np.isfinite(s.state.v.numpy()))
@@ -169,10 +169,10 @@ def test_a_profile_shorter_than_the_substep_pushes_by_its_mean(force):
     """What a constant of the same mean does, by where the body gets in an eighth of a second."""
     constant = force.model_copy(update={"profile": Keyframes(factors=(1.0, 1.0))})
     quick, steady = solver(force), solver(constant)
-    for one in (quick, steady):
-        one.advance(0.1237)
-        assert one.clock.substeps < 60
-    ways = [one.state.x.numpy()[:, 1].mean() - block()[:, 1].mean() for one in (quick, steady)]
+    for item in (quick, steady):
+        item.advance(0.1237)
+        assert item.clock.substeps < 60
+    ways = [item.state.x.numpy()[:, 1].mean() - block()[:, 1].mean() for item in (quick, steady)]
     assert ways[0] == pytest.approx(ways[1], rel=0.02)
 
 
@@ -223,8 +223,8 @@ POINT = (0.0, 0.0, 0.0)
 
 def grab(*targets: tuple[float, float, float], every: float = 0.01, **fields: object) -> Grab:
     times = tuple(every * i for i in range(len(targets)))
-    given = {"point": POINT, "radius": 0.3, "stiffness": 100.0, "damping": 1.0, "strength": 1e3}
-    return Grab(times=times, targets=targets, **(given | fields))
+    options = {"point": POINT, "radius": 0.3, "stiffness": 100.0, "damping": 1.0, "strength": 1e3}
+    return Grab(times=times, targets=targets, **(options | fields))
 
 
 def centre(s: Solver, held: Grab) -> np.ndarray:
@@ -293,9 +293,9 @@ def test_a_wrench_gives_its_momentum_and_its_angular_momentum(point, precision, 
     np.testing.assert_allclose(momentum(s), np.multiply(force, 0.004), atol=3 * close)
     # The force acts where the part is: its moment about the origin comes to the torque. The part
     # moves by less than a ten-thousandth of its arm meanwhile.
-    found = diagnose(s).angular
+    result = diagnose(s).angular
     expected = np.add(np.cross(arm, force), torque) * 0.004
-    np.testing.assert_allclose(found, expected, atol=2e-3 * np.linalg.norm(expected))
+    np.testing.assert_allclose(result, expected, atol=2e-3 * np.linalg.norm(expected))
 
 
 def test_a_wrench_follows_its_profile():
@@ -332,10 +332,10 @@ def test_grabs_and_wrenches_refuse_nonsense():
 
 
 def test_what_acts_can_be_replaced_between_two_substeps():
-    one, other = WrenchForce(force=(1, 0, 0)), WrenchForce(force=(0, 2, 0), start=0.005)
+    single, other = WrenchForce(force=(1, 0, 0)), WrenchForce(force=(0, 2, 0), start=0.005)
     first = WrenchForce(force=(1, 0, 0), end=0.005)
     both = solver(first, other, ceiling=1e-3)
-    changed = solver(one, ceiling=1e-3)
+    changed = solver(single, ceiling=1e-3)
     for s in (both, changed):
         s.advance(0.005)
     changed.bind([first, other])

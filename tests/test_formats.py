@@ -40,12 +40,12 @@ CUT = ("sog", "splat")
 STILL = [name for name, f in FORMATS.items() if f.encode and f.read]
 
 
-def assert_same(found: Gaussians, wanted: Gaussians) -> None:
+def assert_same(result: Gaussians, wanted: Gaussians) -> None:
     """Equal but for rounding; the axes of a Gaussian may be named in another order."""
-    np.testing.assert_allclose(found.means, wanted.means, atol=1e-5)
-    np.testing.assert_allclose(found.covariances(), wanted.covariances(), rtol=1e-4, atol=1e-8)
-    np.testing.assert_allclose(found.opacities, wanted.opacities, atol=1e-6)
-    np.testing.assert_allclose(found.sh, wanted.sh, atol=2e-6)
+    np.testing.assert_allclose(result.means, wanted.means, atol=1e-5)
+    np.testing.assert_allclose(result.covariances(), wanted.covariances(), rtol=1e-4, atol=1e-8)
+    np.testing.assert_allclose(result.opacities, wanted.opacities, atol=1e-6)
+    np.testing.assert_allclose(result.sh, wanted.sh, atol=2e-6)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -81,19 +81,19 @@ def test_what_other_programs_wrote_is_read(file, name, axes):
     """Axes, quaternions, scales, colours and opacities; harmonics turn with the axes."""
     wanted = read_ply(FOREIGN / "source.ply").gaussians
     content = read_as_is(FOREIGN / file)
-    found, axes = content.gaussians, axes or content.axes
+    result, axes = content.gaussians, axes or content.axes
     wanted = rotate_gaussians(wanted, orientation(*axes).T)
     allowed = bound(name, wanted, (FOREIGN / file).read_bytes())
     if name == "sog":  # its palette of harmonics is judged by what its own program reads
-        own = read_as_is(FOREIGN / "splat-transform-sog.ply").gaussians
-        assert not errors(found, own).within(bound("glb", own))
+        reference = read_as_is(FOREIGN / "splat-transform-sog.ply").gaussians
+        assert not errors(result, reference).within(bound("glb", reference))
         wanted = Gaussians(**{**vars(wanted), "sh": wanted.sh[:, :1]})
     if name in CUT:
         allowed = Errors(*(2 * value for value in vars(allowed).values()))
     if name == "glb":
-        assert_same(found, wanted)
+        assert_same(result, wanted)
     else:
-        assert not errors(found, wanted, ordered=False).within(allowed)
+        assert not errors(result, wanted, ordered=False).within(allowed)
     assert is_file_of_gaussians(FOREIGN / file)
 
 
@@ -181,9 +181,9 @@ def test_far_objects_fit_into_spz(tmp_path, three_gaussians):
     for size in (1e-3, 1.0, 1e3, 1e5):
         wanted = three_gaussians.transform(size, np.zeros(3))
         write_gaussians(tmp_path / "a.spz", wanted)
-        found = read_gaussians(tmp_path / "a.spz").gaussians
+        result = read_gaussians(tmp_path / "a.spz").gaussians
         reach = np.abs(wanted.means).max()
-        assert np.abs(found.means - wanted.means).max() <= max(reach / (1 << 22), 0.5 / 2**16)
+        assert np.abs(result.means - wanted.means).max() <= max(reach / (1 << 22), 0.5 / 2**16)
 
 
 def test_degree_4_of_spz_is_left_out(tmp_path):
@@ -308,9 +308,9 @@ def test_the_object_of_a_gaussian_is_kept_where_it_is_said(tmp_path, rng, name):
     path, plain = tmp_path / "a", many(rng, 300, 0)
     several = replace(plain, object_id=rng.choice([0, 3, 700, 70_000], 300).astype(np.int32))
     write_gaussians(path, several, name)
-    found = read_gaussians(path).gaussians.object_id
-    assert (found is not None) == bool(FORMATS[name].objects)
-    assert found is None or np.array_equal(found, several.object_id)
+    result = read_gaussians(path).gaussians.object_id
+    assert (result is not None) == bool(FORMATS[name].objects)
+    assert result is None or np.array_equal(result, several.object_id)
     write_gaussians(path, plain, name)
     assert read_gaussians(path).gaussians.object_id is None
 

@@ -229,11 +229,11 @@ def main(folder: Path, count: int) -> None:
     assert all(sentences.values()), sentences
     # Pillow survives the want of memory, so that alone would not show.
     assert "9,000 x 9,000 pixels" in str(sentences["picture.sog"])
-    told = [f"{len(sentences)} bombs refused"]
+    options = [f"{len(sentences)} bombs refused"]
     for kind in KINDS if count else ():
-        told.append(f"{kind}: {broken(folder, kind, count)} of {count} refused")
+        options.append(f"{kind}: {broken(folder, kind, count)} of {count} refused")
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    sys.stdout.write("\n".join([*told, f"at most {most} kB in all"]))
+    sys.stdout.write("\n".join([*options, f"at most {most} kB in all"]))
 
 
 if __name__ == "__main__":

@@ -25,16 +25,16 @@ def test_other_programs_read_what_is_written(tmp_path, judge, name, degree):
     wanted = replace(wanted, object_id=rng.integers(0, 5, 2000, np.int32))
     path = tmp_path / f"a{format.suffix}"
     write_gaussians(path, wanted, name)
-    found = judge.read(path)
-    assert found.sh_degree == min(degree, format.degree)
+    result = judge.read(path)
+    assert result.sh_degree == min(degree, format.degree)
     there = rotate_gaussians(wanted, orientation(*format.axes).T)
-    if judge.name == "splat-transform" and name.startswith("spz") and upright(found, there):
-        found = rotate_gaussians(
-            found, np.diag([1.0, -1.0, -1.0])
+    if judge.name == "splat-transform" and name.startswith("spz") and upright(result, there):
+        result = rotate_gaussians(
+            result, np.diag([1.0, -1.0, -1.0])
         )  # version 2.7 turns SPZ to a PLY's axes
-    assert not errors(found, there).within(bound(name, there, path.read_bytes()))
+    assert not errors(result, there).within(bound(name, there, path.read_bytes()))
 
 
-def upright(found, there) -> bool:
+def upright(result, there) -> bool:
     """Whether y and z have the other sign."""
-    return bool(np.abs(found.means * [1, -1, -1] - there.means).max() < 0.01)
+    return bool(np.abs(result.means * [1, -1, -1] - there.means).max() < 0.01)

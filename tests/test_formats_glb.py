@@ -16,12 +16,12 @@ from support.quantisation import many
 from support.shapes import ball
 
 
-def assert_same(found: Gaussians, wanted: Gaussians) -> None:
+def assert_same(result: Gaussians, wanted: Gaussians) -> None:
     """Equal but for rounding; the axes of a Gaussian may be named in another order."""
-    np.testing.assert_allclose(found.means, wanted.means, atol=1e-5)
-    np.testing.assert_allclose(found.covariances(), wanted.covariances(), rtol=1e-4, atol=1e-8)
-    np.testing.assert_allclose(found.opacities, wanted.opacities, atol=1e-6)
-    np.testing.assert_allclose(found.sh, wanted.sh, atol=2e-6)
+    np.testing.assert_allclose(result.means, wanted.means, atol=1e-5)
+    np.testing.assert_allclose(result.covariances(), wanted.covariances(), rtol=1e-4, atol=1e-8)
+    np.testing.assert_allclose(result.opacities, wanted.opacities, atol=1e-6)
+    np.testing.assert_allclose(result.sh, wanted.sh, atol=2e-6)
 
 
 def edited(data: bytes, change) -> bytes:
@@ -46,8 +46,8 @@ def glb_with(path: Path, gaussians: Gaussians, change) -> Path:
 def test_early_glb_scales_are_logarithms(tmp_path, three_gaussians):
     logs = Gaussians(**{**vars(three_gaussians), "scales": np.log(three_gaussians.scales)})
     write_gaussians(tmp_path / "a.glb", logs)
-    found = read_gaussians(tmp_path / "a.glb").gaussians
-    np.testing.assert_allclose(found.scales, three_gaussians.scales, rtol=1e-6)
+    result = read_gaussians(tmp_path / "a.glb").gaussians
+    np.testing.assert_allclose(result.scales, three_gaussians.scales, rtol=1e-6)
 
 
 @pytest.mark.parametrize("order", [[0, 1], [1, 0]])
@@ -82,9 +82,9 @@ def test_nodes_of_a_glb_move_turn_and_scale_their_gaussians(tmp_path, rng):
             {"mesh": 0, "rotation": [0, half, 0, half], "scale": [2, 2, 2]},
         ]
 
-    found = read_gaussians(glb_with(tmp_path / "a.glb", wanted, change)).gaussians
-    assert len(found) == 100
-    halves = [found.select(np.arange(50)), found.select(np.arange(50, 100))]
+    result = read_gaussians(glb_with(tmp_path / "a.glb", wanted, change)).gaussians
+    assert len(result) == 100
+    halves = [result.select(np.arange(50)), result.select(np.arange(50, 100))]
     plain, other = sorted(halves, key=lambda g: g.scales.sum())
     up = np.array([0, 0, 10])
     assert_same(plain, wanted.transform(1, up))
@@ -176,28 +176,28 @@ def test_integers_and_linear_light_of_a_glb(tmp_path, three_gaussians):
     at = body + opacities[0]
     data[at : at + 3] = np.rint(three_gaussians.opacities * 255).astype(np.uint8).tobytes()
     (tmp_path / "a.glb").write_bytes(edited(bytes(data), change))
-    found = read_gaussians(tmp_path / "a.glb").gaussians
-    np.testing.assert_allclose(found.opacities, three_gaussians.opacities, atol=0.5 / 255)
-    dots = np.abs((found.quats * three_gaussians.quats).sum(axis=1))
+    result = read_gaussians(tmp_path / "a.glb").gaussians
+    np.testing.assert_allclose(result.opacities, three_gaussians.opacities, atol=0.5 / 255)
+    dots = np.abs((result.quats * three_gaussians.quats).sum(axis=1))
     np.testing.assert_allclose(dots, 1, atol=1e-6)
     linear = np.clip(three_gaussians.rgb, 0, 1)
     shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    np.testing.assert_allclose(found.rgb, shown, atol=1e-5)
+    np.testing.assert_allclose(result.rgb, shown, atol=1e-5)
 
 
 def test_glb_reads_in_the_library_of_another_container(tmp_path, rng):
     fourdgs = pytest.importorskip("fourdgs", reason="the extra fourdgs is not installed")
     wanted = many(rng, 200, 3)
     write_gaussians(tmp_path / "a.glb", wanted)
-    found = fourdgs.from_gltf(str(tmp_path / "a.glb")).gaussians
+    result = fourdgs.from_gltf(str(tmp_path / "a.glb")).gaussians
     there = rotate_gaussians(wanted, orientation(*glb.Y_UP).T)
-    np.testing.assert_allclose(found.positions, there.means, atol=1e-6)
-    np.testing.assert_allclose(found.scales, there.scales, rtol=1e-6)
-    np.testing.assert_allclose(found.rotations, np.roll(there.quats, -1, axis=1), atol=1e-6)
-    np.testing.assert_allclose(found.colors[:, :3], there.rgb, atol=1e-6)
-    np.testing.assert_allclose(found.colors[:, 3], there.opacities, atol=1e-6)
+    np.testing.assert_allclose(result.positions, there.means, atol=1e-6)
+    np.testing.assert_allclose(result.scales, there.scales, rtol=1e-6)
+    np.testing.assert_allclose(result.rotations, np.roll(there.quats, -1, axis=1), atol=1e-6)
+    np.testing.assert_allclose(result.colors[:, :3], there.rgb, atol=1e-6)
+    np.testing.assert_allclose(result.colors[:, 3], there.opacities, atol=1e-6)
     channels = there.sh[:, 1:].transpose(0, 2, 1).reshape(200, -1)
-    assert np.abs(found.sh * (8 / 255) - 4 - channels).max() <= 0.51 * 8 / 255
+    assert np.abs(result.sh * (8 / 255) - 4 - channels).max() <= 0.51 * 8 / 255
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e6])
@@ -237,9 +237,9 @@ def test_a_sparse_cloud_of_lengths_is_no_file_of_logarithms(tmp_path, rng, apart
 def test_known_programs_wrote_scales_of_one_kind(tmp_path, three_gaussians, generator, logs):
     path = glb_with(tmp_path / "a.glb", three_gaussians, _set("asset/generator", generator))
     scales = three_gaussians.scales
-    found = np.sort(read_as_is(path).gaussians.scales, axis=1)
+    result = np.sort(read_as_is(path).gaussians.scales, axis=1)
     np.testing.assert_allclose(
-        found, np.sort(np.exp(scales) if logs else scales, axis=1), rtol=1e-6
+        result, np.sort(np.exp(scales) if logs else scales, axis=1), rtol=1e-6
     )
 
 
@@ -264,8 +264,8 @@ def test_a_negative_scale_in_one_mesh_tells_of_all(tmp_path, three_gaussians):
         tree["scenes"] = [{"nodes": [0, 1]}]
 
     (tmp_path / "a.glb").write_bytes(edited((tmp_path / "a.glb").read_bytes(), apart))
-    found = np.sort(read_as_is(tmp_path / "a.glb").gaussians.scales.max(axis=1))
-    np.testing.assert_allclose(found[3:], np.exp(3.0), rtol=1e-5)
+    result = np.sort(read_as_is(tmp_path / "a.glb").gaussians.scales.max(axis=1))
+    np.testing.assert_allclose(result[3:], np.exp(3.0), rtol=1e-5)
 
 
 def test_attributes_that_are_not_read_are_named(tmp_path, three_gaussians):
@@ -304,8 +304,8 @@ def test_centres_may_be_whole_steps_that_a_node_scales(tmp_path, three_gaussians
         tree["nodes"][0]["scale"] = [0.001] * 3
 
     path = as_integers(tmp_path / "a.glb", three_gaussians, "POSITION", steps, 5122, scale)
-    found = read_as_is(path).gaussians.means
-    np.testing.assert_allclose(found, steps * 1e-3, rtol=1e-6)
+    result = read_as_is(path).gaussians.means
+    np.testing.assert_allclose(result, steps * 1e-3, rtol=1e-6)
 
 
 @pytest.mark.parametrize("normalized", [False, True])
@@ -344,17 +344,17 @@ def test_sparse_values_take_the_place_of_others(tmp_path, three_gaussians, viewe
     at = changed.index(b"BIN\0") - 4
     size = struct.pack("<I", len(body) + len(more))
     (tmp_path / "a.glb").write_bytes(changed[:at] + size + changed[at + 4 :] + more)
-    found = read_as_is(tmp_path / "a.glb").gaussians.opacities
+    result = read_as_is(tmp_path / "a.glb").gaussians.opacities
     wanted = [*(three_gaussians.opacities[:2] if viewed else (0, 0)), 0.125]
-    np.testing.assert_allclose(found, wanted, rtol=1e-6)
+    np.testing.assert_allclose(result, wanted, rtol=1e-6)
 
 
 def test_a_turned_node_keeps_gaussians_without_a_rotation(tmp_path, three_gaussians):
     still = replace(three_gaussians, quats=np.zeros((3, 4)))
     turn = _set("nodes/0/rotation", [0, 0, 0.6, 0.8])
-    found = read_as_is(glb_with(tmp_path / "a.glb", still, turn))
-    assert found.dropped == 0
-    np.testing.assert_allclose(np.abs(found.gaussians.quats), [[0.8, 0, 0, 0.6]] * 3, atol=1e-6)
+    result = read_as_is(glb_with(tmp_path / "a.glb", still, turn))
+    assert result.dropped == 0
+    np.testing.assert_allclose(np.abs(result.gaussians.quats), [[0.8, 0, 0, 0.6]] * 3, atol=1e-6)
 
 
 def test_a_mirrored_length_among_many_is_no_logarithm(tmp_path, rng):

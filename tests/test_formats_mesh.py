@@ -49,24 +49,24 @@ def test_density_is_the_sum_of_the_gaussians(rng):
 
 
 def test_surface_is_where_the_density_is_a_half():
-    one = ball()
-    surface = find_surface(one)
+    body = ball()
+    surface = find_surface(body)
     made = to_trimesh(surface)
     assert made.is_watertight and made.is_winding_consistent and made.volume > 0
     assert made.body_count == 1
-    assert surface.cell == pytest.approx(np.ptp(one.means, axis=0).max() / CELLS)
+    assert surface.cell == pytest.approx(np.ptp(body.means, axis=0).max() / CELLS)
     vertices = surface.vertices[::200]
-    outwards = vertices - one.means.mean(axis=0)
+    outwards = vertices - body.means.mean(axis=0)
     outwards *= surface.cell / np.linalg.norm(outwards, axis=1, keepdims=True)
     steps = np.linspace(-1, 1, 9)
-    near = np.stack([exact_density(one, vertices + step * outwards) for step in steps])
+    near = np.stack([exact_density(body, vertices + step * outwards) for step in steps])
     assert (near[-1] < 0.5).all() and (near.max(axis=0) > 0.5).all()
 
 
 def test_surface_is_a_cell_from_that_of_a_finer_grid():
     """Of the same density, both ways, for a ball of discs that are thinner than a cell."""
-    one = ball()
-    discs = Gaussians(one.means, one.quats, one.scales * [1, 1, 0.1], one.opacities, one.sh)
+    body = ball()
+    discs = Gaussians(body.means, body.quats, body.scales * [1, 1, 0.1], body.opacities, body.sh)
     coarse = find_surface(discs, 40)
     fine = find_surface(discs, 120, 3 * BLUR)
     samples = [to_trimesh(each).sample(200_000, seed=0) for each in (coarse, fine)]
@@ -77,9 +77,9 @@ def test_surface_is_a_cell_from_that_of_a_finer_grid():
 @pytest.mark.parametrize("name", ["mesh", "mesh-obj", "mesh-ply"])
 def test_trimesh_reads_size_colour_and_orientation(tmp_path, name):
     """The ball is red above and blue below; glTF and OBJ have y up, PLY has z up."""
-    one = ball()
-    rgb = np.where(one.means[:, 2:] > one.means[:, 2].mean(), [[1.0, 0, 0]], [[0, 0, 1.0]])
-    two = Gaussians.from_rgb(one.means, one.quats, one.scales, one.opacities, rgb)
+    body = ball()
+    rgb = np.where(body.means[:, 2:] > body.means[:, 2].mean(), [[1.0, 0, 0]], [[0, 0, 1.0]])
+    two = Gaussians.from_rgb(body.means, body.quats, body.scales, body.opacities, rgb)
     path = tmp_path / f"a{FORMATS[name].suffix}"
     write_gaussians(path, two, name)
     read = trimesh.load(path, force="mesh", process=False)
@@ -92,8 +92,8 @@ def test_trimesh_reads_size_colour_and_orientation(tmp_path, name):
 
 
 def test_invisible_gaussians_have_no_surface(tmp_path):
-    one = ball()
-    faint = Gaussians(one.means, one.quats, one.scales, one.opacities * 0.01, one.sh)
+    body = ball()
+    faint = Gaussians(body.means, body.quats, body.scales, body.opacities * 0.01, body.sh)
     with pytest.raises(InputError, match=r"below 0\.5 everywhere"):
         write_gaussians(tmp_path / "a.glb", faint, "mesh")
     assert not list(tmp_path.iterdir())
@@ -102,10 +102,12 @@ def test_invisible_gaussians_have_no_surface(tmp_path):
 @pytest.fixture
 def spun() -> Clip:
     """A ball that is turned by 90 degrees about z, shifted and stretched."""
-    one = ball()
-    turned = Gaussians(one.means @ TURN.T + [1, 2, 3], one.quats, one.scales, one.opacities, one.sh)
-    last = Gaussians(one.means * 1.25, one.quats, one.scales, one.opacities, one.sh)
-    frames = [Frame(i, i / 8, g) for i, g in enumerate((one, turned, last))]
+    body = ball()
+    turned = Gaussians(
+        body.means @ TURN.T + [1, 2, 3], body.quats, body.scales, body.opacities, body.sh
+    )
+    last = Gaussians(body.means * 1.25, body.quats, body.scales, body.opacities, body.sh)
+    frames = [Frame(i, i / 8, g) for i, g in enumerate((body, turned, last))]
     return Clip.from_frames(frames)
 
 

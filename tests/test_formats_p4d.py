@@ -34,9 +34,11 @@ def reader():
 
 
 def clip_of(moves) -> Clip:
-    one = ball(count=1500)
+    body = ball(count=1500)
     frames = [
-        Frame(k, k / 10, Gaussians(move(one.means), one.quats, one.scales, one.opacities, one.sh))
+        Frame(
+            k, k / 10, Gaussians(move(body.means), body.quats, body.scales, body.opacities, body.sh)
+        )
         for k, move in enumerate(moves)
     ]
     return Clip.from_frames(frames)
@@ -103,8 +105,8 @@ def test_javascript_reader_agrees_with_python(tmp_path, reader):
 
 
 def test_single_gaussian_is_written(tmp_path, reader):
-    one = ball(count=1500).select(np.arange(1500) == 0)
-    frames = [Frame(k, k / 10, one.transform(1, np.array([0.1 * k, 0, 0]))) for k in range(3)]
+    body = ball(count=1500).select(np.arange(1500) == 0)
+    frames = [Frame(k, k / 10, body.transform(1, np.array([0.1 * k, 0, 0]))) for k in range(3)]
     clip = Clip.from_frames(frames)
     write_lattice4d(tmp_path / "a.p4d", clip)
     data = (tmp_path / "a.p4d").read_bytes()

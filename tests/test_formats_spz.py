@@ -66,15 +66,15 @@ def test_each_system_of_axes_shows_the_same_object(tmp_path, rng, number, versio
     usual = tmp_path / "usual.spz"
     usual.write_bytes(spz.encode(wanted))
     path = saved(tmp_path / "a.spz", seen_in(system, wanted), version, records)
-    found, same = read_gaussians(path), read_gaussians(usual)
-    np.testing.assert_allclose(found.gaussians.means, same.gaussians.means, atol=1e-4)
+    result, same = read_gaussians(path), read_gaussians(usual)
+    np.testing.assert_allclose(result.gaussians.means, same.gaussians.means, atol=1e-4)
     covariances = same.gaussians.covariances()
     size = np.abs(covariances).max()
-    np.testing.assert_allclose(found.gaussians.covariances(), covariances, atol=0.03 * size)
-    np.testing.assert_allclose(found.gaussians.sh, same.gaussians.sh, atol=0.3)
-    assert np.corrcoef(found.gaussians.sh.ravel(), same.gaussians.sh.ravel())[0, 1] > 0.97
-    told = [note for note in found.notes if "left-handed" in note]
-    assert bool(told) == (np.linalg.det([WAYS[letter] for letter in system]) < 0)
+    np.testing.assert_allclose(result.gaussians.covariances(), covariances, atol=0.03 * size)
+    np.testing.assert_allclose(result.gaussians.sh, same.gaussians.sh, atol=0.3)
+    assert np.corrcoef(result.gaussians.sh.ravel(), same.gaussians.sh.ravel())[0, 1] > 0.97
+    options = [note for note in result.notes if "left-handed" in note]
+    assert bool(options) == (np.linalg.det([WAYS[letter] for letter in system]) < 0)
 
 
 def test_the_axes_of_a_right_handed_file_stay_its_own(tmp_path, rng):
@@ -107,9 +107,9 @@ def test_unknown_extensions_are_skipped_with_one_note(tmp_path, rng, version):
     ],
 )
 def test_damaged_extensions_leave_the_usual_axes(records, words):
-    found = read_extensions(records)
-    assert (found.axes, found.left_handed) == (("y", "z"), False)
-    assert len(found.notes) == 1 and words in found.notes[0]
+    result = read_extensions(records)
+    assert (result.axes, result.left_handed) == (("y", "z"), False)
+    assert len(result.notes) == 1 and words in result.notes[0]
 
 
 def test_without_the_flag_nothing_is_taken_for_an_extension(tmp_path, rng):
@@ -125,11 +125,11 @@ def test_a_file_that_a_browser_has_unpacked_is_read(tmp_path, rng, later):
     data = spz.encode(many(rng, 30, 1))
     (tmp_path / "packed.spz").write_bytes(data)
     (tmp_path / "unpacked.spz").write_bytes(zlib.decompress(data, 31) + later)
-    wanted, found = (
+    wanted, result = (
         read_as_is(tmp_path / f"{name}.spz").gaussians for name in ("packed", "unpacked")
     )
-    np.testing.assert_array_equal(found.means, wanted.means)
-    np.testing.assert_array_equal(found.sh, wanted.sh)
+    np.testing.assert_array_equal(result.means, wanted.means)
+    np.testing.assert_array_equal(result.sh, wanted.sh)
 
 
 def test_version_1_has_its_centres_in_half_precision(tmp_path, rng):
@@ -142,7 +142,7 @@ def test_version_1_has_its_centres_in_half_precision(tmp_path, rng):
     body += later[16 + 270 + 210 + 120 :]
     packer = zlib.compressobj(wbits=31)
     (tmp_path / "a.spz").write_bytes(packer.compress(body) + packer.flush())
-    found = read_as_is(tmp_path / "a.spz").gaussians
-    np.testing.assert_array_equal(found.means, wanted.means.astype("f2").astype("f4"))
-    np.testing.assert_allclose(np.abs((found.quats * quats).sum(axis=1)), 1, atol=0.01)
-    np.testing.assert_allclose(found.sh, wanted.sh, atol=0.2)
+    result = read_as_is(tmp_path / "a.spz").gaussians
+    np.testing.assert_array_equal(result.means, wanted.means.astype("f2").astype("f4"))
+    np.testing.assert_allclose(np.abs((result.quats * quats).sum(axis=1)), 1, atol=0.01)
+    np.testing.assert_allclose(result.sh, wanted.sh, atol=0.2)

@@ -132,9 +132,9 @@ def test_only_remedies_that_work_are_named():
 def test_many_gaussians_cost_no_more_than_a_sample():
     clip = flight(AWAY, count=40_000)
     few = flight(AWAY, count=2_000)
-    (one,), (other,) = departures(clip, view()), departures(few, view())
-    assert (one.frame, one.worst_frame) == (other.frame, other.worst_frame)
-    assert one.outside == pytest.approx(other.outside, abs=0.03)
+    (first,), (other,) = departures(clip, view()), departures(few, view())
+    assert (first.frame, first.worst_frame) == (other.frame, other.worst_frame)
+    assert first.outside == pytest.approx(other.outside, abs=0.03)
 
 
 FITS = {"fit": True, "elevation": 10}

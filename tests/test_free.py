@@ -34,7 +34,7 @@ def block(sides, at=(0.0, 0.0, 0.0), dx=DX):
     return x - [sides[0] / 2, sides[1] / 2, 0] + at
 
 
-def world(one, x, material=JELLY, *, dx=DX, precision="float64", floor=None, g=G, **options):
+def world(body, x, material=JELLY, *, dx=DX, precision="float64", floor=None, g=G, **options):
     """A free body and a block of material, maybe on a floor."""
     walls = [] if floor is None else [Ground(friction=floor)]
     options.setdefault("threads", 1)
@@ -46,7 +46,7 @@ def world(one, x, material=JELLY, *, dx=DX, precision="float64", floor=None, g=G
         [material],
         dx=dx,
         precision=precision,
-        free=[one],
+        free=[body],
         planes=walls,
         forces=forces,
         origin=(0.0, 0.0, -0.75 * dx),
@@ -54,9 +54,9 @@ def world(one, x, material=JELLY, *, dx=DX, precision="float64", floor=None, g=G
     )
 
 
-def beside(one, *, floor=None, g=G, planes=None):
+def beside(body, *, floor=None, g=G, planes=None):
     """A free body far from the only material."""
-    s = world(one, block((0.2, 0.2, 0.2), (9, 0, 0)), NeoHookean(E=1e4), floor=floor, g=g)
+    s = world(body, block((0.2, 0.2, 0.2), (9, 0, 0)), NeoHookean(E=1e4), floor=floor, g=g)
     if planes is not None:
         s.bind(planes=planes)
     return s
@@ -64,13 +64,13 @@ def beside(one, *, floor=None, g=G, planes=None):
 
 def whole(s):
     """Momentum, angular momentum about the origin, and energy of all."""
-    (one,), found = s.free.all, diagnose(s)
+    (body,), result = s.free.all, diagnose(s)
     place, V, w = s.free.poses()[0, :3], s.free.motions()[0, :3], s.free.motions()[0, 3:]
-    R = one._replace(turn=tuple(s.free.poses()[0, 3:])).axes
-    L = R @ (one.moments * (R.T @ w))
-    momentum = found.momentum + one.mass * V
-    angular = found.angular + np.cross(place, one.mass * V) + L
-    return momentum, angular, found.energy + one.mass * V @ V / 2 + w @ L / 2
+    R = body._replace(turn=tuple(s.free.poses()[0, 3:])).axes
+    L = R @ (body.moments * (R.T @ w))
+    momentum = result.momentum + body.mass * V
+    angular = result.angular + np.cross(place, body.mass * V) + L
+    return momentum, angular, result.energy + body.mass * V @ V / 2 + w @ L / 2
 
 
 def test_alone_it_flies_a_parabola_and_turns_as_it_did():
@@ -84,11 +84,11 @@ def test_alone_it_flies_a_parabola_and_turns_as_it_did():
 
 @pytest.mark.parametrize(("threads", "sticky"), [(1, False), (2, False), (1, True)])
 def test_what_the_body_loses_the_material_gets(threads, sticky):
-    one = BALL._replace(
+    body = BALL._replace(
         place=(0.05, 0.03, 0.46), velocity=(0.3, 0.1, -1.0), spin=(1.0, 2.0, 3.0), sticky=sticky
     )
     external = ExternalWork()
-    s = world(one, block((0.4, 0.4, 0.3)), g=0, threads=threads, accumulators=[external])
+    s = world(body, block((0.4, 0.4, 0.3)), g=0, threads=threads, accumulators=[external])
     before, dog = whole(s), watch_run(s, external)
     dog.before_attempt()
     s.free.begin()
@@ -110,16 +110,16 @@ def test_what_the_body_loses_the_material_gets(threads, sticky):
 
 def test_it_slides_by_its_friction_and_rolls():
     box = FreeBody("box", "box", (0.2, 0.15, 0.1), (0, 0, 0.1), velocity=(2.0, 0, 0))
-    for one, speed in ((box, 2 - 0.3 * G * 0.3), (BALL._replace(place=(0, 0, 0.15)), 10 / 7)):
-        s = beside(one._replace(velocity=(2.0, 0, 0)), floor=0.3)
+    for body, speed in ((box, 2 - 0.3 * G * 0.3), (BALL._replace(place=(0, 0, 0.15)), 10 / 7)):
+        s = beside(body._replace(velocity=(2.0, 0, 0)), floor=0.3)
         s.advance(0.3)
         V = s.free.motions()[0]
         # Velocities are those half a substep before.
-        late = 0.3 * G * s.clock.last_dt / 2 if one is box else 0
+        late = 0.3 * G * s.clock.last_dt / 2 if body is box else 0
         np.testing.assert_allclose(V[:3], [speed + late, 0, 0], atol=1e-9)
-        assert s.free.poses()[0, 2] == pytest.approx(one.half[2], abs=1e-9)
+        assert s.free.poses()[0, 2] == pytest.approx(body.half[2], abs=1e-9)
         s.advance(1.0)
-        stopped = [0, 0, 0] if one is box else [10 / 7, 0, 0]
+        stopped = [0, 0, 0] if body is box else [10 / 7, 0, 0]
         np.testing.assert_allclose(s.free.motions()[0, :3], stopped, atol=1e-9)
 
 
@@ -128,24 +128,24 @@ def test_free_body_slides_on_slopes_beyond_its_friction():
         slope = np.radians(20)
         n = (np.sin(slope), 0, np.cos(slope))
         turn = (np.cos(slope / 2), 0.0, np.sin(slope / 2), 0.0)
-        one = FreeBody("box", "box", (0.2, 0.15, 0.1), tuple(0.1 * np.array(n)), turn=turn)
-        s = beside(one, planes=[HalfSpace(normal=n, friction=friction)])
+        body = FreeBody("box", "box", (0.2, 0.15, 0.1), tuple(0.1 * np.array(n)), turn=turn)
+        s = beside(body, planes=[HalfSpace(normal=n, friction=friction)])
         s.bind([Gravity()], planes=[HalfSpace(normal=n, friction=friction)])
         s.advance(0.4)
         pull = G * (np.sin(slope) - friction * np.cos(slope)) if moves else 0.0
-        way = np.linalg.norm(s.free.poses()[0, :3] - one.place)
+        way = np.linalg.norm(s.free.poses()[0, :3] - body.place)
         assert way == pytest.approx(pull * 0.08, rel=1e-6, abs=1e-7)
 
 
 def test_a_free_top_keeps_its_angular_momentum_and_energy():
     """About the middle axis, which turns over."""
-    one = FreeBody("box", "box", (0.3, 0.2, 0.1), (0, 0, 1.0), spin=(0.1, 6.0, 0.2))
-    s = beside(one, g=0)
+    body = FreeBody("box", "box", (0.3, 0.2, 0.1), (0, 0, 1.0), spin=(0.1, 6.0, 0.2))
+    s = beside(body, g=0)
     before = whole(s)
     flipped = False
     for frame in range(1, 9):
         s.advance(0.25 * frame)
-        R = one._replace(turn=tuple(s.free.poses()[0, 3:])).axes
+        R = body._replace(turn=tuple(s.free.poses()[0, 3:])).axes
         flipped |= bool(R[1, 1] < -0.5)
     after = whole(s)
     np.testing.assert_allclose(after[1], before[1], rtol=1e-12)
@@ -168,7 +168,7 @@ def test_without_free_bodies_nothing_is_launched():
 @pytest.mark.parametrize("shape", ["sphere", "box", "capsule"])
 def test_volume_and_moments_are_those_of_the_shape(shape):
     half = (0.1, 0.1, 0.25) if shape == "capsule" else (0.15,) * 3
-    one = FreeBody("one", shape, half, (0, 0, 0), density=700.0)
+    body = FreeBody("one", shape, half, (0, 0, 0), density=700.0)
     n = 80
     line = (np.arange(n) + 0.5) / n * 2 - 1
     x = np.stack(np.meshgrid(*[line * side for side in half], indexing="ij"), -1).reshape(-1, 3)
@@ -178,19 +178,19 @@ def test_volume_and_moments_are_those_of_the_shape(shape):
     )
     each = 700.0 * 8 * np.prod(half) / n**3
     x = x[inside]
-    assert one.mass == pytest.approx(each * len(x), rel=5e-3)
+    assert body.mass == pytest.approx(each * len(x), rel=5e-3)
     moments = each * ((x**2).sum() - (x**2).sum(axis=0))
-    np.testing.assert_allclose(one.moments, moments, rtol=1e-2)
+    np.testing.assert_allclose(body.moments, moments, rtol=1e-2)
 
 
-def settled(one, *, seconds=3.0, top=0.3, E=3e4, **options):
+def settled(body, *, seconds=3.0, top=0.3, E=3e4, **options):
     """A body some time after it fell on soft jelly, and its mean weight on it since [weights]."""
-    s = world(one, block((0.8, 0.8, top)), NeoHookean(E=E, damping=40), floor=0.5, **options)
+    s = world(body, block((0.8, 0.8, top)), NeoHookean(E=E, damping=40), floor=0.5, **options)
     s.advance(seconds)
     s.free.begin()
     s.advance(seconds + 0.5)
     force = s.free.wrenches(0.5)[0].force
-    return s, force[2] / one.mass / G
+    return s, force[2] / body.mass / G
 
 
 @pytest.mark.slow
@@ -198,9 +198,9 @@ def settled(one, *, seconds=3.0, top=0.3, E=3e4, **options):
 @pytest.mark.parametrize("shape", ["sphere", "box", "capsule"])
 def test_at_rest_on_jelly_it_weighs_what_it_weighs(shape, density):
     half = (0.15, 0.15, 0.15) if shape != "capsule" else (0.25, 0.15, 0.15)
-    one = FreeBody("one", shape, half, (0.01, 0.02, 0.5), density=density)
+    body = FreeBody("one", shape, half, (0.01, 0.02, 0.5), density=density)
     E = 3e4 if density < 2000 else 2e5
-    s, weight = settled(one, E=E, precision="float32")
+    s, weight = settled(body, E=E, precision="float32")
     assert weight == pytest.approx(1, abs=0.02)
     assert np.abs(s.free.motions()).max() < 0.05
     near = np.hypot(*s.state.x.numpy()[:, :2].T) < 0.1
@@ -210,8 +210,8 @@ def test_at_rest_on_jelly_it_weighs_what_it_weighs(shape, density):
 
 @pytest.mark.slow
 def test_heavy_free_body_squeezes_jelly_soundly():
-    one = BALL._replace(place=(0.01, 0.02, 0.5), density=1e5)
-    s, _ = settled(one, seconds=1.0, E=1e5, precision="float32")
+    body = BALL._replace(place=(0.01, 0.02, 0.5), density=1e5)
+    s, _ = settled(body, seconds=1.0, E=1e5, precision="float32")
     assert np.isfinite(s.state.x.numpy()).all() and np.isfinite(s.free.poses()).all()
     assert s.free.poses()[0, 2] >= 0.15 - 1e-6, "it never sinks through the floor"
     assert np.abs(s.free.motions()[0, 2]) < 0.2
@@ -219,9 +219,9 @@ def test_heavy_free_body_squeezes_jelly_soundly():
 
 @pytest.mark.slow
 def test_what_is_mirrored_moves_as_a_mirror_shows():
-    found = []
+    results = []
     for way in (1, -1):
-        one = FreeBody(
+        body = FreeBody(
             "box",
             "box",
             (0.2, 0.1, 0.1),
@@ -230,12 +230,12 @@ def test_what_is_mirrored_moves_as_a_mirror_shows():
             spin=(1.0, way * 2.0, way * 0.5),
         )
         x = block((0.6, 0.6, 0.3))
-        s = world(one, x, NeoHookean(E=5e4), floor=0.4)
+        s = world(body, x, NeoHookean(E=5e4), floor=0.4)
         s.advance(0.5)
-        found.append(np.concatenate([s.free.poses()[0, :3], s.free.motions()[0]]))
+        results.append(np.concatenate([s.free.poses()[0, :3], s.free.motions()[0]]))
     flip = np.array([-1, 1, 1, -1, 1, 1, 1, -1, -1])
-    np.testing.assert_allclose(found[1] * flip, found[0], atol=1e-6)
-    assert abs(found[0][0]) > 0.05
+    np.testing.assert_allclose(results[1] * flip, results[0], atol=1e-6)
+    assert abs(results[0][0]) > 0.05
 
 
 @pytest.mark.slow
@@ -243,7 +243,7 @@ def test_two_bodies_that_it_meets_get_what_it_loses():
     """It falls on both at their edges, one of which is twice as heavy."""
     x = np.vstack([block((0.3, 0.4, 0.3), (way * 0.18, 0, 0)) for way in (-1, 1)])
     body = np.repeat([0, 1], len(x) // 2)
-    one = BALL._replace(place=(0.02, 0.03, 0.47), velocity=(0.1, 0.2, -1.0), spin=(1.0, 2.0, 3.0))
+    first = BALL._replace(place=(0.02, 0.03, 0.47), velocity=(0.1, 0.2, -1.0), spin=(1.0, 2.0, 3.0))
     heavier = NeoHookean(E=1e5, density=2000)
     s = make_solver(
         x,
@@ -254,7 +254,7 @@ def test_two_bodies_that_it_meets_get_what_it_loses():
         material=body,
         names=["left", "right"],
         precision="float64",
-        free=[one],
+        free=[first],
         threads=1,
     )
     before = whole(s)
@@ -270,8 +270,8 @@ def test_two_bodies_that_it_meets_get_what_it_loses():
 @pytest.mark.slow
 def test_between_jelly_and_floor_it_rests():
     """A light box under a block of jelly carries it."""
-    one = FreeBody("box", "box", (0.3, 0.3, 0.1), (0, 0, 0.1), density=10.0)
-    s = world(one, block((0.3, 0.3, 0.3), (0, 0, 0.2)), NeoHookean(E=5e4, damping=40), floor=0.5)
+    body = FreeBody("box", "box", (0.3, 0.3, 0.1), (0, 0, 0.1), density=10.0)
+    s = world(body, block((0.3, 0.3, 0.3), (0, 0, 0.2)), NeoHookean(E=5e4, damping=40), floor=0.5)
     s.advance(1.0)
     s.free.begin()
     s.advance(1.5)
@@ -292,8 +292,8 @@ def test_a_ball_on_a_box_pushes_as_finite_elements_say(phase):
 def test_it_goes_on_from_a_snapshot_bit_for_bit():
     made = []
     for pause in (False, True):
-        one = BALL._replace(place=(0.05, 0.03, 0.46), velocity=(0.3, 0.1, -1.0))
-        s = world(one, block((0.4, 0.4, 0.3)), floor=0.5)
+        body = BALL._replace(place=(0.05, 0.03, 0.46), velocity=(0.3, 0.1, -1.0))
+        s = world(body, block((0.4, 0.4, 0.3)), floor=0.5)
         s.advance(0.1)
         if pause:
             kept = s.snapshot()
@@ -313,8 +313,8 @@ def floating(density):
         n, at = np.zeros((2, 3))
         n[axis], at[axis] = sign, -sign * tank[axis] / 2
         walls.append(HalfSpace(point=tuple(at), normal=tuple(n), contact="slip"))
-    one = FreeBody("cube", "box", (side / 2,) * 3, (0, 0, 0.66), density=density, friction=0.0)
-    s = world(one, block(tank), Fluid(), floor=0.0, boundaries=walls, precision="float32")
+    body = FreeBody("cube", "box", (side / 2,) * 3, (0, 0, 0.66), density=density, friction=0.0)
+    s = world(body, block(tank), Fluid(), floor=0.0, boundaries=walls, precision="float32")
     s.advance(2.0)
     s.free.begin()
     heights = []
@@ -324,17 +324,17 @@ def floating(density):
     # Of all the water there is, and of what the cube pushes away.
     bottom = np.mean(heights)
     level = (tank[2] * tank[0] * tank[1] - side**2 * bottom) / (tank[0] * tank[1] - side**2)
-    return (level - bottom) / side, s.free.wrenches(1.0)[0].force[2] / one.mass / G
+    return (level - bottom) / side, s.free.wrenches(1.0)[0].force[2] / body.mass / G
 
 
 @pytest.mark.slow
 def test_free_body_floats_or_sinks_by_density():
     """Somewhat deeper, up to half a cell: water reaches into what floats on it."""
-    found = [floating(density) for density in (300.0, 600.0)]
-    for (depth, weight), density in zip(found, (300.0, 600.0), strict=True):
+    result = [floating(density) for density in (300.0, 600.0)]
+    for (depth, weight), density in zip(result, (300.0, 600.0), strict=True):
         assert weight == pytest.approx(1, abs=0.02)
         assert -0.02 < depth - density / 1000 < 0.1
-    assert found[1][0] - found[0][0] == pytest.approx(0.3, rel=0.2)
+    assert result[1][0] - result[0][0] == pytest.approx(0.3, rel=0.2)
     assert floating(2000.0)[0] > 1.2, "it lies on the ground"
 
 
@@ -387,37 +387,37 @@ def test_what_a_free_solid_would_pass_through_is_refused(changes, said):
 def test_a_free_solid_is_where_its_gaussians_are():
     two = as_objects({0: ball(50), 1: ball(80)})
     two = two.transform(1.0, np.array([0.5, -0.25, 1.0]))
-    (one,) = bodies.make_free(scene(pairs=[{"friction": 0.2}]), two)
-    np.testing.assert_allclose(one.place, two.means[two.object_id == 1].mean(axis=0), atol=1e-6)
-    np.testing.assert_allclose(one.half, [0.25, 0.2, 0.15])
-    np.testing.assert_allclose(one.axes, euler((10, 20, 30)), atol=1e-12)
-    assert (one.density, one.friction, one.sticky) == (400, 0.2, False)
-    told = scene(boundaries=[{"kind": "ground"}, {"kind": "container"}, {"kind": "press"}])
-    assert len(bodies.planes_for_free(told)) == 1 + 6 + 1
+    (body,) = bodies.make_free(scene(pairs=[{"friction": 0.2}]), two)
+    np.testing.assert_allclose(body.place, two.means[two.object_id == 1].mean(axis=0), atol=1e-6)
+    np.testing.assert_allclose(body.half, [0.25, 0.2, 0.15])
+    np.testing.assert_allclose(body.axes, euler((10, 20, 30)), atol=1e-12)
+    assert (body.density, body.friction, body.sticky) == (400, 0.2, False)
+    declared = scene(boundaries=[{"kind": "ground"}, {"kind": "container"}, {"kind": "press"}])
+    assert len(bodies.planes_for_free(declared)) == 1 + 6 + 1
     assert bodies.planes_for_free(scene(objects=[])) == []
     assert scene().with_solids().boundaries == scene().boundaries, "it is no wall"
 
 
 def test_the_gaussians_of_a_free_solid_turn_with_it():
     two = as_objects({0: ball(50), 1: ball(80)})
-    own = two.object_id == 1
+    selected = two.object_id == 1
     first, then = quaternions(np.stack([euler((40, 0, 0)), euler((0, 0, 90)) @ euler((40, 0, 0))]))
     start = np.array([[0.1, 0.2, 0.3, *first]])
     poses = [start, np.array([[1.1, 0.2, 0.3, *then]])]
-    frame = Frame(1, 0.1, two.select(~own), velocities=np.zeros((50, 3), np.float32))
+    frame = Frame(1, 0.1, two.select(~selected), velocities=np.zeros((50, 3), np.float32))
     moving = np.array([[0, 0, 1.0, 0, 0, 2.0]])
-    whole = Scenery(two, ~own, free=(1,)).whole(frame, poses, moving)
-    arms = two.means[own] - start[0, :3]
+    whole = Scenery(two, ~selected, free=(1,)).whole(frame, poses, moving)
+    arms = two.means[selected] - start[0, :3]
     turned = np.stack([-arms[:, 1], arms[:, 0], arms[:, 2]], axis=1)
-    np.testing.assert_allclose(whole.gaussians.means[own], turned + [1.1, 0.2, 0.3], atol=1e-6)
+    np.testing.assert_allclose(whole.gaussians.means[selected], turned + [1.1, 0.2, 0.3], atol=1e-6)
     np.testing.assert_allclose(
-        rotation_matrices(whole.gaussians.quats[own]),
-        euler((0, 0, 90)) @ rotation_matrices(two.quats[own]),
+        rotation_matrices(whole.gaussians.quats[selected]),
+        euler((0, 0, 90)) @ rotation_matrices(two.quats[selected]),
         atol=1e-6,
     )
     rates = np.stack([-2 * turned[:, 1], 2 * turned[:, 0], np.ones(80)], axis=1)
-    np.testing.assert_allclose(whole.velocities[own], rates, atol=1e-5)
-    assert np.array_equal(whole.gaussians.means[~own], two.means[~own])
+    np.testing.assert_allclose(whole.velocities[selected], rates, atol=1e-5)
+    assert np.array_equal(whole.gaussians.means[~selected], two.means[~selected])
 
 
 def test_one_that_starts_inside_material_is_refused():
@@ -430,40 +430,44 @@ def test_one_that_starts_inside_material_is_refused():
 def test_depth_is_that_below_its_surface(shape):
     half = (0.1, 0.1, 0.3) if shape == "capsule" else (0.2, 0.2, 0.2)
     turn = tuple(quaternions(euler((0, 90, 0))[None])[0].tolist())
-    one = FreeBody("one", shape, half, (1.0, 0, 0), turn=turn)
+    body = FreeBody("one", shape, half, (1.0, 0, 0), turn=turn)
     along = np.array([[1.0, 0, 0], [1.15, 0, 0], [1.4, 0, 0], [1.0, 0, 0.3]])
     deep = {
         "sphere": [0.2, 0.05, -0.2, -0.1],
         "box": [0.2, 0.05, -0.2, -0.1],
         "capsule": [0.1, 0.1, -0.1, -0.2],
     }
-    np.testing.assert_allclose(one.measure_depth(along), deep[shape], atol=1e-12)
+    np.testing.assert_allclose(body.measure_depth(along), deep[shape], atol=1e-12)
 
 
 @pytest.mark.slow
 def test_a_free_solid_falls_rests_is_kept_and_goes_on(tmp_path):
-    told = scene(**{"velocities": True, "wrenches": True, "time.sleep": True, "time.frames": 30})
-    made = Simulation(prepare(ball(400), told, RunContext(threads=1)))
+    declared = scene(
+        **{"velocities": True, "wrenches": True, "time.sleep": True, "time.frames": 30}
+    )
+    made = Simulation(prepare(ball(400), declared, RunContext(threads=1)))
     clip = made.run()
-    own = clip.object_id == 1
+    selected = clip.object_id == 1
     report = clip.report
     assert report["complete"] and report["balance"]["momentum_gain"] < 1e-5
     assert "free rigid solid box" in report["effects"]["ran"]
     poses = np.array(report["objects"]["box"]["poses"])
     assert poses.shape == (30, 7) and report["sleep"] is None
-    np.testing.assert_allclose(clip.means[:, own].mean(axis=1), poses[:, :3], atol=1e-5)
+    np.testing.assert_allclose(clip.means[:, selected].mean(axis=1), poses[:, :3], atol=1e-5)
     assert report["pairs"]["object_on_box"]["largest_force"] > 20
     # Until a corner may be at the floor, its momentum is what gravity and the ball gave it.
     corner = np.linalg.norm(made.solver.free.all[0].half)
     first = slice(1, int(np.argmax(poses[:, 2] < corner)))
     assert first.stop > 12
-    given = np.stack([f.wrenches["object_on_box"].force for f in made.frames[first]]).sum(0) / 24
+    exchanged = (
+        np.stack([f.wrenches["object_on_box"].force for f in made.frames[first]]).sum(0) / 24
+    )
     seconds = len(made.frames[first]) / 24
-    kept = made.solver.free.all[0].mass * made.frames[first][-1].velocities[own].mean(axis=0)
+    kept = made.solver.free.all[0].mass * made.frames[first][-1].velocities[selected].mean(axis=0)
     weight = made.solver.free.all[0].mass * 9.81 * seconds
-    np.testing.assert_allclose(given - [0, 0, weight], kept, atol=0.02 * weight)
+    np.testing.assert_allclose(exchanged - [0, 0, weight], kept, atol=0.02 * weight)
 
-    paused = Simulation(prepare(ball(400), told, RunContext(threads=1)))
+    paused = Simulation(prepare(ball(400), declared, RunContext(threads=1)))
     for _ in range(12):
         paused.step()
     resume.save(paused, tmp_path / "pause.safetensors")
@@ -471,7 +475,7 @@ def test_a_free_solid_falls_rests_is_kept_and_goes_on(tmp_path):
     assert np.array_equal(again.means, clip.means) and np.array_equal(again.quats, clip.quats)
     assert again.report["objects"]["box"]["poses"] == report["objects"]["box"]["poses"]
 
-    live = Live(ball(400), told, RunContext(threads=1))
+    live = Live(ball(400), declared, RunContext(threads=1))
     for index in range(12):
         assert np.array_equal(live.step().gaussians.means, clip.means[index])
     np.testing.assert_allclose(live.centres["box"], poses[11, :3])

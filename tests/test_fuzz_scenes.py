@@ -71,9 +71,9 @@ PROFILE = st.sampled_from(
 )
 
 
-def force(kind: str, **own: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
+def force(kind: str, **options: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
     """A force of a kind with its own parameters and any profile."""
-    return st.fixed_dictionaries({"kind": st.just(kind), "profile": PROFILE, **own})
+    return st.fixed_dictionaries({"kind": st.just(kind), "profile": PROFILE, **options})
 
 
 STRENGTH = decades(1e-3, 1e5)
@@ -104,10 +104,10 @@ MOTION = st.one_of(
 )
 
 
-def wall(kind: str, **own: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
+def wall(kind: str, **options: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
     """A boundary of a kind with any contact and its own parameters."""
-    return st.fixed_dictionaries({"kind": st.just(kind), **CONTACT, **own}).map(
-        lambda found: {key: value for key, value in found.items() if value is not None}
+    return st.fixed_dictionaries({"kind": st.just(kind), **CONTACT, **options}).map(
+        lambda fields: {key: value for key, value in fields.items() if value is not None}
     )
 
 

@@ -95,8 +95,8 @@ def test_a_dry_run_does_not_run_what_takes_long(picture, monkeypatch, capsys):
     slow = Slow()
     monkeypatch.setattr("phy124.commands.plan.Forecaster", Foreseen)
     monkeypatch.setitem(generators.GENERATORS, "slow", lambda: slow)
-    told = ["--generator", "slow", "--gaussians", "500"]
-    assert main(["generate", str(picture), "--dry-run", *told]) == 0
+    options = ["--generator", "slow", "--gaussians", "500"]
+    assert main(["generate", str(picture), "--dry-run", *options]) == 0
     out = capsys.readouterr().out
     assert slow.calls == 0
     assert "generator: slow, 7 steps; likely 5.3 to 10.0 min" in out
@@ -108,13 +108,13 @@ def test_a_dry_run_does_not_run_what_takes_long(picture, monkeypatch, capsys):
 def test_commands_cut_out_what_was_picked(command, picture, monkeypatch, tmp_path):
     asked = []
 
-    def cut_out(image, method, **given):
-        asked.append((method, given["pick"]))
+    def cut_out(image, method, **inputs):
+        asked.append((method, inputs["pick"]))
         raise InputError("image", image, "That is enough.", "Stop.")
 
     monkeypatch.setattr("phy124.pipeline.gaussians.cut_out", cut_out)
-    told = ["--pick", "0.2,0.7", "--method", "grabcut", "--out", str(tmp_path / "out")]
-    assert main([*command, str(picture), *told]) == 2
+    options = ["--pick", "0.2,0.7", "--method", "grabcut", "--out", str(tmp_path / "out")]
+    assert main([*command, str(picture), *options]) == 2
     assert asked == [("grabcut", (0.2, 0.7))]
 
 
@@ -136,10 +136,10 @@ def test_lgm_tells_its_effort_and_passes_its_options_on(monkeypatch):
 
     monkeypatch.setattr(imagedream, "ImageDream", SimpleNamespace, raising=False)
 
-    told = GeneratorOptions(steps=10, sampler="dpmsolver++", precision="float32")
+    answer = GeneratorOptions(steps=10, sampler="dpmsolver++", precision="float32")
     monkeypatch.setattr(lgm, "speed_of", lambda device, dtype: Work(1e11, 1e11, 1e11))
     monkeypatch.setattr(lgm, "require", lambda name, weights: {name: "file"})
-    long, short = (generators.make("lgm", options=o) for o in (GeneratorOptions(), told))
+    long, short = (generators.make("lgm", options=o) for o in (GeneratorOptions(), answer))
     around = (371.2 + 3358.3 + 33.9 + 98.8 + 1486.6 + 194.9) / 100
     assert short.effort().seconds == pytest.approx(around + 10 * 21.819, rel=1e-3)
     assert long.effort().seconds - short.effort().seconds == pytest.approx(20 * 21.819, rel=1e-3)
@@ -226,10 +226,10 @@ def test_the_work_of_the_networks_is_what_torch_counts():
 
     with torch.device("meta"):
         unet, vae = MultiViewUNet(Config()), encoders.vae()
-        given = [(5, 4, 32, 32), (5,), (5, 77, 1024)]
+        inputs = [(5, 4, 32, 32), (5,), (5, 77, 1024)]
         step = counted(
             unet,
-            *given,
+            *inputs,
             num_frames=5,
             camera=torch.empty(5, 16),
             ip=torch.empty(5, 257, 1280),
@@ -244,5 +244,5 @@ def test_the_work_of_the_networks_is_what_torch_counts():
         ]
         lgm = counted(LgmModel(OPTIONS["big"]), (1, 4, 9, 256, 256))
     around = map(sum, zip(*around, strict=True))
-    for found, told in ((step.times(2), STEP), (around, AROUND), (lgm, WORK)):
-        assert tuple(found) == pytest.approx(tuple(told), rel=1e-3)
+    for result, answer in ((step.times(2), STEP), (around, AROUND), (lgm, WORK)):
+        assert tuple(result) == pytest.approx(tuple(answer), rel=1e-3)

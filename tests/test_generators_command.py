@@ -38,12 +38,12 @@ def copies(tmp_path) -> str:
 
 
 def test_the_picture_goes_in_and_gaussians_come_out(tmp_path, copies):
-    found = make(f"cmd: {copies}")(PICTURE, seed=0, progress=lambda *_: None)
-    assert len(found) == 100 and np.ptp(found.means, axis=0).max() == pytest.approx(1)
+    result = make(f"cmd: {copies}")(PICTURE, seed=0, progress=lambda *_: None)
+    assert len(result) == 100 and np.ptp(result.means, axis=0).max() == pytest.approx(1)
     with Image.open(tmp_path / "got.png") as got:
         assert got.mode == "RGBA" and got.size == (30, 40)
     turned = make(f"cmd 60: {copies}", Reading(up="x"))(PICTURE, seed=0, progress=lambda *_: None)
-    assert not np.allclose(turned.means, found.means)
+    assert not np.allclose(turned.means, result.means)
 
 
 @pytest.mark.parametrize(

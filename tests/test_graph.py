@@ -48,8 +48,8 @@ def assert_same(host: Solver, alone: Solver) -> None:
     )
     assert alone.clock.extremes == host.clock.extremes
     for name in ("x", "v", "C", "F", "history", "total"):
-        one, other = getattr(host.state, name), getattr(alone.state, name)
-        np.testing.assert_array_equal(one.numpy(), other.numpy(), err_msg=name)
+        first, other = getattr(host.state, name), getattr(alone.state, name)
+        np.testing.assert_array_equal(first.numpy(), other.numpy(), err_msg=name)
 
 
 @pytest.mark.parametrize(

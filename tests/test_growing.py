@@ -46,14 +46,14 @@ def test_it_becomes_the_clip_and_stays_what_it_is(tmp_path):
     named = replace(clip, scene={"a": "ü"}, report={"complete": True})
     assert growing.finish(named, tmp_path / "clip.safetensors")
     named.save(tmp_path / "usual.safetensors")
-    one, other = (Clip.load(tmp_path / f"{n}.safetensors") for n in ("clip", "usual"))
+    first, other = (Clip.load(tmp_path / f"{n}.safetensors") for n in ("clip", "usual"))
     for name, array in other.tensors().items():
-        assert np.array_equal(one.tensors()[name], array), name
-    assert (one.scene, one.report) == (other.scene, other.report)
+        assert np.array_equal(first.tensors()[name], array), name
+    assert (first.scene, first.report) == (other.scene, other.report)
     with safe_open(tmp_path / "clip.safetensors", "np") as file:
         assert set(file.keys()) == set(other.tensors())
     growing.remove()
-    assert not (tmp_path / "frames").exists() and one.means[2, 0, 0] == clip.means[2, 0, 0]
+    assert not (tmp_path / "frames").exists() and first.means[2, 0, 0] == clip.means[2, 0, 0]
 
 
 @pytest.mark.parametrize("other", ["shorter", "copied", "long report"])

@@ -125,12 +125,12 @@ def test_imagedream_guidance_pulls_four_views(folder, small_zero123):
     config = json.loads((folder / "imagedream_unet_tiny.json").read_text())["config"]
     unet = load_unet(folder / "imagedream_unet_tiny.weights.fp16.safetensors", **config)
     guidance = MultiView.looking_at(torch.rand(3, 20, 20), SeenParts(unet, small_zero123["vae"]))
-    told = []
+    messages = []
 
     def told_of(images, *others):
         images.retain_grad()
-        told.append((images, guidance(images, *others)))
-        return told[-1][1]
+        messages.append((images, guidance(images, *others)))
+        return messages[-1][1]
 
     told_of.views = guidance.views
     settings = replace(WITH_IMAGEDREAM, steps=1, points=40, sizes=(16,), final_extent=10)
@@ -139,7 +139,7 @@ def test_imagedream_guidance_pulls_four_views(folder, small_zero123):
     before = splats.parameters["xyz"].detach().clone()
     fit(splats, told_of, settings, draw)
     assert float((splats.parameters["xyz"] - before).detach().abs().max()) > 1e-3
-    ((images, loss),) = told
+    ((images, loss),) = messages
     per_view = images.grad.abs().sum(dim=(1, 2, 3))
     assert guidance.views == len(per_view) == 4 and float(per_view.min()) > 0
     assert bool(loss.isfinite())

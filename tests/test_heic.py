@@ -76,11 +76,11 @@ def test_odd_exif_and_a_profile_of_a_phone(tmp_path):
     """Its own header turns it, EXIF states another turn, and its colours are Display P3."""
     odd = exif_of([upright(3), Entry(0x0131, 5, 1, bytes(8)), Entry(0x011A, 10, 1, bytes(8))])
     (tmp_path / "a.heic").write_bytes(heic_with(PHONE.read_bytes(), display_p3(), odd))
-    plain, found = open_image(PHONE), open_image(tmp_path / "a.heic")
+    plain, result = open_image(PHONE), open_image(tmp_path / "a.heic")
     expected = convert_to_srgb(plain, display_p3())
-    assert found.info["notes"] == () and found.size == (320, 256)
-    np.testing.assert_array_equal(np.asarray(found), np.asarray(expected))
-    assert np.abs(np.asarray(found).astype(int) - np.asarray(plain)).max() > 10
+    assert result.info["notes"] == () and result.size == (320, 256)
+    np.testing.assert_array_equal(np.asarray(result), np.asarray(expected))
+    assert np.abs(np.asarray(result).astype(int) - np.asarray(plain)).max() > 10
     (tmp_path / "b.heic").write_bytes(heic_with(PHONE.read_bytes(), b"damaged", b"Exif\0\0odd"))
     damaged = open_image(tmp_path / "b.heic")
     assert "colour profile cannot be used" in damaged.info["notes"][0]

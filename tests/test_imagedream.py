@@ -162,8 +162,8 @@ def test_vae_equals_the_original(folder, vae):
 
 
 def test_schedule_equals_the_original(folder, expected):
-    told = json.loads((folder / "imagedream_pipeline.json").read_text())["scheduler"]
-    assert told.items() <= SCHEDULE.items()
+    output = json.loads((folder / "imagedream_pipeline.json").read_text())["scheduler"]
+    assert output.items() <= SCHEDULE.items()
     scheduler = scheduler_of("ddim", 3)
     np.testing.assert_allclose(scheduler.alphas_cumprod, expected["alphas_cumprod"], **CLOSE)
     assert float(scheduler.final_alpha_cumprod) == pytest.approx(
@@ -200,8 +200,8 @@ def test_bfloat16_in_the_network_leaves_the_latents_exact(
     for dtype in (torch.float32, torch.bfloat16):
         parts = TinyParts(copy.deepcopy(unet).to(dtype), vae)
         monkeypatch.setattr(pipeline, "SIZE", 64)
-        told = {"steps": 1, "sampler": "dpmsolver++", "parts": parts, "unet_dtype": dtype}
-        made[dtype] = ImageDream(**told)(image, seed=3)
+        options = {"steps": 1, "sampler": "dpmsolver++", "parts": parts, "unet_dtype": dtype}
+        made[dtype] = ImageDream(**options)(image, seed=3)
         assert made[dtype].dtype == torch.float32
     apart = (made[torch.bfloat16] - made[torch.float32]).std() / made[torch.float32].std()
     assert 1e-6 < float(apart) < 0.1
@@ -249,7 +249,7 @@ def test_encoders_are_read_once_if_there_is_room(tmp_path, monkeypatch):
         monkeypatch.setattr(
             encoders, f"{kind}_encoder", lambda path, k=kind, n=network: read.append(k) or n
         )
-        monkeypatch.setattr(encoders, answer, lambda *given: torch.zeros(1))
+        monkeypatch.setattr(encoders, answer, lambda *options: torch.zeros(1))
     for short in (False, True):
         monkeypatch.setattr(pipeline, "is_short", lambda needed, device, s=short: s)
         parts = pipeline.TrainedParts(None, "cpu", torch.float32)
@@ -274,7 +274,7 @@ def test_picture_latents_are_a_sample_of_the_posterior(vae, expected):
 def test_same_seed_same_views_and_progress_per_step(unet, vae, monkeypatch):
     generator = ImageDream(steps=1, parts=TinyParts(unet, vae))
     image, steps = torch.rand(3, 40, 40, generator=torch.Generator().manual_seed(0)), []
-    first = generator(image, seed=3, progress=lambda *told: steps.append(told))
+    first = generator(image, seed=3, progress=lambda *arguments: steps.append(arguments))
     assert first.shape == (5, 3, 256, 256)
     assert float(first.min()) >= 0 and float(first.max()) <= 1
     assert steps == [("imagedream", 0, 1), ("imagedream", 1, 1)]
@@ -285,16 +285,16 @@ def test_same_seed_same_views_and_progress_per_step(unet, vae, monkeypatch):
 
 
 def test_cancelling_stops_after_the_step_in_hand(unet, vae):
-    told = []
+    messages = []
 
     def progress(stage, done, total):
-        told.append(done)
+        messages.append(done)
         if done == 1:
             raise Cancelled
 
     with pytest.raises(Cancelled):
         ImageDream(steps=9, parts=TinyParts(unet, vae))(torch.rand(3, 8, 8), progress=progress)
-    assert told == [0, 1]
+    assert messages == [0, 1]
 
 
 def test_authors_checkpoint_and_unknown_fields(unet):

@@ -59,8 +59,8 @@ def test_an_installed_wheel_names_packages_that_an_index_has(monkeypatch):
         'cyclonedds==11.0.*; extra == "dds"',
     )
     monkeypatch.setattr(sys, "executable", "/usr/bin/python3")
-    found = "/usr/bin/python3 -m pip install 'mcap<2,>=1.5' 'cyclonedds==11.0.*'"
-    assert install_command("dds") == found
+    result = "/usr/bin/python3 -m pip install 'mcap<2,>=1.5' 'cyclonedds==11.0.*'"
+    assert install_command("dds") == result
 
 
 def test_an_environment_without_pip_is_uvs(monkeypatch):

@@ -48,8 +48,8 @@ def test_what_lies_open_is_drawn_in_the_colour_above_it(torn):
     assert KDTree(x).query(means[-1][open_now])[0].max() < 1e-6, "where a particle is"
     above = KDTree(clip.means[0, :-added]).query(means[0])
     assert above[0].max() < 1e-6, "until then it hides in the Gaussian above it"
-    own = clip.sh[-added:, 0]
-    assert (np.abs(own[:, None] - clip.sh[None, :-added, 0]).max(axis=2).min(axis=1) == 0).all()
+    colours = clip.sh[-added:, 0]
+    assert (np.abs(colours[:, None] - clip.sh[None, :-added, 0]).max(axis=2).min(axis=1) == 0).all()
 
 
 def test_the_motion_and_the_surface_are_the_same_without_it(torn):

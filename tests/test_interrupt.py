@@ -74,9 +74,9 @@ def test_cancelled_run_resumes_bit_for_bit(tmp_path):
     again = pipeline.go_on(tmp_path / "cut", SCENE)
     assert (again.report["interrupted"], again.report["complete"]) == (False, True)
     assert not (tmp_path / "cut" / pipeline.PAUSE).exists()
-    one, other = (Clip.load(r.folder / "clip.safetensors") for r in (whole, again))
+    first, other = (Clip.load(r.folder / "clip.safetensors") for r in (whole, again))
     for name in ("means", "quats", "scales", "times"):
-        assert np.array_equal(getattr(one, name), getattr(other, name))
+        assert np.array_equal(getattr(first, name), getattr(other, name))
     for view in ("front.mp4", "left.mp4"):
         assert (whole.folder / view).read_bytes() == (again.folder / view).read_bytes()
 
@@ -228,14 +228,14 @@ def test_an_object_told_by_its_picture_where_it_is_there_goes_on(tmp_path):
 def test_a_run_of_two_pictures_goes_on_with_both_bit_for_bit(tmp_path):
     changes = {"accuracy": {"cells": 8}, "time.frames": 4, "view.size": 32, "view.views": ["front"]}
     scene = Scene.named("collide").replaced(changes)
-    given = ([DUCK, DUCK.with_name("teddy.png")], scene)
-    whole = pipeline.generate(*given, tmp_path / "whole", count=1000, threads=1)
+    inputs = ([DUCK, DUCK.with_name("teddy.png")], scene)
+    whole = pipeline.generate(*inputs, tmp_path / "whole", count=1000, threads=1)
     cancel = cancelling(lambda stage, done: stage == "simulate" and done == 2)
-    pipeline.generate(*given, tmp_path / "cut", count=1000, threads=1, progress=cancel, keep=True)
+    pipeline.generate(*inputs, tmp_path / "cut", count=1000, threads=1, progress=cancel, keep=True)
     again = pipeline.go_on(tmp_path / "cut", scene)
-    one, other = (Clip.load(r.folder / "clip.safetensors") for r in (whole, again))
-    assert np.array_equal(one.means, other.means) and one.objects == other.objects
-    assert np.array_equal(one.object_id, other.object_id)
+    first, other = (Clip.load(r.folder / "clip.safetensors") for r in (whole, again))
+    assert np.array_equal(first.means, other.means) and first.objects == other.objects
+    assert np.array_equal(first.object_id, other.object_id)
     assert again.report["sources"] == whole.report["sources"]
 
 
@@ -301,7 +301,7 @@ def test_exception_between_barriers_ends_all_threads(reports, threads):
 
 def solving():
     """All threads but those that wait for the next frame's shapes."""
-    return [one for one in threading.enumerate() if not one.name.startswith(THREADS)]
+    return [item for item in threading.enumerate() if not item.name.startswith(THREADS)]
 
 
 def test_only_empty_folders_of_the_run_are_removed(tmp_path):

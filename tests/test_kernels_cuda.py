@@ -101,8 +101,8 @@ FAST = ("sand",)
 @pytest.mark.parametrize(
     "law",
     [
-        pytest.param(one, id=name, marks=() if name in FAST else pytest.mark.slow)
-        for name, one in device_kernels.laws().items()
+        pytest.param(item, id=name, marks=() if name in FAST else pytest.mark.slow)
+        for name, item in device_kernels.laws().items()
     ],
 )
 def test_the_substep_is_measured_without_float64(law, tmp_path):

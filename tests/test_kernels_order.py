@@ -38,14 +38,14 @@ def is_kernel(node: ast.FunctionDef) -> bool:
 
 def written(node: ast.FunctionDef) -> set[str]:
     """Names of arrays that a kernel assigns to or changes atomically."""
-    found = set()
-    for one in ast.walk(node):
-        targets = one.targets if isinstance(one, ast.Assign) else []
-        targets = [one.target] if isinstance(one, ast.AugAssign) else targets
-        found |= {ast.unparse(t.value) for t in targets if isinstance(t, ast.Subscript)}
-        if isinstance(one, ast.Call) and ast.unparse(one.func).startswith("wp.atomic_"):
-            found.add(ast.unparse(one.args[0]))
-    return found
+    result = set()
+    for item in ast.walk(node):
+        targets = item.targets if isinstance(item, ast.Assign) else []
+        targets = [item.target] if isinstance(item, ast.AugAssign) else targets
+        result |= {ast.unparse(t.value) for t in targets if isinstance(t, ast.Subscript)}
+        if isinstance(item, ast.Call) and ast.unparse(item.func).startswith("wp.atomic_"):
+            result.add(ast.unparse(item.args[0]))
+    return result
 
 
 def rank(name: str, annotation: str) -> int | None:
@@ -61,23 +61,23 @@ def problems(kernel: Kernel) -> list[str]:
     """What is not as `phy124.kernels` says."""
     names = list(kernel.arguments)
     ranks = [rank(name, annotation) for name, annotation in kernel.arguments.items()]
-    found = []
+    results = []
     for place, name in enumerate(names):
         before = max((r for r in ranks[:place] if r is not None), default=0)
         after = 1 if ranks[place] is None else ranks[place]
         if before > after:
-            found.append(f"{name} is too late")
+            results.append(f"{name} is too late")
     arrays = {name for name, annotation in kernel.arguments.items() if "vec" not in annotation[:6]}
-    found += [f"{n} is written" for n in written(kernel.node) & arrays if not n.endswith("_out")]
-    return found
+    results += [f"{n} is written" for n in written(kernel.node) & arrays if not n.endswith("_out")]
+    return results
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.rglob("*.py")), ids=lambda path: path.stem)
 def test_arguments_come_in_one_order(path):
-    found = {
+    results = {
         kernel.where: problems(kernel) for kernel in kernels(path.read_text("utf-8"), path.name)
     }
-    assert not {where: reasons for where, reasons in found.items() if reasons}
+    assert not {where: reasons for where, reasons in results.items() if reasons}
 
 
 def test_all_kernels_are_looked_at():

@@ -7,7 +7,7 @@ import pytest
 from phy124.imaging.lab import to_lab
 
 
-def one(*rgb):
+def lab_of(*rgb):
     return to_lab(np.array([[rgb]], np.uint8))[0, 0]
 
 
@@ -25,7 +25,7 @@ def one(*rgb):
     ],
 )
 def test_known_colours(rgb, wanted):
-    np.testing.assert_allclose(one(*rgb), wanted, atol=0.05)
+    np.testing.assert_allclose(lab_of(*rgb), wanted, atol=0.05)
 
 
 def test_it_agrees_with_opencv_within_its_tables(rng):

@@ -61,7 +61,7 @@ def test_simd_and_plain_points_agree():
 
 def test_simd_and_plain_contact_agree():
     solid = block((0.425, 0.5, 0.325), low=(0.025, 0.05, 0.0), per=4)
-    found = []
+    results = []
     for vectors in (True, False):
         walls = [Ground(friction=0.4), HalfSpace(point=(0, 0, 0.3), normal=(0, 0.2, -1))]
         v = (1.0, 0.5, -2.0)
@@ -72,12 +72,12 @@ def test_simd_and_plain_contact_agree():
             solver.step(5e-4, 5e-4)
         sums, kept = solver.walls.sums.numpy(), solver.walls.impulses.sums.numpy()
         assert np.allclose(kept.sum(axis=0), sums[:, :3].sum(axis=0), rtol=1e-12)
-        found.append([array.copy() for array in (solver.nodes_state.v.numpy(), sums, kept)])
+        results.append([array.copy() for array in (solver.nodes_state.v.numpy(), sums, kept)])
         snapshot = solver.snapshot()
         solver.step(5e-4, 5e-4)
         solver.restore(snapshot)
-        assert np.array_equal(solver.walls.impulses.sums.numpy(), found[-1][2])
-    for simd, plain in zip(*found, strict=True):
+        assert np.array_equal(solver.walls.impulses.sums.numpy(), results[-1][2])
+    for simd, plain in zip(*results, strict=True):
         assert np.abs(plain).max() > 0.1
         assert np.abs(simd - plain).max() < 1e-4 * np.abs(plain).max()
 

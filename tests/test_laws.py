@@ -347,17 +347,17 @@ def logs(values: np.ndarray, real) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize(("real", "error"), [(wp.float32, 3e-7), (wp.float64, 1e-15)])
 def test_near_one_it_is_the_logarithm_to_rounding(real, error):
-    J, found = logs(NEAR, real)
+    J, result = logs(NEAR, real)
     exact = np.log(J)
-    assert (np.abs(found - exact) <= error * np.abs(exact)).all()
+    assert (np.abs(result - exact) <= error * np.abs(exact)).all()
 
 
 @pytest.mark.parametrize(("real", "error"), [(wp.float32, 1e-6), (wp.float64, 1e-14)])
 def test_far_away_it_goes_on_as_a_line(real, error):
-    J, found = logs(FAR, real)
+    J, result = logs(FAR, real)
     line = np.log(1e-4) + (J - 1e-4) / 1e-4
     exact = np.where(J > 1e-4, np.log(np.maximum(J, 1e-4)), line)
-    assert (np.abs(found - exact) <= error * np.abs(exact)).all()
+    assert (np.abs(result - exact) <= error * np.abs(exact)).all()
 
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])

@@ -382,10 +382,10 @@ def test_from_weight_files_to_gaussians(golden_lgm, tiny, tmp_path, monkeypatch)
     picture = np.zeros((40, 40, 4), np.uint8)
     picture[8:32, 12:28] = 200, 90, 30, 255
     monkeypatch.setattr(generator_module, "judge", lambda rows, views: "each")
-    told = []
+    messages = []
     generator = Lgm(weights=tmp_path, option=TINY, device="cpu", steps=1)
-    made = generator(picture, seed=5, progress=lambda *step: told.append(step))
-    assert told == [("imagedream", 0, 1), ("imagedream", 1, 1), ("lgm", 0, 1), ("lgm", 1, 1)]
+    made = generator(picture, seed=5, progress=lambda *step: messages.append(step))
+    assert messages == [("imagedream", 0, 1), ("imagedream", 1, 1), ("lgm", 0, 1), ("lgm", 1, 1)]
     assert len(made) == 1024 and np.isfinite(made.means).all()
 
 

@@ -78,14 +78,14 @@ def field(solver: LiquidSolver, name: str) -> np.ndarray:
 def heights(solver: LiquidSolver) -> np.ndarray:
     """Height of the surface in every column of cells with liquid [m]."""
     dx, wet, phi = solver.model.dx, field(solver, "liquid"), field(solver, "phi")
-    found = []
+    results = []
     for i, j in np.argwhere(wet.any(axis=2)):
         k = np.flatnonzero(wet[i, j])[-1]
         if phi[i, j, k + 1] <= 0:  # a wall
             continue
         part = phi[i, j, k] / (phi[i, j, k] - phi[i, j, k + 1])
-        found.append(solver.model.origin[2] + dx * (solver.cells.low[2] + k + 0.5 + part))
-    return np.array(found)
+        results.append(solver.model.origin[2] + dx * (solver.cells.low[2] + k + 0.5 + part))
+    return np.array(results)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.37])
@@ -313,8 +313,8 @@ def test_viscous_liquid_falls_slowly_between_sticky_plates():
 
 def test_two_threads_agree_with_one():
     x = block((0, 0, 0), (0.5, 0.5, 0.5), 8)
-    one, two = (run(liquid(x, 8, [TANK], threads=n), 8).state.x.numpy() for n in (1, 2))
-    np.testing.assert_allclose(one, two, atol=1e-3)
+    single, two = (run(liquid(x, 8, [TANK], threads=n), 8).state.x.numpy() for n in (1, 2))
+    np.testing.assert_allclose(single, two, atol=1e-3)
 
 
 def test_projected_water_lands_in_its_basin():

@@ -315,8 +315,8 @@ def test_external_binding_gets_motion_without_shapes():
         run.grab((0, 0, 0.9))
         run.move_to((0, 0.3, 1.2))
     frames = [(shaped.step(), bare.step()) for _ in range(3)]
-    for one, other in zip(shaped.particles, bare.particles, strict=True):
-        assert np.array_equal(one, other)
+    for single, other in zip(shaped.particles, bare.particles, strict=True):
+        assert np.array_equal(single, other)
     felt = [run.contacts()["ground"].force for run in (shaped, bare)]
     assert np.array_equal(*felt)
     first, last = frames[0][1].gaussians, frames[-1][1].gaussians

@@ -150,9 +150,9 @@ def test_finished_sides_stay_if_a_later_one_fails(tmp_path, monkeypatch, capsys,
     if command == "render":
         monkeypatch.setitem(module.ENCODERS, "mp4", module._encode("mp4", write))
     clip, out = str(tmp_path / "a/clip.safetensors"), tmp_path / "out"
-    given = [clip] if command == "render" else [clip, clip]
+    inputs = [clip] if command == "render" else [clip, clip]
     options = ["--views", "front", "left", "--size", "32", "--device", "cpu", "--out", str(out)]
-    assert main([command, *given, *options]) == 1
+    assert main([command, *inputs, *options]) == 1
     said = capsys.readouterr().err
     assert "no disk" in said and "Errno 5" in said
     if command == "render":
@@ -170,15 +170,15 @@ def test_results_go_where_there_is_room(tmp_path, monkeypatch, temporary, done):
         if (stage, now) == ("simulate", done):
             raise Cancelled
 
-    with full(monkeypatch, tmp_path / "out"), pytest.raises(Incomplete) as told:
+    with full(monkeypatch, tmp_path / "out"), pytest.raises(Incomplete) as caught:
         pipeline.simulate(ball(300), SCENE, tmp_path / "out", progress=stop, keep=True)
     (kept,) = temporary.iterdir()
-    assert failure(told.value).status == (130 if done else 1)
-    assert f"phy124 render {kept / 'clip.safetensors'}" in str(told.value)
+    assert failure(caught.value).status == (130 if done else 1)
+    assert f"phy124 render {kept / 'clip.safetensors'}" in str(caught.value)
     assert len(Clip.load(kept / "clip.safetensors")) == (done or 6)
     assert not (tmp_path / "out").exists()
     if done:
-        assert f"--out {kept} --resume" in str(told.value)
+        assert f"--out {kept} --resume" in str(caught.value)
         assert pipeline.go_on(kept, SCENE).report["complete"]
         assert names(kept) == RESULTS
 
@@ -198,11 +198,11 @@ def test_it_is_said_if_nothing_can_be_kept(tmp_path, monkeypatch, temporary):
 @pytest.mark.filterwarnings("ignore:the frames are kept in memory only")
 def test_results_of_a_full_disk_are_kept_elsewhere(tmp_path, temporary, every_frame):
     with small_disk(tmp_path / "disk", "300k") as disk:
-        with pytest.raises(Incomplete, match=r"clip\.safetensors` films it") as told:
+        with pytest.raises(Incomplete, match=r"clip\.safetensors` films it") as caught:
             pipeline.simulate(ball(900), SCENE, disk / "out", keep=True)
         assert names(disk) == set(), "nothing half-written stays"
     (kept,) = temporary.glob("phy124-kept-*")
-    assert str(kept) in str(told.value)
+    assert str(kept) in str(caught.value)
     assert {"clip.safetensors", "report.json", "scene.toml"} <= names(kept) < RESULTS
     assert len(Clip.load(kept / "clip.safetensors")) == 6
     assert set(json.loads((kept / "report.json").read_text())["files"]) == names(kept)
@@ -230,11 +230,11 @@ def test_an_interruption_while_the_disk_is_full_keeps_the_frames(tmp_path, tempo
             raise Cancelled
 
     with small_disk(tmp_path / "disk", "100k") as disk:
-        with pytest.raises(Incomplete) as told:
+        with pytest.raises(Incomplete) as caught:
             pipeline.simulate(ball(900), SCENE, disk / "out", progress=stop, keep=True)
         assert names(disk) == set()
     (kept,) = temporary.iterdir()
-    assert failure(told.value).status == 130 and str(kept) in str(told.value)
+    assert failure(caught.value).status == 130 and str(kept) in str(caught.value)
     assert len(Clip.load(kept / "clip.safetensors")) == 5
 
 

@@ -119,13 +119,13 @@ def test_render_films_again_without_simulating(made, tmp_path, capsys):
 
 
 def test_render_draws_in_as_many_threads_as_are_asked_for(made, tmp_path, capsys, monkeypatch):
-    given = []
+    inputs = []
     film = "phy124.commands.render.film"
-    monkeypatch.setattr(film, lambda *_: given.append(_[-1].threads))
+    monkeypatch.setattr(film, lambda *_: inputs.append(_[-1].threads))
     arguments = ["render", str(made / "clip.safetensors"), "--device", "cpu"]
-    for told in ([], ["--threads", "3"]):
-        main([*arguments, "--out", str(tmp_path / "none"), *told])
-    assert given == [None, 3]
+    for answer in ([], ["--threads", "3"]):
+        main([*arguments, "--out", str(tmp_path / "none"), *answer])
+    assert inputs == [None, 3]
     assert main([*arguments, "--threads", "0"]) == 2
     assert "a run can use 1 to 256 threads" in capsys.readouterr().err
 
@@ -161,9 +161,9 @@ def test_clip_is_filmed_slowly_by_moving_cameras(made, tmp_path, capsys):
     clip = ["render", str(made / "clip.safetensors"), "--device", "cpu", "--size", "48"]
     options = ["--cameras", str(tmp_path / "moves.toml"), "--outputs", "depth,flow", "--json"]
     assert main([*clip, *options, "--speed", "0.25", "--out", str(tmp_path / "out")]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert [Path(name).name for name in told["files"]] == ["closer-outputs", "closer.mp4"]
-    assert "6 frames per second" in told["notes"][-1]
+    output = json.loads(capsys.readouterr().out)
+    assert [Path(name).name for name in output["files"]] == ["closer-outputs", "closer.mp4"]
+    assert "6 frames per second" in output["notes"][-1]
     made_files = sorted(path.name for path in (tmp_path / "out/closer-outputs").iterdir())
     depths = [f"depth_000{i}.png" for i in (1, 2, 3)]
     assert made_files == [*depths, "flow_0001.png", "flow_0002.png", "outputs.json"]
@@ -379,8 +379,8 @@ def test_what_of_a_file_is_dropped_is_said(tmp_path, capsys):
     means, opacities = good.means.copy(), good.opacities.copy()
     means[:100], opacities[100:110] = np.nan, 1e-4
     write_ply(tmp_path / "nan.ply", replace(good, means=means, opacities=opacities))
-    given = ["simulate", str(tmp_path / "nan.ply"), *QUICK, "--views", "front"]
-    assert main([*given, "--set", "accuracy.cells=6", "--out", str(tmp_path / "o")]) == 0
+    arguments = ["simulate", str(tmp_path / "nan.ply"), *QUICK, "--views", "front"]
+    assert main([*arguments, "--set", "accuracy.cells=6", "--out", str(tmp_path / "o")]) == 0
     said = capsys.readouterr().out
     sentences = [
         "100 of 1000 Gaussians of the file had NaN or infinite values and were dropped.",
@@ -406,9 +406,10 @@ def test_a_frame_in_which_nothing_is_anywhere_is_said(made, tmp_path, capsys):
         means = np.array(clip.means)
         means[frame] = np.nan
         replace(clip, means=means).save(tmp_path / "nan.safetensors")
-        given = ["render", str(tmp_path / "nan.safetensors"), "--size", "32", "--follow"]
+        arguments = ["render", str(tmp_path / "nan.safetensors"), "--size", "32", "--follow"]
         assert (
-            main([*given, "--views", "front", "--out", str(tmp_path), "--device", "cpu"]) == status
+            main([*arguments, "--views", "front", "--out", str(tmp_path), "--device", "cpu"])
+            == status
         )
         printed = capsys.readouterr()
         assert "have NaN or infinite values" in printed.out + printed.err

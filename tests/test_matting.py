@@ -69,10 +69,10 @@ def test_matting_cleans_masks_but_not_real_alpha():
     rgb, alpha = disc(softness=6.0)
     mask = Image.fromarray(np.rint(255 * alpha).astype(np.uint8))
     soft = (np.asarray(mask) > 127) & (np.asarray(mask) < 250)
-    found = foreground(Image.fromarray(rgb), mask=mask)
-    assert abs(share_of_green(np.asarray(found.picture)[..., :3], soft)) < 0.01
-    own = Image.fromarray(rgb)
-    own.putalpha(mask)
-    assert foreground(own).method == "alpha"
-    np.testing.assert_array_equal(np.asarray(foreground(own).picture), np.asarray(own))
-    assert clean_edge(own, np.asarray(mask)).mode == "RGBA"
+    cutout = foreground(Image.fromarray(rgb), mask=mask)
+    assert abs(share_of_green(np.asarray(cutout.picture)[..., :3], soft)) < 0.01
+    picture = Image.fromarray(rgb)
+    picture.putalpha(mask)
+    assert foreground(picture).method == "alpha"
+    np.testing.assert_array_equal(np.asarray(foreground(picture).picture), np.asarray(picture))
+    assert clean_edge(picture, np.asarray(mask)).mode == "RGBA"

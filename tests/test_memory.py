@@ -36,8 +36,8 @@ class Poisoned:
     def of_warp(self, make: Callable[..., Any]) -> Callable[..., Any]:
         """Fills what Warp gives on the CPU."""
 
-        def filled(*given: Any, **options: Any) -> Any:
-            array = make(*given, **options)
+        def filled(*inputs: Any, **options: Any) -> Any:
+            array = make(*inputs, **options)
             if array.ptr and array.device.is_cpu:
                 ctypes.memset(
                     array.ptr, BYTE, array.size * wp.types.type_size_in_bytes(array.dtype)
@@ -50,8 +50,8 @@ class Poisoned:
     def of_numpy(self, make: Callable[..., Any]) -> Callable[..., Any]:
         """Fills what NumPy gives to phy124."""
 
-        def filled(*given: Any, **options: Any) -> Any:
-            array = make(*given, **options)
+        def filled(*inputs: Any, **options: Any) -> Any:
+            array = make(*inputs, **options)
             asks = sys._getframe(1).f_globals.get("__name__", "")
             if asks.startswith("phy124") and not array.dtype.hasobject:
                 array.view(np.uint8).fill(BYTE)
@@ -96,14 +96,14 @@ def results(preset, changes) -> dict[str, np.ndarray]:
     )
     clip, camera = run.run(), Camera.orbit(30, 20, 2.5, (70, 50))
     frame, balance = run.frames[-1], run.find(Watchdog).balance
-    found = {"means": clip.means, "quats": clip.quats, "scales": clip.scales}
-    found["balance"] = np.array([balance.energy_gain, balance.momentum_gain])
+    result = {"means": clip.means, "quats": clip.quats, "scales": clip.scales}
+    result["balance"] = np.array([balance.energy_gain, balance.momentum_gain])
     stage = make_stage(clip, View(stage="studio"))
     for blend in ("simd", "plain", "pixel"):
         draw = Renderer(device="cpu", blend=blend)
-        found[blend] = draw(frame.gaussians, camera, alpha=True)
-        found[f"{blend} on a stage"] = draw(frame.gaussians, camera, stage=stage.at(frame))
-    return found
+        result[blend] = draw(frame.gaussians, camera, alpha=True)
+        result[f"{blend} on a stage"] = draw(frame.gaussians, camera, stage=stage.at(frame))
+    return result
 
 
 @pytest.mark.parametrize(

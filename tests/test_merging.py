@@ -41,9 +41,9 @@ def test_mass_middle_and_colour_are_kept(count):
     before, after = mass(body), mass(less)
     assert after.sum() == pytest.approx(before.sum(), rel=1e-4)
     for name in ("means", "sh"):
-        own, made = (getattr(g, name).reshape(len(g), -1) for g in (body, less))
+        expected, made = (getattr(g, name).reshape(len(g), -1) for g in (body, less))
         np.testing.assert_allclose(
-            after @ made / after.sum(), before @ own / before.sum(), atol=1e-4
+            after @ made / after.sum(), before @ expected / before.sum(), atol=1e-4
         )
 
 
@@ -55,10 +55,10 @@ def test_two_become_one_with_the_covariance_of_both():
         np.full(2, 0.3),
         np.array([[1.0, 0, 0], [0, 0, 1.0]]),
     )
-    one = merge_groups(pair, np.zeros(2, int))
-    np.testing.assert_allclose(one.covariances()[0], np.diag([0.02, 0.01, 0.01]), rtol=1e-5)
-    np.testing.assert_allclose(one.rgb[0], [0.5, 0, 0.5], atol=1e-6)
-    assert one.opacities[0] == pytest.approx(0.6 / np.sqrt(2))
+    first = merge_groups(pair, np.zeros(2, int))
+    np.testing.assert_allclose(first.covariances()[0], np.diag([0.02, 0.01, 0.01]), rtol=1e-5)
+    np.testing.assert_allclose(first.rgb[0], [0.5, 0, 0.5], atol=1e-6)
+    assert first.opacities[0] == pytest.approx(0.6 / np.sqrt(2))
 
 
 def test_lone_gaussians_stay_unmerged():

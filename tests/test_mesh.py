@@ -27,11 +27,11 @@ RED = (1.0, 0.0, 0.0)
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch):
     """Starting another process for each file would take most of the time of these tests."""
-    monkeypatch.setattr(isolated, "run", lambda function, *given, **_: function(*given))
+    monkeypatch.setattr(isolated, "run", lambda function, *options, **_: function(*options))
 
 
-def saved(path, one):
-    one.export(path)
+def saved(path, first):
+    first.export(path)
     return path
 
 
@@ -53,9 +53,9 @@ def test_a_mesh_has_its_size_colours_volume_and_stands_upright(tmp_path, kind, u
 
 
 def test_inverted_mesh_is_lit_from_outside(tmp_path):
-    one = trimesh.creation.icosphere(subdivisions=2)
-    one.invert()
-    made = mesh(saved(tmp_path / "ball.stl", one), RED)
+    body = trimesh.creation.icosphere(subdivisions=2)
+    body.invert()
+    made = mesh(saved(tmp_path / "ball.stl", body), RED)
     assert np.all(made.rgb[:, 1:] == 0)
     top, bottom = (made.rgb[sign * made.means[:, 2] > 0.3, 0].mean() for sign in (1, -1))
     assert top > bottom + 0.2
@@ -137,7 +137,7 @@ def test_too_large_a_mesh_is_refused(tmp_path, monkeypatch):
 def test_slow_mesh_and_missing_trimesh_are_refused(tmp_path, monkeypatch):
     path = saved(tmp_path / "ball.stl", trimesh.creation.icosphere(subdivisions=1))
 
-    def late(*given, deadline):
+    def late(*options, deadline):
         raise isolated.Unfinished("did not finish within 60 s")
 
     monkeypatch.setattr(isolated, "run", late)
@@ -183,24 +183,24 @@ EARTH = np.array([500_000, 0, 4.6e6])
 
 @pytest.mark.parametrize("name", ["far.obj", "far.ply", "far.glb"])
 def test_a_mesh_far_away_in_double_precision_keeps_its_shape(tmp_path, name):
-    one, path = ball(), tmp_path / name
+    body, path = ball(), tmp_path / name
     if name == "far.glb":
         scene = trimesh.Scene()
-        scene.add_geometry(one, transform=trimesh.transformations.translation_matrix(EARTH))
+        scene.add_geometry(body, transform=trimesh.transformations.translation_matrix(EARTH))
         scene.export(path)
     else:
-        one.vertices += EARTH
+        body.vertices += EARTH
         texts = {
             "obj": ["v {} {} {}\n", "f {} {} {}\n"],
             "ply": ["{} {} {}\n", "3 {} {} {}\n"],
         }[path.suffix[1:]]
         first = 1 if name == "far.obj" else 0
-        lines = [texts[0].format(*map(repr, row)) for row in one.vertices.tolist()]
-        lines += [texts[1].format(*row) for row in (one.faces + first).tolist()]
-        head = f"ply\nformat ascii 1.0\nelement vertex {len(one.vertices)}\n"
+        lines = [texts[0].format(*map(repr, row)) for row in body.vertices.tolist()]
+        lines += [texts[1].format(*row) for row in (body.faces + first).tolist()]
+        head = f"ply\nformat ascii 1.0\nelement vertex {len(body.vertices)}\n"
         head += "".join(f"property double {axis}\n" for axis in "xyz")
         head += (
-            f"element face {len(one.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+            f"element face {len(body.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
         )
         path.write_text(("" if name == "far.obj" else head) + "".join(lines))
     made = mesh(path, RED)
@@ -208,10 +208,10 @@ def test_a_mesh_far_away_in_double_precision_keeps_its_shape(tmp_path, name):
 
 
 def test_a_mesh_whose_numbers_are_too_coarse_is_noted(tmp_path):
-    one = ball()
-    one.vertices += EARTH
+    body = ball()
+    body.vertices += EARTH
     with pytest.warns(UserWarning, match="steps of 0.5. With about 4 steps across"):
-        mesh(saved(tmp_path / "far.stl", one), RED)
+        mesh(saved(tmp_path / "far.stl", body), RED)
 
 
 @pytest.mark.parametrize(
@@ -238,9 +238,9 @@ def test_mesh_keeps_the_axes_and_unit_of_its_file(tmp_path):
 
 
 def test_mesh_far_from_the_origin_keeps_its_shape(tmp_path):
-    one = ball()
-    one.apply_translation((1e4, 0, 0))
-    content = read_mesh(saved(tmp_path / "ball.ply", one))
+    body = ball()
+    body.apply_translation((1e4, 0, 0))
+    content = read_mesh(saved(tmp_path / "ball.ply", body))
     assert content.origin[0] == pytest.approx(1e4, abs=0.1)
     np.testing.assert_allclose(np.linalg.norm(content.gaussians.means, axis=1), 1, atol=0.02)
 

@@ -167,8 +167,8 @@ def test_two_threads_do_as_one(rng):
             s.advance(0.08)
         return s.state.x.numpy()
 
-    one, two = run(1), run(2)
-    assert np.abs(one - two).max() < 1e-5
+    single, two = run(1), run(2)
+    assert np.abs(single - two).max() < 1e-5
     assert np.array_equal(two, run(2))
     assert np.abs(run(2, alone=True) - run(1, alone=True)).max() < 1e-5
 
@@ -181,10 +181,10 @@ def test_each_thread_measures_its_own_particles(rng):
         s.clock.ceiling = 2e-3
         s.advance(0.02)
         assert all("measure" in worker.timings for worker in s.workers)
-    one, two = (np.array(s.clock.extremes) for s in runs.values())
-    np.testing.assert_allclose(one, two, rtol=1e-4)
-    own = [Maxima.of(part.maxima.numpy()) for part in runs[2].slabs.parts]
-    assert own[0].upper[0] < own[1].upper[0]
+    single, two = (np.array(s.clock.extremes) for s in runs.values())
+    np.testing.assert_allclose(single, two, rtol=1e-4)
+    maxima = [Maxima.of(part.maxima.numpy()) for part in runs[2].slabs.parts]
+    assert maxima[0].upper[0] < maxima[1].upper[0]
 
 
 def test_the_second_thread_ends_with_the_frame():

@@ -64,9 +64,9 @@ def test_clock_restores_and_measures_after_violence():
 
 def test_maxima_are_read_with_their_names():
     row = np.arange(float(COUNT))
-    found = Maxima.of(row)
-    assert found.extremes == Extremes(0.0, 1.0, 2.0)
-    assert found.lower.tolist() == [-3, -4, -5] and found.upper.tolist() == [6, 7, 8]
+    result = Maxima.of(row)
+    assert result.extremes == Extremes(0.0, 1.0, 2.0)
+    assert result.lower.tolist() == [-3, -4, -5] and result.upper.tolist() == [6, 7, 8]
 
 
 def test_what_has_nothing_to_do_is_not_launched():

@@ -35,8 +35,8 @@ def test_slabs_are_even_along_the_longest_axis(count):
     x, owned = s.model.rest, [particles_of(part) for part in s.slabs.parts]
     assert sorted(np.concatenate(owned)) == list(range(len(x)))
     assert max(map(len, owned)) - min(map(len, owned)) <= 1
-    for one, next_one in itertools.pairwise(owned):
-        assert x[one, 1].max() <= x[next_one, 1].min() + DX
+    for first, next_one in itertools.pairwise(owned):
+        assert x[first, 1].max() <= x[next_one, 1].min() + DX
 
 
 def test_slabs_are_runs_in_memory_at_first():
@@ -92,10 +92,10 @@ def test_snapshot_includes_recut_slabs():
     fresh.restore(s.snapshot())
     pairs = zip(s.slabs.parts, fresh.slabs.parts, strict=True)
     assert all(np.array_equal(particles_of(a), particles_of(b)) for a, b in pairs)
-    for one in (s, fresh):
-        one.state.v.assign(np.random.default_rng(0).normal(size=s.model.rest.shape))
+    for item in (s, fresh):
+        item.state.v.assign(np.random.default_rng(0).normal(size=s.model.rest.shape))
         for _ in range(6):
-            one.step(1e-4, 1e-4)
+            item.step(1e-4, 1e-4)
     assert np.array_equal(s.state.x.numpy(), fresh.state.x.numpy())
     assert fresh.slabs.share == s.slabs.share
 

@@ -30,8 +30,8 @@ def found_as(alpha):
 
 
 def test_the_largest_is_taken_and_all_are_counted(alpha):
-    found, count = keep_largest(alpha)
-    np.testing.assert_array_equal(found, only(alpha, LARGE))
+    result, count = keep_largest(alpha)
+    np.testing.assert_array_equal(result, only(alpha, LARGE))
     assert count == 2
     assert keep_largest(np.zeros_like(alpha))[1] == 0
 
@@ -67,28 +67,31 @@ def test_faint_object_is_sought_around_the_click():
 
     image = Image.fromarray(grey)
     assert select_object(find(image), (0.8, 0.67)) is None
-    found = search_around(image, (0.8, 0.67), find)
-    np.testing.assert_array_equal(found, np.where(grey == 100, 255, 0))
+    result = search_around(image, (0.8, 0.67), find)
+    np.testing.assert_array_equal(result, np.where(grey == 100, 255, 0))
     assert search_around(image, (0.5, 0.05), find) is None
 
 
 def test_of_a_search_one_object_is_left_and_the_others_are_told(alpha, monkeypatch):
     monkeypatch.setitem(METHODS, "u2netp", found_as(alpha))
     picture = Image.fromarray(np.dstack([alpha] * 3) // 2 + 60)
-    found = foreground(picture)
-    assert (found.objects, found.pieces) == (2, 1)
-    assert found.warnings[0] == "The picture has 2 separate objects; the largest is taken."
-    np.testing.assert_array_equal(np.asarray(found.picture)[..., 3], only(alpha, LARGE))
+    cutout = foreground(picture)
+    assert (cutout.objects, cutout.pieces) == (2, 1)
+    assert cutout.warnings[0] == "The picture has 2 separate objects; the largest is taken."
+    np.testing.assert_array_equal(np.asarray(cutout.picture)[..., 3], only(alpha, LARGE))
     picked = foreground(picture, pick=(0.7, 0.7))
     assert picked.objects == 1 and picked.warnings == ()
     np.testing.assert_array_equal(np.asarray(picked.picture)[..., 3], only(alpha, SMALL))
 
 
 def test_manual_cutout_is_kept_whole_without_a_click(alpha):
-    own = Image.new("RGB", alpha.shape[::-1], "red")
-    own.putalpha(Image.fromarray(alpha))
+    picture = Image.new("RGB", alpha.shape[::-1], "red")
+    picture.putalpha(Image.fromarray(alpha))
     for options in ({}, {"mask": Image.fromarray(alpha)}):
-        whole, picked = foreground(own, **options), foreground(own, pick=(0.7, 0.7), **options)
+        whole, picked = (
+            foreground(picture, **options),
+            foreground(picture, pick=(0.7, 0.7), **options),
+        )
         np.testing.assert_array_equal(np.asarray(whole.picture)[..., 3], alpha)
         np.testing.assert_array_equal(np.asarray(picked.picture)[..., 3], only(alpha, SMALL))
 

@@ -41,9 +41,9 @@ CASES = {
 def test_folders_are_called_what_they_are(tmp_path, case):
     names, limit, remedy = CASES[case]
     path = folder(tmp_path / "it.sog", *names)
-    found = obstacle(path)
-    assert found is not None
-    assert limit in found[0] and remedy.replace("{}", str(path)) in found[1]
+    result = obstacle(path)
+    assert result is not None
+    assert limit in result[0] and remedy.replace("{}", str(path)) in result[1]
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda words: words[0])
@@ -109,8 +109,8 @@ def test_what_is_not_there_is_missing(tmp_path, name):
 
 def test_a_pipe_is_no_file(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    found = obstacle(tmp_path / "pipe")
-    assert found is not None and "a pipe" in found[0]
+    result = obstacle(tmp_path / "pipe")
+    assert result is not None and "a pipe" in result[0]
 
 
 def test_a_file_has_no_obstacle(tmp_path):

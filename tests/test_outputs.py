@@ -82,21 +82,21 @@ FRONT = Camera.orbit(0, 0, 2.0, SIZE)
 
 @pytest.mark.parametrize("normal", [(1, 0, 0), (1, 0.5, 0.3)])
 def test_depth_and_normals_of_a_plane(normal):
-    found, covered = seen(moving(plane(normal), [(0, 0, 0)] * 2), FRONT)
+    result, covered = seen(moving(plane(normal), [(0, 0, 0)] * 2), FRONT)
     n = np.array(normal) / np.linalg.norm(normal)
     exact = -(n @ FRONT.eye) / (rays(FRONT) @ n)
     inner = np.s_[16:48, 16:48]
     assert covered[inner].all()
     slope = np.hypot(*n[1:]) / n[0] * 2.0 / FRONT.focal
-    off = np.abs(found["depth"][inner][..., 0] - exact[inner])
+    off = np.abs(result["depth"][inner][..., 0] - exact[inner])
     assert off.max() < 1.5 * slope + 1e-4, "a slope is exact to about a pixel of it"
-    assert np.abs(found["normals"][inner] - n).max() < 1e-3
-    assert (found["alpha"][inner] > 0.9).all()
+    assert np.abs(result["normals"][inner] - n).max() < 1e-3
+    assert (result["alpha"][inner] > 0.9).all()
 
 
 def test_depth_and_normals_of_a_sphere():
     camera = Camera.orbit(30, 20, 1.6, SIZE)
-    found, covered = seen(moving(sphere(), [(0, 0, 0)] * 2), camera)
+    result, covered = seen(moving(sphere(), [(0, 0, 0)] * 2), camera)
     eye, d = np.array(camera.eye), rays(camera)
     a, b, c = (d * d).sum(-1), (d * eye).sum(-1), eye @ eye - 0.25
     root = b * b - a * c
@@ -106,34 +106,34 @@ def test_depth_and_normals_of_a_sphere():
     assert facing.sum() > 600 and covered[facing].all()
     cosine = -(true * d).sum(-1) / np.sqrt(a)
     slope = np.sqrt(1 - np.minimum(cosine, 1) ** 2) / np.maximum(cosine, 0.4) * 1.2 / camera.focal
-    off = np.abs(found["depth"][..., 0] - exact)
+    off = np.abs(result["depth"][..., 0] - exact)
     assert (off < 1.5 * slope + 0.01)[facing].all() and off[facing].mean() < 0.015
-    off = np.degrees(np.arccos(np.clip((found["normals"] * true).sum(-1), -1, 1)))
+    off = np.degrees(np.arccos(np.clip((result["normals"] * true).sum(-1), -1, 1)))
     assert off[facing].max() < 6, "a pixel is 2 to 6 degrees wide"
-    assert not found["depth"][~covered].any() and not covered[0].any()
+    assert not result["depth"][~covered].any() and not covered[0].any()
 
 
 def test_flow_and_velocity_of_what_moves():
     """Ways on the picture are those of the projected points; velocities are in the world."""
     way = np.array([0.0, 0.05, -0.02])
     clip = moving(plane((1, 0, 0)), [way * i for i in range(3)])
-    found, _ = seen(clip, FRONT)
+    result, _ = seen(clip, FRONT)
     exact = FRONT.focal / 2.0 * np.array([0.05, 0.02])
     inner = np.s_[16:48, 16:48]
-    assert np.abs(found["flow"][inner] - exact).max() < 1e-3
-    assert np.abs(found["velocity"][inner] - 24 * way).max() < 1e-4
+    assert np.abs(result["flow"][inner] - exact).max() < 1e-3
+    assert np.abs(result["velocity"][inner] - 24 * way).max() < 1e-4
     assert "flow" not in seen(clip, FRONT, 2)[0], "the last frame goes nowhere"
 
 
 def test_flow_includes_the_cameras_motion():
     """Twice as near: every point goes as far outwards as it is from the middle."""
     clip, near = moving(plane((1, 0, 0)), [(0, 0, 0)] * 2), Camera.orbit(0, 0, 1.0, SIZE)
-    found, _ = seen(clip, [FRONT, near])
+    result, _ = seen(clip, [FRONT, near])
     x, y = np.meshgrid(np.arange(SIZE) + 0.5 - 32, np.arange(SIZE) + 0.5 - 32)
     inner = np.s_[16:48, 16:48]
-    off = (found["flow"] - np.stack([x, y], axis=-1))[inner]
+    off = (result["flow"] - np.stack([x, y], axis=-1))[inner]
     assert np.abs(off).max() < 1.5 and np.abs(off.mean(axis=(0, 1))).max() < 0.05
-    assert not found["velocity"].any()
+    assert not result["velocity"].any()
 
 
 def view(**changes) -> View:
@@ -152,23 +152,23 @@ def test_png_files_hold_the_values_to_half_a_step(filter, tmp_path, clip):
     made = film(clip, chosen, tmp_path, device="cpu")
     assert [path.name for path in made] == ["front-png", "front-outputs"]
     folder = tmp_path / "front-outputs"
-    told = json.loads((folder / "outputs.json").read_text())
+    output = json.loads((folder / "outputs.json").read_text())
     renderer = Renderer(filter=filter)
     exact, covered = Seen(clip, cameras(clip, chosen, "front"), ALL).rasters(renderer, 0)
-    files = told["frames"][0]["files"]
-    assert list(files) == ALL and "flow" not in told["frames"][1]["files"]
+    files = output["frames"][0]["files"]
+    assert list(files) == ALL and "flow" not in output["frames"][1]["files"]
     for name, file in files.items():
         raw = cv2.imread(str(folder / file), cv2.IMREAD_UNCHANGED)
         assert raw.dtype == np.uint16
         raw = raw[..., None] if raw.ndim == 2 else raw[..., ::-1]
-        about = told["outputs"][name]
+        about = output["outputs"][name]
         value = (raw[..., : len(about["channels"])].astype(float) - about["zero"]) * about["scale"]
         assert np.abs(value - exact[name])[covered].max() <= 0.51 * about["scale"], name
         assert not raw[~covered].any() and np.ptp(raw[covered]) > 100
     with Image.open(tmp_path / "front-png/front_0001.png") as opened:
         film_alpha = np.asarray(opened)[..., 3].astype(float)
     assert np.abs(film_alpha - 255 * exact["alpha"][..., 0]).max() <= 0.501
-    seen_from = told["frames"][0]
+    seen_from = output["frames"][0]
     camera = cameras(clip, chosen, "front")[0]
     assert np.allclose(seen_from["world_to_camera"], camera.view)
     assert np.allclose(seen_from["intrinsics"], camera.intrinsics)
@@ -182,9 +182,9 @@ def test_exr_files_hold_the_values(tmp_path, clip):
         quantity = QUANTITIES[name]
         path = tmp_path / f"front-outputs/{name}_0001.exr"
         with exr.File(str(path), separate_channels=True) as file:
-            found = {n: channel.pixels for n, channel in file.channels().items()}
+            results = {n: channel.pixels for n, channel in file.channels().items()}
         for i, channel in enumerate(quantity.channels):
-            assert np.array_equal(found[channel], exact[name][..., i]), name
+            assert np.array_equal(results[channel], exact[name][..., i]), name
 
 
 def test_only_what_is_asked_for_is_made(tmp_path, clip):
@@ -227,8 +227,8 @@ def test_forces_add_up_to_all_that_the_walls_give(tmp_path, clip):
     chosen = view(outputs=["depth", "force"], distance=2.0)
     film(touched, chosen, tmp_path, device="cpu")
     folder = tmp_path / "front-outputs"
-    told = json.loads((folder / "outputs.json").read_text())
-    about, frame = told["outputs"]["force"], told["frames"][1]
+    output = json.loads((folder / "outputs.json").read_text())
+    about, frame = output["outputs"]["force"], output["frames"][1]
     raw = cv2.imread(str(folder / frame["files"]["force"]), cv2.IMREAD_UNCHANGED)[..., ::-1]
     values = (raw.astype(float) - about["zero"]) * about["scale"]
     assert frame["force"] == pytest.approx(contacts[1].sum(axis=0), rel=1e-5)

@@ -177,8 +177,8 @@ def test_a_block_slides_down_a_slope_as_coulomb_says():
 def test_a_block_slides_down_a_soft_slope(degrees):
     angle = np.radians(degrees)
     wanted = 9.81 * (np.sin(angle) - 0.3 * np.cos(angle))
-    found, _ = slid(degrees, held=False, stiff=1e6, friction=0.3)
-    assert found == pytest.approx(wanted, rel=0.03)
+    result, _ = slid(degrees, held=False, stiff=1e6, friction=0.3)
+    assert result == pytest.approx(wanted, rel=0.03)
     assert abs(slid(15, held=False, stiff=1e6, friction=0.3)[1]) < 0.02
     assert slid(degrees, held=False, stiff=1e6, friction=0.2)[0] > 1.1 * wanted
 
@@ -214,12 +214,12 @@ def struck(cells, *, sticky=False, offset=(0.0, 0.0, 0.0), precision="float32", 
 
 
 def test_balls_that_collide_press_as_finite_elements_say():
-    found, s = struck(14)
+    result, s = struck(14)
     force, lasts = collision(0.5, V, E=1e5, nu=0.3, density=1000.0)
-    whole = found[:, 1] > 0.02 * force
-    assert found[:, 1].max() == pytest.approx(force, rel=0.05)
+    whole = result[:, 1] > 0.02 * force
+    assert result[:, 1].max() == pytest.approx(force, rel=0.05)
     assert whole.sum() * LASTS / 40 == pytest.approx(lasts, rel=0.1)
-    assert found[:, 1].min() > -1e-3 * force, "nothing pulls"
+    assert result[:, 1].min() > -1e-3 * force, "nothing pulls"
     speeds = [middle(s, body, s.state.v)[0] for body in (0, 1)]
     assert sum(speeds) == pytest.approx(0, abs=1e-5)
     assert 0.9 < -speeds[0] / V * 2 < 1
@@ -280,10 +280,10 @@ def test_two_balls_bounce_as_one_does_from_a_mirror():
         boundaries=[HalfSpace(normal=(-1.0, 0, 0), friction=0.0)],
     )
     alone.advance(pair.clock.time)
-    both, one = (-middle(s, 0, s.state.v)[0] / 0.3 for s in (pair, alone))
-    assert both == pytest.approx(one, abs=0.03)
+    both, first = (-middle(s, 0, s.state.v)[0] / 0.3 for s in (pair, alone))
+    assert both == pytest.approx(first, abs=0.03)
     _, stuck = struck(12, sticky=True)
-    assert abs(-middle(stuck, 0, stuck.state.v)[0] / 0.3 - one) > 0.1, "those that stick do not"
+    assert abs(-middle(stuck, 0, stuck.state.v)[0] / 0.3 - first) > 0.1, "those that stick do not"
 
 
 def afloat(density, seconds, **contact):

@@ -85,10 +85,10 @@ SHAPES = {"ball": (ball, BALL), "box": (box, SIDES.prod()), "cloud": (cloud, BAL
 @pytest.mark.parametrize("make", [ball, box], ids=["ball", "box"])
 def test_the_object_is_the_same_on_every_grid(make, rng):
     gaussians = make(20_000, rng)
-    found = [make_particles(gaussians, density=1, spacing=1 / n) for n in (24, 33, 48, 80)]
-    masses = [p.mass.sum() for p in found]
+    result = [make_particles(gaussians, density=1, spacing=1 / n) for n in (24, 33, 48, 80)]
+    masses = [p.mass.sum() for p in result]
     np.testing.assert_allclose(masses, masses[0], rtol=1e-6)
-    middles = [p.mass @ p.x / p.mass.sum() for p in found]
+    middles = [p.mass @ p.x / p.mass.sum() for p in result]
     assert np.abs(np.array(middles) - middles[-1]).max() < 1e-3
 
 
@@ -158,10 +158,10 @@ def test_particles_are_gaussians_and_spaced_fillers(rng):
     particles = make_particles(
         gaussians, density=1000, spacing=0.05, binding="particles", material=2
     )
-    own = particles.gaussian >= 0
-    assert np.array_equal(np.sort(particles.gaussian[own]), np.arange(4000))
-    assert np.array_equal(particles.x[own], gaussians.means[particles.gaussian[own]])
-    fillers = particles.x[~own]
+    selected = particles.gaussian >= 0
+    assert np.array_equal(np.sort(particles.gaussian[selected]), np.arange(4000))
+    assert np.array_equal(particles.x[selected], gaussians.means[particles.gaussian[selected]])
+    fillers = particles.x[~selected]
     gaps = nearest(fillers, gaussians.means)
     assert len(fillers) > 2000
     assert gaps.min() >= 0.5 * 0.05 - 1e-6
@@ -180,12 +180,12 @@ def test_neighbours_in_memory_are_neighbours_in_space(rng):
 def test_the_order_of_the_gaussians_does_not_matter(rng):
     gaussians = box(3000, rng)
     order = rng.permutation(3000)
-    one, two = (
+    single, two = (
         make_particles(some, density=1000, spacing=0.04, binding="particles")
         for some in (gaussians, gaussians.select(order))
     )
     volume = np.empty(3000), np.empty(3000)
-    volume[0][one.gaussian[one.gaussian >= 0]] = one.volume[one.gaussian >= 0]
+    volume[0][single.gaussian[single.gaussian >= 0]] = single.volume[single.gaussian >= 0]
     volume[1][order[two.gaussian[two.gaussian >= 0]]] = two.volume[two.gaussian >= 0]
     assert np.allclose(*volume, rtol=1e-4, atol=0)
 
@@ -326,22 +326,22 @@ def test_clean_refuses_an_object_of_nothing(three_gaussians):
 @pytest.mark.parametrize("faint", [0.0, 0.5, 0.999])
 def test_bounds_leave_out_a_thousandth_of_the_opacity(rng, faint):
     """However many of the outermost are faint: the few lowest may not weigh enough."""
-    given = box(5000, rng)
-    given.opacities[given.means[:, 0] < 2 * faint - 1] = 1e-6
-    found = np.array(compute_bounds(given))
-    reach = np.sqrt(np.einsum("nii->ni", given.covariances()))
+    gaussians = box(5000, rng)
+    gaussians.opacities[gaussians.means[:, 0] < 2 * faint - 1] = 1e-6
+    result = np.array(compute_bounds(gaussians))
+    reach = np.sqrt(np.einsum("nii->ni", gaussians.covariances()))
     for axis in range(3):
-        for sign, edge in ((1, found[0, axis]), (-1, found[1, axis])):
-            ends = sign * given.means[:, axis].astype(float) - reach[:, axis]
+        for sign, edge in ((1, result[0, axis]), (-1, result[1, axis])):
+            ends = sign * gaussians.means[:, axis].astype(float) - reach[:, axis]
             order = np.argsort(ends)
-            below = np.cumsum(given.opacities[order].astype(float))
+            below = np.cumsum(gaussians.opacities[order].astype(float))
             first = np.flatnonzero(below > 1e-3 * below[-1])[0]
             assert edge == pytest.approx(sign * ends[order[first]], rel=1e-9)
 
 
 def test_to_size_sets_the_longest_side_and_the_ground(rng):
-    given = box(40_000, rng).transform(37.0, np.array([5.0, 6, 7]))
-    sized = scale_to_size(given, 2.0)
+    gaussians = box(40_000, rng).transform(37.0, np.array([5.0, 6, 7]))
+    sized = scale_to_size(gaussians, 2.0)
     low, high = compute_bounds(sized)
     assert high - low == pytest.approx(2 * SIDES, rel=0.03)
     assert (high - low).max() == pytest.approx(2)
@@ -349,13 +349,13 @@ def test_to_size_sets_the_longest_side_and_the_ground(rng):
     assert low[2] == pytest.approx(0, abs=0.02)
     reach = np.sqrt(sized.covariances()[:, 2, 2])
     assert (sized.means[:, 2] - reach).min() == pytest.approx(0, abs=1e-5)
-    growth = sized.scales / given.scales
+    growth = sized.scales / gaussians.scales
     assert np.ptp(growth) < 1e-6 * growth[0, 0]
-    low, high = compute_bounds(scale_to_size(given, 2.0, ground=False))
+    low, high = compute_bounds(scale_to_size(gaussians, 2.0, ground=False))
     assert low == pytest.approx(-high, abs=1e-6)
-    one = scale_to_size(dots(np.ones((1, 3)), 4), 1.0)
-    assert one.scales[0] == pytest.approx([0.5] * 3)
-    assert one.means[0] == pytest.approx([0, 0, 0.5], abs=1e-6)
+    first = scale_to_size(dots(np.ones((1, 3)), 4), 1.0)
+    assert first.scales[0] == pytest.approx([0.5] * 3)
+    assert first.means[0] == pytest.approx([0, 0, 0.5], abs=1e-6)
 
 
 def test_refusals_say_what_to_do(rng):

@@ -21,11 +21,11 @@ def test_touching_cells_hang_together_and_an_empty_layer_parts():
 
 @pytest.mark.parametrize("away", [3.0, 1.5 * FAR, 1e9])
 def test_what_comes_off_is_counted_however_far_it_goes(away):
-    one, other = block((0, 0, 0)), block((0, 0, 4), cells=2)
-    rest = np.concatenate([one, other])
+    first, other = block((0, 0, 0)), block((0, 0, 4), cells=2)
+    rest = np.concatenate([first, other])
     pieces = Pieces(rest, 1.0)
     assert pieces.loose(rest) == 0
-    moved = np.concatenate([one, other + [0, 0, away]])
+    moved = np.concatenate([first, other + [0, 0, away]])
     assert pieces.loose(moved) == len(other)
 
 

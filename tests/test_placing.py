@@ -35,34 +35,36 @@ def test_the_object_stands_at_its_size_over_the_origin():
 
 
 def test_only_the_object_is_measured_and_lifted(captured):
-    own = np.arange(400) < 300
-    lifted, standing = (place(captured, scene(**{"object.lift": h}), own) for h in (0.2, 0.0))
-    assert np.ptp(lifted.means[own], axis=0).max() == pytest.approx(0.5, rel=2 * SIGMA)
-    np.testing.assert_allclose(lifted.means[own, 2] - standing.means[own, 2], 0.2, atol=1e-6)
-    np.testing.assert_array_equal(lifted.means[~own], standing.means[~own])
+    selected = np.arange(400) < 300
+    lifted, standing = (place(captured, scene(**{"object.lift": h}), selected) for h in (0.2, 0.0))
+    assert np.ptp(lifted.means[selected], axis=0).max() == pytest.approx(0.5, rel=2 * SIGMA)
+    np.testing.assert_allclose(
+        lifted.means[selected, 2] - standing.means[selected, 2], 0.2, atol=1e-6
+    )
+    np.testing.assert_array_equal(lifted.means[~selected], standing.means[~selected])
 
 
 def test_scale_and_offset_are_those_of_the_object_alone(captured):
-    own = np.arange(400) < 300
-    scale, offset = placing(captured, scene(), own)
-    alone = placing(captured.select(own), scene(), np.ones(300, bool))
+    selected = np.arange(400) < 300
+    scale, offset = placing(captured, scene(), selected)
+    alone = placing(captured.select(selected), scene(), np.ones(300, bool))
     assert (scale, offset.tolist()) == (alone[0], alone[1].tolist())
 
 
 def test_parts_say_which_gaussians_are_surroundings():
     parts = [{"gaussians": (300, 400), "surroundings": True, "static": True}]
-    own = belongs(Scene().replaced({"parts": parts}), 400)
-    assert own[:300].all() and not own[300:].any()
+    selected = belongs(Scene().replaced({"parts": parts}), 400)
+    assert selected[:300].all() and not selected[300:].any()
     assert belongs(Scene(), 400).all()
 
 
 def test_particles_know_their_gaussians_by_the_number_number_among_all():
-    own = np.array([False, True, False, True, True])
-    one = np.ones(4)
+    selected = np.array([False, True, False, True, True])
+    first = np.ones(4)
     particles = Particles(
-        np.zeros((4, 3)), one, one, one.astype(np.int32), np.array([0, 2, -1, 1], np.int32)
+        np.zeros((4, 3)), first, first, first.astype(np.int32), np.array([0, 2, -1, 1], np.int32)
     )
-    assert number_among_all(particles, own).gaussian.tolist() == [1, 4, -1, 3]
+    assert number_among_all(particles, selected).gaussian.tolist() == [1, 4, -1, 3]
     assert number_among_all(particles, np.ones(5, bool)) is particles
 
 

@@ -43,10 +43,10 @@ def test_a_dry_run_says_what_would_run_and_writes_nothing(file, tmp_path, capsys
     for words in ("scene: neo_hookean (", "particles, ", "s, likely ", promised.sentence):
         assert words in said
     assert main([*arguments, "--dry-run", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["scene"]["time"]["frames"] == 2 and told["seconds"] > 0
-    assert told["promise"]["error"] == promised.error
-    assert told["span"][0] < told["seconds"] < told["span"][1]
+    output = json.loads(capsys.readouterr().out)
+    assert output["scene"]["time"]["frames"] == 2 and output["seconds"] > 0
+    assert output["promise"]["error"] == promised.error
+    assert output["span"][0] < output["seconds"] < output["span"][1]
     assert not out.exists()
 
 

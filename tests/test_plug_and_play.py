@@ -103,7 +103,7 @@ def test_results_of_real_generators_fly_alike(tmp_path):
     picture = np.zeros((64, 64, 4), np.uint8)
     y, x = np.mgrid[:64, :64]
     picture[(x - 32) ** 2 + 1.5 * (y - 32) ** 2 < 500] = 220, 180, 40, 255
-    relief = make("relief")(picture, seed=0, progress=lambda *told: None)
+    relief = make("relief")(picture, seed=0, progress=lambda *arguments: None)
     write_ply(tmp_path / "relief.ply", relief)
     with torch.device("meta"):
         empty = LgmModel(TINY_LGM)
@@ -114,7 +114,9 @@ def test_results_of_real_generators_fly_alike(tmp_path):
     dream = DreamGaussian(guidance=lambda image: Nothing(), settings=settings, device="cpu")
     made = {
         "relief": relief,
-        "ply": make(str(tmp_path / "relief.ply"))(picture, seed=0, progress=lambda *told: None),
+        "ply": make(str(tmp_path / "relief.ply"))(
+            picture, seed=0, progress=lambda *arguments: None
+        ),
         "lgm": lgm(picture),
         "dreamgaussian": dream(picture),
     }
@@ -142,7 +144,7 @@ def test_generator_of_the_docs_has_a_name(monkeypatch):
     """docs/examples: used by name and as an object."""
     monkeypatch.setitem(GENERATORS, "ball", None)  # so that it is taken out again
     runpy.run_path(str(ROOT / "docs/examples/20_generator.py"))
-    made = make("ball")(np.zeros((4, 4, 4), np.uint8), seed=1, progress=lambda *told: None)
+    made = make("ball")(np.zeros((4, 4, 4), np.uint8), seed=1, progress=lambda *arguments: None)
     assert isinstance(made, Gaussians)
     assert np.ptp(made.means, axis=0).max() == pytest.approx(1, abs=0.1)
     scene = Scene.named("drop").replaced({"accuracy": "draft", "time.frames": 2})

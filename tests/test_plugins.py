@@ -127,19 +127,19 @@ def round_thing():
     return lambda image_rgba, *, seed, progress: ball(100)
 
 
-def own(**changes) -> Scene:
+def rubber_scene(**changes) -> Scene:
     return Scene(material=Rubber(), boundaries=(Table(),), **changes).replaced(QUICK)
 
 
 def test_instances_of_ones_own_classes_move():
-    run = Simulation(prepare(ball(300), own(forces=(Freeze(),))))
+    run = Simulation(prepare(ball(300), rubber_scene(forces=(Freeze(),))))
     clip = run.run()
     assert clip.report["complete"] and "freeze" in run.solver.timings
     assert np.abs(clip.means[-1] - clip.means[0]).max() < 1e-5
 
 
 def test_what_they_are_they_say_themselves():
-    scene = own(forces=(Freeze(),))
+    scene = rubber_scene(forces=(Freeze(),))
     ran = Effects.of(scene).ran
     assert {"stress rubber", "particle forces", "collider table (separate)"} <= set(ran)
     run = Simulation(prepare(ball(300), scene))
@@ -150,7 +150,7 @@ def test_what_they_are_they_say_themselves():
 
 
 def test_scene_with_unnamed_plugins_is_not_written():
-    scene = own().replaced({"time.fps": 30})
+    scene = rubber_scene().replaced({"time.fps": 30})
     assert isinstance(scene.material, Rubber) and scene.time.fps == 30
     with pytest.raises(
         InputError, match=r"Rubber.* which has no name in scene files\. Register it"
@@ -171,7 +171,7 @@ def test_interrupted_run_with_own_classes_leaves_no_pause(tmp_path):
             raise Cancelled
 
     out = tmp_path / "out"
-    result = pipeline.simulate(ball(300), own(), out, progress=cancel, keep=True)
+    result = pipeline.simulate(ball(300), rubber_scene(), out, progress=cancel, keep=True)
     assert result.report["interrupted"] and result.report["frames"] == 2
     assert not [path for path in out.iterdir() if "pause" in path.name]
     assert "pause.safetensors" not in result.report["files"]
@@ -179,7 +179,7 @@ def test_interrupted_run_with_own_classes_leaves_no_pause(tmp_path):
 
 
 def test_a_registered_name_is_read_and_written(installed, tmp_path):
-    scene = own(forces=(Freeze(),))
+    scene = rubber_scene(forces=(Freeze(),))
     (tmp_path / "scene.toml").write_text(scene.to_toml())
     again = Scene.from_toml(tmp_path / "scene.toml")
     assert again == scene and type(again.material) is Rubber
@@ -344,7 +344,7 @@ def test_the_sink_of_the_docs_sends_each_frame(monkeypatch, tmp_path):
         arguments = ["play", str(tmp_path / "clip.safetensors"), "--backend", "plotjuggler"]
         assert run_bridge([*arguments, "--port", port], None) == 0
         got = [json.loads(plotjuggler.recv(1000)) for _ in range(3)]
-    assert [one["timestamp"] for one in got] == pytest.approx(clip.times)
+    assert [item["timestamp"] for item in got] == pytest.approx(clip.times)
     assert got[0]["centre"]["x"] == pytest.approx(clip.means[0, :, 0].mean(), abs=1e-6)
 
 
@@ -393,12 +393,12 @@ def test_broken_format_is_left_out_and_refused(monkeypatch, tmp_path):
 
 
 def test_plugins_appear_in_reference_schema_and_editor(installed):
-    page, told = format_reference(), json.loads(format_schema())
+    page, output = format_reference(), json.loads(format_schema())
     assert "## `material`: rubber\n\nA fixed corotated solid that keeps" in page
     assert "rigid, rubber, sand" in page
     assert "| `E` | a number from 1 to 1e9 |" in page
     for field, name in (("forces", "freeze"), ("boundaries", "table")):
-        assert name in told["properties"][field]["items"]["discriminator"]["mapping"]
+        assert name in output["properties"][field]["items"]["discriminator"]["mapping"]
     editor = catalogue(Settings())["schema"]["properties"]["material"]
     assert "rubber" in editor["discriminator"]["mapping"]
 

@@ -45,13 +45,13 @@ def near() -> np.ndarray:
 
 @pytest.mark.parametrize("ascii", [False, True])
 def test_a_ply_of_doubles_far_away_keeps_every_place(tmp_path, ascii):
-    found = read_as_is(far_ply(tmp_path, EARTH, ascii=ascii))
-    there = found.gaussians.means.astype(float) + found.origin
+    result = read_as_is(far_ply(tmp_path, EARTH, ascii=ascii))
+    there = result.gaussians.means.astype(float) + result.origin
     np.testing.assert_allclose(there - EARTH, near(), atol=2e-7)
-    assert found.remarks() == []
+    assert result.remarks() == []
     np.testing.assert_allclose(
         read_ply(tmp_path / "a.ply", up="z", front="x").gaussians.means,
-        near() + EARTH - found.origin,
+        near() + EARTH - result.origin,
         atol=2e-7,
     )
 
@@ -60,14 +60,14 @@ def test_a_ply_of_doubles_far_away_keeps_every_place(tmp_path, ascii):
     "row", [(0, 0, 0), (1e308, -1e308, 0), (np.nan, 0, 0), (-np.inf, np.inf, 0), (1e38, 0, 0)]
 )
 def test_one_outlier_does_not_hide_that_all_others_are_far(tmp_path, row):
-    found = read_as_is(far_ply(tmp_path, EARTH, extra=[row]))
-    there = found.gaussians.means[:COUNT].astype(float) + found.origin
+    result = read_as_is(far_ply(tmp_path, EARTH, extra=[row]))
+    there = result.gaussians.means[:COUNT].astype(float) + result.origin
     np.testing.assert_allclose(there - EARTH, near(), atol=2e-7)
 
 
 def test_a_float32_file_far_away_is_called_coarse(tmp_path):
-    found = read_as_is(far_ply(tmp_path, EARTH, "f4"))
-    (note,) = found.remarks()
+    result = read_as_is(far_ply(tmp_path, EARTH, "f4"))
+    (note,) = result.remarks()
     assert "steps of 0.5. With about 2 steps across" in note
     assert read_as_is(far_ply(tmp_path, EARTH / 1e4, "f4")).remarks() == []
 
@@ -83,17 +83,17 @@ def test_doubles_that_hold_float32_values_are_as_coarse(tmp_path):
 
 def test_a_float32_file_is_read_in_its_place_bit_for_bit(tmp_path):
     path = far_ply(tmp_path, EARTH, "f4")
-    found = read_gaussians(path, up="z", front="x")
+    result = read_gaussians(path, up="z", front="x")
     np.testing.assert_array_equal(
-        found.gaussians.means, (near().astype(float) + EARTH).astype("f4")
+        result.gaussians.means, (near().astype(float) + EARTH).astype("f4")
     )
-    assert found.origin == (0, 0, 0)
+    assert result.origin == (0, 0, 0)
 
 
 def test_near_files_stay_where_they_are(tmp_path):
     for kind in ("f4", "f8"):
-        found = read_as_is(far_ply(tmp_path, (1, 2, -1), kind))
-        assert found.origin == (0, 0, 0)
+        result = read_as_is(far_ply(tmp_path, (1, 2, -1), kind))
+        assert result.origin == (0, 0, 0)
 
 
 def test_a_crop_of_a_far_file_is_in_its_own_places(tmp_path):
@@ -137,8 +137,8 @@ def test_a_node_that_moves_what_is_no_number_is_read(tmp_path):
     data = data[:at] + np.array([np.nan, np.inf], "<f4").tobytes() + data[at + 8 :]
     node = {"translation": EARTH.tolist(), "rotation": [0.6, 0, 0, 0.8]}
     (tmp_path / "a.glb").write_bytes(edited(data, lambda tree: tree["nodes"][0].update(node)))
-    found = read_as_is(tmp_path / "a.glb")
-    assert (len(found.gaussians), found.dropped) == (99, 1)
+    result = read_as_is(tmp_path / "a.glb")
+    assert (len(result.gaussians), result.dropped) == (99, 1)
 
 
 @pytest.mark.parametrize("turn", [[0, 0, 0, 1], [0.5, 0.5, 0.5, 0.5]])
@@ -151,11 +151,11 @@ def test_a_glb_whose_node_lies_far_away_keeps_every_place(tmp_path, turn):
         tree["nodes"][0] |= {"translation": EARTH.tolist(), "rotation": turn}
 
     (tmp_path / "a.glb").write_bytes(edited((tmp_path / "a.glb").read_bytes(), change))
-    found = read_as_is(tmp_path / "a.glb")
+    result = read_as_is(tmp_path / "a.glb")
     rotate_gaussians = usual if turn[0] == 0 else usual[:, [2, 0, 1]]
-    there = found.gaussians.means.astype(float) + found.origin
+    there = result.gaussians.means.astype(float) + result.origin
     np.testing.assert_allclose(there - EARTH, rotate_gaussians, atol=3e-7)
-    assert found.remarks() == []
+    assert result.remarks() == []
     assert read_gaussians(tmp_path / "a.glb").origin != (0, 0, 0)
 
 
@@ -207,14 +207,14 @@ def test_the_floor_of_a_far_capture_is_told_in_its_own_places(tmp_path):
     table = raw_table(rotate_gaussians(captured(7, floaters=0).gaussians, orientation().T))
     columns = {name: table[name].astype(float) for name in table.dtype.names}
     kinds = dict.fromkeys(columns, "f8")
-    found = []
+    results = []
     for name, place in (("near", np.zeros(3)), ("far", EARTH)):
         for axis, offset in zip("xyz", place, strict=True):
             columns[axis] = columns[axis] + offset
         path = ply_of(tmp_path / f"{name}.ply", columns, kinds=kinds)
         floor = Reading(floor=True, up="z", front="x")
-        found.append(capture(PlyFile(str(path), floor), Scene()).about["capture"]["floor"])
-    near_floor, far_floor = found
+        results.append(capture(PlyFile(str(path), floor), Scene()).about["capture"]["floor"])
+    near_floor, far_floor = results
     np.testing.assert_allclose(far_floor["normal"], near_floor["normal"], atol=1e-6)
     moved = near_floor["offset"] + np.dot(far_floor["normal"], EARTH)
     assert far_floor["offset"] == pytest.approx(moved, abs=5)
@@ -231,8 +231,8 @@ def test_no_error_is_promised_for_a_file_that_is_too_coarse(tmp_path, kind):
 
 
 def test_a_single_gaussian_is_not_called_coarse(tmp_path, three_gaussians):
-    one = three_gaussians.select(np.array([1]))
-    write_gaussians(tmp_path / "a.ply", one)
+    first = three_gaussians.select(np.array([1]))
+    write_gaussians(tmp_path / "a.ply", first)
     assert read_as_is(tmp_path / "a.ply").remarks() == []
 
 

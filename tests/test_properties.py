@@ -79,10 +79,10 @@ def test_voxels_of_vomp_lie_where_the_object_does(tmp_path):
     theirs = (np.stack([x[:, 1], x[:, 2], x[:, 0]], axis=1) - 0.3) * 0.5
     rows = voxels(theirs, youngs_modulus=np.where(x[:, 2] > 0.5, 1e6, 1e5), density=700)
     file = saved(tmp_path / "materials.npz", voxel_data=rows)
-    found = Properties(file=file, up="y").columns(x + 0.01, x, None)
-    assert set(found) == {"E", "nu", "density"}
-    assert (found["E"] == np.where(x[:, 2] > 0.5, 1e6, 1e5)).all()
-    assert (found["density"] == 700).all()
+    result = Properties(file=file, up="y").columns(x + 0.01, x, None)
+    assert set(result) == {"E", "nu", "density"}
+    assert (result["E"] == np.where(x[:, 2] > 0.5, 1e6, 1e5)).all()
+    assert (result["density"] == 700).all()
     with pytest.raises(InputError, match=r"fill a box of .* Set properties\.up"):
         Properties(file=file, up="z").columns(x, x[:-1], None)
 
@@ -94,9 +94,9 @@ def test_points_of_pixie_give_laws_by_number(tmp_path, rng):
         rows[axis] = values
     rows["E"], rows["nu"], rows["density"] = 2e5, 0.25, 400
     rows["material_id"] = np.where(rows["z"] > 0.5, 2, 0)
-    found = Properties(file=ply(tmp_path / "p.ply", rows)).columns(x[:150], x, None)
-    assert (found["law"] == np.where(rows["z"] > 0.5, "sand", "neo_hookean")).all()
-    made, materials, _ = with_properties(particles(x[:150]), found, [NeoHookean()])
+    result = Properties(file=ply(tmp_path / "p.ply", rows)).columns(x[:150], x, None)
+    assert (result["law"] == np.where(rows["z"] > 0.5, "sand", "neo_hookean")).all()
+    made, materials, _ = with_properties(particles(x[:150]), result, [NeoHookean()])
     laws = [materials[i].law for i in made.material]
     assert laws == sorted(laws) and laws.count("sand") == (rows["z"] > 0.5).sum()
     assert {m.E for m in materials} == {2e5} and (made.density == 400).all()
@@ -109,14 +109,14 @@ def test_voxel_values_are_trilinear_without_empty_ones(tmp_path, rng):
     means = np.array([[0, 0, 0], [1, 1, 1], [0.5, 0.5, 0.5]])
     x, bounds = rng.uniform(0, 1, (100, 3)), {"lower": np.zeros(3), "upper": np.ones(3)}
     file = saved(tmp_path / "grid.npz", E=linear, **bounds)
-    found = Properties(file=file, sampling="trilinear").columns(x, means, None)["E"]
-    assert found == pytest.approx(1e5 * (1 + x @ [1.0, 2.0, 3.0]), rel=1e-9)
+    result = Properties(file=file, sampling="trilinear").columns(x, means, None)["E"]
+    assert result == pytest.approx(1e5 * (1 + x @ [1.0, 2.0, 3.0]), rel=1e-9)
     holes = linear.copy()
     holes[1:5, 2, 3] = np.nan
-    found = Properties(file=saved(tmp_path / "holes.npz", E=holes, **bounds), sampling="trilinear")
-    found = found.columns(x, means, None)["E"]
-    assert np.isfinite(found).all() and found.min() >= 1e5 and found.max() <= 7e5
-    assert found == pytest.approx(1e5 * (1 + x @ [1.0, 2.0, 3.0]), rel=0.4)
+    result = Properties(file=saved(tmp_path / "holes.npz", E=holes, **bounds), sampling="trilinear")
+    result = result.columns(x, means, None)["E"]
+    assert np.isfinite(result).all() and result.min() >= 1e5 and result.max() <= 7e5
+    assert result == pytest.approx(1e5 * (1 + x @ [1.0, 2.0, 3.0]), rel=0.4)
 
 
 def test_voxels_without_bounds_fill_the_box_of_the_object(tmp_path):
@@ -126,10 +126,10 @@ def test_voxels_without_bounds_fill_the_box_of_the_object(tmp_path):
     values[:, 1, :] = 9e5
     file = saved(tmp_path / "box.npz", E=values)
     x = np.array([[-0.5, 1, 0.1], [-0.5, 3, 0.4], [0.7, 1, 0.4]])
-    found = Properties(file=file, up="y", front="x").columns(x, means, None)["E"]
-    assert found.tolist() == [1e5, 9e5, 9e5]
-    found = Properties(file=file, up="-y", front="x").columns(x, means, None)["E"]
-    assert found.tolist() == [9e5, 1e5, 1e5]
+    result = Properties(file=file, up="y", front="x").columns(x, means, None)["E"]
+    assert result.tolist() == [1e5, 9e5, 9e5]
+    result = Properties(file=file, up="-y", front="x").columns(x, means, None)["E"]
+    assert result.tolist() == [9e5, 1e5, 1e5]
 
 
 def test_a_uniform_file_is_the_scalar_bit_for_bit(tmp_path):
@@ -142,8 +142,8 @@ def test_a_uniform_file_is_the_scalar_bit_for_bit(tmp_path):
     dense = {name: np.full((4, 4, 4), value) for name, value in alike.items()}
     for name, arrays, sampling in (("one", per_gaussian, "nearest"), ("grid", dense, "trilinear")):
         file = saved(tmp_path / f"{name}.npz", **arrays)
-        given = scene.replaced({"properties": {"file": str(file), "sampling": sampling}})
-        assert (Simulation(prepare(gaussians, given)).run().means == plain.means).all()
+        declared = scene.replaced({"properties": {"file": str(file), "sampling": sampling}})
+        assert (Simulation(prepare(gaussians, declared)).run().means == plain.means).all()
 
 
 def test_layered_bar_stretches_by_its_compliances(tmp_path, monkeypatch):
@@ -186,10 +186,10 @@ def test_columns_of_the_gaussians_own_file(tmp_path):
     means[7] = np.nan
     scene = Scene.named("drop").replaced({**QUICK, "properties.file": str(tmp_path / "g.ply")})
     run = Simulation(prepare(replace(gaussians, means=means), scene))
-    own = run.setup.particles.gaussian >= 0
-    which = np.delete(np.arange(200), 7)[run.setup.particles.gaussian[own]]
-    found = np.array([m.E for m in run.setup.materials])[run.setup.particles.material[own]]
-    assert (found == stiff[which]).all() and 7 not in which
+    selected = run.setup.particles.gaussian >= 0
+    which = np.delete(np.arange(200), 7)[run.setup.particles.gaussian[selected]]
+    result = np.array([m.E for m in run.setup.materials])[run.setup.particles.material[selected]]
+    assert (result == stiff[which]).all() and 7 not in which
     report = run.run().report
     assert "stiffness per particle" in report["effects"]["ran"]
 
@@ -252,8 +252,8 @@ def test_points_cover_the_object_without_surroundings(tmp_path):
     floor = np.array([[-9.0, -9, 0], [9, 9, 0]])
     rows = voxels(x, youngs_modulus=np.where(x[:, 2] > 0.5, 1e6, 1e5))
     properties = Properties(file=saved(tmp_path / "m.npz", voxel_data=rows))
-    means, own = np.concatenate([x, floor]), np.arange(len(x) + 2) < len(x)
-    assert (properties.columns(x, means, None, own)["E"] == rows["youngs_modulus"]).all()
+    means, selected = np.concatenate([x, floor]), np.arange(len(x) + 2) < len(x)
+    assert (properties.columns(x, means, None, selected)["E"] == rows["youngs_modulus"]).all()
     with pytest.raises(InputError, match="fill a box"):
         properties.columns(x, means, None)
 
@@ -264,9 +264,13 @@ def test_a_fraction_of_e_per_gaussian_is_a_file_of_numbers(tmp_path):
     np.save(file, [0.1, 0.5, 1.0])
     x = np.array([[0.1, 0, 0], [1.4, 0, 0], [9, 0, 0]])
     assert Properties(file=file).columns(x, means, None)["fraction"].tolist() == [0.1, 0.5, 1.0]
-    own = np.array([True, False, True, False, True])
+    selected = np.array([True, False, True, False, True])
     around = np.insert(means, [1, 2], 5.0, axis=0)
-    assert Properties(file=file).columns(x, around, None, own)["fraction"].tolist() == [0.1, 0.5, 1]
+    assert Properties(file=file).columns(x, around, None, selected)["fraction"].tolist() == [
+        0.1,
+        0.5,
+        1,
+    ]
     np.save(file, [0.1, np.nan, 1.0])
     with pytest.raises(InputError, match="1 values of fraction are not finite"):
         Properties(file=file).columns(x, means, None)

@@ -47,14 +47,14 @@ def test_type_checkers_see_each_name_where_it_is_imported_from():
     """They read the imports under TYPE_CHECKING, Python the table: both say the same."""
     tree = ast.parse(Path(phy124.__file__).read_text("utf-8"))
     block = next(node for node in tree.body if isinstance(node, ast.If))
-    told = {
+    options = {
         alias.name: node.module
         for node in block.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    assert told == {name: f"phy124.{home}" for name, home in phy124._HOMES.items()}
-    assert sorted(told) == sorted(phy124.__all__)
+    assert options == {name: f"phy124.{home}" for name, home in phy124._HOMES.items()}
+    assert sorted(options) == sorted(phy124.__all__)
     assert (Path(phy124.__file__).parent / "py.typed").is_file()
 
 

@@ -250,17 +250,17 @@ def test_who_sits_on_two_round_feet_sits_flat_and_shows_both(renderer):
     body = (np.hypot((X - 96) / 46, (Y - 110) / 60) < 1) | (abs(X - 96) < 34) & (abs(Y - 140) < 34)
     feet = np.minimum(np.hypot(X - 62, Y - 160), np.hypot(X - 130, Y - 160)) < 24
     arms = np.hypot((X - 96) / 76, (Y - 110) / 15) < 1
-    given = picture(body | feet | arms | (np.hypot(X - 96, Y - 40) < 34))
-    gaussians = relief(given, count=20_000)
-    wanted, seen = outlines(renderer, gaussians, given)
+    inputs = picture(body | feet | arms | (np.hypot(X - 96, Y - 40) < 34))
+    gaussians = relief(inputs, count=20_000)
+    wanted, seen = outlines(renderer, gaussians, inputs)
     assert (wanted & seen).sum() > 0.97 * (wanted | seen).sum()
     lowest = gaussians.means[:, 2] < gaussians.means[:, 2].min() + 0.03
     assert np.ptp(gaussians.means[lowest, 0]) > 0.5 * np.ptp(gaussians.means[:, 0])
 
 
-def outlines(renderer, gaussians, given):
+def outlines(renderer, gaussians, inputs):
     """What is object in a picture [H,W], and what the front camera sees of it, as large."""
-    wanted = np.asarray(given)[..., 3] > 127
+    wanted = np.asarray(inputs)[..., 3] > 127
     rows, columns = np.nonzero(wanted)
     longest = max(np.ptp(rows), np.ptp(columns)) + 1
     fov = np.degrees(2 * np.arctan(SIZE / 2 / (longest * VIEW_DISTANCE)))

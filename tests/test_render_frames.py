@@ -32,7 +32,7 @@ def render_threads() -> list[threading.Thread]:
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_frames_come_in_order_whatever_the_threads(renderers, rng, threads):
-    frames, camera, told = moving(rng), Camera.orbit(0, 0, 1.5, 64), []
+    frames, camera, answer = moving(rng), Camera.orbit(0, 0, 1.5, 64), []
     images = render_frames(
         frames,
         camera,
@@ -40,13 +40,13 @@ def test_frames_come_in_order_whatever_the_threads(renderers, rng, threads):
         device="cpu",
         threads=threads,
         background=(0, 0, 0),
-        progress=lambda *step: told.append(step),
+        progress=lambda *step: answer.append(step),
     )
     small = Camera.orbit(0, 0, 1.5, (40, 30))
     for frame, image in zip(frames, images, strict=True):
         single = renderers["simd"](frame.gaussians, small, (0, 0, 0))
         np.testing.assert_array_equal(image, np.rint(single * 255).astype(np.uint8))
-    assert told == [("render", i, 12) for i in range(1, 13)]
+    assert answer == [("render", i, 12) for i in range(1, 13)]
     assert not render_threads()
 
 

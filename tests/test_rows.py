@@ -22,9 +22,9 @@ def integers(*vectors) -> wp.array:
 
 def nodes(rng, size) -> np.ndarray:
     """Velocities and masses [X,Y,Z,4] of nodes, a third of which are empty."""
-    found = rng.standard_normal((*size, 4))
-    found[..., 3] = rng.choice([0, 0.5, 1], size)
-    return found
+    result = rng.standard_normal((*size, 4))
+    result[..., 3] = rng.choice([0, 0.5, 1], size)
+    return result
 
 
 def inside(q: np.ndarray) -> np.ndarray:
@@ -39,9 +39,9 @@ def measured(before, after, real, device) -> tuple[np.ndarray, np.ndarray]:
     kept = on_device(np.full((*EXTENT, 4), 9.0), real)
     copy, sums = work.make_wall_copy(real), work.make_wall_sums(real)
     wp.launch(copy, threads, [*read, on_device(before, real)], [kept], device="cpu")
-    given = wp.zeros(work.GIVEN, dtype=wp.float64, device="cpu")
-    wp.launch(sums, threads, [*read, on_device(after, real), kept], [given], device="cpu")
-    return kept.numpy().reshape(*EXTENT, 4), given.numpy()
+    inputs = wp.zeros(work.GIVEN, dtype=wp.float64, device="cpu")
+    wp.launch(sums, threads, [*read, on_device(after, real), kept], [inputs], device="cpu")
+    return kept.numpy().reshape(*EXTENT, 4), inputs.numpy()
 
 
 @pytest.mark.parametrize("real", REALS)
@@ -51,7 +51,7 @@ def test_wall_momentum_is_summed_over_changed_nodes(rng, real, device, share):
     before = nodes(rng, SIZE)
     after = before.copy()
     after[..., :3] += rng.standard_normal((*SIZE, 3)) * (rng.random((*SIZE, 3)) < share)
-    kept, given = measured(before, after, real, device)
+    kept, exchanged = measured(before, after, real, device)
     rounding = 1e-6 if real is wp.float32 else 1e-14
     np.testing.assert_allclose(kept, inside(before), rtol=rounding)
     q, impulse = inside(after), inside(after)[..., 3:] * inside(after - before)[..., :3]
@@ -62,7 +62,7 @@ def test_wall_momentum_is_summed_over_changed_nodes(rng, real, device, share):
         np.linalg.norm(impulse, axis=-1).sum(),
         np.abs(work).sum(),
     ]
-    np.testing.assert_allclose(given, wanted, atol=100 * rounding)
+    np.testing.assert_allclose(exchanged, wanted, atol=100 * rounding)
 
 
 @pytest.mark.parametrize("real", REALS)
@@ -70,19 +70,19 @@ def test_worker_boxes_merge_overlapping_or_empty(rng, real):
     boxes = [((0, 0, 0), (2, 3, 7)), ((1, 1, 2), (2, 3, 3)), ((1, 2, 4), (1, 1, 2))]
     wanted, pool, starts = np.zeros((*SIZE, 4)), [np.full((3, 4), 5.0)], []
     for low, extent in boxes:
-        own = rng.standard_normal((*extent, 4))
+        partial = rng.standard_normal((*extent, 4))
         starts.append(sum(len(part) for part in pool))
-        pool += [own.reshape(-1, 4), np.full((2, 4), 5.0)]
+        pool += [partial.reshape(-1, 4), np.full((2, 4), 5.0)]
         place = tuple(slice(a, a + count) for a, count in zip(low, extent, strict=True))
-        wanted[place] += own
+        wanted[place] += partial
     first = (10, 20, 30)
     corners = [v for low, extent in boxes for v in (np.add(first, low), extent)]
     made = on_device(np.full((*SIZE, 4), 7.0), real)
     inputs = [0, integers(first, SIZE), integers(*corners)]
     inputs += [wp.array(starts, dtype=int, device="cpu"), on_device(np.concatenate(pool), real)]
     wp.launch(grid.make_merge(real), SIZE[:2], inputs, [made], device="cpu")
-    found = made.numpy().reshape(*SIZE, 4)
-    np.testing.assert_allclose(found, wanted, atol=1e-6 if real is wp.float32 else 1e-14)
+    result = made.numpy().reshape(*SIZE, 4)
+    np.testing.assert_allclose(result, wanted, atol=1e-6 if real is wp.float32 else 1e-14)
 
 
 def test_a_box_without_nodes_has_no_threads():

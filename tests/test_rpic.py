@@ -49,10 +49,10 @@ def test_strain_dies_away_as_the_exponential_and_spin_stays(rng):
     solver, steps, dt = lone(C), 40, 1e-3
     for _ in range(steps):
         solver.step(dt, dt)
-    found = solver.state.C.numpy()[0]
+    result = solver.state.C.numpy()[0]
     still = math.exp(-RATE * steps * dt)
-    assert np.allclose(found + found.T, still * (C + C.T), rtol=0, atol=1e-5)
-    assert np.allclose(found - found.T, C - C.T, rtol=0, atol=1e-5)
+    assert np.allclose(result + result.T, still * (C + C.T), rtol=0, atol=1e-5)
+    assert np.allclose(result - result.T, C - C.T, rtol=0, atol=1e-5)
 
 
 def growth(fraction):
@@ -108,8 +108,8 @@ def test_what_turns_keeps_its_angular_momentum():
     solver.advance(0.02)
     assert np.allclose(angular_momentum(solver), first, rtol=0, atol=1e-12)
     turning, plain = spinning(1e6), spinning(0.0)
-    for one in (turning, plain):
-        one.step(1e-6, 1e-6)
+    for item in (turning, plain):
+        item.step(1e-6, 1e-6)
     assert np.array_equal(turning.state.C.numpy(), plain.state.C.numpy())
 
 
@@ -154,8 +154,8 @@ def test_a_bar_loses_what_the_viscosity_of_the_same_rate_takes(cells):
     """eta = rate rho dx^2 / 8; energies die away at 2 k^2 eta / rho, beside APIC's own loss."""
     rate, period = 2.0, 2 / math.sqrt(10)
     expected = 2 * math.pi**2 * rate / cells**2 / 8 * period
-    own, damped = (-math.log(1 - bar_after_a_period(one, cells)) for one in (0.0, rate))
-    assert damped - own == pytest.approx(expected, rel=0.9 / cells)
+    undamped, damped = (-math.log(1 - bar_after_a_period(first, cells)) for first in (0.0, rate))
+    assert damped - undamped == pytest.approx(expected, rel=0.9 / cells)
 
 
 def test_the_number_of_physgaussian_is_a_rate(golden):

@@ -17,8 +17,8 @@ def test_two_hardware_threads_of_one_core_count_once(monkeypatch, tmp_path):
         pytest.skip("this system does not say which cores a process may use")
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 4, 5})
     monkeypatch.setattr(cores, "SIBLINGS", str(tmp_path / "{}"))
-    for one, siblings in ((0, "0,4"), (1, "1,5"), (4, "0,4"), (5, "1,5")):
-        (tmp_path / str(one)).write_text(siblings)
+    for first, siblings in ((0, "0,4"), (1, "1,5"), (4, "0,4"), (5, "1,5")):
+        (tmp_path / str(first)).write_text(siblings)
     assert cores.physical_cores() == 2 and cores.cores() == 4
 
 

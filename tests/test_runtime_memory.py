@@ -34,11 +34,11 @@ libc.fclose(ctypes.c_void_p(out))
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the heaps of glibc")
 @pytest.mark.parametrize("chosen", ["", "4"])
 def test_threads_share_a_heap_unless_another_number_is_chosen(tmp_path, chosen):
-    told = tmp_path / "heaps.xml"
+    answer = tmp_path / "heaps.xml"
     environment = {name: value for name, value in os.environ.items() if name != HEAPS}
     environment |= {HEAPS: chosen} if chosen else {}
-    subprocess.run([sys.executable, "-c", COUNT, told], env=environment, check=True)
-    heaps = told.read_text().count("<heap nr=")
+    subprocess.run([sys.executable, "-c", COUNT, answer], env=environment, check=True)
+    heaps = answer.read_text().count("<heap nr=")
     assert heaps > 1 if chosen else heaps == 1
 
 

@@ -57,9 +57,9 @@ def test_auto_prefers_the_finest_network(tmp_path, monkeypatch, picture):
     for name in ("isnet", "birefnet"):
         put_weights(tmp_path, monkeypatch, name)
         monkeypatch.setattr(salient.isolated, "run", lambda f, *a, deadline: f(*a))
-        found = foreground(image)
-        assert (found.method, found.title) == (name, NETWORKS[name].title)
-        cut = np.asarray(found.picture)[..., 3] > 127
+        cutout = foreground(image)
+        assert (cutout.method, cutout.title) == (name, NETWORKS[name].title)
+        cut = np.asarray(cutout.picture)[..., 3] > 127
         assert (cut == solid).mean() > 0.98
 
 

@@ -311,9 +311,9 @@ def test_all_options_are_declared_on_one_base():
     for module in ("bridge.options", "demo.settings", "demo.pictures", "phy124.simulation"):
         importlib.import_module(module)
     packages = ("phy124", "demo", "bridge")
-    own = [m for m in BaseModel.__subclasses__() if m.__module__.partition(".")[0] in packages]
+    models = [m for m in BaseModel.__subclasses__() if m.__module__.partition(".")[0] in packages]
     others = {"Level", "Measurement", "MeasureRequest"}  # results, and a request's raw arguments
-    assert {model.__name__ for model in own} - others == {"Section"}
+    assert {model.__name__ for model in models} - others == {"Section"}
 
 
 def test_each_named_accuracy_has_its_place_in_the_table():

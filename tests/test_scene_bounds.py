@@ -53,7 +53,7 @@ def _is_table(data: dict, key: str) -> bool:
 
 def test_the_walk_finds_every_section(declared):
     paths = "\n".join(leaf.path for leaf in declared)
-    for one in (
+    for item in (
         ".material[snow].hardening",
         ".forces.0[wind].profile[sine].phase",
         ".seed",
@@ -65,7 +65,7 @@ def test_the_walk_finds_every_section(declared):
         ".view.background.1",
         ".accuracy.cells",
     ):
-        assert one in paths, one
+        assert item in paths, item
     assert len(declared) > 500
 
 
@@ -91,9 +91,9 @@ def check_remedy(leaf: Leaf, refusal: InputError) -> None:
     tried = re.match(r"Try (\[.*?\]|\S+)\. ", refusal.remedy)
     default = leaf.node.get("default")
     if tried and default is not None and not isinstance(with_value(leaf, default), InputError):
-        found = with_value(leaf, eval(tried[1]))
+        result = with_value(leaf, eval(tried[1]))
         if refusal.field.count(".") == re.sub(r"\[\w+\]", "", leaf.path).count(".") - 1:
-            assert isinstance(found, Scene), (refusal, found)
+            assert isinstance(result, Scene), (refusal, result)
 
 
 def accepted(declared: list[Leaf], *, odd: bool) -> Iterator[tuple[str, Scene]]:

@@ -26,9 +26,9 @@ def seen(clip, chosen: View):
     """Eyes [T,3] and targets [T,3] around the middle, in object sizes, and fields of view [T]."""
     low, high = clip.means[0].min(axis=0), clip.means[0].max(axis=0)
     middle, size = (low + high) / 2, (high - low).max()
-    found = cameras(clip, chosen, chosen.sides[0])
-    eyes, targets = (np.array([getattr(c, n) for c in found]) for n in ("eye", "target"))
-    fov = np.array([camera.fov_y for camera in found])
+    result = cameras(clip, chosen, chosen.sides[0])
+    eyes, targets = (np.array([getattr(c, n) for c in result]) for n in ("eye", "target"))
+    fov = np.array([camera.fov_y for camera in result])
     return (eyes - middle) / size, (targets - middle) / size, fov
 
 

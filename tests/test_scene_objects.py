@@ -102,8 +102,8 @@ def test_a_scene_of_one_object_is_written_as_ever():
 def test_the_entry_that_names_most_decides_about_a_pair():
     some = [Pair(friction=0.1), Pair(between=("a", "any"), friction=0.2)]
     some.append(Pair(between=("b", "a"), contact="sticky"))
-    found = [find_pair(some, *two) for two in (("a", "b"), ("c", "a"), ("b", "c"))]
-    assert found == [some[2], some[1], some[0]]
+    result = [find_pair(some, *two) for two in (("a", "b"), ("c", "a"), ("b", "c"))]
+    assert result == [some[2], some[1], some[0]]
     assert find_pair([], "a", "b").friction == 0.5
 
 
@@ -137,19 +137,19 @@ def test_every_gaussian_knows_its_object(run, tmp_path):
     assert again.objects == clip.objects and np.array_equal(again.object_id, clip.object_id)
     write_ply(tmp_path / "f.ply", again.frame(1).gaussians)
     assert np.array_equal(read_ply(tmp_path / "f.ply").gaussians.object_id, clip.object_id)
-    told = clip.report["objects"]
-    assert [one["gaussians"] for one in told.values()] == np.bincount(clip.object_id).tolist()
-    assert sum(one["particles"] for one in told.values()) == clip.report["particles"]
-    assert told["copy"]["place"][2] > told["ball"]["place"][2] > told["box"]["place"][2]
+    entry = clip.report["objects"]
+    assert [item["gaussians"] for item in entry.values()] == np.bincount(clip.object_id).tolist()
+    assert sum(item["particles"] for item in entry.values()) == clip.report["particles"]
+    assert entry["copy"]["place"][2] > entry["ball"]["place"][2] > entry["box"]["place"][2]
 
 
 def test_particles_are_sorted_by_object(run):
     body = run.setup.particles.body
     assert np.all(np.diff(body) >= 0)
     for index in range(3):
-        own, x = run.setup.gaussians.of_object(index), run.setup.particles.x[body == index]
-        assert np.all(x.min(axis=0) > compute_bounds(own)[0] - 0.1)
-        assert np.all(x.max(axis=0) < compute_bounds(own)[1] + 0.1)
+        members, x = run.setup.gaussians.of_object(index), run.setup.particles.x[body == index]
+        assert np.all(x.min(axis=0) > compute_bounds(members)[0] - 0.1)
+        assert np.all(x.max(axis=0) < compute_bounds(members)[1] + 0.1)
 
 
 def test_what_goes_on_after_a_pause_is_the_same(run, tmp_path):
@@ -194,8 +194,8 @@ def test_scenery_is_seen_and_has_no_particles():
     )
     clip = run.run()
     assert clip.report["objects"]["box"]["particles"] == 0
-    own = clip.object_id == 1
-    assert own.any() and np.array_equal(clip.means[-1][own], clip.means[0][own])
+    selected = clip.object_id == 1
+    assert selected.any() and np.array_equal(clip.means[-1][selected], clip.means[0][selected])
 
 
 def test_what_overlaps_is_refused_with_both_names():
@@ -222,16 +222,16 @@ def test_each_object_is_made_from_its_own_file(tmp_path):
     write_ply(tmp_path / "first.ply", ball(300))
     write_ply(tmp_path / "second.ply", ball(500))
     waiting = scene(objects=[{"name": "copy", "place": [0, 2]}])
-    one, two = tmp_path / "first.ply", tmp_path / "second.ply"
-    alone = pipeline.make_gaussians(one, waiting, generator=str(one)).gaussians
+    single, two = tmp_path / "first.ply", tmp_path / "second.ply"
+    alone = pipeline.make_gaussians(single, waiting, generator=str(single)).gaussians
     assert np.array_equal(np.unique(alone.object_id), [0])
-    both = pipeline.make_gaussians([one, two], waiting, generator=str(one)).gaussians
+    both = pipeline.make_gaussians([single, two], waiting, generator=str(single)).gaussians
     assert np.bincount(both.object_id).tolist() == [300, 500]
     named = scene(objects=[{"name": "copy", "place": [0, 2], "file": str(two)}])
-    made = pipeline.make_gaussians(one, named, generator=str(one))
+    made = pipeline.make_gaussians(single, named, generator=str(single))
     assert len(made.gaussians) == 800 and made.about["sources"]["copy"]["source"] == "second.ply"
     with pytest.raises(InputError, match=r"takes one picture. .*collide, stack"):
-        pipeline.make_gaussians([one, two], scene(), generator=str(one))
+        pipeline.make_gaussians([single, two], scene(), generator=str(single))
     with pytest.raises(InputError, match="the object's file has not been read"):
         Simulation(prepare(ball(300), named))
     with pytest.raises(InputError, match="belong to 3 objects, but the scene has 2"):
@@ -314,9 +314,9 @@ def test_live_grab_and_its_session_take_the_same_object():
     assert forces == {"gravity": None, "grab": "box", "wrench": "ball"}
     assert Scene.from_data(live.session().data()) == live.session()
     clip = live.clip()
-    for index, one in enumerate(frames):
-        count = len(one.gaussians)  # the clip has grains besides, since the box is torn
-        assert np.array_equal(one.gaussians.means, clip.means[index, :count])
+    for index, item in enumerate(frames):
+        count = len(item.gaussians)  # the clip has grains besides, since the box is torn
+        assert np.array_equal(item.gaussians.means, clip.means[index, :count])
     assert np.array_equal(np.unique(clip.object_id[count:]), [1])
     for wrong, said in (("cat", "no such object"), ("box", "nearest point")):
         with pytest.raises(InputError, match=said):
@@ -356,13 +356,13 @@ PUSHER = {
     ],
 )
 def test_an_object_with_a_motion_is_a_wall_where_it_is_drawn(changes, lower, upper):
-    told = scene(objects=[{**PUSHER, **changes}], pairs=[{"friction": 0.3}])
-    *_, wall = told.with_solids().boundaries
+    declared = scene(objects=[{**PUSHER, **changes}], pairs=[{"friction": 0.3}])
+    *_, wall = declared.with_solids().boundaries
     np.testing.assert_allclose(wall.extent(None), [lower, upper], atol=1e-12)
     assert (wall.friction, wall.contact) == (0.3, "separate")
-    drawn = make_shape(told.objects[0].shape, told.objects[0].sides, (1, 1, 1)).means
+    drawn = make_shape(declared.objects[0].shape, declared.objects[0].sides, (1, 1, 1)).means
     np.testing.assert_allclose(np.ptp(drawn, axis=0), np.subtract(upper, lower), atol=0.06)
-    assert told.with_solids().replaced({"objects": []}).names == ("object",)
+    assert declared.with_solids().replaced({"objects": []}).names == ("object",)
 
 
 @pytest.mark.parametrize(
@@ -385,39 +385,39 @@ def test_a_motion_that_no_wall_can_follow_is_refused(changes, said):
 
 def test_scenery_with_a_track_is_shifted_and_the_rest_stays():
     two = as_objects({0: ball(50), 1: ball(50)})
-    own = two.object_id == 1
+    selected = two.object_id == 1
     track = Scene.from_data({"objects": [PUSHER]}).objects[0].motion.track()
-    frame = Frame(3, 0.25, two.select(~own), velocities=np.zeros((50, 3), np.float32))
-    whole = Scenery(two, ~own, ((1, track),)).whole(frame)
+    frame = Frame(3, 0.25, two.select(~selected), velocities=np.zeros((50, 3), np.float32))
+    whole = Scenery(two, ~selected, ((1, track),)).whole(frame)
     shift = whole.gaussians.means - two.means
-    np.testing.assert_allclose(shift[own], [[0.5, 0, 0]] * 50, atol=1e-6)
-    assert not shift[~own].any() and np.all(whole.velocities[own, 0] > 2.5)
+    np.testing.assert_allclose(shift[selected], [[0.5, 0, 0]] * 50, atol=1e-6)
+    assert not shift[~selected].any() and np.all(whole.velocities[selected, 0] > 2.5)
 
 
 @pytest.mark.slow
 def test_a_moved_object_pushes_and_what_it_gives_is_known(tmp_path):
     """It gives the ball the momentum that the ball has, and goes where its path goes."""
     changes = {"objects": [PUSHER], "forces": [], "boundaries": [], "time.frames": 13}
-    told = scene(**changes, **{"time.fps": 24, "velocities": True, "wrenches": True})
-    made = Simulation(prepare(ball(400), told, RunContext(threads=1)))
+    declared = scene(**changes, **{"time.fps": 24, "velocities": True, "wrenches": True})
+    made = Simulation(prepare(ball(400), declared, RunContext(threads=1)))
     clip = made.run()
-    own = clip.object_id == 1
+    selected = clip.object_id == 1
     assert clip.report["complete"] and clip.walls == ("box",)
     assert not clip.scene.get("boundaries"), "the scene is the one that was given"
-    went = clip.means[-1][own] - clip.means[0][own]
-    np.testing.assert_allclose(went, [[1, 0, 0]] * own.sum(), atol=1e-5)
-    given = -clip.wrenches[:, 0, 0].sum(axis=0) / 24
+    went = clip.means[-1][selected] - clip.means[0][selected]
+    np.testing.assert_allclose(went, [[1, 0, 0]] * selected.sum(), atol=1e-5)
+    exchanged = -clip.wrenches[:, 0, 0].sum(axis=0) / 24
     kept = made.find(Watchdog).last.momentum  # on a lattice, that of the nodes
-    np.testing.assert_allclose(given, kept, rtol=1e-4, atol=1e-4 * abs(kept[0]))
+    np.testing.assert_allclose(exchanged, kept, rtol=1e-4, atol=1e-4 * abs(kept[0]))
     assert kept[0] / made.solver.model.total_mass > 1, "faster than 1 m/s"
-    paused = Simulation(prepare(ball(400), told, RunContext(threads=1)))
+    paused = Simulation(prepare(ball(400), declared, RunContext(threads=1)))
     for _ in range(6):
         paused.step()
     resume.save(paused, tmp_path / "pause.safetensors")
     again = resume.load(tmp_path / "pause.safetensors").run()
     assert np.array_equal(again.means, clip.means)
-    gap = clip.means[:, ~own, 0].min(axis=1) - clip.means[:, own, 0].max(axis=1)
-    assert gap.min() > -0.6 * told.dx, "a soft ball, hit at 3 m/s"
+    gap = clip.means[:, ~selected, 0].min(axis=1) - clip.means[:, selected, 0].max(axis=1)
+    assert gap.min() > -0.6 * declared.dx, "a soft ball, hit at 3 m/s"
 
 
 def test_an_object_is_that_of_a_clip(tmp_path):
@@ -425,9 +425,9 @@ def test_an_object_is_that_of_a_clip(tmp_path):
     clip.save(path)
     write_ply(tmp_path / "first.ply", ball(200))
     first, waiting = tmp_path / "first.ply", {"name": "second", "place": [0, 2]}
-    for given, more in (({**waiting, "file": str(path)}, []), (waiting, [path])):
+    for inputs, more in (({**waiting, "file": str(path)}, []), (waiting, [path])):
         made = pipeline.make_gaussians(
-            [first, *more], Scene.from_data({"objects": [given]}), generator=str(first)
+            [first, *more], Scene.from_data({"objects": [inputs]}), generator=str(first)
         )
         second = made.gaussians.of_object(1)
         assert np.array_equal(second.means, clip.frame(0).gaussians.means)

@@ -43,14 +43,14 @@ def test_every_field_says_what_it_is_and_shows_a_value():
     assert len(rows) > 200
     for field, wanted, default, about in rows:
         assert len(about) > 5 and wanted, field
-        told = default != "none" or "table" in wanted or wanted.startswith("one of")
-        assert told, f"{field}: give Field(examples=[...])"
+        answer = default != "none" or "table" in wanted or wanted.startswith("one of")
+        assert answer, f"{field}: give Field(examples=[...])"
 
 
 def test_editors_get_a_schema_of_everything():
-    told = json.loads(format_schema())
-    assert told["$schema"].startswith("https://json-schema.org/")
-    assert told["properties"]["object"] and "Snow" in told["$defs"]
+    output = json.loads(format_schema())
+    assert output["$schema"].startswith("https://json-schema.org/")
+    assert output["properties"]["object"] and "Snow" in output["$defs"]
 
 
 def test_the_reference_as_json_is_the_schema(capsys):

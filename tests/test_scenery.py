@@ -20,10 +20,10 @@ COUNT = 300
 NAMES = ("means", "quats", "scales", "opacities", "sh")
 
 
-def beside(one: Gaussians, other: Gaussians) -> Gaussians:
+def beside(first: Gaussians, other: Gaussians) -> Gaussians:
     """Both, the Gaussians of each in turn, so that static and moving ones alternate."""
-    order = np.argsort(np.concatenate([np.arange(len(g)) / len(g) for g in (one, other)]))
-    both = {n: np.concatenate([getattr(one, n), getattr(other, n)])[order] for n in NAMES}
+    order = np.argsort(np.concatenate([np.arange(len(g)) / len(g) for g in (first, other)]))
+    both = {n: np.concatenate([getattr(first, n), getattr(other, n)])[order] for n in NAMES}
     return Gaussians(**both)
 
 
@@ -92,10 +92,10 @@ def test_effects_name_them_before_the_run():
 @pytest.mark.parametrize("binding", ["particles", "lattice"])
 def test_colours_of_static_gaussians_do_not_turn(rng, binding):
     """Degree 1, under a spin: streamed frames and those of the clip are alike."""
-    given = two_balls()
-    given = replace(given, sh=rng.normal(size=(2 * COUNT, 4, 3)).astype(np.float32))
+    inputs = two_balls()
+    inputs = replace(inputs, sh=rng.normal(size=(2 * COUNT, 4, 3)).astype(np.float32))
     spin = {"object.spin": [0, 0, 3.0], "velocities": True, "binding": binding}
-    run = Simulation(prepare(given, drop(PAIR | STATIC | spin)))
+    run = Simulation(prepare(inputs, drop(PAIR | STATIC | spin)))
     frames = list(run)
     clip, still = run.clip(), run.setup.gaussians.means[:, 1] > 0
     assert clip.rotations is not None and clip.velocities is not None
@@ -126,7 +126,7 @@ def test_a_cut_leaves_the_moving_half_filled():
 
 def test_all_ways_to_pick_them_and_later_parts_win(tmp_path):
     """The mask takes the right half, the Gaussians 0 to 9 are given back to a material."""
-    given = ball(COUNT)
+    gaussians = ball(COUNT)
     mask = np.zeros((10, 10), np.uint8)
     mask[:, 5:] = 255
     Image.fromarray(mask).save(tmp_path / "mask.png")
@@ -136,18 +136,18 @@ def test_all_ways_to_pick_them_and_later_parts_win(tmp_path):
         {"static": True, "gaussians": [20, 25]},
     ]
     scene = drop({"parts": picked})
-    particles = make_particles(given, density=1000.0, spacing=0.1, binding="particles")
-    found, moves = assign_materials(particles, given.means, scene)
-    right = given.means[:, 1] > (given.means[:, 1].min() + given.means[:, 1].max()) / 2
+    particles = make_particles(gaussians, density=1000.0, spacing=0.1, binding="particles")
+    result, moves = assign_materials(particles, gaussians.means, scene)
+    right = gaussians.means[:, 1] > (gaussians.means[:, 1].min() + gaussians.means[:, 1].max()) / 2
     expected = ~right
     expected[20:25], expected[:10] = False, True
     assert np.array_equal(moves, expected)
-    own = found.gaussian >= 0
-    assert np.array_equal(np.sort(found.gaussian[own]), np.arange(moves.sum()))
-    numbers = np.flatnonzero(moves)[found.gaussian[own]]
-    assert np.array_equal(found.x[own], given.means[numbers])
-    assert set(found.material[own][numbers < 10]) == {1}
-    assert set(found.material[own][numbers >= 10]) == {0}
+    selected = result.gaussian >= 0
+    assert np.array_equal(np.sort(result.gaussian[selected]), np.arange(moves.sum()))
+    numbers = np.flatnonzero(moves)[result.gaussian[selected]]
+    assert np.array_equal(result.x[selected], gaussians.means[numbers])
+    assert set(result.material[selected][numbers < 10]) == {1}
+    assert set(result.material[selected][numbers >= 10]) == {0}
 
 
 def test_a_paused_run_with_static_gaussians_goes_on_bit_for_bit(tmp_path, clip):

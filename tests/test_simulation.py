@@ -119,10 +119,10 @@ def test_gaussians_may_be_bound_to_the_field():
     """The binding changes who carries the physics, not the physics."""
     # Those on the surface meet the floor a tenth of a cell before a lattice does.
     finer = {"time.frames": 14, "accuracy": {"cells": 16, "solver": "mpm"}}
-    own = run("drop", **finer, binding="particles")
+    bound = run("drop", **finer, binding="particles")
     field = run("drop", **finer)
-    assert field.report["particles"] < own.report["particles"]
-    assert np.linalg.norm(middle(own) - middle(field), axis=1).max() < 0.02
+    assert field.report["particles"] < bound.report["particles"]
+    assert np.linalg.norm(middle(bound) - middle(field), axis=1).max() < 0.02
 
 
 def test_progress_may_cancel_between_substeps():
@@ -303,13 +303,13 @@ def test_graph_names_the_same_non_finite_particle(monkeypatch):
             F[150] = np.nan
             s.solver.state.F.assign(F)
 
-    def poisoned_graph(*given, **options):
+    def poisoned_graph(*inputs, **options):
         lost()
         visits.append(s.solver.clock.time)
-        return graph(*given, **options)
+        return graph(*inputs, **options)
 
-    def poisoned_step(*given):
-        step(*given)
+    def poisoned_step(*inputs):
+        step(*inputs)
         lost()
 
     monkeypatch.setattr(s.solver._graph, "run", poisoned_graph)

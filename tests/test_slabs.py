@@ -68,16 +68,16 @@ def moved(threads: int, time: float = 0.012):
     mass = np.asarray(s.model.mass.numpy())
     external.begin(mass @ s.state.v.numpy())
     s.advance(time)
-    given = external.total(s.clock, np.zeros(3), mass @ s.state.v.numpy())
-    return s.state.x.numpy().copy(), given.impulse, given.work, s.clock.substeps
+    exchanged = external.total(s.clock, np.zeros(3), mass @ s.state.v.numpy())
+    return s.state.x.numpy().copy(), exchanged.impulse, exchanged.work, s.clock.substeps
 
 
 @pytest.mark.parametrize("threads", COUNTS)
 def test_any_number_of_threads_agrees_and_repeats(threads):
-    one, some = moved(1), moved(threads)
-    np.testing.assert_allclose(some[0], one[0], rtol=0, atol=1e-6)
-    np.testing.assert_allclose(some[1], one[1], rtol=0, atol=1e-5 * np.abs(one[1]).max())
-    assert some[2] == pytest.approx(one[2], rel=1e-5) and some[3] == one[3]
+    single, some = moved(1), moved(threads)
+    np.testing.assert_allclose(some[0], single[0], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(some[1], single[1], rtol=0, atol=1e-5 * np.abs(single[1]).max())
+    assert some[2] == pytest.approx(single[2], rel=1e-5) and some[3] == single[3]
     again = moved.__wrapped__(threads)
     assert np.array_equal(some[0], again[0]) and np.array_equal(some[1], again[1])
 
@@ -91,12 +91,12 @@ def test_mass_and_momentum_of_all_slabs_come_together(threads):
         s._measure_if_due()
         s._scatter(0.0, 0.0)
         grids.append(s.grid.nodes.numpy()[:-1].astype(np.float64))
-    one, some = grids
+    single, some = grids
     assert some[:, 3].sum() == pytest.approx(s.model.total_mass, rel=1e-6)
-    momentum, given = some[:, 3] @ some[:, :3], s.model.mass.numpy() @ s.state.v.numpy()
+    momentum, exchanged = some[:, 3] @ some[:, :3], s.model.mass.numpy() @ s.state.v.numpy()
     scale = np.abs(s.model.mass.numpy()[:, None] * s.state.v.numpy()).sum()
-    np.testing.assert_allclose(momentum, given, rtol=0, atol=1e-6 * scale)
-    np.testing.assert_allclose(some[:, 3], one[:, 3], rtol=2e-6, atol=0)
+    np.testing.assert_allclose(momentum, exchanged, rtol=0, atol=1e-6 * scale)
+    np.testing.assert_allclose(some[:, 3], single[:, 3], rtol=2e-6, atol=0)
     weighed = [grid[:, :3] * grid[:, 3:] for grid in grids]
     np.testing.assert_allclose(*weighed, rtol=0, atol=1e-6 * np.abs(weighed[0]).max())
 
@@ -111,18 +111,18 @@ def test_materials_of_several_laws_are_cut_one_by_one():
     x, _ = bar()
     material = (np.arange(len(x)) >= 1800).astype(int)
     laws = {"materials": [NeoHookean(E=1e4), Sand(E=1e4)], "material": material}
-    one, some = solver(1, **laws), solver(3, **laws)
-    for s in (one, some):
+    single, some = solver(1, **laws), solver(3, **laws)
+    for s in (single, some):
         s.advance(0.006)
     assert len(some.slabs.parts) == 6
     assert [part.count for part in some.slabs.parts] == [600, 400] * 3
-    np.testing.assert_allclose(some.state.x.numpy(), one.state.x.numpy(), rtol=0, atol=1e-6)
-    np.testing.assert_allclose(some.state.total.numpy(), one.state.total.numpy(), atol=1e-4)
+    np.testing.assert_allclose(some.state.x.numpy(), single.state.x.numpy(), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(some.state.total.numpy(), single.state.total.numpy(), atol=1e-4)
 
 
 def test_rejected_substeps_are_those_of_one_thread():
     """A blow that one substep must not take whole."""
-    found = []
+    results = []
     for threads in (1, 3):
         x, volume = bar_and_volume()
         s = make_solver(
@@ -134,10 +134,10 @@ def test_rejected_substeps_are_those_of_one_thread():
             forces=[ParticleForce(f=(0, 3000.0, 0))],
         )
         s.advance(0.004)
-        found.append((s.rejection.rejected, s.clock.substeps, s.state.x.numpy()))
-    (rejected, substeps, one), some = found
+        results.append((s.rejection.rejected, s.clock.substeps, s.state.x.numpy()))
+    (rejected, substeps, first), some = results
     assert rejected > 0 and some[:2] == (rejected, substeps)
-    np.testing.assert_allclose(some[2], one, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(some[2], first, rtol=0, atol=1e-4)
 
 
 def test_broken_particle_in_any_slab_is_reported():
@@ -217,8 +217,8 @@ def test_every_preset_and_law_does_as_with_one_thread(name, threads):
         Simulation(prepare(ball(500), scene, RunContext(threads=n))).run()
         for n in (1, threads, threads)
     )
-    one, some, again = runs
+    single, some, again = runs
     assert np.array_equal(some.means, again.means)
     # Walls begin to act, and grains to yield, in another substep once rounding differs.
-    assert np.abs(some.means - one.means).max() < 2e-3
-    assert np.quantile(np.abs(some.means - one.means), 0.99) < 1e-4
+    assert np.abs(some.means - single.means).max() < 2e-3
+    assert np.quantile(np.abs(some.means - single.means), 0.99) < 1e-4

@@ -171,12 +171,12 @@ def test_a_run_paused_asleep_goes_on_bit_for_bit(tmp_path, pause):
 
 def test_colours_of_a_run_resumed_asleep_stay_turned(tmp_path, rng):
     """It was turned at first, then held at rest: the frame shown again has the turned colours."""
-    given = ball(200)
-    given = replace(given, sh=rng.normal(size=(200, 4, 3)).astype(np.float32))
+    gaussians = ball(200)
+    gaussians = replace(gaussians, sh=rng.normal(size=(200, 4, 3)).astype(np.float32))
     turn = {"kind": "set_velocity", "spin": [0, 0, 1.0], "centre": [0, 0, 0], "end": 0.25}
     stop = {"kind": "set_velocity", "start": 0.25}
     chosen = scene(forces=[turn, stop], **{"material.E": 1e6, "time.frames": 20})
-    run, streamed = Simulation(prepare(given, chosen)), []
+    run, streamed = Simulation(prepare(gaussians, chosen)), []
     for frame in run:
         streamed.append(frame)
         if frame.index == 17:
@@ -185,7 +185,7 @@ def test_colours_of_a_run_resumed_asleep_stay_turned(tmp_path, rng):
     again = resume.load(tmp_path / "pause")
     for frame in again:
         assert np.array_equal(frame.gaussians.sh, streamed[frame.index].gaussians.sh)
-    assert np.abs(streamed[-1].gaussians.sh - given.sh).max() > 0.1
+    assert np.abs(streamed[-1].gaussians.sh - gaussians.sh).max() > 0.1
 
 
 def left_out(path, frames: int, acts: Track | None = None) -> list[int]:

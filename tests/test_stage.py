@@ -135,8 +135,8 @@ def test_every_kind_of_boundary_is_drawn_and_where_it_has_moved(kind):
     elif kind == "half_space":  # level as it is by default
         assert first.floor.height == 0.0 and last.floor.height == pytest.approx(0.2)
     else:
-        for one, other in zip(first.solids, last.solids, strict=True):
-            assert not movable or other.centre - one.centre == pytest.approx([0.1, 0.1, 0.2])
+        for single, other in zip(first.solids, last.solids, strict=True):
+            assert not movable or other.centre - single.centre == pytest.approx([0.1, 0.1, 0.2])
         nothing = ball(10).select(np.zeros(0, int))
         camera = Camera.orbit(30, 25, 4.0, 64, (0, 0, 0.5))
         for shown in (first, last):

@@ -12,7 +12,7 @@ from phy124.rendering.stage.shadow import CELLS, LAMP, SKY, SLOPE, SOFTNESS, Cas
 from phy124.scene import View
 
 
-def one(mean, scales, opacity=0.7, quat=(1.0, 0, 0, 0)) -> Gaussians:
+def gaussian(mean, scales, opacity=0.7, quat=(1.0, 0, 0, 0)) -> Gaussians:
     return Gaussians.from_rgb(
         np.array([mean]), np.array([quat]), np.array([scales]), np.array([opacity]), np.ones((1, 3))
     )
@@ -34,10 +34,10 @@ def projected(gaussians: Gaussians, caster: Caster, floor: float) -> np.ndarray:
 
 
 SHAPES = {
-    "round, at a layer": one((0.1, -0.1, 0.5), (0.08, 0.08, 0.08)),
-    "round, between two layers": one((0.0, 0.1, 0.75), (0.1, 0.1, 0.1)),
-    "long and turned": one((0.1, 0.05, 0.48), (0.25, 0.05, 0.1), 0.9, (0.9, 0.2, 0.1, 0.37)),
-    "flat on the floor": one((0.0, 0.0, 0.2), (0.2, 0.15, 0.01), 0.99),
+    "round, at a layer": gaussian((0.1, -0.1, 0.5), (0.08, 0.08, 0.08)),
+    "round, between two layers": gaussian((0.0, 0.1, 0.75), (0.1, 0.1, 0.1)),
+    "long and turned": gaussian((0.1, 0.05, 0.48), (0.25, 0.05, 0.1), 0.9, (0.9, 0.2, 0.1, 0.37)),
+    "flat on the floor": gaussian((0.0, 0.0, 0.2), (0.2, 0.15, 0.01), 0.99),
 }
 
 
@@ -148,14 +148,14 @@ def test_both_forms_of_the_kernel_cover_the_same_cells(rng, monkeypatch):
 @pytest.mark.parametrize(
     "broken",
     [
-        one((np.nan, 0, 0), (0.1, 0.1, 0.1)),
-        one((0, 0, 1), (np.inf, 0.1, 0.1)),
-        one((0, 0, 1), (1e30, 0.1, 0.1)),
-        one((1e20, 0, 1), (0.1, 0.1, 0.1)),
-        one((0, 0, 1), (0.1, 0.1, 0.1), np.nan),
-        one((0, 0, 1), (0.0, 0.0, 0.0)),
-        one((0, 0, 1), (1e4, 1e4, 1e4)),
-        one((0, 0, 1), (0.1, 0.1, 0.1), 1.0, (0.0, 0, 0, 0)),
+        gaussian((np.nan, 0, 0), (0.1, 0.1, 0.1)),
+        gaussian((0, 0, 1), (np.inf, 0.1, 0.1)),
+        gaussian((0, 0, 1), (1e30, 0.1, 0.1)),
+        gaussian((1e20, 0, 1), (0.1, 0.1, 0.1)),
+        gaussian((0, 0, 1), (0.1, 0.1, 0.1), np.nan),
+        gaussian((0, 0, 1), (0.0, 0.0, 0.0)),
+        gaussian((0, 0, 1), (1e4, 1e4, 1e4)),
+        gaussian((0, 0, 1), (0.1, 0.1, 0.1), 1.0, (0.0, 0, 0, 0)),
     ],
 )
 def test_no_gaussian_breaks_the_map(broken):

@@ -39,6 +39,6 @@ def test_blender_shows_an_ellipsoid_for_each_gaussian(tmp_path, monkeypatch):
     runpy.run_path(str(START / "blender.py"), run_name="__main__")
     bpy.context.scene.frame_set(2)
     graph = bpy.context.evaluated_depsgraph_get()
-    found = [np.array(o.matrix_world)[:3, 3] for o in graph.object_instances if o.is_instance]
-    x, y, z = np.array(found).T
+    result = [np.array(o.matrix_world)[:3, 3] for o in graph.object_instances if o.is_instance]
+    x, y, z = np.array(result).T
     assert np.allclose(np.stack([-y, x, z], axis=1), gaussians.means, atol=1e-4)

@@ -56,7 +56,7 @@ def test_particles_that_are_no_neighbours_are_written_alone(program):
 
 
 def barriers() -> list[int]:
-    return [found.start() for found in re.finditer(r"__syncwarp\(\);", STORE)]
+    return [match.start() for match in re.finditer(r"__syncwarp\(\);", STORE)]
 
 
 @pytest.mark.slow

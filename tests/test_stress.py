@@ -145,11 +145,11 @@ print(examine(CASES[int(sys.argv[2]) - 1], Setting())[0].verdict)
 
 
 def test_equal_bits_are_asked_of_a_cpu_only():
-    one, other = np.ones(3), np.ones(3) + [0, 0, 1e-6]
+    first, other = np.ones(3), np.ones(3) + [0, 0, 1e-6]
     for device, holds in (("cpu", False), ("cuda:0", True)):
-        assert alike("x", other, one, Setting(device)).holds == holds
-        assert alike("x", one, one, Setting(device)).holds
-    assert not alike("x", other, one, Setting("cuda:0", "float64")).holds
+        assert alike("x", other, first, Setting(device)).holds == holds
+        assert alike("x", first, first, Setting(device)).holds
+    assert not alike("x", other, first, Setting("cuda:0", "float64")).holds
 
 
 def test_every_case_has_a_sabotage():

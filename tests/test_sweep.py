@@ -178,8 +178,8 @@ def test_what_cannot_be_made_is_a_row_and_the_rest_goes_on(balls, tmp_path):
     assert counts.ended == {"done": 1, "refused": 3}
     rows = {row["index"]: row for row in read_manifest(Storage(str(tmp_path / "out")))}
     assert "material.nu = 0.7" in rows[1]["sentence"] and "broken.ply" in rows[2]["sentence"]
-    told = "\n".join(format_lines(Storage(str(tmp_path / "out"))))
-    assert "1 done, 3 refused" in told and "material.nu = 0.7" in told
+    text = "\n".join(format_lines(Storage(str(tmp_path / "out"))))
+    assert "1 done, 3 refused" in text and "material.nu = 0.7" in text
 
 
 def test_the_key_knows_everything_that_makes_a_clip(balls, tmp_path):
@@ -284,17 +284,17 @@ def test_tar_files_hold_clips_beside_their_rows(made):
 
 def test_the_report_has_a_picture_of_each_clip(made):
     storage = Storage(str(made))
-    told = "\n".join(format_lines(storage))
-    assert told.startswith("6 clips: 6 done") and "by material.E:" in told
+    text = "\n".join(format_lines(storage))
+    assert text.startswith("6 clips: 6 done") and "by material.E:" in text
     expected = [row["expected_error"] for row in read_manifest(storage)]
-    assert ("expected error, without" in told) == any(value is not None for value in expected)
-    assert "own error, at most" not in told  # these clips are too short for one
+    assert ("expected error, without" in text) == any(value is not None for value in expected)
+    assert "own error, at most" not in text  # these clips are too short for one
     page = Path(write_page(storage)).read_text()
     assert page.count("<img") == 6 and "largest force on a wall" in page
 
 
 def test_the_cost_is_told_from_a_few_clips(balls):
-    told = forecast_sweep(
+    answer = forecast_sweep(
         Plan(
             declared(
                 balls, set={**declared(balls).model_dump(by_alias=True)["set"], "material.E": [1e4]}
@@ -302,8 +302,8 @@ def test_the_cost_is_told_from_a_few_clips(balls):
         ),
         RunContext(),
     )
-    assert told.clips == told.tried == 2 and told.seconds[0] > 0
-    assert "2 clips of" in told.sentence(workers=4) and told.bytes == 3 * 70 * 40
+    assert answer.clips == answer.tried == 2 and answer.seconds[0] > 0
+    assert "2 clips of" in answer.sentence(workers=4) and answer.bytes == 3 * 70 * 40
 
 
 def test_a_driver_of_many_clips_remembers_little_of_each():
@@ -358,12 +358,12 @@ def test_the_time_left_is_told_within_a_fifth(balls, workers):
         heapq.heapreplace(free, end := free[0] + seconds)
         ends.append((end, index))
     now = 0.0
-    told = cost.Remaining(plan, range(100), clock=lambda: now)
+    answer = cost.Remaining(plan, range(100), clock=lambda: now)
     for count, (now, index) in enumerate(sorted(ends), 1):
-        told.note_finished({"index": index, "written": now, "seconds": {"clip": costs[index]}})
+        answer.note_finished({"index": index, "written": now, "seconds": {"clip": costs[index]}})
         if count in (25, 50, 75):
             left = max(free) - now
-            assert told.left(100 - count) == pytest.approx(left, rel=0.2)
+            assert answer.left(100 - count) == pytest.approx(left, rel=0.2)
 
 
 @pytest.mark.slow
@@ -405,5 +405,5 @@ def test_python_of_sweeps_md_runs(tmp_path, monkeypatch, capsys):
     for block in shown:
         if block.words[0] == "python":
             exec(block.text, {})
-    told = capsys.readouterr().out
-    assert "duck.png 100000" in told and "mean error of log10 E" in told
+    output = capsys.readouterr().out
+    assert "duck.png 100000" in output and "mean error of log10 E" in output

@@ -24,10 +24,10 @@ def painted(*parts, ground=(230, 230, 230)):
 
 
 def test_two_discs_of_two_colours_are_two():
-    one, other = disc(90), disc(206)
-    parts = split_touching(*painted((one, RED), (other, BLUE)))
+    first, other = disc(90), disc(206)
+    parts = split_touching(*painted((first, RED), (other, BLUE)))
     assert parts is not None
-    for part, known in zip(sorted(parts, key=lambda p: X[p].mean()), (one, other), strict=True):
+    for part, known in zip(sorted(parts, key=lambda p: X[p].mean()), (first, other), strict=True):
         assert (part & known).sum() > 0.97 * known.sum()
 
 

@@ -18,12 +18,12 @@ def square(inside: int, outside: int = 0) -> Image.Image:
 
 @pytest.mark.parametrize("alpha", [8, 60, 114, 127, 128, 200, 255])
 def test_an_object_that_is_half_clear_throughout_is_taken(alpha):
-    found = foreground(square(alpha))
-    solid = np.asarray(found.picture)[..., 3]
-    assert (found.method, found.coverage) == ("alpha", 0.25)
+    cutout = foreground(square(alpha))
+    solid = np.asarray(cutout.picture)[..., 3]
+    assert (cutout.method, cutout.coverage) == ("alpha", 0.25)
     assert solid.max() == (255 if alpha < 128 else alpha) and solid[0, 0] == 0
-    assert bool(found.notes) == (alpha < 128)
-    assert np.asarray(found.picture)[30, 40, :3].tolist() == [200, 40, 30]
+    assert bool(cutout.notes) == (alpha < 128)
+    assert np.asarray(cutout.picture)[30, 40, :3].tolist() == [200, 40, 30]
 
 
 def test_faint_parts_beside_an_opaque_one_stay_faint():
@@ -41,5 +41,5 @@ def test_a_faint_photograph_is_searched_like_an_opaque_one():
 def test_a_mask_that_is_half_clear_says_where_the_object_is(tmp_path):
     square(255, 255).save(tmp_path / "picture.png")
     square(114).save(tmp_path / "mask.png")
-    found = cut_out(tmp_path / "picture.png", mask=tmp_path / "mask.png")
-    assert (found.method, found.coverage) == ("mask", 0.25)
+    cutout = cut_out(tmp_path / "picture.png", mask=tmp_path / "mask.png")
+    assert (cutout.method, cutout.coverage) == ("mask", 0.25)

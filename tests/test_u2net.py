@@ -157,16 +157,16 @@ def test_auto_takes_alpha_then_full_then_small_network(no_weights, small):
     rgb[15:45, 20:60] = 40, 90, 160
     plain, cut = Image.fromarray(rgb), Image.fromarray(rgb).convert("RGBA")
     cut.putalpha(Image.fromarray(np.where(rgb[..., 0] < 255, 255, 0).astype(np.uint8)))
-    found = foreground(plain)
-    assert (found.method, found.title) == ("u2netp", "the small U2-Net")
-    solid = np.asarray(found.picture)[..., 3] > 127
+    cutout = foreground(plain)
+    assert (cutout.method, cutout.title) == ("u2netp", "the small U2-Net")
+    solid = np.asarray(cutout.picture)[..., 3] > 127
     assert ((rgb[..., 0] < 255) == solid).mean() > 0.98
     # Any network will do for the full one.
     torch.save(small.state_dict(), no_weights / "u2net.pth")
-    found = foreground(plain)
-    assert (found.method, found.title) == ("u2net", "U2-Net")
+    cutout = foreground(plain)
+    assert (cutout.method, cutout.title) == ("u2net", "U2-Net")
     answer = u2net.saliency(rgb, u2net.load(no_weights / "u2net.pth"))
-    np.testing.assert_array_equal(np.asarray(found.picture)[..., 3], fit_edge(rgb, answer))
+    np.testing.assert_array_equal(np.asarray(cutout.picture)[..., 3], fit_edge(rgb, answer))
     assert foreground(cut).method == "alpha"
 
 

@@ -83,13 +83,13 @@ def test_a_wrong_friction_shows_in_a_sand_column(factor):
 
 @pytest.mark.parametrize("cells", [8, pytest.param(16, marks=pytest.mark.slow)])
 def test_sand_of_more_friction_heaps_steeper(cells):
-    width, found = 0.4, []
+    width, result = 0.4, []
     for angle in (20.0, 35.0):
         s = channel(Sand(friction_angle=angle), width, width, width / cells, friction=0.6)
         s.advance(1.0)
-        found.append(slope(s, width))
-        assert angle - 8 < found[-1] < angle + 2
-    assert found[1] > found[0] + 7
+        result.append(slope(s, width))
+        assert angle - 8 < result[-1] < angle + 2
+    assert result[1] > result[0] + 7
 
 
 @pytest.mark.parametrize("cells", [8, pytest.param(16, marks=pytest.mark.slow)])

@@ -234,7 +234,7 @@ def test_transparent_films_are_decoded_with_their_alpha(tmp_path, ending, codec,
     ]
     raw = subprocess.run(command, capture_output=True, check=True).stdout
     decoded = np.frombuffer(raw, np.uint8).reshape(4, 32, 48, 4).astype(int)
-    for wanted, found in zip(pictures, decoded, strict=True):
-        assert np.abs(found[..., 3] - wanted[..., 3]).mean() < 3
+    for wanted, result in zip(pictures, decoded, strict=True):
+        assert np.abs(result[..., 3] - wanted[..., 3]).mean() < 3
         inside = wanted[..., 3] == 255
-        assert np.abs(found[inside][:, :3] - wanted[inside][:, :3]).mean() < 20
+        assert np.abs(result[inside][:, :3] - wanted[inside][:, :3]).mean() < 20

@@ -103,8 +103,8 @@ def test_energy_of_a_held_body_may_be_rounded(way):
     s, watch = followed((Impulse(p=p), SetVelocity(v=(0, 0, 0))))
     s.advance(0.05, after=watch.after_substep)
     assert watch.after_attempt() is None
-    given = watch.external.total(s.clock, np.zeros(3), np.zeros(3))
-    assert 0 < abs(given.work) < 1e-6 * given.turned
+    exchanged = watch.external.total(s.clock, np.zeros(3), np.zeros(3))
+    assert 0 < abs(exchanged.work) < 1e-6 * exchanged.turned
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -124,8 +124,8 @@ def test_the_work_of_a_force_that_swings_between_walls(threads):
         watch.before_attempt()
         s.advance(until, after=after)
         assert watch.after_attempt() is None
-    given = watch.external._sum("uniform")
-    assert len(work) > 20 and given[3] == pytest.approx(sum(work), rel=1e-9)
+    inputs = watch.external._sum("uniform")
+    assert len(work) > 20 and inputs[3] == pytest.approx(sum(work), rel=1e-9)
 
 
 def test_two_threads_sum_the_same():

@@ -196,12 +196,12 @@ def test_list_says_what_a_set_brings_and_needs(monkeypatch):
 
 
 def test_fetch_puts_a_checked_file_into_the_folder(hub, tmp_path):
-    told = []
+    messages = []
     (path,) = fetch(
-        "toy", tmp_path / "w", endpoint=hub.endpoint, progress=lambda *step: told.append(step)
+        "toy", tmp_path / "w", endpoint=hub.endpoint, progress=lambda *step: messages.append(step)
     )
     assert path == tmp_path / "w/toy/part/model.bin" and path.read_bytes() == CONTENT
-    assert require("toy", tmp_path / "w") and len(told) == 2
+    assert require("toy", tmp_path / "w") and len(messages) == 2
     fetch("toy", tmp_path / "w", endpoint=hub.endpoint)
     assert len(hub.ranges) == 1, "a whole file is not fetched again"
 

@@ -54,7 +54,8 @@ def find_names(code: str) -> Iterator[tuple[int, str]]:
         match node:
             case ast.FunctionDef(name=name, decorator_list=decorators):
                 is_property = "property" in " ".join(map(ast.unparse, decorators))
-                if PARTICIPLES.fullmatch(name) and not is_property and name not in PUBLIC:
+                banned = PARTICIPLES.fullmatch(name) or name.lstrip("_") in NAMES
+                if banned and not is_property and name not in PUBLIC:
                     yield node.lineno, f"{name}()"
             case (
                 ast.arg(arg=name)
@@ -83,6 +84,7 @@ def find_banned(room: str) -> list[str]:
 
 
 ROOMS = list_rooms()
+TESTS = sorted(path.relative_to(ROOT / "tests") for path in (ROOT / "tests").rglob("*.py"))
 
 
 @pytest.mark.parametrize("room", sorted({*ROOMS, *ALLOWED}))
@@ -92,10 +94,22 @@ def test_room_has_its_number_of_banned_words(room):
     assert len(words) == allowed, f"Thank you. Lower {room} to {len(words)} in tests/words.json."
 
 
+def test_tests_have_no_banned_names():
+    """Functions of tests may be participles: `moved(gaussians)`."""
+    words = [
+        f"tests/{path}:{line}: {name}"
+        for path in TESTS
+        for line, name in find_names((ROOT / "tests" / path).read_text("utf-8"))
+        if name.strip("_()") in NAMES
+    ]
+    assert not words, "\n".join(["See docs/reference/glossary.md:", *words])
+
+
 @pytest.mark.parametrize(
     "code",
     [
         "def told(): pass",
+        "def _own(): pass",
         "def _moved(): pass",
         "def f(given): pass",
         "for one in x: pass",

@@ -40,17 +40,17 @@ def test_they_add_up_to_the_change_of_both_momenta(threads):
         precision="float64",
     )
     external.open(solver.clock)
-    fps, given, before = 20, np.zeros(3), diagnose(solver).angular
+    fps, inputs, before = 20, np.zeros(3), diagnose(solver).angular
     for frame in range(3):
         wrenches.before_attempt()
         solver.advance((frame + 1) / fps)
-        found = wrenches.contacts(solver, fps)
+        result = wrenches.contacts(solver, fps)
         total = external._sum(WALL)[IMPULSES]
-        force = sum(wrench.force for wrench in found.values())
-        assert np.allclose(-force / fps, total - given, rtol=1e-12, atol=1e-12)
-        given, mass = total, solver.model.mass.numpy()
+        force = sum(wrench.force for wrench in result.values())
+        assert np.allclose(-force / fps, total - inputs, rtol=1e-12, atol=1e-12)
+        inputs, mass = total, solver.model.mass.numpy()
         middle = mass @ solver.state.x.numpy() / mass.sum()
-        torque = sum(wrench.torque for wrench in found.values())
+        torque = sum(wrench.torque for wrench in result.values())
         angular = diagnose(solver).angular
         gained = angular - before
         about_origin = torque + np.cross(middle, force)
@@ -58,13 +58,13 @@ def test_they_add_up_to_the_change_of_both_momenta(threads):
             -about_origin / fps, gained, rtol=1e-9, atol=1e-9 * np.abs(angular).max()
         )
         before = angular
-    assert found.keys() == {"ground", "box"}
+    assert result.keys() == {"ground", "box"}
     assert np.linalg.norm(torque) > 0.01, "it tumbles"
     kept = wrenches.snapshot()
     solver.advance(0.2)
     wrenches.restore(kept)
     again = wrenches.contacts(solver, fps)
-    assert np.array_equal(again["box"].force, found["box"].force)
+    assert np.array_equal(again["box"].force, result["box"].force)
 
 
 def test_a_body_at_rest_weighs_on_the_ground():

@@ -92,9 +92,9 @@ class Attacker:
         assert self.followed(cutting)["state"] == "done"
         self.press("picture", "cut", [None, None], job=cutting)
         run = self.press("go", "click", [None, scene, None])[0]["job"]
-        told = list(self.following(run))
-        assert told[-1]["state"] == "done" and self.shown(run, scene)["pack"], told[-1]
-        return told
+        answer = list(self.following(run))
+        assert answer[-1]["state"] == "done" and self.shown(run, scene)["pack"], answer[-1]
+        return answer
 
     def shown(self, run: str, scene: Any) -> dict[str, Any]:
         """What the viewer shows of a run that has ended."""
@@ -117,9 +117,9 @@ class Attacker:
         """What is told of a piece of work until it has ended."""
         end = time.monotonic() + TIMEOUT
         while time.monotonic() < end:
-            told = json.loads(self.get(f"/phy124/jobs/{job}")[1])
-            yield told
-            if told["state"] not in ("waiting", "running"):
+            output = json.loads(self.get(f"/phy124/jobs/{job}")[1])
+            yield output
+            if output["state"] not in ("waiting", "running"):
                 return
             time.sleep(0.1)
         raise AssertionError(f"no end of the work:\n{self.server.said()}")
@@ -127,19 +127,19 @@ class Attacker:
     def generate(self, image: Any, **options: Any) -> str:
         """The answer of the endpoint for programs: "complete", or what it complains of."""
         few = {"view.views": ["front"], "view.size": 64}
-        given = {
+        inputs = {
             "preset": "drop", "accuracy": "draft", "frames": 2, "changes": few, "formats": [],
             "pick": [], "depth": None, "near": "white", "side": None, "facing": "left",
             "back": None, "thickness": None, "highlights": "keep",
             "up": None, "front": None, "compose": False,
             "second": None, "third": None, "fourth": None,
         }  # fmt: skip
-        data = [image, *{**given, **options}.values()]
+        data = [image, *{**inputs, **options}.values()]
         status, text, _ = self.post("/gradio_api/call/generate", {"data": data})
         if status != 200:
             return text
-        told = self.get(f"/gradio_api/call/generate/{json.loads(text)['event_id']}")[1]
-        return told.strip().split("event: ")[-1]
+        output = self.get(f"/gradio_api/call/generate/{json.loads(text)['event_id']}")[1]
+        return output.strip().split("event: ")[-1]
 
     def slow_socket(self, text: bytes = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: ") -> Any:
         """A connection that begins a request and never ends it."""

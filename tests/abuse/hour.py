@@ -122,8 +122,8 @@ def _had_a_run(visitor: Attacker, path: str) -> bool:
     run = visitor.press("go", "click", [None, wanted, None])[0]
     if not run.get("job"):
         return False  # the queue is full
-    told = visitor.followed(run["job"])
-    assert told["state"] == "done", told
+    answer = visitor.followed(run["job"])
+    assert answer["state"] == "done", answer
     pack = visitor.shown(run["job"], wanted)["pack"]["path"]
     return visitor.get(f"/gradio_api/file={pack}")[0] == 200
 
@@ -131,79 +131,79 @@ def _had_a_run(visitor: Attacker, path: str) -> bool:
 # ---- the others ---------------------------------------------------------------------------------
 
 
-def _forces(one: Attacker) -> None:
-    one.press("scene", "change", [None, {"forces": [{"kind": "uniform"}] * 800}, None])
+def _forces(attacker: Attacker) -> None:
+    attacker.press("scene", "change", [None, {"forces": [{"kind": "uniform"}] * 800}, None])
 
 
-def _numbers(one: Attacker) -> None:
-    one.post("/gradio_api/run/predict", {"fn_index": 0, "data": [1] * 500_000})
+def _numbers(attacker: Attacker) -> None:
+    attacker.post("/gradio_api/run/predict", {"fn_index": 0, "data": [1] * 500_000})
 
 
-def _streams(one: Attacker) -> None:
+def _streams(attacker: Attacker) -> None:
     with ExitStack() as stack:
         for number in range(40):
             head = f"GET /gradio_api/heartbeat/{number} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
-            stack.enter_context(one.slow_socket(head.encode()))
+            stack.enter_context(attacker.slow_socket(head.encode()))
         time.sleep(3)
 
 
-def _slow(one: Attacker) -> None:
+def _slow(attacker: Attacker) -> None:
     with ExitStack() as stack:
         for _ in range(40):
-            stack.enter_context(one.slow_socket())
+            stack.enter_context(attacker.slow_socket())
         time.sleep(3)
 
 
-def _exports(one: Attacker) -> None:
-    path = {"path": one.uploaded(DUCK)}
-    one.generate(path, formats=["html", "ply", "glb"], frames=24, compose=True)
+def _exports(attacker: Attacker) -> None:
+    path = {"path": attacker.uploaded(DUCK)}
+    attacker.generate(path, formats=["html", "ply", "glb"], frames=24, compose=True)
 
 
-def _newcomers(one: Attacker) -> None:
+def _newcomers(attacker: Attacker) -> None:
     for _ in range(20):
-        Attacker(one.server, address=one.address).upload(b"1")
+        Attacker(attacker.server, address=attacker.address).upload(b"1")
 
 
-def _nobody(one: Attacker) -> None:
+def _nobody(attacker: Attacker) -> None:
     for _ in range(20):
-        Attacker(one.server, cookie=False, address=one.address).upload(DUCK)
+        Attacker(attacker.server, cookie=False, address=attacker.address).upload(DUCK)
 
 
-def _foreign(one: Attacker) -> None:
+def _foreign(attacker: Attacker) -> None:
     for address in ("run/predict", "upload", "queue/join"):
-        assert one.send("POST", f"/gradio_api/{address}", b"{}", FOREIGN)[0] == 403
+        assert attacker.send("POST", f"/gradio_api/{address}", b"{}", FOREIGN)[0] == 403
 
 
-def _runs(one: Attacker) -> None:
+def _runs(attacker: Attacker) -> None:
     """As many as may wait, and gone."""
-    if _cut(one):
+    if _cut(attacker):
         for seed in range(5):
-            one.press("go", "click", [None, scene(seed=seed, **{"time.frames": 24}), None])
+            attacker.press("go", "click", [None, scene(seed=seed, **{"time.frames": 24}), None])
 
 
-def _touch(one: Attacker) -> None:
+def _touch(attacker: Attacker) -> None:
     """Ask for it and never come; or come and vanish."""
-    if _cut(one):
-        one.press("begin-touch", "click", [None, scene(), None])
+    if _cut(attacker):
+        attacker.press("begin-touch", "click", [None, scene(), None])
         if random.random() < 0.3:
-            one.hold(scene()).close()
+            attacker.hold(scene()).close()
 
 
-def _pictures(one: Attacker) -> None:
+def _pictures(attacker: Attacker) -> None:
     for data in (bomb(16_000), png_claiming(30_000, 30_000), DUCK[:9000], b"x" * 99):
-        one.choose(one.uploaded(data))
+        attacker.choose(attacker.uploaded(data))
 
 
-def _strokes(one: Attacker) -> None:
+def _strokes(attacker: Attacker) -> None:
     stroke = {"keep": True, "width": 0.1, "points": [[0.5, 0.5]] * 2000}
-    shown = {"picture": {"path": one.uploaded(DUCK)}}
-    one.press("picture", "correct", [shown, None], strokes=[stroke] * 200)
+    shown = {"picture": {"path": attacker.uploaded(DUCK)}}
+    attacker.press("picture", "correct", [shown, None], strokes=[stroke] * 200)
 
 
-def _cut(one: Attacker) -> bool:
-    job = one.press("picture", "choose", [], upload=one.uploaded(DUCK))[0].get("job")
-    if job and one.followed(job)["state"] == "done":
-        one.press("picture", "cut", [None, None], job=job)
+def _cut(attacker: Attacker) -> bool:
+    job = attacker.press("picture", "choose", [], upload=attacker.uploaded(DUCK))[0].get("job")
+    if job and attacker.followed(job)["state"] == "done":
+        attacker.press("picture", "cut", [None, None], job=job)
     return bool(job)
 
 

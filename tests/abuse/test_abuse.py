@@ -95,19 +95,19 @@ def alive(server):
 def test_no_file_of_the_server_is_read_as_a_picture(server, attacker, path, meta):
     """Neither its content nor whether it exists is told."""
     image = {"path": path, **({"meta": {"_type": "gradio.FileData"}} if meta else {})}
-    for given in (
+    for inputs in (
         {"image": image},
         {"image": None, "side": image},
         {"image": None, "depth": image},
     ):
-        answer = attacker.generate(**given)
+        answer = attacker.generate(**inputs)
         assert "root:" not in answer and ("error" in answer or "not in the cache" in answer), answer
         if not meta:
             assert NOT_HERE in answer
     assert attacker.choose(path) == NOT_HERE
     for option in ("side", "depth"):
-        (told,) = attacker.press("known", "choose", [], option=option, upload=path)
-        assert told["answer"] == {"option": option, "message": NOT_HERE}
+        (stated,) = attacker.press("known", "choose", [], option=option, upload=path)
+        assert stated["answer"] == {"option": option, "message": NOT_HERE}
 
 
 def test_nobody_reads_the_picture_of_somebody_else(server, attacker):
@@ -336,9 +336,9 @@ def test_a_proxy_that_holds_answers_back_hides_no_progress(server):
     """The page only asks short questions, so there is nothing to be held back."""
     with in_front_of(server) as seen:
         visitor = Attacker(seen)
-        told = visitor.use_the_page(visitor.uploaded(DUCK), _scene(frames=24))
-        assert {row["state"] for row in told} >= {"running", "done"}
-        drawn = [len(row["live"]) for row in told if row["state"] == "running"]
+        declared = visitor.use_the_page(visitor.uploaded(DUCK), _scene(frames=24))
+        assert {row["state"] for row in declared} >= {"running", "done"}
+        drawn = [len(row["live"]) for row in declared if row["state"] == "running"]
         assert any(0 < count < 24 for count in drawn), drawn
         assert visitor.generate({"path": visitor.uploaded(DUCK)}).startswith("complete")
 

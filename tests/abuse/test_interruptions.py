@@ -193,14 +193,14 @@ def same(whole: Path, other: Path) -> None:
     names = {str(path.relative_to(whole)) for path in whole.rglob("*")}
     assert names == {str(path.relative_to(other)) for path in other.rglob("*")}
     for name in names:
-        one, two = whole / name, other / name
-        if one.is_dir() or one.name in VARIES or one.parent.parent.name == "rows":
+        single, two = whole / name, other / name
+        if single.is_dir() or single.name in VARIES or single.parent.parent.name == "rows":
             continue
-        if one.name == "clip.safetensors":
-            a, b = Clip.load(one).tensors(), Clip.load(two).tensors()
+        if single.name == "clip.safetensors":
+            a, b = Clip.load(single).tensors(), Clip.load(two).tensors()
             assert a.keys() == b.keys() and all(np.array_equal(a[n], b[n]) for n in a), name
         else:
-            assert one.read_bytes() == two.read_bytes(), name
+            assert single.read_bytes() == two.read_bytes(), name
 
 
 def test_runs_that_are_ended_at_random_go_on(kinds, tmp_path, monkeypatch, capsys):
@@ -228,8 +228,8 @@ def test_runs_that_are_ended_at_random_go_on(kinds, tmp_path, monkeypatch, capsy
             assert f"{kept}" in said
             is_good(kept)
             shutil.rmtree(kept)
-    told = [f"{name}: {survived[name]} of {count} survived" for name, count in tried.items()]
+    options = [f"{name}: {survived[name]} of {count} survived" for name, count in tried.items()]
     with capsys.disabled():
-        sys.stdout.write("\n".join(["", *told, f"{survived.total()} of {tried.total()}", ""]))
+        sys.stdout.write("\n".join(["", *options, f"{survived.total()} of {tried.total()}", ""]))
     assert not problems, "\n\n".join(problems)
     assert list(temporary.iterdir()) == []

@@ -92,23 +92,23 @@ def dropped(material: Material) -> str:
 
 def long_substep() -> str:
     """A substep ten times too long, against the automatic one."""
-    found = []
+    results = []
     for ceiling in (math.inf, 10 * 0.6 * 0.125 / JELLY.wave_speed()):
         x = cube()
         s, watch = watched(
             x, v=np.tile([0, 0, -1.0], (len(x), 1)), boundaries=[Ground()], ceiling=ceiling
         )
         go(s, watch, 0.1)
-        found.append(host(s.state.x))
-    return f"largest difference {np.abs(found[1] - found[0]).max():.1e} m"
+        results.append(host(s.state.x))
+    return f"largest difference {np.abs(results[1] - results[0]).max():.1e} m"
 
 
 def nan_position() -> str:
     """One position NaN in the file of the object."""
-    given = ball(512)
-    means = given.means.copy()
+    gaussians = ball(512)
+    means = gaussians.means.copy()
     means[7] = np.nan
-    report = Simulation(prepare(replace(given, means=means), quick(Setting()))).run().report
+    report = Simulation(prepare(replace(gaussians, means=means), quick(Setting()))).run().report
     return f"complete: {report['complete']}; {report['cleaning']}"
 
 
@@ -227,13 +227,13 @@ def no_volume() -> str:
 
 def near_zero() -> str:
     """A body astride x = 0 against one far inside."""
-    found = []
+    results = []
     for cells in (16, 0):
         x = cube() + [cells * 0.125, 0, 0]
         s, _ = watched(x, **turning(x, (0, 0, 3.0)), boundaries=[Ground()])
         s.advance(0.2)
-        found.append(host(s.state.x) - [cells * 0.125, 0, 0])
-    return f"largest difference {np.abs(found[1] - found[0]).max():.1e} m"
+        results.append(host(s.state.x) - [cells * 0.125, 0, 0])
+    return f"largest difference {np.abs(results[1] - results[0]).max():.1e} m"
 
 
 ABUSE: dict[str, Callable[[], str]] = {

@@ -99,10 +99,10 @@ def study_table(report: Report) -> str:
         "pixels",
         "worst frame", "PSNR", "SSIM", "energy lost", "limited by",
     ]  # fmt: skip
-    found = report.convergence
-    order = "none" if found.order is None else f"{found.order:.2f}"
+    result = report.convergence
+    order = "none" if result.order is None else f"{result.order:.2f}"
     said = [
-        f"Observed order: {order}; {found.why_not or found.note}".rstrip("; "),
+        f"Observed order: {order}; {result.why_not or result.note}".rstrip("; "),
         report.recommendation,
     ]
     said += [f"Expected error of {name}: {text}." for name, text in report.promises.items()]
@@ -260,11 +260,11 @@ def generator_rows(folder: Path) -> list[list[str]]:
     file, rows = folder / "duck.ply", []
     for name in ("relief", str(file)):
         start = time.perf_counter()
-        found = pipeline.make_gaussians(PICTURES / "duck.png", generator=name).gaussians
+        result = pipeline.make_gaussians(PICTURES / "duck.png", generator=name).gaussians
         spent = time.perf_counter() - start
         label = "a PLY file" if name.endswith(".ply") else name
-        rows.append([label, f"{len(found):,}", f"{spent:.2f}"])
-        write_ply(file, found)
+        rows.append([label, f"{len(result):,}", f"{spent:.2f}"])
+        write_ply(file, result)
     return rows
 
 

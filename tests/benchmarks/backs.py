@@ -199,9 +199,9 @@ def main() -> None:
         figures[name], pictures = compared(known, made)
         print(line(name, figures[name], before.get(name)), flush=True)
         small = Image.fromarray(known.front).resize(pictures[0].shape[1::-1])
-        given = np.asarray(small) / 255
-        given = given[..., :3] * given[..., 3:] + 1 - given[..., 3:]
-        truths = [given, known.pictures[1][..., :3], known.pictures[3][..., :3]]
+        inputs = np.asarray(small) / 255
+        inputs = inputs[..., :3] * inputs[..., 3:] + 1 - inputs[..., 3:]
+        truths = [inputs, known.pictures[1][..., :3], known.pictures[3][..., :3]]
         made_row = np.concatenate([picture[..., :3] for picture in pictures], axis=1)
         rows.append(np.concatenate([np.concatenate(truths, axis=1), made_row]))
     for kind, wanted in (("solids", False), ("real", True)):

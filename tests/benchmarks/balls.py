@@ -29,14 +29,14 @@ def main() -> None:
     parser.add_argument("cells", type=int, nargs="*", default=[12, 16, 24])
     parser.add_argument("--per-axis", type=int, default=2)
     parser.add_argument("--box", action="store_true")
-    given = parser.parse_args()
-    force = pressed_on_box if given.box else pressed
-    for cells in given.cells:
+    arguments = parser.parse_args()
+    force = pressed_on_box if arguments.box else pressed
+    for cells in arguments.cells:
         for depth in DEPTHS:
-            forces = [force(cells, depth, phase, given.per_axis) for phase in PHASES]
-            errors = [found / elements(depth) - 1 for found in forces]
-            told = ", ".join(f"{error:+.1%}" for error in errors)
-            print(f"{cells} cells, depth {depth:g} m: {told}; mean {np.mean(errors):+.1%}")
+            forces = [force(cells, depth, phase, arguments.per_axis) for phase in PHASES]
+            errors = [match / elements(depth) - 1 for match in forces]
+            text = ", ".join(f"{error:+.1%}" for error in errors)
+            print(f"{cells} cells, depth {depth:g} m: {text}; mean {np.mean(errors):+.1%}")
 
 
 if __name__ == "__main__":

@@ -51,14 +51,14 @@ class Run(NamedTuple):
 
 def scenes() -> dict[str, tuple[str, Scene]]:
     """Name -> picture, scene."""
-    found = {
+    results = {
         f"{preset} {picture}": (picture, beginning(preset))
         for preset in preset_names()
         for picture in PICTURES
     }
     for law in FLOWING:
-        found[f"drop {law} cupcake"] = ("cupcake", scene_of("drop", law, {}))
-    return found
+        results[f"drop {law} cupcake"] = ("cupcake", scene_of("drop", law, {}))
+    return results
 
 
 def run(gaussians: Gaussians, scene: Scene, changes: dict[str, Any]) -> Run | None:
@@ -104,10 +104,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--cells", default="16,24,32", help="grids, from coarse to fine")
     parser.add_argument("names", nargs="*", help="scenes; none: all")
-    given = parser.parse_args()
-    grids, statics = [int(c) for c in given.cells.split(",")], {}
+    arguments = parser.parse_args()
+    grids, statics = [int(c) for c in arguments.cells.split(",")], {}
     for name, (picture, scene) in scenes().items():
-        if given.names and name not in given.names:
+        if arguments.names and name not in arguments.names:
             continue
         if picture not in statics:
             image = ROOT / f"demo/examples/{picture}.png"

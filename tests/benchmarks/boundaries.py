@@ -61,14 +61,14 @@ def outline(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def scores(alpha: NDArray[np.uint8], known: Known) -> dict[str, float]:
     """Return overlap and boundary F-score of a cut-out."""
-    found, true = alpha > 127, known.alpha > 127
-    lines = outline(found), outline(true)
+    result, true = alpha > 127, known.alpha > 127
+    lines = outline(result), outline(true)
     reach = NEAR * float(np.hypot(*true.shape))
     away = [cv2.distanceTransform(1 - line.astype(np.uint8), cv2.DIST_L2, 5) for line in lines]
     precision = float((away[1][lines[0]] <= reach).mean()) if lines[0].any() else 0.0
     recall = float((away[0][lines[1]] <= reach).mean())
     boundary = 2 * precision * recall / max(precision + recall, 1e-9)
-    return {"iou": float((found & true).sum() / (found | true).sum()), "boundary": boundary}
+    return {"iou": float((result & true).sum() / (result | true).sum()), "boundary": boundary}
 
 
 def main() -> None:

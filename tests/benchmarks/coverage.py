@@ -38,7 +38,7 @@ def ends(held: int, of: int, level: float = 0.95) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def one(clip: Clip | None, folder: Path, seed: int) -> dict[str, float]:
+def fit_seed(clip: Clip | None, folder: Path, seed: int) -> dict[str, float]:
     """The fit of a seed."""
     assert clip is not None
     began, out = time.process_time(), folder / str(seed)
@@ -54,10 +54,10 @@ def one(clip: Clip | None, folder: Path, seed: int) -> dict[str, float]:
         "seed": seed,
         "find": {"material.E": "1e4..2e5"},
     }
-    told = fit(Fit.from_data(asked), out).report["found"]["material.E"]
-    (low, high), (least, most) = told["interval"], told["from_measurements"]
-    found = (seed, told["value"], low, high, least, most, time.process_time() - began)
-    return dict(zip(COLUMNS, found, strict=True))
+    entry = fit(Fit.from_data(asked), out).report["found"]["material.E"]
+    (low, high), (least, most) = entry["interval"], entry["from_measurements"]
+    result = (seed, entry["value"], low, high, least, most, time.process_time() - began)
+    return dict(zip(COLUMNS, result, strict=True))
 
 
 def main() -> None:
@@ -65,19 +65,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 100))
-    given = parser.parse_args()
-    given.folder.mkdir(parents=True, exist_ok=True)
-    kept = given.folder / "coverage.csv"
+    arguments = parser.parse_args()
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    kept = arguments.folder / "coverage.csv"
     if not kept.exists():
         kept.write_text(",".join(COLUMNS) + "\n")
     done = {int(row["seed"]) for row in csv.DictReader(kept.open())}
-    left = [seed for seed in range(*given.seeds) if seed not in done]
-    write_ply(given.folder / "object.ply", make_gaussians(DUCK, Scene(), count=2000).gaussians)
+    left = [seed for seed in range(*arguments.seeds) if seed not in done]
+    write_ply(arguments.folder / "object.ply", make_gaussians(DUCK, Scene(), count=2000).gaussians)
     scene = Scene.named("press").replaced({**FRAMES, "material.E": TRUTH})
     clip = twin(make_gaussians(DUCK, Scene(), count=3000).gaussians, scene, CELLS) if left else None
     for seed in left:
         with kept.open("a", newline="") as file:
-            csv.DictWriter(file, COLUMNS).writerow(one(clip, given.folder, seed))
+            csv.DictWriter(file, COLUMNS).writerow(fit_seed(clip, arguments.folder, seed))
     tell(kept)
 
 

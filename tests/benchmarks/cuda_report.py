@@ -71,20 +71,20 @@ def main(*, docs: bool) -> None:
     once = {row.module: row for row in rows}
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         tasks = {name: pool.submit(measured, row.group, row.name) for name, row in once.items()}
-        found = {name: task.result() for name, task in tasks.items()}
-    for name, text in tables(rows, found).items():
+        results = {name: task.result() for name, task in tasks.items()}
+    for name, text in tables(rows, results).items():
         print(text, flush=True)
         if docs:
             renew(PAGE, f"registers of {name}", text)
 
 
-def tables(rows: list[Chosen], found: dict[str, Row]) -> dict[str, str]:
+def tables(rows: list[Chosen], result: dict[str, Row]) -> dict[str, str]:
     """Kernels of laws, and all others, as Markdown."""
     heads = ["kernel", *(f"sm_{number} ({card})" for number, card in ARCHITECTURES.items())]
     lines: dict[str, list[list[str]]] = {"laws": [], "others": []}
     for row in rows:
-        own = "others" if row.group == "others" else "laws"
-        lines[own].append([row.row, *map(cell, found[row.module].values())])
+        group = "others" if row.group == "others" else "laws"
+        lines[group].append([row.row, *map(cell, result[row.module].values())])
     return {name: markdown(heads, some) for name, some in lines.items()}
 
 

@@ -84,9 +84,9 @@ def picked(known: Known) -> Alpha:
         return shipped(np.asarray(part.convert("RGB")))
 
     image = Image.fromarray(known.rgb)
-    found = select_object(find(image), place)
-    found = search_around(image, place, find) if found is None else found
-    return np.zeros_like(known.alpha) if found is None else found
+    result = select_object(find(image), place)
+    result = search_around(image, place, find) if result is None else result
+    return np.zeros_like(known.alpha) if result is None else result
 
 
 WAYS: dict[str, Callable[[NDArray[np.uint8]], Alpha]] = {
@@ -103,7 +103,7 @@ METHOD = {"GrabCut": "grabcut", "network, fitted (`u2netp`)": "u2netp"}
 def main(*folders: str) -> None:
     """Measure, print, and of the examples renew the tables."""
     figures = Figures()
-    for known in given(*map(Path, folders)) if folders else pasted():
+    for known in load_masked(*map(Path, folders)) if folders else pasted():
         figures.add(known)
     tables = {"overlap": figures.overlaps(), "doubts": figures.doubts()}
     if not folders:
@@ -121,7 +121,7 @@ class Figures:
         self.overlap: dict[str, dict[str, list[float]]] = {way: {} for way in WAYS}
         self.error: dict[str, list[float]] = {way: [] for way in WAYS}
         self.seconds: dict[str, list[float]] = {way: [] for way in WAYS}
-        self.told: dict[str, Counter[tuple[bool, bool]]] = {way: Counter() for way in METHOD}
+        self.warned: dict[str, Counter[tuple[bool, bool]]] = {way: Counter() for way in METHOD}
         self.picked: dict[str, list[float]] = {}
         self.halo: dict[str, list[float]] = {"as it is": [], "background removed": []}
 
@@ -137,7 +137,7 @@ class Figures:
             self.error[way].append(np.abs(alpha / 255 - known.alpha / 255).sum() / true.sum())
             if way in METHOD:
                 doubtful = bool(cut(known.rgb, alpha, METHOD[way], objects).warnings)
-                self.told[way][overlap >= RIGHT, doubtful] += 1
+                self.warned[way][overlap >= RIGHT, doubtful] += 1
             if way == "network, fitted (`u2netp`)" and overlap >= RIGHT:
                 self._add_halo(known, alpha)
         self.picked.setdefault(known.ground, []).append(overlap_of(picked(known), known))
@@ -166,8 +166,8 @@ class Figures:
             "median": lambda way: f"{np.median(flat[way]):.3f}",
             f"right (over {RIGHT})": lambda way: f"{(flat[way] > RIGHT).sum()} of {len(flat[way])}",
             "over 0.95": lambda way: f"{(flat[way] > 0.95).sum()}",
-            "error of alpha, median": lambda way: _told(self.error, way, 100, " %"),
-            "processor time, median": lambda way: _told(self.seconds, way, 1, " s"),
+            "error of alpha, median": lambda way: format_median(self.error, way, 100, " %"),
+            "processor time, median": lambda way: format_median(self.seconds, way, 1, " s"),
         }
         rows += [[name, *(text(way) for way in columns)] for name, text in sums.items()]
         return markdown(["ground", *columns], rows)
@@ -184,7 +184,7 @@ class Figures:
         kinds = ((True, True), (True, False), (False, True), (False, False))
         return markdown(
             heads,
-            [[METHOD[way], *(told[kind] for kind in kinds)] for way, told in self.told.items()],
+            [[METHOD[way], *(count[kind] for kind in kinds)] for way, count in self.warned.items()],
         )
 
     def halos(self) -> str:
@@ -193,14 +193,14 @@ class Figures:
         return markdown(["colours of the soft edge", "of the ground, mean", "at most"], rows)
 
 
-def _told(figures: dict[str, list[float]], way: str, factor: float, unit: str) -> str:
+def format_median(figures: dict[str, list[float]], way: str, factor: float, unit: str) -> str:
     return f"{factor * np.median(figures[way]):.1f}{unit}" if way in figures else ""
 
 
 def overlap_of(alpha: Alpha, known: Known) -> float:
     """Intersection over union with the true mask."""
-    found, true = alpha > 127, known.alpha > 127
-    return float((found & true).sum() / max(1, (found | true).sum()))
+    result, true = alpha > 127, known.alpha > 127
+    return float((result & true).sum() / max(1, (result | true).sum()))
 
 
 def cut(rgb: NDArray[np.uint8], alpha: Alpha, method: str, objects: int) -> Cutout:
@@ -212,15 +212,15 @@ def share_of_ground(known: Known, shown: NDArray[np.uint8], alpha: Alpha) -> flo
     """How much of the way from the object's own colour to the ground's its soft edge has gone."""
     assert known.object is not None
     index = distance_transform_edt(known.alpha < 250, return_distances=False, return_indices=True)
-    own = known.object[tuple(index)].astype(float)
+    shares = known.object[tuple(index)].astype(float)
     ground = dict(grounds())[known.ground].astype(float)
-    away = ground - own
+    away = ground - shares
     soft = (alpha > 5) & (alpha < 250) & (np.linalg.norm(away, axis=2) > 40)
-    share = ((shown - own) * away).sum(axis=2)[soft] / (away**2).sum(axis=2)[soft]
+    share = ((shown - shares) * away).sum(axis=2)[soft] / (away**2).sum(axis=2)[soft]
     return float(np.average(share, weights=alpha[soft])) if soft.any() else 0.0
 
 
-def given(pictures: Path, masks: Path) -> Iterator[Known]:
+def load_masked(pictures: Path, masks: Path) -> Iterator[Known]:
     """Pictures of a folder whose masks lie in another; a mask's transparency counts, if any."""
     for path in sorted(pictures.iterdir()):
         if not (masks / f"{path.stem}.png").exists():

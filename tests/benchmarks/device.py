@@ -95,8 +95,8 @@ def clip(device: str, count: int) -> None:
     usual = {"time.fps": fps, "time.frames": FRAMES + 1, "material.law": "fixed_corotated"}
     accuracy = {"cells": 32, "particles_per_axis": 1.0, "precision": "float32"}
     for name, substep in (("fixed", SUBSTEP), ("adaptive", None)):
-        given = {**usual, "accuracy": accuracy, "binding": "particles", "time.substep": substep}
-        scene = Scene.named("bounce").replaced(given)
+        options = {**usual, "accuracy": accuracy, "binding": "particles", "time.substep": substep}
+        scene = Scene.named("bounce").replaced(options)
         for _ in range(2):  # The first compiles and captures.
             run = Simulation(prepare(ball(count), scene, RunContext(device=device)))
             start = time.perf_counter()

@@ -24,17 +24,17 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=14)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--runs", type=int, default=4)
-    given = parser.parse_args()
-    gaussians = read_ply(given.gaussians).gaussians
-    scene = Scene.named(given.scene)
-    time = scene.time.model_copy(update={"frames": given.frames})
+    arguments = parser.parse_args()
+    gaussians = read_ply(arguments.gaussians).gaussians
+    scene = Scene.named(arguments.scene)
+    time = scene.time.model_copy(update={"frames": arguments.frames})
     scene = scene.model_copy(update={"time": time})
-    found = []
-    for _ in range(given.runs):
-        run = Simulation(prepare(gaussians, scene, RunContext(threads=given.threads)))
+    results = []
+    for _ in range(arguments.runs):
+        run = Simulation(prepare(gaussians, scene, RunContext(threads=arguments.threads)))
         run.run()
-        found.append(dict(run.setup.context.watch.seconds))
-    least = {name: min(one[name] for one in found[1:] or found) for name in STAGES}
+        results.append(dict(run.setup.context.watch.seconds))
+    least = {name: min(item[name] for item in results[1:] or results) for name in STAGES}
     shares = ", ".join(f"{name} {seconds:.3f}" for name, seconds in least.items())
     dynamics = least["simulate"] + least["deform"]
     print(

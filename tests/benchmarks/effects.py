@@ -249,13 +249,13 @@ def binding() -> None:
         begin = time.process_time()
         run = Simulation(prepare(gaussians, Scene.named("press").replaced({"binding": kind})))
         runs[kind] = run, run.run(), time.process_time() - begin
-    (own, a, own_s), (field, b, field_s) = runs.values()
+    (bound, a, own_s), (field, b, field_s) = runs.values()
     draw, camera = Renderer(device="cpu"), Camera.orbit(0, 10, 1.9, 256, (0, 0, 0.35))
     images = [[draw(c.frame(i).gaussians, camera) for c in (a, b)] for i in range(len(a))]
     show(
         "binding",
         {
-            "particles": len(own.particles),
+            "particles": len(bound.particles),
             "lattice": len(field.particles),
             "particles_cpu_s": own_s,
             "field_cpu_s": field_s,

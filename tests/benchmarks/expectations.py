@@ -215,21 +215,21 @@ def left_out(known: list[Sample]) -> tuple[list[float | None], dict[str, float]]
     hold on coarse grids, and on all others.
     """
     fit, objects = Fit.of(known), np.array([sample.object for sample in known])
-    told: list[float | None] = [None] * len(known)
+    answer: list[float | None] = [None] * len(known)
     for name in np.unique(objects):
         model = model_of(known, fit, objects != name)
         for index in np.flatnonzero(objects == name):
             sample = known[index]
-            told[index] = expect(sample.scene, sample.proportions, model).error
+            answer[index] = expect(sample.scene, sample.proportions, model).error
     logs: dict[bool, list[float]] = {True: [], False: []}
-    for sample, bound in zip(known, told, strict=True):
+    for sample, bound in zip(known, answer, strict=True):
         if sample.judged and bound is not None:
             coarse = sample.scene.resolution.cells < GRIDS["standard"][-2]
             logs[coarse].append(math.log((sample.error + FLOOR) / bound))
     usual, at_draft = (max(0.0, float(np.quantile(logs[coarse], HOLD))) for coarse in (False, True))
     safety = {"one": usual, "coarse": max(0.0, at_draft - usual) / math.log(2)}
     wider = []
-    for sample, bound in zip(known, told, strict=True):
+    for sample, bound in zip(known, answer, strict=True):
         terms = regressors(properties(sample.scene, sample.proportions))
         factor = math.exp(sum(value * terms[term] for term, value in safety.items()))
         wider.append(None if bound is None else factor * bound)
@@ -347,12 +347,10 @@ def write_page(pairs: list[Pair]) -> None:
     page = DOCS / "lab/own-error.md"
     replace_block(page, "zoo", f"{markdown(heads, lines)}\n\n{text}")
     replace_block(page, "solvers", compare_solvers(pairs))
-    told = [(pair.error, pair.before) for pair in pairs if pair.before is not None]
-    held, ratio = sum(a <= b for a, b in told), np.median([b / a for a, b in told])
-    text = (
-        f"For all objects, before the run: {held} of {len(told)} bounds held, and they were in the "
-    )
-    replace_block(page, "summary", f"{text}median {ratio:.1f} times the error.")
+    bounds = [(pair.error, pair.before) for pair in pairs if pair.before is not None]
+    held, ratio = sum(a <= b for a, b in bounds), np.median([b / a for a, b in bounds])
+    text = f"For all objects, before the run: {held} of {len(bounds)} bounds held, and they were "
+    replace_block(page, "summary", f"{text}in the median {ratio:.1f} times the error.")
     draw(mpm)
 
 
@@ -400,12 +398,12 @@ def draw(pairs: list[Pair]) -> None:
 def main() -> None:
     """Fit the model, and rewrite measured.json and the page."""
     known = samples()
-    told, safety = left_out(known)
+    answer, safety = left_out(known)
     model = model_of(known, Fit.of(known), np.ones(len(known), bool), safety)
     objects = len({sample.object for sample in known})
     about = {"machines": sorted({row["machine"] for row in rows()}), "objects": objects}
     FILE.write_text(json.dumps({**about, **model}, indent=1) + "\n")
-    before = {s.row: bound for s, bound in zip(known, told, strict=True) if s.judged}
+    before = {s.row: bound for s, bound in zip(known, answer, strict=True) if s.judged}
     made = (pair_of(row, before.get(index)) for index, row in enumerate(rows()))
     pairs = [pair for pair in made if pair is not None]
     write_page(pairs)

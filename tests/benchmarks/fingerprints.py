@@ -53,22 +53,22 @@ def body(count: int = 3000) -> Gaussians:
 def fingerprint(scene: Scene, threads: int) -> str:
     """Of a clip: its places, orientations and scales, and how many substeps it took."""
     run = Simulation(prepare(body(), scene, RunContext(threads=threads)))
-    clip, found = run.run(), hashlib.sha256()
+    clip, result = run.run(), hashlib.sha256()
     for array in (clip.means, clip.quats, clip.scales):
-        found.update(np.ascontiguousarray(array).tobytes())
-    return f"{found.hexdigest()[:16]} {clip.report['substeps']}"
+        result.update(np.ascontiguousarray(array).tobytes())
+    return f"{result.hexdigest()[:16]} {clip.report['substeps']}"
 
 
 def main() -> None:
     """All of them as one JSON object."""
-    found = {}
+    results = {}
     presets = {name: (name, {}) for name in preset_names()}
     for name, (preset, changes) in {**presets, **VARIANTS}.items():
         scene = Scene.named(preset).replaced({"accuracy.cells": 16, "time.frames": 8})
         for threads in (1, 2):
-            found[f"{name}, {threads}"] = fingerprint(scene.replaced(changes), threads)
-            print(name, threads, found[f"{name}, {threads}"], file=sys.stderr)
-    print(json.dumps(found, indent=1))
+            results[f"{name}, {threads}"] = fingerprint(scene.replaced(changes), threads)
+            print(name, threads, results[f"{name}, {threads}"], file=sys.stderr)
+    print(json.dumps(results, indent=1))
 
 
 if __name__ == "__main__":

@@ -48,21 +48,21 @@ def measure(
     with tempfile.TemporaryDirectory() as folder:
         forecaster = Forecaster(context)
         result = pipeline.simulate(gaussians, scene, folder, context, forecaster=forecaster)
-    told, report = result.report["forecast"], result.report
-    simulate = told["stages"]["simulate"]
+    entry, report = result.report["forecast"], result.report
+    simulate = entry["stages"]["simulate"]
     seconds = {stage["name"]: stage["seconds"] for stage in report["stages"]}
     return {
         "scene": name,
         "accuracy": accuracy,
         "particles": report["particles"],
-        "substeps predicted": told["substeps"],
+        "substeps predicted": entry["substeps"],
         "substeps": report["substeps"],
         "simulation predicted s": round(simulate["predicted"], 2),
         "simulation s": round(simulate["spent"], 2),
-        "predicted s": round(told["predicted"], 2),
-        "spent s": round(told["spent"], 2),
-        "ratio": round(told["ratio"], 3),
-        "promised": told["caveat"] is None,
+        "predicted s": round(entry["predicted"], 2),
+        "spent s": round(entry["spent"], 2),
+        "ratio": round(entry["ratio"], 3),
+        "promised": entry["caveat"] is None,
         "own error / simulation": round(seconds.get("companion", 0) / seconds["simulate"], 3),
     }
 

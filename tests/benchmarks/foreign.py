@@ -49,10 +49,10 @@ def _judged(folder: Path) -> None:
             format.write(path, wanted)
             if judge.missing():
                 continue
-            found = judge.read(path)
-            if np.abs(found.means - there.means).max() > 0.1:
-                found = rotate_gaussians(found, np.diag([1.0, -1.0, -1.0]))
-            rows = errors(found, there), bound(name, there, path.read_bytes())
+            result = judge.read(path)
+            if np.abs(result.means - there.means).max() > 0.1:
+                result = rotate_gaussians(result, np.diag([1.0, -1.0, -1.0]))
+            rows = errors(result, there), bound(name, there, path.read_bytes())
             cells = [
                 f"{error * unit:.2g} / {most * unit:.2g}"
                 for (key, error), most in zip(

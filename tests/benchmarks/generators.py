@@ -63,13 +63,13 @@ def imagedream(device: str, precision: str, compiled: bool) -> dict:
         "latents": (1, 4, 32, 32),
         "cameras": (5, 16),
     }
-    told = Condition(
+    answer = Condition(
         **{k: formula.inputs(k, s, -1, 1).to(device, dtype) for k, s in shapes.items()}
     )
     x, level = formula.inputs("x", (5, 4, 32, 32), -1, 1).to(device), torch.tensor(958)
     run = torch.compile(unet) if compiled else unet
     with torch.inference_mode():
-        step = partial(predict, run, x, level, told)
+        step = partial(predict, run, x, level, answer)
         compiling = timed(step, device)[1]["cpu_s"] if compiled else None
         _, figures = timed(step, device)
     return {"precision": str(dtype), "first_cpu_s": compiling, **figures}
@@ -95,7 +95,7 @@ def samplers(device: str) -> dict:
     unet = load_unet(golden / "imagedream_unet_tiny.weights.fp16.safetensors", **config)
     saved = np.load(golden / "imagedream_pipeline.npz")
     e = {key: torch.from_numpy(saved[key]) for key in saved.files}
-    told = Condition(
+    answer = Condition(
         torch.cat([e["neg"], e["pos"]]),
         e["image_embeds"].float(),
         e["image_latents_pos"][..., :8, :8],
@@ -126,7 +126,7 @@ def samplers(device: str) -> dict:
     cases = {
         "mixture": (mixture, torch.randn(5, 4, 8, 8, dtype=torch.float64), "dpmsolver++", 500),
         "formula": (
-            lambda x, t: predict_guided(unet, x, t, told, 5.0),
+            lambda x, t: predict_guided(unet, x, t, answer, 5.0),
             e["init_latents"][..., :8, :8],
             "ddim",
             200,
@@ -232,11 +232,11 @@ def main() -> None:
     parser.add_argument("--compile", action="store_true", help="`imagedream` by torch.compile")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    told = {
+    answer = {
         "stage": {"steps": options.steps},
         "imagedream": {"precision": options.precision, "compiled": options.compile},
     }
-    more = told.get(options.part, {})
+    more = answer.get(options.part, {})
     figures = PARTS[options.part](options.device, **more)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     gpu = torch.cuda.max_memory_allocated() / 2**30 if options.device == "cuda" else None

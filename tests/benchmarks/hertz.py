@@ -29,7 +29,7 @@ def elements(depth: float) -> float:
     return E * RADIUS**2 * fit_law(NU, whole=False).force(depth / RADIUS)
 
 
-def errors(cells: int, depth: float = DEPTHS[-1], **given: Any) -> list[float]:
+def errors(cells: int, depth: float = DEPTHS[-1], **options: Any) -> list[float]:
     """Relative errors of the force, one for each place of the plate.
 
     Args:
@@ -37,11 +37,11 @@ def errors(cells: int, depth: float = DEPTHS[-1], **given: Any) -> list[float]:
         depth: How far the plate presses [m].
         given: `per_axis` and `precision` of `pressed`.
     """
-    found = (press(cells // 2, depth, phase=phase, **given) for phase in PHASES)
-    return [force / elements(depth) - 1 for force in found]
+    forces = (press(cells // 2, depth, phase=phase, **options) for phase in PHASES)
+    return [force / elements(depth) - 1 for force in forces]
 
 
-def told(each: list[float]) -> str:
+def format_errors(each: list[float]) -> str:
     """Errors and their mean."""
     return ", ".join(f"{error:+.1%}" for error in each) + f"; mean {sum(each) / len(each):+.2%}"
 
@@ -57,7 +57,7 @@ def converging() -> None:
     for cells in GRIDS:
         each = errors(cells)
         means.append(sum(each) / len(each))
-        print(f"{cells} cells: {told(each)}", flush=True)
+        print(f"{cells} cells: {format_errors(each)}", flush=True)
     print(f"order {order((GRIDS[0], means[0]), (GRIDS[-1], means[-1])):.2f}")
 
 
@@ -67,15 +67,15 @@ def main() -> None:
     parser.add_argument("cells", type=int, nargs="?", default=48)
     parser.add_argument("precision", nargs="?", default="float32")
     parser.add_argument("--convergence", action="store_true")
-    given = parser.parse_args()
-    if given.convergence:
+    arguments = parser.parse_args()
+    if arguments.convergence:
         return converging()
     for depth in DEPTHS:
-        each = errors(given.cells, depth, precision=given.precision)
+        each = errors(arguments.cells, depth, precision=arguments.precision)
         over = hertz(depth) / elements(depth)
         print(
-            f"{given.cells} cells, depth {depth:g} m: {told(each)} of finite elements, "
-            f"{(1 + sum(each) / len(each)) / over - 1:+.1%} of Hertz",
+            f"{arguments.cells} cells, depth {depth:g} m: {format_errors(each)} of finite "
+            f"elements, {(1 + sum(each) / len(each)) / over - 1:+.1%} of Hertz",
             flush=True,
         )
 

@@ -61,14 +61,14 @@ def visit(server: Server, number: int, arrival: float, preset: str) -> Visit:
     run = visitor.press("go", "click", [None, scene, None])[0]
     if not run.get("job"):
         return seen
-    for told in visitor.following(run["job"]):
+    for answer in visitor.following(run["job"]):
         now = time.monotonic() - start
-        seen.state = told["state"]
-        if told["state"] == "waiting":
+        seen.state = answer["state"]
+        if answer["state"] == "waiting":
             seen.waited = now
-            if told["place"] and np.isnan(seen.announced):
-                seen.announced = now + told["wait"]
-        elif len(told["live"]) >= 2 and np.isnan(seen.moving):
+            if answer["place"] and np.isnan(seen.announced):
+                seen.announced = now + answer["wait"]
+        elif len(answer["live"]) >= 2 and np.isnan(seen.moving):
             seen.moving = now
     seen.finished = time.monotonic() - start
     return seen

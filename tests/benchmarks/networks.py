@@ -98,11 +98,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("part", choices=["prepare", "torch", *FILES])
     parser.add_argument("folder", type=Path)
-    given = parser.parse_args()
-    if given.part == "prepare":
-        prepare(given.folder)
+    arguments = parser.parse_args()
+    if arguments.part == "prepare":
+        prepare(arguments.folder)
         return
-    print(json.dumps({"part": given.part, **measure(given.part, given.folder)}))
+    print(json.dumps({"part": arguments.part, **measure(arguments.part, arguments.folder)}))
 
 
 if __name__ == "__main__":

@@ -51,13 +51,13 @@ def main() -> None:
         "one body, the halves 2 m apart": cubes(2.0, bodies=1, threads=threads),
         "two bodies 2 m apart": cubes(2.0, bodies=2, threads=threads),
     }
-    found: dict[str, list[tuple[float, float]]] = {name: [] for name in kinds}
+    results: dict[str, list[tuple[float, float]]] = {name: [] for name in kinds}
     for solver in kinds.values():
         seconds(solver)
     for _ in range(ROUNDS):
         for name, solver in kinds.items():
-            found[name].append(seconds(solver))
-    for name, times in found.items():
+            results[name].append(seconds(solver))
+    for name, times in results.items():
         cpu, wall = np.min(times, axis=0) / SUBSTEPS * 1e3
         print(f"{name:32} {cpu:7.2f} ms of CPU time, {wall:7.2f} ms per substep")
 

@@ -54,10 +54,10 @@ def list_tables(page: Path) -> list[list[str]]:
         if line.startswith("#"):
             if len(cells) > 2:
                 (commit, stamp), _ = Counter(cells).most_common(1)[0]
-                found = PROGRAM.search(text) or PROGRAM.search(title)
+                match = PROGRAM.search(text) or PROGRAM.search(title)
                 day = datetime.fromtimestamp(int(stamp), timezone.utc).date()
                 link = f"[{section.replace('`', '')}]({page.name}#{make_anchor(section)})"
-                rows.append([link, f"`{found[1]}`" if found else "", str(day), f"`{commit}`"])
+                rows.append([link, f"`{match[1]}`" if match else "", str(day), f"`{commit}`"])
             section = line.lstrip("# ")
             text = ""
             cells = []

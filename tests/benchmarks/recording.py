@@ -44,12 +44,12 @@ def main() -> None:
         scene = Scene.named("press").replaced(changes)
         gaussians = pipeline.make_gaussians(DUCK, scene).gaussians
         seconds(gaussians, scene, kept=True)
-        found: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
+        results: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
         for _ in range(pairs):
             for kept in (False, True):
-                found[kept].append(seconds(gaussians, scene, kept=kept))
+                results[kept].append(seconds(gaussians, scene, kept=kept))
         for place, what in enumerate(("clock", "processor")):
-            without, kept = ([row[place] for row in found[k]] for k in (False, True))
+            without, kept = ([row[place] for row in results[k]] for k in (False, True))
             more = [b / a - 1 for a, b in zip(without, kept, strict=True)]
             print(
                 f"{name:<22}{what:<10} without {min(without):6.2f} s, with {min(kept):6.2f} s "

@@ -81,12 +81,12 @@ def measured(name: str, renderer: Renderer, more: Sequence[str] = ()) -> tuple[d
     seconds = time.perf_counter() - start
     figures, seen = compared(known, gaussians, renderer)
     front = drawn(renderer, gaussians, (0, 0))[..., :3]
-    rows = [given(known), *known.pictures[..., :3]], [front, *seen]
+    rows = [front_picture(known), *known.pictures[..., :3]], [front, *seen]
     sheet = np.concatenate([np.concatenate(row, axis=1) for row in rows])
     return {**figures, "seconds": seconds}, np.round(255 * np.clip(sheet, 0, 1)).astype(np.uint8)
 
 
-def given(truth: Truth) -> np.ndarray:
+def front_picture(truth: Truth) -> np.ndarray:
     """The picture that `relief` gets, on white."""
     small = Image.fromarray(truth.front).resize((SMALL, SMALL))  # weighs by alpha
     rgba = np.asarray(small) / 255

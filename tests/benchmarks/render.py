@@ -105,11 +105,11 @@ def main() -> None:
         gaussians, camera = shell(count), Camera.orbit(0, 0, 1.5, size)
         row = {"revision": REVISION, "device": device, "warp": wp.__version__}
         row |= {"gaussians": count, "size": size}
-        one, staged = cpu_ms(renderer, gaussians, camera, options.repeats)
+        first, staged = cpu_ms(renderer, gaussians, camera, options.repeats)
         clock = "cpu" if renderer.device.is_cpu else "wall"
         print(
             json.dumps(
-                row | {"threads": 1, f"{clock}_ms": round(one, 1), "staged": round(staged, 1)}
+                row | {"threads": 1, f"{clock}_ms": round(first, 1), "staged": round(staged, 1)}
             ),
             flush=True,
         )

@@ -63,8 +63,8 @@ def main() -> None:
     parser.add_argument("presets", nargs="*", default=preset_names())
     parser.add_argument("--seconds", type=float)
     parser.add_argument("--accuracy", default="draft,standard")
-    given = parser.parse_args()
-    accuracies = given.accuracy.split(",")
+    arguments = parser.parse_args()
+    accuracies = arguments.accuracy.split(",")
     made = {
         n: pipeline.make_gaussians(EXAMPLES / f"{n}.png").gaussians
         for n in ("duck", "potted_plant")
@@ -72,9 +72,9 @@ def main() -> None:
     costs = (f"{accuracy}: s" for accuracy in accuracies)
     heads = ["preset", "clip", *costs, "moves at the end", "sleeps from [s]", "outside"]
     print(f"| {' | '.join(heads)} |\n|---|---|{'--:|' * (len(heads) - 2)}", flush=True)
-    for name in given.presets:
+    for name in arguments.presets:
         body = made["potted_plant" if name in PLANTS else "duck"]
-        print(row(name, body, accuracies, given.seconds), flush=True)
+        print(row(name, body, accuracies, arguments.seconds), flush=True)
 
 
 if __name__ == "__main__":

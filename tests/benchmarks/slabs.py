@@ -163,8 +163,8 @@ def pair(rounds: int = 6, substeps: int = 40) -> None:
             wall, cpu, before = time.perf_counter(), time.process_time(), s.clock.substeps
             s.advance(s.clock.time + substeps * 1e-4)
             done = s.clock.substeps - before
-            found = [(time.perf_counter() - wall) / done, (time.process_time() - cpu) / done]
-            least[threads] = np.minimum(found, least.get(threads, found)).tolist()
+            result = [(time.perf_counter() - wall) / done, (time.process_time() - cpu) / done]
+            least[threads] = np.minimum(result, least.get(threads, result)).tolist()
     for threads, (wall, cpu) in least.items():
         row = {"object": name, "threads": threads, "wall_ms": wall * 1e3, "cpu_ms": cpu * 1e3}
         print(json.dumps({k: round(v, 2) if isinstance(v, float) else v for k, v in row.items()}))

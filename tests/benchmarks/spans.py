@@ -74,12 +74,12 @@ class Page:
 
     def __init__(self, folder: Path) -> None:
         self.studio = Studio(Settings(device="cpu"), Visitors(folder))
-        self.told: Estimate | None = None
+        self.estimate: Estimate | None = None
         said = self.studio._said
 
-        def noted(told: Estimate, *arguments: Any) -> str:
-            self.told = told
-            return said(told, *arguments)
+        def noted(estimate: Estimate, *arguments: Any) -> str:
+            self.estimate = estimate
+            return said(estimate, *arguments)
 
         self.studio._said = noted
         self.studio.warm_up()
@@ -99,22 +99,22 @@ class Page:
         self.studio.forecast("a", cutout, data)
         if probe:
             self.studio.refine("a", cutout, data)
-        told, load = self.told, os.getloadavg()[0]
-        assert told is not None
+        answer, load = self.estimate, os.getloadavg()[0]
+        assert answer is not None
         start = time.perf_counter()
         job = self.studio.run("a", cutout, data)
         job.wait(1200)
         took = time.perf_counter() - start
-        low, high = told.span
+        low, high = answer.span
         return {
             "took s": round(took, 2),
-            "predicted s": round(told.seconds, 2),
+            "predicted s": round(answer.seconds, 2),
             "low s": round(low, 2),
             "high s": round(high, 2),
             "within": low <= took <= high,
-            "probed": told.measured,
-            "compiling s": round(told.compiling, 2),
-            "slower": round(told.load.simulation, 2),
+            "probed": answer.measured,
+            "compiling s": round(answer.compiling, 2),
+            "slower": round(answer.load.simulation, 2),
             "load": round(load, 1),
             "end": job.progress.state,
         }
@@ -170,5 +170,5 @@ def main(loops: list[int], *, docs: bool) -> None:
 
 
 if __name__ == "__main__":
-    given = [int(word) for word in sys.argv[1:] if word != "--docs"]
-    main(given or list(LOOPS), docs="--docs" in sys.argv)
+    inputs = [int(word) for word in sys.argv[1:] if word != "--docs"]
+    main(inputs or list(LOOPS), docs="--docs" in sys.argv)

@@ -85,10 +85,10 @@ def measure_impacts() -> list[dict[str, Any]]:
         for nu in (0.3, 0.45):
             for mach in (0.1, 0.5, 1.0, 2.0, 5.0):
                 try:
-                    found = throw_at_floor(mach, law(E=1e4, nu=nu), SETTING)._asdict()
+                    result = throw_at_floor(mach, law(E=1e4, nu=nu), SETTING)._asdict()
                 except RuntimeError as error:
-                    found = {"error": str(error)}
-                rows.append({"law": law.__name__, "nu": nu, "mach": mach, **found})
+                    result = {"error": str(error)}
+                rows.append({"law": law.__name__, "nu": nu, "mach": mach, **result})
     return rows
 
 
@@ -98,9 +98,9 @@ def measure_long() -> list[dict[str, Any]]:
     for number in (5, 8, 9, 10, 19, 25):
         start = time.process_time()
         row, checks = examine(CASES[number - 1], SETTING._replace(long=True))
-        found = {check.what: check.measured for check in checks}
+        results = {check.what: check.measured for check in checks}
         seconds = time.process_time() - start
-        rows.append({"case": row.case, "verdict": row.verdict, "seconds": seconds, **found})
+        rows.append({"case": row.case, "verdict": row.verdict, "seconds": seconds, **results})
     return rows
 
 
@@ -170,11 +170,11 @@ def main(out: Path) -> None:
     limits = measure_limits()
     draw(limits, out / "stability.png")
     stacks = {r: heavy_on_light(r, SETTING, 0.4)._asdict() for r in (1.0, 1e2, 1e4)}
-    found = {"limits": limits, "impacts": measure_impacts(), "stacks": stacks}
-    found["tears"] = measure_tears()
-    found["long"] = measure_long()
-    (out / "stability.json").write_text(json.dumps(found, indent=1))
-    print(json.dumps(found, indent=1))
+    results = {"limits": limits, "impacts": measure_impacts(), "stacks": stacks}
+    results["tears"] = measure_tears()
+    results["long"] = measure_long()
+    (out / "stability.json").write_text(json.dumps(results, indent=1))
+    print(json.dumps(results, indent=1))
 
 
 if __name__ == "__main__":

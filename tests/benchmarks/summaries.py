@@ -203,7 +203,7 @@ def fill_page(page: str) -> str:
     content = (DOCS / f"results/{page}.md").read_text("utf-8")
     for name, tabulate in BLOCKS[page].items():
         content = fill_block(content, name, tabulate())
-    return NUMBER.sub(lambda found: found[1] + NUMBERS[found[2]]() + found[3], content)
+    return NUMBER.sub(lambda match: match[1] + NUMBERS[match[2]]() + match[3], content)
 
 
 def fill_readme() -> str:

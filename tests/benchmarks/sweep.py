@@ -62,11 +62,11 @@ def declared(count: int) -> Plan:
 
 def measured(plan: Plan, workers: int, *, kills: bool = False, shard: tuple[int, int] = (1, 1)):
     """A sweep, or a part of it."""
-    counts, told = Counts(), []
+    counts, answer = Counts(), []
 
     def look(stage: str, done: int, total: int) -> None:
         if counts.left is not None:
-            told.append((time.perf_counter(), done / total, counts.left))
+            answer.append((time.perf_counter(), done / total, counts.left))
 
     with tempfile.TemporaryDirectory() as folder:
         killing = killer(Path(folder), EVERY) if kills else nullcontext([])
@@ -84,7 +84,7 @@ def measured(plan: Plan, workers: int, *, kills: bool = False, shard: tuple[int,
     clips[: len(shared)] += [*shared.values()]
     off = []
     for part in (0.25, 0.5, 0.75):
-        at = next(((now, left) for now, done, left in told if done >= part), None)
+        at = next(((now, left) for now, done, left in answer if done >= part), None)
         off.append(at[1] / (end - at[0]) if at else float("nan"))
     return Made(end - begun, clips, float(np.mean([row["bytes"] for row in rows])), files, off)
 
@@ -121,8 +121,8 @@ def compare(count: int) -> tuple[Made, float]:
     """Print what each number of workers takes; returns the run with one, and Ray's start [s]."""
     plan = declared(count)
     measured(plan, 0, shard=(1, len(plan)))  # kernels are compiled here
-    one = measured(plan, 1, shard=(1, len(plan)))
-    start = one.wall - one.seconds.sum()
+    first = measured(plan, 1, shard=(1, len(plan)))
+    start = first.wall - first.seconds.sum()
     print(f"Ray's start, and its end: {start:.1f} s", flush=True)
     runs = {}
     for workers in (0, 1, 2):
@@ -148,9 +148,10 @@ def compare(count: int) -> tuple[Made, float]:
         flush=True,
     )
     for workers in (1, 2):
-        told = queued(runs[1].seconds, workers, 0.0, start)
+        seconds = queued(runs[1].seconds, workers, 0.0, start)
         print(
-            f"simulated queue, {workers} workers: {told:.1f} s, measured {runs[workers].wall:.1f} s"
+            f"simulated queue, {workers} workers: {seconds:.1f} s, "
+            f"measured {runs[workers].wall:.1f} s"
         )
     return runs[1], start
 
@@ -160,10 +161,10 @@ def main() -> None:
     parser.add_argument("--items", type=int, default=120)
     parser.add_argument("--planned", type=int, default=100_000)
     parser.add_argument("--cores", type=int, nargs="+", default=[64, 512, 4096])
-    given = parser.parse_args()
-    made, start = compare(given.items)
-    print(f"planning {given.planned} clips:", flush=True)
-    handing_out = planning(given.planned)
+    arguments = parser.parse_args()
+    made, start = compare(arguments.items)
+    print(f"planning {arguments.planned} clips:", flush=True)
+    handing_out = planning(arguments.planned)
     print(f"a driver hands out a clip in {1e3 * handing_out:.2f} ms of CPU time")
     many = np.random.default_rng(0).choice(made.seconds, 1_000_000)
     hours = many.sum() / 3600
@@ -172,7 +173,7 @@ def main() -> None:
         f"of a core, {made.bytes / 1e3:.0f} GB, {STORED * made.bytes / 1e3:.0f} dollars per month "
         "of storage"
     )
-    for cores in given.cores:
+    for cores in arguments.cores:
         wall = queued(many, cores, handing_out, start)
         busy = many.sum() / cores / wall
         print(f"  {cores} cores: {wall / 3600:.2f} h, each busy for {busy:.0%} of it")

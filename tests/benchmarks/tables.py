@@ -53,8 +53,8 @@ def fill_block(content: str, name: str, text: str) -> str:
         ValueError: The page has no such marks.
     """
     first, last = f"<!-- {name} -->", f"<!-- end {name} -->"
-    before, found, rest = content.partition(first)
+    before, result, rest = content.partition(first)
     _, ended, after = rest.partition(last)
-    if not (found and ended):
+    if not (result and ended):
         raise ValueError(f"the page has no marks {first} and {last}")
     return f"{before}{first}\n{text.strip()}\n{last}{after}"

@@ -47,22 +47,22 @@ def main() -> None:
     parser.add_argument("--scene", default="Sway")
     parser.add_argument("--film", type=Path)
     parser.add_argument("--composed", choices=("plain", "webgl"), default="plain")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     from playwright.sync_api import sync_playwright
 
-    minutes = {"touch_minutes": given.seconds / 60 + 10}
+    minutes = {"touch_minutes": arguments.seconds / 60 + 10}
     with (
         tempfile.TemporaryDirectory() as folder,
-        serving(Path(folder), gaussians=given.gaussians, **minutes) as server,
+        serving(Path(folder), gaussians=arguments.gaussians, **minutes) as server,
         sync_playwright() as session,
     ):
-        flags = PLAIN if given.composed == "plain" else FLAGS
+        flags = PLAIN if arguments.composed == "plain" else FLAGS
         chromium = session.chromium.launch(executable_path="/usr/bin/chromium", args=flags)
         visit = Visit(chromium, server)
-        begin(visit, given.scene)
-        if given.film:
-            film(visit.page, given.film)
-        swing(visit.page, given.seconds, server)
+        begin(visit, arguments.scene)
+        if arguments.film:
+            film(visit.page, arguments.film)
+        swing(visit.page, arguments.seconds, server)
         assert not visit.complaints, visit.complaints
 
 
@@ -153,7 +153,7 @@ def grown(memory: list[dict[str, float]]) -> str:
 
 def resident(*roots: int) -> float:
     """Resident memory of processes and all that they started [bytes]."""
-    return sum(4096 * int(told[21]) for told in family(roots).values())
+    return sum(4096 * int(answer[21]) for answer in family(roots).values())
 
 
 def busy(*roots: int) -> float:
@@ -172,18 +172,18 @@ def seconds(process: int) -> float:
 
 def family(roots: tuple[int, ...]) -> dict[int, list[str]]:
     """What the kernel tells of processes and of all that they started, by their numbers."""
-    told: dict[int, list[str]] = {}
+    options: dict[int, list[str]] = {}
     for path in Path("/proc").glob("[0-9]*"):
         with suppress(OSError, IndexError):
-            told[int(path.name)] = path.joinpath("stat").read_text().rsplit(")", 1)[1].split()
-    found = {}
-    for process in told:
+            options[int(path.name)] = path.joinpath("stat").read_text().rsplit(")", 1)[1].split()
+    results = {}
+    for process in options:
         above = process
-        while above in told and above not in roots:
-            above = int(told[above][1])
+        while above in options and above not in roots:
+            above = int(options[above][1])
         if above in roots:
-            found[process] = told[process]
-    return found
+            results[process] = options[process]
+    return results
 
 
 def film(page, path: Path) -> None:

@@ -48,8 +48,8 @@ def main() -> None:
 def _runs(server: Server, client: Client) -> list[Row]:
     rows = []
     for accuracy in ("draft", "standard"):
-        given = (handle_file(str(DUCK)), "press", accuracy, 14, {}, [])
-        work = partial(client.predict, *given, api_name="/generate")
+        inputs = (handle_file(str(DUCK)), "press", accuracy, 14, {}, [])
+        work = partial(client.predict, *inputs, api_name="/generate")
         name = f"duck, press, {accuracy}: picture to five videos"
         rows.append(_measured(server, name, work))
     work = partial(client.predict, ["orbit"], 512, 25, api_name="/render")

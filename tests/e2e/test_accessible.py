@@ -22,10 +22,10 @@ COVERED = """() => {
 
 
 def _violations(page) -> list[str]:
-    found = axe.Axe().run(page).response["violations"]
+    result = axe.Axe().run(page).response["violations"]
     return [
         f"{rule['id']}: {node['html'][:160]} {node['failureSummary'][-200:]}"
-        for rule in found
+        for rule in result
         for node in rule["nodes"]
     ]
 
@@ -53,39 +53,39 @@ def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, look):
     if "dark" in look:
         page.goto(f"{server.url}?__theme=dark")
         page.wait_for_selector("#scene .card")
-    found = {"empty": _violations(page)}
+    results = {"empty": _violations(page)}
     (tmp_path / "text.png").write_text("this is no picture")
     page.locator("#photo input[type=file]").set_input_files(tmp_path / "text.png")
     page.get_by_text("is not a PNG, JPEG").first.wait_for()
-    found["refused"] = _violations(page)
+    results["refused"] = _violations(page)
     visit.upload(DUCK)
     page.locator("#correct").click()
-    found["brush"] = _violations(page)
+    results["brush"] = _violations(page)
     page.keyboard.press("Escape")
     visit.adjust()
     page.get_by_role("button", name="More", exact=True).click()
     page.wait_for_timeout(300)
-    found["more"] = _violations(page)
+    results["more"] = _violations(page)
     page.keyboard.press("Escape")
     page.locator("#forecast summary").click()
     page.wait_for_timeout(300)
-    found["open"] = _violations(page)
+    results["open"] = _violations(page)
     page.keyboard.press("Escape")
     visit.choose(frames=3)
     with visit.going_on():
         visit.generate()
         page.wait_for_selector(".viewer-host.growing canvas")
-        found["running"] = _violations(page)
+        results["running"] = _violations(page)
     visit.finished()
     visit.experts()
     for group in ("videos", "show", "programs", "experts"):
         visit.open(group)
         page.wait_for_timeout(300)
-        found[group] = _violations(page)
+        results[group] = _violations(page)
     page.get_by_text("Share", exact=True).click()
-    found["share"] = _violations(page)
-    assert not any(found.values()), "\n".join(
-        f"{state}: {line}" for state, lines in found.items() for line in lines
+    results["share"] = _violations(page)
+    assert not any(results.values()), "\n".join(
+        f"{state}: {line}" for state, lines in results.items() for line in lines
     )
     visit.context.close()
 

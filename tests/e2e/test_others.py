@@ -53,7 +53,7 @@ def test_second_picture_outlives_presets_and_reloads(browser, server, tmp_path):
     link = page.evaluate("navigator.clipboard.readText()")
     page.keyboard.press("Escape")
     page.get_by_role("button", name="Remove: right").click()
-    visit.told("(scene) => scene.objects.every((one) => !one.picture)")
+    visit.wait_for_scene("(scene) => scene.objects.every((one) => !one.picture)")
     assert visit.complaints == []
     elsewhere = Visit(browser, server)
     elsewhere.page.goto(link)

@@ -108,13 +108,13 @@ def test_the_player_draws_the_same_stage(browser, tmp_path, rng):
 
 def _sheared(amount: float, index: int) -> Frame:
     """A ball of ellipsoids that is turned and sheared, with its Gaussians' shapes."""
-    one, gradient = ball(2000), np.eye(3) + amount * np.array([[0, -1, 0], [1, 0, 0], [0, 1, 0]])
-    frames = gradient @ rotation_matrices(one.quats) * (one.scales * [1, 2, 0.5])[:, None]
+    first, gradient = ball(2000), np.eye(3) + amount * np.array([[0, -1, 0], [1, 0, 0], [0, 1, 0]])
+    frames = gradient @ rotation_matrices(first.quats) * (first.scales * [1, 2, 0.5])[:, None]
     axes, scales, _ = np.linalg.svd(frames)
     axes[:, :, 0] *= np.linalg.det(axes)[:, None]
     quats = Rotation.from_matrix(axes).as_quat(scalar_first=True)
-    means, colours = one.means @ gradient.T, 0.5 + one.means
-    gaussians = Gaussians.from_rgb(means, quats, scales, one.opacities, colours)
+    means, colours = first.means @ gradient.T, 0.5 + first.means
+    gaussians = Gaussians.from_rgb(means, quats, scales, first.opacities, colours)
     return Frame(index, 0.5 * index, gaussians)
 
 

@@ -86,7 +86,8 @@ class Visit:
             "document.body.dataset.picture !== 'true'"
             " || document.querySelector('#forecast').textContent.includes('substeps')"
         )
-        self.told(f"(scene) => scene.time.frames === {frames} && scene.accuracy === '{accuracy}'")
+        chosen = f"scene.time.frames === {frames} && scene.accuracy === '{accuracy}'"
+        self.wait_for_scene(f"(scene) => {chosen}")
 
     def adjust(self) -> None:
         """Open *Adjust* and the further pictures in it."""
@@ -95,8 +96,8 @@ class Visit:
         )
         self.page.evaluate(opened)
 
-    def told(self, what: str) -> None:
-        """Wait until the editor has told the server of a scene for which `what` is true."""
+    def wait_for_scene(self, what: str) -> None:
+        """Wait until the editor has sent the server a scene for which `what` is true."""
         self.page.wait_for_function(f"({what})(JSON.parse(sessionStorage.getItem('phy124-scene')))")
 
     def begin(self, *, frames: int, accuracy: str = "draft") -> None:

@@ -18,7 +18,7 @@ wall of so few cells by more than the tolerance.
 """
 GRAVITY = {"kind": "gravity"}
 SCENES = {
-    **{f"law {name}": {"material": given} for name, given in LAWS.items()},
+    **{f"law {name}": {"material": material} for name, material in LAWS.items()},
     **{f"wall {name}": {"boundaries": [wall]} for name, wall in (SOLIDS | OTHER_SOLIDS).items()},
     **{f"force {name}": {"forces": [GRAVITY, force]} for name, force in FORCES.items()},
     "wall press": {

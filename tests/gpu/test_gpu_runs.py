@@ -23,9 +23,9 @@ def scene(preset: str = "press", **changes) -> Scene:
 
 @pytest.mark.parametrize("law", ["neo_hookean", "sand"])
 def test_a_paused_run_goes_on(law, gpu, tmp_path):
-    given = scene(material={"law": law})
-    whole = Simulation(prepare(ball(800), given, RunContext(device=gpu))).run()
-    run = Simulation(prepare(ball(800), given, RunContext(device=gpu)))
+    declared = scene(material={"law": law})
+    whole = Simulation(prepare(ball(800), declared, RunContext(device=gpu))).run()
+    run = Simulation(prepare(ball(800), declared, RunContext(device=gpu)))
     for frame in run:
         if frame.index == 2:
             break
@@ -36,10 +36,10 @@ def test_a_paused_run_goes_on(law, gpu, tmp_path):
 
 
 def test_a_run_can_be_cancelled_and_goes_on(gpu, tmp_path):
-    told = []
+    messages = []
 
     def progress(stage: str, done: int, total: int) -> None:
-        told.append(done)
+        messages.append(done)
         if done == 3:
             raise Cancelled
 
@@ -51,22 +51,24 @@ def test_a_run_can_be_cancelled_and_goes_on(gpu, tmp_path):
 
 @pytest.mark.parametrize("preset", ["push_right", "sway", "press"])
 def test_a_forecast_counts_the_substeps_that_are_taken(preset, gpu):
-    given = scene(preset)
-    foretold, _ = run_pilot(ball(500), given, RunContext(device=gpu)).substeps(8)
-    taken = Simulation(prepare(ball(500), given, RunContext(device=gpu))).run().report["substeps"]
+    declared = scene(preset)
+    foretold, _ = run_pilot(ball(500), declared, RunContext(device=gpu)).substeps(8)
+    taken = (
+        Simulation(prepare(ball(500), declared, RunContext(device=gpu))).run().report["substeps"]
+    )
     assert foretold == pytest.approx(taken, rel=0.25)
 
 
 def test_a_body_at_rest_sleeps(gpu):
-    given = scene("drop", **{"object.lift": 0.0, "time.frames": 30, "forces": []})
-    run = Simulation(prepare(ball(500), given, RunContext(device=gpu)))
+    declared = scene("drop", **{"object.lift": 0.0, "time.frames": 30, "forces": []})
+    run = Simulation(prepare(ball(500), declared, RunContext(device=gpu)))
     run.run()
     assert run.report()["sleep"]["frames"] > 0
 
 
 def test_a_violent_blow_is_tried_in_small_steps(gpu):
-    given = scene("drop", **{"object.velocity": [0, 0, -60.0], "time.fps": 400.0})
-    run = Simulation(prepare(ball(500), given, RunContext(device=gpu)))
+    declared = scene("drop", **{"object.velocity": [0, 0, -60.0], "time.fps": 400.0})
+    run = Simulation(prepare(ball(500), declared, RunContext(device=gpu)))
     clip = run.run()
     assert clip.report["complete"] and np.isfinite(clip.means).all()
 
@@ -84,7 +86,7 @@ def test_non_finite_particle_is_named(gpu):
 
 
 def test_the_same_run_twice_is_the_same_within_rounding(gpu):
-    one, other = (
+    first, other = (
         Simulation(prepare(ball(800), scene(), RunContext(device=gpu))).run() for _ in range(2)
     )
-    np.testing.assert_allclose(one.means, other.means, atol=ROUNDING)
+    np.testing.assert_allclose(first.means, other.means, atol=ROUNDING)

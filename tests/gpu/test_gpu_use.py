@@ -28,9 +28,9 @@ FEW = {"accuracy": {"cells": 8, "solver": "mpm"}, "time.frames": 3}
 def test_the_command_line_makes_a_clip_and_films_it(gpu, tmp_path, capsys):
     write_ply(tmp_path / "ball.ply", ball(500))
     out = tmp_path / "out"
-    given = ["simulate", str(tmp_path / "ball.ply"), "--scene", "press", "--out", str(out)]
+    arguments = ["simulate", str(tmp_path / "ball.ply"), "--scene", "press", "--out", str(out)]
     options = ["--device", gpu, "--json", "--set", "accuracy.cells=8", "time.frames=3"]
-    assert main([*given, *options, "view.size=64"]) == 0
+    assert main([*arguments, *options, "view.size=64"]) == 0
     assert (out / "front.mp4").exists()
     assert str(out) in json.dumps(json.loads(capsys.readouterr().out))
 
@@ -101,11 +101,11 @@ def test_a_second_card_computes_the_same(gpu):
     if gpu == "cpu" or wp.get_cuda_device_count() < 2:
         pytest.skip("this machine has no second CUDA device")
     scene = Scene.named("press").replaced(FEW)
-    one, other = (
+    single, other = (
         Simulation(prepare(ball(500), scene, RunContext(device=f"cuda:{i}"))).run()
         for i in range(2)
     )
-    np.testing.assert_allclose(one.means, other.means, atol=1e-3)
+    np.testing.assert_allclose(single.means, other.means, atol=1e-3)
     g, camera = ball(500), Camera.orbit(30, 20, 1.4, 64)
     first, second = (Renderer(device=f"cuda:{i}")(g, camera) for i in range(2))
     np.testing.assert_allclose(second, first, atol=1 / 255)

@@ -32,8 +32,8 @@ def laws() -> Clips:
     """A ball of each material hits the ground."""
     fall = {"object.lift": 0.02, "object.velocity": [0.5, 0.2, -2.0]}
     return {
-        name: lambda given=given: clip("drop", material=given, **fall)
-        for name, given in LAWS.items()
+        name: lambda material=material: clip("drop", material=material, **fall)
+        for name, material in LAWS.items()
     }
 
 

@@ -33,13 +33,13 @@ def conflicts(entries: NDArray, arrays: Mapping[str, tuple[int, int]]) -> Counte
     high = np.full((3, len(place)), -1, np.int64)
     np.minimum.at(low, (kinds, first), tasks)
     np.maximum.at(high, (kinds, first), tasks)
-    found: Counter[str] = Counter()
-    for pair, (one, other) in PAIRS.items():
-        both = (high[one] >= 0) & (high[other] >= 0)
-        several = np.minimum(low[one], low[other]) < np.maximum(high[one], high[other])
+    result: Counter[str] = Counter()
+    for pair, (single, other) in PAIRS.items():
+        both = (high[single] >= 0) & (high[other] >= 0)
+        several = np.minimum(low[single], low[other]) < np.maximum(high[single], high[other])
         for word in place[both & several]:
-            found[f"{pair} {_name(int(word), arrays)}"] += 1
-    return found
+            result[f"{pair} {_name(int(word), arrays)}"] += 1
+    return result
 
 
 def _shared(entries: NDArray, arrays: Mapping[str, tuple[int, int]]) -> NDArray:

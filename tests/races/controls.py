@@ -12,9 +12,9 @@ NAMES = (
     "mass_and_momentum",
     "mass",
     "counted",
-    "own",
+    "separate",
 )
-VECTORS = {"mass_and_momentum": wp.vec4, "mass": wp.vec4, "own": wp.vec3}
+VECTORS = {"mass_and_momentum": wp.vec4, "mass": wp.vec4, "separate": wp.vec3}
 """Type of the elements, where they are not numbers."""
 
 
@@ -72,7 +72,7 @@ def counted(values_out: wp.array(dtype=float)):
 
 
 @wp.kernel(module="phy124_control", enable_backward=False)
-def own(values_out: wp.array(dtype=wp.vec3)):
+def separate(values_out: wp.array(dtype=wp.vec3)):
     """Each reads and writes its own element: no race."""
     i = wp.tid()
     values_out[i] = values_out[i] + wp.vec3(1.0, 2.0, 3.0)

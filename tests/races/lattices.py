@@ -61,8 +61,8 @@ def lattices() -> Runs:
         **{f"below a {shape}": below(shape) for shape in ("sphere", "capsule", "box")},
     }
     runs: Runs = {
-        name: lambda given=given: on_lattice(**{**FALLING, **given})
-        for name, given in changes.items()
+        name: lambda options=options: on_lattice(**{**FALLING, **options})
+        for name, options in changes.items()
     }
     runs["two objects"] = collide
     runs["two objects that stick"] = lambda: collide(contact="sticky")

@@ -30,21 +30,21 @@ class Detective:
         self._run = run
         self._turns.clear()
 
-    def __call__(self, given: Given, launch: Callable[[], None]) -> None:
+    def __call__(self, inputs: Given, launch: Callable[[], None]) -> None:
         """Run a launch and look at it, if its turn has come."""
-        turn = self._turns[given.name]
-        self._turns[given.name] += 1
+        turn = self._turns[inputs.name]
+        self._turns[inputs.name] += 1
         if turn >= FIRST and turn % THEN:
             launch()
             return
-        self.seen[given.name] += 1
-        if given.threads == 1:  # Nothing races with it.
+        self.seen[inputs.name] += 1
+        if inputs.threads == 1:  # Nothing races with it.
             launch()
             return
         with self._record.noting():
             launch()
-        for what, words in conflicts(self._record.entries(), given.arrays()).items():
-            self.raced[given.name].setdefault(what, Counter())[self._run] += words
+        for what, words in conflicts(self._record.entries(), inputs.arrays()).items():
+            self.raced[inputs.name].setdefault(what, Counter())[self._run] += words
 
 
 def races(group: str, cache: str) -> dict[str, Any]:

@@ -20,11 +20,11 @@ class Mixer:
         """Choose other orders; None: one thread after another."""
         self._rng = None if seed is None else np.random.default_rng(seed)
 
-    def __call__(self, given: Given, launch: Callable[[], None]) -> None:
+    def __call__(self, inputs: Given, launch: Callable[[], None]) -> None:
         """Run a launch."""
         self._record.in_order()
-        if self._rng is not None and given.threads > 1:
-            self._record.shuffled(given.threads, self._rng)
+        if self._rng is not None and inputs.threads > 1:
+            self._record.shuffled(inputs.threads, self._rng)
         launch()
 
 
@@ -35,12 +35,12 @@ def apart(group: str, cache: str, seeds: tuple[int, ...] = (1, 2)) -> dict[str, 
     gpu_forms.choose()
     from races.clips import CLIPS
 
-    found: dict[str, list[float]] = {}
+    results: dict[str, list[float]] = {}
     for name, run in CLIPS[group]().items():
         mixer.seed(None)
         means = run().means
-        found[name] = []
+        results[name] = []
         for seed in seeds:
             mixer.seed(seed)
-            found[name].append(float(np.abs(run().means - means).max()))
-    return found
+            results[name].append(float(np.abs(run().means - means).max()))
+    return results

@@ -35,9 +35,9 @@ def _mask(name: str, body: str, numbers: dict[str, int]) -> int:
         mask |= 1 << numbers[part]
     rest = re.sub(rf"wp::extract\({name}, \w+\)", "", rest)
     for copy in re.findall(rf"(\w+) = wp::copy\({name}\);", rest):
-        own = _mask(copy, rest.replace(f"{copy} = wp::copy({name});", "", 1), numbers)
-        if not own:
+        expected = _mask(copy, rest.replace(f"{copy} = wp::copy({name});", "", 1), numbers)
+        if not expected:
             return 0
-        mask |= own
+        mask |= expected
     rest = re.sub(rf"\w+ = wp::copy\({name}\);", "", rest)
     return 0 if re.search(rf"\b{name}\b", rest) else mask

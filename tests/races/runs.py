@@ -44,10 +44,12 @@ def simulate(
 
 def laws() -> Runs:
     """Every law; the first in both precisions that scenes have, and with both gradients."""
-    fall = {law: {"material": given, **FALLING} for law, given in LAWS.items()}
+    fall = {law: {"material": material, **FALLING} for law, material in LAWS.items()}
     fall["float64"] = {**FALLING, "accuracy": {"cells": 8, "precision": "float64"}}
     fall["spline"] = {**FALLING, "accuracy": {"cells": 8, "gradient": "spline"}}
-    return {name: lambda given=given: looked_at(**given) for name, given in fall.items()}
+    return {
+        name: lambda material=material: looked_at(**material) for name, material in fall.items()
+    }
 
 
 def looked_at(**changes: Any) -> None:
@@ -58,21 +60,21 @@ def looked_at(**changes: Any) -> None:
 
 def walls() -> Runs:
     """Every boundary, still and moving, with every contact; a law that flows meets some of them."""
-    found: Runs = {}
+    results: Runs = {}
     for name, wall in SOLIDS.items():
         for contact in ("separate", "slip", "sticky"):
             motion = {"motion": SWING} if contact == "separate" else {}
             met = {**wall, "contact": contact, **motion}
-            found[f"{name}, {contact}"] = lambda met=met: simulate(boundaries=[met], **FALLING)
-        found[f"{name}, still"] = lambda wall=wall: simulate(boundaries=[wall], **FALLING)
+            results[f"{name}, {contact}"] = lambda met=met: simulate(boundaries=[met], **FALLING)
+        results[f"{name}, still"] = lambda wall=wall: simulate(boundaries=[wall], **FALLING)
     for name, wall in OTHER_SOLIDS.items():
-        found[name] = lambda wall=wall: simulate(boundaries=[wall], **FALLING)
+        results[name] = lambda wall=wall: simulate(boundaries=[wall], **FALLING)
     sand = {"material": {"law": "sand"}, **FALLING}
     for name in ("sphere", "capsule", "box"):
-        found[f"sand on a {name}"] = lambda wall=SOLIDS[name]: simulate(boundaries=[wall], **sand)
+        results[f"sand on a {name}"] = lambda wall=SOLIDS[name]: simulate(boundaries=[wall], **sand)
     for shape in ("sphere", "capsule", "box"):
-        found[f"a free {shape}"] = lambda shape=shape: under_a_free(shape)
-    return found
+        results[f"a free {shape}"] = lambda shape=shape: under_a_free(shape)
+    return results
 
 
 def under_a_free(shape: str) -> None:

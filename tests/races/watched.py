@@ -31,7 +31,7 @@ Launch = Callable[[Any, Any, Callable[[], None]], None]
 
 def wrapped() -> str:
     """C++: Warp's functions that access arrays, each with its note."""
-    found = [
+    outcome = [
         "template <typename T> inline T seen_load(T* p)"
         f"{{ seen::note(p, sizeof(T), {READ}); return load(p); }}",
         "template <typename T, typename V> inline void seen_store(T* p, V v)"
@@ -51,22 +51,22 @@ def wrapped() -> str:
     for (name, result, kind), axes in product(names, (1, 2, 3)):
         indices = ", ".join("ijk"[:axes])
         integers = ", ".join(f"int {i}" for i in "ijk"[:axes])
-        given, passed = ("T o, T v", "o, v") if name == "atomic_cas" else ("T v", "v")
+        inputs, passed = ("T o, T v", "o, v") if name == "atomic_cas" else ("T v", "v")
         where = f"&index(a, {indices})"
         noted = f"seen::note({where}, sizeof(T), {kind})"
         if name == "atomic_add":
             noted = f"added({where}, v)"
-        found.append(
-            f"{ARRAY}> inline {result} seen_{name}(const A<T>& a, {integers}, {given})"
+        outcome.append(
+            f"{ARRAY}> inline {result} seen_{name}(const A<T>& a, {integers}, {inputs})"
             f"{{ {noted}; return {name}(a, {indices}, {passed}); }}"
         )
-    found.append(
+    outcome.append(
         f"{ARRAY}> inline T& seen_index(const A<T>& a, int i)"
         f"{{ seen::note(&index(a, i), sizeof(T), {READ}); return index(a, i); }}"
     )
     macros = ["load", "store", "index", *(name for name, _, _ in names)]
     lines = [f"#define {name}(...) seen_{name}(__VA_ARGS__)" for name in macros]
-    return "\n".join([NOTE, "namespace wp {", *found, "}", *lines, ""])
+    return "\n".join([NOTE, "namespace wp {", *outcome, "}", *lines, ""])
 
 
 def watched(source: str) -> str:
@@ -112,9 +112,9 @@ class _Forward:
         self._kernel, self._native, self._launch, self._lock = kernel, native, launch, lock
 
     def __call__(self, bounds: Any, arguments: Any) -> None:
-        given = Given(self._kernel, bounds._obj, arguments._obj)
+        inputs = Given(self._kernel, bounds._obj, arguments._obj)
         with self._lock:
-            self._launch(given, lambda: self._native(bounds, arguments))
+            self._launch(inputs, lambda: self._native(bounds, arguments))
 
 
 class Given:
@@ -127,13 +127,13 @@ class Given:
 
     def arrays(self) -> dict[str, tuple[int, int]]:
         """First address of each array and one past its last."""
-        found = {}
+        results = {}
         for argument in self._kernel.adj.args:
             if isinstance(argument.type, wp.array):
                 array = getattr(self._arguments, argument.label)
                 if array.data:
-                    found[argument.label] = (
+                    results[argument.label] = (
                         array.data,
                         array.data + array.shape[0] * array.strides[0],
                     )
-        return found
+        return results

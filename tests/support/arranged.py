@@ -25,13 +25,13 @@ class Arranged(NamedTuple):
 
 def arranged(solids: list[Solid], camera: Camera, box: Box) -> Arranged:
     """What the kernel makes of solids, around Gaussians in a box."""
-    given = Uploaded(StageFrame(BLACK, None, tuple(solids)), "cpu")
+    options = Uploaded(StageFrame(BLACK, None, tuple(solids)), "cpu")
     kinds = glass.Solid, glass.Outline, int
     made = [wp.zeros(max(len(solids), 3), dtype=kind, device="cpu") for kind in kinds]
     inputs = [
         make_view(camera, FILTERS["dilate"]),
         *(wp.vec3(*corner) for corner in box),
-        given.solids,
+        options.solids,
     ]
     wp.launch(arrange, len(solids), inputs=inputs, outputs=made, device="cpu")
     ordered, outlines, counts = (array.numpy() for array in made)

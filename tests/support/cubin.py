@@ -35,13 +35,13 @@ def usage(kernel: Any, architecture: int) -> dict[str, Usage]:
     """What the kernels of a module take, by kernel, when compiled for an architecture."""
     with TemporaryDirectory() as folder:
         code = _compiled(kernel.module, architecture, folder, ptx=False)
-        found = dict(_functions(code))
+        result = dict(_functions(code))
         declared = 0
-        if any(stack for _, stack in found.values()):
+        if any(stack for _, stack in result.values()):
             declared = _declared(_compiled(kernel.module, architecture, folder, ptx=True))
     return {
         name: Usage(registers, stack, max(0, stack - declared))
-        for name, (registers, stack) in found.items()
+        for name, (registers, stack) in result.items()
     }
 
 
@@ -88,9 +88,9 @@ def _sections(code: bytes) -> Iterator[tuple[str, tuple[int, int]]]:
     """Name, place and length of each section of an ELF file of 64 bits."""
     (start,) = struct.unpack_from("<Q", code, 0x28)
     size, count, names = struct.unpack_from("<HHH", code, 0x3A)
-    found = [struct.unpack_from("<IIQQQQ", code, start + i * size) for i in range(count)]
-    for name, _, _, _, at, length in found:
-        yield _text(code, found[names][4] + name), (at, length)
+    result = [struct.unpack_from("<IIQQQQ", code, start + i * size) for i in range(count)]
+    for name, _, _, _, at, length in result:
+        yield _text(code, result[names][4] + name), (at, length)
 
 
 def _text(code: bytes, at: int) -> str:

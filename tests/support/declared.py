@@ -63,7 +63,7 @@ def _inside(node: Node, path: str, wrap: Wrap, files: dict[str, str]) -> Iterato
 
 
 def _section(node: Node, path: str, wrap: Wrap, files: dict[str, str]) -> Iterator[Leaf]:
-    base = {key: one["const"] for key, one in node["properties"].items() if "const" in one}
+    base = {key: item["const"] for key, item in node["properties"].items() if "const" in item}
     kind = next(iter(base.values()), "")
     for key in node.get("required", []):
         base[key] = files.get(kind, "missing")
@@ -85,22 +85,22 @@ def _with_key(wrap: Wrap, base: dict[str, Any], key: str, value: Any) -> Any:
 
 def legal(node: Node) -> list[Any]:
     """Values at and within the bounds of a leaf."""
-    found = [node["default"]] if node.get("default") is not None else []
-    found += node.get("enum", [])
-    found += [True, False] if node.get("type") == "boolean" else []
-    found += [node[key] for key in ("minimum", "maximum") if key in node]
-    found += [node[key] * (1 - 1e-9) for key in ("exclusiveMaximum",) if key in node]
-    found += [1e-300] if node.get("exclusiveMinimum") == 0 else []
-    return found
+    result = [node["default"]] if node.get("default") is not None else []
+    result += node.get("enum", [])
+    result += [True, False] if node.get("type") == "boolean" else []
+    result += [node[key] for key in ("minimum", "maximum") if key in node]
+    result += [node[key] * (1 - 1e-9) for key in ("exclusiveMaximum",) if key in node]
+    result += [1e-300] if node.get("exclusiveMinimum") == 0 else []
+    return result
 
 
 def beyond(node: Node) -> list[Any]:
     """Values that are mostly wrong there."""
-    found = [*ODD, *HUGE]
+    result = [*ODD, *HUGE]
     for key in ("minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum"):
         if key in node:
             step = max(abs(node[key]) * 1e-6, 1e-12)
-            found.append(node[key] - step if "in" in key[-7:-3] else node[key] + step)
+            result.append(node[key] - step if "in" in key[-7:-3] else node[key] + step)
     if node.get("type") == "string":
-        found += ["nonsense", "a\0b", "\ud800", "x" * 10_000]
-    return found
+        result += ["nonsense", "a\0b", "\ud800", "x" * 10_000]
+    return result

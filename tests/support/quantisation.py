@@ -115,21 +115,21 @@ def _nearest(codes: NDArray, values: NDArray) -> float:
     return float(cKDTree(codes[:, None]).query(values.reshape(-1, 1))[0].max())
 
 
-def errors(found: Gaussians, wanted: Gaussians, *, ordered: bool = True) -> Errors:
+def errors(result: Gaussians, wanted: Gaussians, *, ordered: bool = True) -> Errors:
     """The largest differences; writers that reorder are matched by their centres."""
-    assert len(found) == len(wanted)
+    assert len(result) == len(wanted)
     if not ordered:
-        found = found.select(cKDTree(found.means).query(wanted.means)[1])
-    k = min(found.sh.shape[1], wanted.sh.shape[1])
-    a, b = (g.quats.astype(np.float64) for g in (found, wanted))
+        result = result.select(cKDTree(result.means).query(wanted.means)[1])
+    k = min(result.sh.shape[1], wanted.sh.shape[1])
+    a, b = (g.quats.astype(np.float64) for g in (result, wanted))
     apart = np.minimum(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
     return Errors(
-        float(np.abs(found.means - wanted.means).max()),
+        float(np.abs(result.means - wanted.means).max()),
         float((4 * np.arcsin(apart / 2)).max()),
-        float(np.abs(np.log(found.scales) - np.log(wanted.scales)).max()),
-        float(np.abs(found.opacities - wanted.opacities).max()),
-        float(np.abs(found.sh[:, 0] - wanted.sh[:, 0]).max()),
-        float(np.abs(found.sh[:, 1:k] - wanted.sh[:, 1:k]).max(initial=0)),
+        float(np.abs(np.log(result.scales) - np.log(wanted.scales)).max()),
+        float(np.abs(result.opacities - wanted.opacities).max()),
+        float(np.abs(result.sh[:, 0] - wanted.sh[:, 0]).max()),
+        float(np.abs(result.sh[:, 1:k] - wanted.sh[:, 1:k]).max(initial=0)),
     )
 
 

@@ -16,12 +16,12 @@ def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
-def same(one: Path, other: Path) -> None:
+def same(first: Path, other: Path) -> None:
     """Assert that two runs left the same, apart from what they took."""
-    assert names(one) == names(other)
-    for name in names(one) - {"clip.safetensors", "report.json"}:
-        assert (one / name).read_bytes() == (other / name).read_bytes(), name
-    a, b = (Clip.load(folder / "clip.safetensors").tensors() for folder in (one, other))
+    assert names(first) == names(other)
+    for name in names(first) - {"clip.safetensors", "report.json"}:
+        assert (first / name).read_bytes() == (other / name).read_bytes(), name
+    a, b = (Clip.load(folder / "clip.safetensors").tensors() for folder in (first, other))
     assert a.keys() == b.keys()
     for name in a:
         assert np.array_equal(a[name], b[name]), name

@@ -46,14 +46,14 @@ class Server:
     def children(self) -> list[str]:
         """Programs of all processes that it has started and that go on."""
         listed = Path(f"/proc/{self.process.pid}/task").glob("*/children")
-        found = [pid for path in listed for pid in path.read_text().split()]
-        return [Path(f"/proc/{pid}/comm").read_text().strip() for pid in found]
+        result = [pid for path in listed for pid in path.read_text().split()]
+        return [Path(f"/proc/{pid}/comm").read_text().strip() for pid in result]
 
     def files(self) -> list[Path]:
         """Files of visitors; not those that nobody has claimed yet, which are kept for a while."""
         visitors = self.folder / "visitors"
-        found = (path for path in visitors.rglob("*") if path.parent.name != "arrivals")
-        return [path for path in found if path.is_file()]
+        result = (path for path in visitors.rglob("*") if path.parent.name != "arrivals")
+        return [path for path in result if path.is_file()]
 
     def peak_memory(self) -> int:
         """Largest resident size so far, bytes."""
@@ -107,10 +107,10 @@ def serving(
     """
     port = port or free_port()
     # After a native crash the log has the stack of each thread.
-    given = {"PYTHONFAULTHANDLER": "1"}
-    given |= {f"PHY124_{name.upper()}": str(value) for name, value in settings.items()}
+    options = {"PYTHONFAULTHANDLER": "1"}
+    options |= {f"PHY124_{name.upper()}": str(value) for name, value in settings.items()}
     root, written = folder / "files", folder / "log.txt"
-    environment = {**os.environ, "PHY124_PORT": str(port), "PHY124_FOLDER": str(root), **given}
+    environment = {**os.environ, "PHY124_PORT": str(port), "PHY124_FOLDER": str(root), **options}
     with open(written, "wb") as log:
         process = subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=log)
     if files:

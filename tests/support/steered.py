@@ -44,5 +44,5 @@ def point(place, frame="phy124"):
 def transform(parent, child, place, quaternion=(0, 0, 0, 1)):
     rotation = SimpleNamespace(**dict(zip("xyzw", quaternion, strict=True)))
     link = SimpleNamespace(translation=triple(place), rotation=rotation)
-    one = SimpleNamespace(header=header(parent), child_frame_id=child, transform=link)
-    return SimpleNamespace(transforms=[one])
+    first = SimpleNamespace(header=header(parent), child_frame_id=child, transform=link)
+    return SimpleNamespace(transforms=[first])

@@ -15,8 +15,8 @@ def ffmpeg(*arguments, check: bool = True) -> subprocess.CompletedProcess:
 
 def stream(path: Path) -> str:
     """What ffmpeg says of the video stream."""
-    told = ffmpeg("-i", path, check=False).stderr.decode()  # it complains of no output file
-    return next(line for line in told.splitlines() if "Video:" in line)
+    answer = ffmpeg("-i", path, check=False).stderr.decode()  # it complains of no output file
+    return next(line for line in answer.splitlines() if "Video:" in line)
 
 
 def read_video(path: Path) -> np.ndarray:

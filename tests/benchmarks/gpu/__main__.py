@@ -28,7 +28,7 @@ def pieces(device: str, physgaussian: str | None) -> dict[str, list[str]]:
     here, cpu = ["--device", device], device == "cpu"
     torch_device = "cpu" if cpu else "cuda"
     tests = ["-m", "pytest", "tests", "-m", "gpu", "-q", "-rs", "-p", "no:cacheprovider", *here]
-    found = {
+    results = {
         "facts": [str(HERE / "facts.py"), *here],
         "compiling": [str(HERE / "compiling.py"), *here],
         "substep": [str(HERE / "substep.py"), *here, *(["--count", "5000"] if cpu else [])],
@@ -41,11 +41,11 @@ def pieces(device: str, physgaussian: str | None) -> dict[str, list[str]]:
         "registers": [str(BENCHMARKS / "cuda_report.py")],
     }
     if physgaussian:
-        found["physgaussian"] = [str(HERE / "physgaussian.py"), physgaussian, *here]
+        results["physgaussian"] = [str(HERE / "physgaussian.py"), physgaussian, *here]
     if not cpu:
         command = [str(BENCHMARKS / "generators.py"), "stage", "--device", torch_device]
-        found["generators"] = command
-    return found
+        results["generators"] = command
+    return results
 
 
 def run(name: str, command: list[str], out: Path) -> dict:

@@ -27,7 +27,7 @@ def smi() -> str | None:
 def warp_facts(name: str) -> dict[str, Any]:
     """A device as Warp sees it."""
     device: Any = wp.get_device(name)
-    found = {
+    results = {
         "warp": wp.__version__,
         "name": device.name,
         "toolkit": wp.get_cuda_toolkit_version(),
@@ -35,7 +35,7 @@ def warp_facts(name: str) -> dict[str, Any]:
         "devices": wp.get_cuda_device_count(),
     }
     if device.is_cuda:
-        found |= {
+        results |= {
             "architecture": device.arch,
             "multiprocessors": device.sm_count,
             "memory_gib": device.total_memory / 2**30,
@@ -43,18 +43,18 @@ def warp_facts(name: str) -> dict[str, Any]:
             "memory_pool": device.is_mempool_enabled,
             "conditional_graphs": wp.is_conditional_graph_supported(),
         }
-    return found
+    return results
 
 
 def torch_facts() -> dict[str, Any]:
     """Whether torch can use the card, and whether gsplat is there."""
-    found: dict[str, Any] = {"gsplat": find_spec("gsplat") is not None}
+    results: dict[str, Any] = {"gsplat": find_spec("gsplat") is not None}
     if find_spec("torch"):
         import torch
 
-        found |= {"torch": torch.__version__, "cuda": torch.version.cuda}
-        found["usable"] = torch.cuda.is_available()
-    return found
+        results |= {"torch": torch.__version__, "cuda": torch.version.cuda}
+        results["usable"] = torch.cuda.is_available()
+    return results
 
 
 if __name__ == "__main__":

@@ -51,11 +51,11 @@ whose three vectors are columns.
 
 def outdated(folder: str) -> list[str]:
     """The lines that must be changed, with what to write."""
-    found = []
+    results = []
     for name, rules in OLD.items():
         for number, line in enumerate((Path(folder) / name).read_text("utf-8").splitlines(), 1):
-            found += [f"{name}:{number}: {new}" for old, new in rules if re.search(old, line)]
-    return found
+            results += [f"{name}:{number}: {new}" for old, new in rules if re.search(old, line)]
+    return results
 
 
 def theirs(folder: str, count: int, cells: int, device: str) -> float:
@@ -66,8 +66,8 @@ def theirs(folder: str, count: int, cells: int, device: str) -> float:
 
     x = torch.as_tensor(cloud(count, size=1.0, corner=0.5, dx=2 / cells), dtype=torch.float32)
     solver = MPM_Simulator_WARP(10)
-    given = (x.to(device), torch.full((count,), 1 / count, device=device))
-    solver.load_initial_data_from_torch(*given, n_grid=cells, grid_lim=2.0)
+    inputs = (x.to(device), torch.full((count,), 1 / count, device=device))
+    solver.load_initial_data_from_torch(*inputs, n_grid=cells, grid_lim=2.0)
     material = {"material": "jelly", "E": 1e5, "nu": 0.3, "density": 200, "g": [0, 0, -9.81]}
     solver.set_parameters_dict(material, device=device)
     solver.finalize_mu_lam(device=device)

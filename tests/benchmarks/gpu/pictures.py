@@ -46,12 +46,12 @@ def with_gsplat(g: Gaussians, camera: Camera, device: str) -> Callable[[], np.nd
     import gsplat
     import torch
 
-    def given(array: Any) -> Any:
+    def upload(array: Any) -> Any:
         return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32, device=device)
 
-    arrays = [given(a) for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
-    view, k = given(camera.view)[None], given(camera.intrinsics)[None]
-    white = given(np.ones((1, 3)))
+    arrays = [upload(a) for a in (g.means, g.quats, g.scales, g.opacities, g.sh)]
+    view, k = upload(camera.view)[None], upload(camera.intrinsics)[None]
+    white = upload(np.ones((1, 3)))
 
     def draw() -> np.ndarray:
         rgb, _, _ = gsplat.rasterization(

@@ -47,11 +47,11 @@ def by_kernel(s: Solver, device: str) -> dict[str, float]:
     wp.timing_begin(cuda_filter=wp.TIMING_ALL)
     s.advance(s.clock.time + SUBSTEPS * SUBSTEP)
     wp.synchronize()
-    found: dict[str, float] = defaultdict(float)
+    outcome: dict[str, float] = defaultdict(float)
     for result in wp.timing_end():
-        found[result.name.split("__")[-1]] += result.elapsed * 1e3
+        outcome[result.name.split("__")[-1]] += result.elapsed * 1e3
     taken = s.clock.substeps - before
-    return {name: spent / taken for name, spent in found.items()}
+    return {name: spent / taken for name, spent in outcome.items()}
 
 
 def floor(name: str, s: Solver, speed: float) -> float | None:
@@ -94,5 +94,5 @@ def main(count: int, device: str) -> None:
 
 
 if __name__ == "__main__":
-    given = device_asked(__doc__, 65_536)
-    main(given.count, given.device)
+    inputs = device_asked(__doc__, 65_536)
+    main(inputs.count, inputs.device)

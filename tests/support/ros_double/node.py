@@ -35,8 +35,8 @@ HEARTBEAT = 0.1
 def heartbeat() -> float:
     """What CYCLONEDDS_URI says when the first node of a process creates the DDS domain [s]."""
     settings = os.environ.get("CYCLONEDDS_URI", "")
-    found = re.search(r"<HeartbeatInterval>(\d+) ms<", settings)
-    return int(found[1]) / 1000 if found else HEARTBEAT
+    match = re.search(r"<HeartbeatInterval>(\d+) ms<", settings)
+    return int(match[1]) / 1000 if match else HEARTBEAT
 
 
 class Context:
@@ -242,13 +242,13 @@ class Node:
         descriptor = descriptor or ParameterDescriptor()
         if not descriptor.dynamic_typing:
             descriptor.type = Type.of(value).value
-        given = value if ignore_override else self.parameters.get(name, value)
-        parameter = Parameter(name, value=given)
+        inputs = value if ignore_override else self.parameters.get(name, value)
+        parameter = Parameter(name, value=inputs)
         result = self._set(parameter, descriptor, check_read_only=False)
         if not result.successful:
             if result.reason.startswith("Wrong parameter type"):
                 raise InvalidParameterTypeException(parameter, Type(descriptor.type).name)
-            raise InvalidParameterValueException(name, given, result.reason)
+            raise InvalidParameterValueException(name, inputs, result.reason)
         return self.declared[name]
 
     def set_descriptor(self, name, descriptor, alternative_value=None) -> None:

@@ -63,19 +63,19 @@ class Placed:
 
     def all(self, p: NDArray) -> NDArray[np.float64]:
         """Distances [K,N] of every part."""
-        own = p * self.scale + self.middle
-        return np.stack([one.distance(own) for one in self.parts]) / self.scale
+        local = p * self.scale + self.middle
+        return np.stack([item.distance(local) for item in self.parts]) / self.scale
 
     def __call__(self, p: NDArray) -> NDArray[np.float64]:
         return self.all(p).min(axis=0)
 
     def colour(self, p: NDArray) -> NDArray[np.float64]:
         """Lit colours [N,3] at points of the surface."""
-        own, which = p * self.scale + self.middle, self.all(p).argmin(axis=0)
+        local, which = p * self.scale + self.middle, self.all(p).argmin(axis=0)
         paint = np.zeros_like(p)
-        for k, one in enumerate(self.parts):
+        for k, item in enumerate(self.parts):
             if (which == k).any():
-                paint[which == k] = one.paint(own[which == k])
+                paint[which == k] = item.paint(local[which == k])
         step = 2e-3 * np.eye(3)
         normal = np.stack([self(p + e) - self(p - e) for e in step], axis=1)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)

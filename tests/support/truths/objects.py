@@ -46,14 +46,16 @@ def part(distance: Distance, colour: tuple[float, float, float] | Paint) -> Part
     return Part(distance, lambda p: np.broadcast_to(np.asarray(colour), p.shape))
 
 
-def striped(one: tuple, other: tuple, along: int, width: float) -> Paint:
+def striped(first: tuple, other: tuple, along: int, width: float) -> Paint:
     """Stripes across an axis."""
-    return lambda p: np.where((np.floor(p[:, along] / width) % 2 > 0)[:, None], one, other)
+    return lambda p: np.where((np.floor(p[:, along] / width) % 2 > 0)[:, None], first, other)
 
 
-def checked(one: tuple, other: tuple, width: float) -> Paint:
+def checked(first: tuple, other: tuple, width: float) -> Paint:
     """A chessboard in space."""
-    return lambda p: np.where((np.floor(p / width + 1e-3).sum(axis=1) % 2 > 0)[:, None], one, other)
+    return lambda p: np.where(
+        (np.floor(p / width + 1e-3).sum(axis=1) % 2 > 0)[:, None], first, other
+    )
 
 
 def mottled(colour: tuple, depth: float = 0.25, size: float = 0.12) -> Paint:
