@@ -36,12 +36,12 @@ def test_goals_are_read(text, kind, value):
 
 
 @pytest.mark.parametrize("text", ["", "2", "px", "-1px", "0%", "1e3px", "2 apples"])
-def test_what_is_no_error_is_refused(text):
+def test_invalid_error_goals_are_refused(text):
     with pytest.raises(InputError, match="it is not a positive number with a unit"):
         Goal.error(text)
 
 
-def test_what_is_no_time_is_refused():
+def test_invalid_time_goals_are_refused():
     with pytest.raises(InputError, match="positive number of seconds"):
         Goal.time(-1)
 
@@ -154,7 +154,7 @@ def test_the_densest_object_is_not_tried_again(quick, monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_object_that_tears_all_the_same_meets_no_goal(quick):
+def test_torn_object_meets_no_goal(quick):
     """However close two grids are: what both tear is not what the material does."""
     with pytest.raises(InputError, match=r"on D/\d+ the material is stretched \d.* may tear it"):
         run_for_goal(Goal.error("0.2%"), ball(600), soft(50))

@@ -164,7 +164,7 @@ def test_own_error_of_a_goal_is_that_of_its_grids(run):
 
 
 @pytest.mark.parametrize("cost", [0.2001, 0.203, 0.31])
-def test_cost_differs_in_words_from_its_limit(run, monkeypatch, cost):
+def test_sentence_distinguishes_cost_from_its_limit(run, monkeypatch, cost):
     monkeypatch.setattr(companion, "forecast", lambda *_: cost)
     why = with_own_error(*run).report["error"]["why_not"]
     took, limit = re.findall(r"[\d.]+ %", why)

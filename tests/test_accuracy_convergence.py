@@ -84,7 +84,7 @@ def test_two_levels_show_no_order():
 
 
 @pytest.mark.parametrize("order", [0.2, 0.7])
-def test_a_low_order_is_said_and_not_trusted(order):
+def test_low_order_is_reported_and_not_used(order):
     """Errors are about those of first order: the levels are too coarse to tell."""
     apart = distances(results(order))
     result = richardson(H, apart)

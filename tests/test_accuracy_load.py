@@ -32,7 +32,7 @@ def test_others_are_seen_by_what_they_leave_of_the_cores(
     assert Load.measure() == Load(thread, simulation)
 
 
-def test_what_others_did_a_moment_ago_does_not_count(monkeypatch):
+def test_past_load_of_other_processes_does_not_count(monkeypatch):
     monkeypatch.setattr(load, "_measure_fraction", lambda threads: 1.0)
     monkeypatch.setattr("os.getloadavg", lambda: (8.0, 8.0, 8.0))
     assert not Load.measure().busy
@@ -43,7 +43,7 @@ def test_threads_that_spin_do_not_take_the_lock_from_each_other(monkeypatch):
     assert all(0 < load._measure_fraction(threads) <= 1.1 for threads in (1, 2))
 
 
-def test_spans_are_said_in_words():
+def test_durations_are_formatted_as_text():
     assert format_span((0.2, 0.9)) == "1 s"
     assert format_span((8.2, 13.7)) == "8 to 14 s"
     assert format_span((60, 120)) == "1.0 to 2.0 min"

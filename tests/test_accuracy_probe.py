@@ -58,7 +58,7 @@ def test_all_that_takes_long_is_listed(name, changes, monkeypatch):
     assert seconds_to_compile(scene) == 0, "a run has compiled them"
 
 
-def test_what_the_cache_does_not_have_takes_time(monkeypatch, tmp_path):
+def test_kernels_missing_in_the_cache_take_time(monkeypatch, tmp_path):
     scene = Scene.named("drop").replaced({"material": {"law": "plasticine"}})
     missing = [*kernels(scene)]
     for kernel in missing:  # Other tests of this process may have loaded some, or all.

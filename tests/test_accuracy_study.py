@@ -91,7 +91,7 @@ def test_study_loses_energy_and_omits_momentum_in_contact(study):
         assert row.angular_momentum_lost is None
 
 
-def test_it_is_told_where_the_energy_went(study):
+def test_study_reports_where_the_energy_went(study):
     for row in study[1].rows:
         inside = row.lost_to["material"] + row.lost_to["numerical"]
         assert inside == pytest.approx(row.energy_lost, abs=1e-6), "walls are not in energy_lost"
@@ -101,7 +101,7 @@ def test_it_is_told_where_the_energy_went(study):
     assert by_name["D/8"] > 2 * by_name["D/16"] > 0, "finer grids lose less"
 
 
-def test_where_it_cannot_be_told_it_is_not():
+def test_unknown_energy_loss_is_not_reported():
     """By the material point method, walls must be at rest."""
     scene = Scene.named("press").replaced({"time.frames": 2, "view.size": 32})
     report = Study(ball(300), scene, levels=(8,)).run()
@@ -175,7 +175,7 @@ def test_the_error_on_any_grid_follows_from_those_that_were_run():
     assert error_on(8, errors, 1.0) is None and error_on(8, {}, 1.0) is None
 
 
-def test_a_level_that_may_be_torn_is_said():
+def test_level_that_may_be_torn_is_reported():
     soft = {**PARTICLES, "material.E": 300, "time.frames": 8, "view.size": 32, "binding": "lattice"}
     scene = Scene.named("spin").replaced(soft)
     report = Study(ball(300), scene, levels=(8,), thorough=False).run()
@@ -289,7 +289,7 @@ def test_brief_errors_recommend_nothing():
         assert f"for only {known[0]} of {known[1]} frames" in recommend(fine, result, known)
 
 
-def test_what_another_setting_beats_is_dominated():
+def test_setting_worse_than_another_is_dominated():
     rows = (row(16, 0.05, 1), row(32, 0.03, 3), row(32, 0.04, 6, "half the substep at D/32"))
     assert plots.find_dominated(rows) == {"half the substep at D/32"}
 

@@ -36,7 +36,7 @@ def test_a_wrong_answer_and_a_wrong_order_fail():
     assert not Verdict("p", "q", float("nan"), 0.02).passed
 
 
-def test_a_bar_that_swings_otherwise_is_found_out(monkeypatch):
+def test_bar_with_a_wrong_frequency_is_detected(monkeypatch):
     exact = problems.bar_frequency
     monkeypatch.setattr(problems, "bar_frequency", lambda *args: 1.02 * exact(*args))
     (verdict,) = verify.vibrating_bar(False)

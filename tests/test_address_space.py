@@ -24,7 +24,7 @@ def limited(kilobytes: int, words: str, **options) -> subprocess.CompletedProces
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems ignore the limit")
 @pytest.mark.parametrize("program", ["-m phy124 scenes", "-m bridge info none", "app.py"])
-def test_too_few_addresses_are_one_sentence(program):
+def test_too_small_address_space_is_refused_in_a_sentence(program):
     run = limited(700_000, program)
     assert run.returncode == 1
     (line,) = run.stderr.splitlines()

@@ -98,7 +98,7 @@ def test_a_light_body_does_not_sink_under_a_heavy_one():
 @pytest.mark.parametrize(
     ("material", "deepest"), [(Sand(), 0.12), (Foam(), 0.05), (Plasticine(), 0.05)]
 )
-def test_what_flows_does_not_sink_where_its_particles_crowd(material, deepest):
+def test_crowded_fluid_particles_do_not_sink(material, deepest):
     """Two bodies in one place, as the middle of a heap has them, above a layer of one."""
     x = block(size=(0.6, 0.6, 0.4))
     crowd = x[x[:, 2] > 0.8 * DX] + [DX / 8, DX / 8, 0]
@@ -111,7 +111,7 @@ def test_what_flows_does_not_sink_where_its_particles_crowd(material, deepest):
     "material", [Sand(E=2e5), Snow(), Foam(), Plasticine()], ids=lambda m: m.law
 )
 @pytest.mark.parametrize("layer", [0.25, 0.6])
-def test_what_yields_does_not_sink_through_the_floor(material, layer):
+def test_plastic_material_does_not_sink_through_the_floor(material, layer):
     """Wherever the nodes are: with single nodes heaps of sand ended 0.7 cells below it."""
     s = solver(block(low=(0, 0, 0.1)), Ground(), material=material, origin=(0, 0, layer * DX))
     s.advance(0.5)
@@ -249,7 +249,7 @@ def test_foot_and_held_hold_their_part(rng):
 
 @pytest.mark.parametrize("axis", [0, 2])
 @pytest.mark.parametrize("offset", [0.0, 0.3, 0.45, 0.55, 0.8])
-def test_what_is_held_ends_where_it_should(axis, offset):
+def test_held_material_ends_at_the_surface_of_its_region(axis, offset):
     """A pulled bar is as long as its free part, wherever the clamp ends between the nodes."""
     along, free = EYE[axis], 0.6
     x = block(size=tuple(0.2 + 0.6 * along), low=tuple(-0.2 * along))

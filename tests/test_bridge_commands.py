@@ -170,7 +170,7 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         (["info", "CLIP", "CLIP"], "`python -m bridge info` takes no more values."),
     ],
 )
-def test_bad_input_is_one_sentence(clip, capsys, arguments, sentence):
+def test_bad_input_is_refused_in_a_sentence(clip, capsys, arguments, sentence):
     files = {"CLIP": str(clip), "PNG": str(clip.with_suffix(".png"))}
     clip.with_suffix(".png").touch()
     assert main([files.get(a, a) for a in arguments]) == 2

@@ -169,7 +169,7 @@ def test_a_string_command_pauses(domain):
     assert 6 <= len(lines) <= player.shown
 
 
-def test_what_ros_2_looks_for(domain):
+def test_dds_entities_are_as_ros_2_expects(domain):
     """Mangled names, XCDR1, type hash, durability, and the node's name."""
     with DdsSink(Options(ellipsoids=1)):
         observer = DomainParticipant(domain)

@@ -47,7 +47,7 @@ def peer(*arguments):
 
 @pytest.mark.parametrize("reach", ["SUBNET", "LOCALHOST"])
 @pytest.mark.parametrize("count", [50, 8192])
-def test_fast_dds_receives_every_frame_and_is_heard(monkeypatch, reach, count):
+def test_fast_dds_exchanges_messages_both_ways(monkeypatch, reach, count):
     domain = 1 + next(DOMAINS) % 100
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)

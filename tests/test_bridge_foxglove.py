@@ -172,7 +172,7 @@ def test_ten_thousand_messages_are_skipped_with_one_line():
     assert [message.wrench.force.z for message in heard] == [*range(9900, 10_000)]
 
 
-def test_what_is_no_message_is_refused_in_a_sentence():
+def test_invalid_messages_are_refused_in_a_sentence():
     wrong = [b"{", b"[]", b'{"x": "1"}', b'{"y": true}', b'{"w": 1}', b"[" * 100_000]
     for data in wrong:
         with pytest.raises(InputError, match="Send JSON"):

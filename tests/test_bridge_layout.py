@@ -133,7 +133,7 @@ def test_ply_profile_is_the_ply_file_with_ros_axes(degree, tmp_path):
         )
 
 
-def test_missing_velocities_are_nan_and_told():
+def test_missing_velocities_are_nan_and_noted():
     frame = random_clip(velocities=False).frame(0)
     message = cloud(frame, "full", {})
     assert message["is_dense"] is False

@@ -42,7 +42,7 @@ def test_wait_returns_a_command_or_raises_the_error():
             listener.wait(60)
 
 
-def test_an_error_nobody_waited_for_is_raised_at_the_end():
+def test_pending_error_is_raised_at_the_end():
     listener = Listener(Asked(OSError("gone")), lambda text: None)
     with pytest.raises(OSError, match="gone"), listener:
         listener._thread.join(60)

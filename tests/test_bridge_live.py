@@ -240,7 +240,7 @@ def test_pause_lets_the_simulation_rest_after_the_frame_in_hand():
     assert sink.shown == made == [0, 1, 2, 3]
 
 
-def test_what_ends_the_listening_ends_the_show():
+def test_end_of_listening_ends_the_run():
     """ROS that is shut down, for instance; also while the simulation waits."""
     sink = Asked()
 

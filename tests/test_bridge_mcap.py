@@ -174,7 +174,7 @@ def test_a_failing_source_leaves_a_whole_bag(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["bag", "one.mcap"])
-def test_older_recordings_are_kept_unless_told_otherwise(tmp_path, name):
+def test_older_recordings_are_kept_by_default(tmp_path, name):
     path = record(tmp_path / name, random_clip(frames=2))
     with pytest.raises(InputError, match=r"exists already. Choose a new name or use --overwrite"):
         record(path, random_clip())

@@ -126,7 +126,7 @@ def test_the_listener_has_its_turns_while_a_frame_is_computed(ply):
     assert max(computed) > 0
 
 
-def test_a_doubtful_cut_out_is_said(tmp_path, monkeypatch, caplog):
+def test_doubtful_cutout_is_noted(tmp_path, monkeypatch, caplog):
     picture = Image.new("RGBA", (2, 2))
     doubtful = SimpleNamespace(
         picture=picture,

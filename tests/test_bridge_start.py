@@ -131,7 +131,7 @@ def test_the_script_of_the_command_line_is_quick_as_well(executables):
 
 
 @pytest.mark.parametrize("module", ["__main__", "start", "__init__"])
-def test_what_takes_long_is_imported_where_ctrl_c_is_caught(module):
+def test_slow_imports_happen_where_ctrl_c_is_caught(module):
     imports = set()
     for node in ast.parse((BRIDGE / f"{module}.py").read_text()).body:
         if isinstance(node, ast.Import):

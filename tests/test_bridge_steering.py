@@ -241,7 +241,7 @@ def resting():
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_cannot_be_done_is_said_and_the_run_goes_on(case, resting, caplog):
+def test_impossible_orders_are_reported_and_the_run_continues(case, resting, caplog):
     send, said = BAD[case]
     resting.remarks.__init__()
     with caplog.at_level(logging.WARNING):
@@ -251,7 +251,7 @@ def test_what_cannot_be_done_is_said_and_the_run_goes_on(case, resting, caplog):
     assert np.isfinite(resting.live.centre).all()
 
 
-def test_what_is_held_cannot_be_drawn_to_mars():
+def test_grabbed_object_cannot_be_pulled_arbitrarily_far():
     run = steered()
     run.advance()
     for place in ((0, 0, 0.6), (0, 0, 2.3e11), (0, 0, 2.3e11)):
@@ -261,7 +261,7 @@ def test_what_is_held_cannot_be_drawn_to_mars():
     assert np.linalg.norm(run.live.centre) < 2
 
 
-def test_of_ten_thousand_messages_the_newest_counts(monkeypatch):
+def test_newest_of_ten_thousand_messages_counts(monkeypatch):
     run = steered(changes=WEIGHTLESS)
     run.advance()
     for strength in range(10_000):

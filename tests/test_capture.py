@@ -111,7 +111,7 @@ def test_a_lifted_object_leaves_its_floor_on_the_ground(tmp_path):
     assert run.setup.gaussians.means[:region, 2].min() == pytest.approx(0.4, abs=0.03)
 
 
-def test_up_that_is_told_keeps_walls_out(tmp_path, rng):
+def test_up_option_excludes_walls(tmp_path, rng):
     """A wall twice as dense as the floor wins, unless up is told roughly."""
     place = captured(5, floaters=0)
     wall = rng.uniform([-2, 1.5, 0], [2, 1.5, 4], (15_000, 3))
@@ -132,7 +132,7 @@ def test_up_that_is_told_keeps_walls_out(tmp_path, rng):
         (np.zeros((2, 3)), "there are too few Gaussians"),
     ],
 )
-def test_what_has_no_floor_is_refused(points, words):
+def test_capture_without_a_floor_is_refused(points, words):
     with pytest.raises(InputError, match=words):
         find_floor(points)
 
@@ -146,7 +146,7 @@ def test_a_box_alone_has_no_floor(rng):
         find_floor(faces)
 
 
-def test_floaters_are_told_from_sparse_objects():
+def test_floaters_are_distinguished_from_sparse_objects():
     shell = ball(2000)
     rng = np.random.default_rng(0)
     far = ball(2000).select(np.arange(30))
@@ -339,7 +339,7 @@ def test_an_interrupted_generator_that_is_a_capture_goes_on(tmp_path):
 
 
 @pytest.mark.parametrize("options", [["--floor"], ["--crop", "0,0,0,1,1,1"], ["--up", "z"]])
-def test_what_is_told_of_a_file_needs_one(tmp_path, capsys, options):
+def test_file_options_require_a_file(tmp_path, capsys, options):
     assert main(["generate", "any.png", *options, "--out", str(tmp_path / "out")]) == 2
     assert f"generator = relief: {options[0]} is for a file of Gaussians" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -65,7 +65,7 @@ def test_a_network_is_filled(tensors):
     torch.testing.assert_close(network(torch.ones(1, 3)), torch.tensor([[4.0, 13.0]]))
 
 
-def test_what_does_not_fit_is_named_and_changes_nothing(tensors):
+def test_mismatched_tensors_are_named_and_change_nothing(tensors):
     network = torch.nn.Linear(3, 2)
     before = network.weight.clone()
     other = {"weight": torch.zeros(3, 3), **{f"more.{i}": torch.ones(1) for i in range(5)}}

@@ -129,7 +129,7 @@ def test_many_unknown_columns_make_a_short_note(tmp_path):
     assert note.endswith("a, b, c, d, e, f, g, h, i, j, k, l and 6 more.")
 
 
-def test_what_no_object_names_goes_with_its_neighbour(tmp_path):
+def test_gaussians_without_object_follow_their_neighbour(tmp_path):
     places = {"x": [0.0, 5.0, 5.1, 0.1, 9.0], "y": 0.0}
     result = read(tmp_path, **places, object_id=[0, 3, np.nan, -1, 2e9])
     assert result.gaussians.object_id.tolist() == [0, 3, 3, 0, 10**6]
@@ -137,7 +137,7 @@ def test_what_no_object_names_goes_with_its_neighbour(tmp_path):
     assert result.notes[0].startswith("2 Gaussians belong to no object")
 
 
-def test_where_nothing_names_an_object_all_are_one(tmp_path):
+def test_file_without_valid_objects_is_a_single_object(tmp_path):
     result = read(tmp_path, object_id=[np.nan, -1, -np.inf])
     assert result.gaussians.object_id is None and len(result.gaussians) == 3
     assert "one object" in result.notes[0]

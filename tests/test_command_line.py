@@ -56,7 +56,7 @@ from support.shapes import ball
         ("weights fetch u2net --weights /dev/null/x", "files cannot be written to this folder"),
     ],
 )
-def test_what_cannot_be_read_is_one_sentence(typed, sentence, capsys, tmp_path, monkeypatch):
+def test_unreadable_input_is_refused_in_a_sentence(typed, sentence, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(typed.split()) == 2
     printed = capsys.readouterr()
@@ -88,7 +88,7 @@ def test_an_empty_value_is_refused(typed, capsys):
         ["generate", "--views", "front", "back", "--", "--json"],
     ],
 )
-def test_what_follows_two_minuses_is_no_option(typed, capsys, tmp_path, monkeypatch):
+def test_words_after_two_minuses_are_no_options(typed, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(typed) == 2
     assert f"image = {typed[-1]}: There is no such file." in capsys.readouterr().err
@@ -163,7 +163,7 @@ def test_missing_or_empty_glb_is_named_as_such(tmp_path, capsys):
     assert "0 bytes" in capsys.readouterr().err
 
 
-def test_the_version_is_told(capsys):
+def test_version_is_printed(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"phy124 {__version__}\n"
 
@@ -204,7 +204,7 @@ def test_bars_repeat_no_line(capsys):
     ]
 
 
-def test_compiling_is_told_as_what_happens_once(capsys):
+def test_compilation_is_announced_as_happening_once(capsys):
     with Bars() as bars:
         bars("compile", 0, 13)
     assert capsys.readouterr().err == "compile kernels, once: 0 of 13\n"

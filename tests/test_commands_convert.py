@@ -152,7 +152,7 @@ def test_every_format_that_is_read_is_an_object(tmp_path, rng):
     assert needs_image("relief") and needs_image("cmd: program a.ply")
 
 
-def test_what_a_file_says_and_we_pass_over_is_noted(tmp_path, capsys):
+def test_ignored_content_of_a_file_is_noted(tmp_path, capsys):
     table = raw_table(ball(50))
     columns = {name: table[name].astype(float) for name in table.dtype.names}
     columns |= {"filter_3D": 0.001, "roughness": 0.5, "x": columns["x"] + 5e6}

@@ -58,7 +58,7 @@ def test_a_picture_can_be_cut_out_alone(dark, tmp_path, capsys, monkeypatch):
     np.testing.assert_array_equal(np.asarray(Image.open("a.webp")), np.asarray(Image.open(DUCK)))
 
 
-def test_a_doubtful_cut_out_is_told_before_the_work(dark, tmp_path, capsys, monkeypatch):
+def test_doubtful_cutout_is_reported_before_the_work(dark, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     picture, mask = dark
     inverted = Image.fromarray(255 - np.asarray(Image.open(mask)))
@@ -80,7 +80,7 @@ def test_a_doubtful_cut_out_is_told_before_the_work(dark, tmp_path, capsys, monk
         ([str(DUCK), "--method", "magic"], "birefnet-512, isnet, u2net, u2netp, grabcut."),
     ],
 )
-def test_what_cannot_be_cut_out_leaves_nothing(arguments, sentence, tmp_path, capsys, monkeypatch):
+def test_failed_cutout_leaves_no_file(arguments, sentence, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["cutout", *arguments]) == 2
     assert sentence in capsys.readouterr().err
@@ -127,7 +127,7 @@ def test_a_pipe_is_read_once_so_nothing_is_composed(tmp_path, capsys):
     assert "a pipe can be read only once" in capsys.readouterr().err
 
 
-def test_what_was_ignored_in_a_picture_is_noted(tmp_path, capsys):
+def test_ignored_parts_of_a_picture_are_noted(tmp_path, capsys):
     pixels = np.asarray(Image.open(DUCK)).copy()
     pixels[..., 3] = np.where(pixels[..., 3] > 127, 114, 0)
     Image.fromarray(pixels).save(tmp_path / "a.png", icc_profile=b"damaged")

@@ -81,7 +81,7 @@ def test_pictures_add_up_to_those_of_the_video(rng):
         ),
     ],
 )
-def test_what_is_no_pair_is_refused_in_words(clip, other, words):
+def test_incomparable_clips_are_refused_with_a_message(clip, other, words):
     with pytest.raises(InputError) as refusal:
         compare(clip, other)
     assert "the clips cannot be compared" in str(refusal.value)

@@ -116,7 +116,7 @@ def test_both_forms_of_the_sums_agree_gaussian_by_gaussian(rng):
     np.testing.assert_allclose(sums, wanted, atol=1e-3 * np.abs(wanted).max())
 
 
-def test_what_is_behind_the_object_is_filled_in_from_around():
+def test_background_behind_the_object_is_filled_from_around():
     photograph = photographed(patched(), Camera((2.0, 0.0, 0.5), (0.0, 0.0, 0.5), *SIZE, 60.0))
     filled = photograph.erase_object()
     away = photograph.alpha < 1e-3
@@ -183,7 +183,7 @@ def test_generate_composes_and_so_does_render_afterwards(tmp_path, capsys):
         (["--resume"], "Resume the run without --compose"),
     ],
 )
-def test_what_cannot_be_composed_is_refused_before_any_work(tmp_path, capsys, more, words):
+def test_impossible_composition_is_refused_before_any_work(tmp_path, capsys, more, words):
     command = ["generate", "demo/examples/duck.png", "--compose", "--out", str(tmp_path / "out")]
     assert main([*command, *more]) == 2
     assert words in capsys.readouterr().err

@@ -161,7 +161,7 @@ def written_as(kind, picture, folder):
     return saved(folder, picture.convert(kind), "a.jpg", quality=98, subsampling=0), picture
 
 
-def test_what_is_transparent_hides_its_colours_from_a_search(monkeypatch):
+def test_transparent_pixels_do_not_affect_the_search(monkeypatch):
     """Paint programs keep colours under what was erased; a search must not find them."""
     picture, mask = disc(noise=0)
     picture.putalpha(
@@ -231,7 +231,7 @@ def test_masks_of_any_mode(tmp_path):
         np.testing.assert_array_equal(alpha_of(result) > 127, mask, err_msg=inputs.mode)
 
 
-def test_what_was_transparent_stays_so_under_a_mask():
+def test_transparent_pixels_stay_transparent_under_a_mask():
     picture, mask = disc()
     left = np.zeros(mask.shape, np.uint8)
     left[:, :60] = 255
@@ -269,7 +269,7 @@ def test_the_size_of_a_mask_is_compared_as_the_files_have_it(tmp_path, monkeypat
         cut_out(path, mask=other)
 
 
-def test_a_wrong_cut_out_is_told(monkeypatch):
+def test_wrong_cutout_is_doubted(monkeypatch):
     """A table in front: it reaches three edges of the picture."""
     picture, mask = disc()
     table = mask.copy()
@@ -294,7 +294,7 @@ def two_coloured(beside):
 
 
 @pytest.mark.parametrize(("beside", "doubted"), [([200, 40, 30], True), ([60, 60, 200], False)])
-def test_colours_of_the_object_around_it_are_told(monkeypatch, beside, doubted):
+def test_object_colours_in_the_background_are_doubted(monkeypatch, beside, doubted):
     picture, mask = two_coloured(beside)
     monkeypatch.setitem(METHODS, "grabcut", found_as(mask))
     result = foreground(picture, "grabcut")
@@ -309,7 +309,7 @@ def test_colours_of_the_object_around_it_are_told(monkeypatch, beside, doubted):
 
 
 @pytest.mark.parametrize(("name", "doubted"), [("chelsea", True), ("coffee", False)])
-def test_half_a_cat_is_told_and_a_whole_cup_is_not(name, doubted):
+def test_half_a_cat_is_doubted_and_a_whole_cup_is_not(name, doubted):
     photo = Image.fromarray(getattr(pytest.importorskip("skimage.data"), name)())
     result = foreground(photo, "grabcut")
     assert bool(result.warnings) == doubted, result.data()
@@ -322,7 +322,7 @@ def test_half_a_cat_is_told_and_a_whole_cup_is_not(name, doubted):
         ([(60, 60)], "is tiny: 1.0% of the picture"),
     ],
 )
-def test_pieces_and_tiny_objects_are_told(places, doubted):
+def test_pieces_and_tiny_objects_are_doubted(places, doubted):
     solid = np.zeros((120, 120), bool)
     for row, column in places:
         solid[row : row + 12, column : column + 12] = True
@@ -350,7 +350,7 @@ def test_an_inverted_mask_is_doubted():
 
 
 @pytest.mark.parametrize("name", ["a.webp", "a.png"])
-def test_of_an_animation_the_first_frame_is_taken_with_a_word(tmp_path, name, monkeypatch):
+def test_first_frame_of_an_animation_is_used_and_noted(tmp_path, name, monkeypatch):
     monkeypatch.setitem(METHODS, "u2netp", found_as(disc()[1]))
     frames = [disc(noise=noise)[0] for noise in (0.0, 3.0, 6.0)]
     options = {"lossless": True} if name == "a.webp" else {}

@@ -332,7 +332,7 @@ def test_the_first_of_several_pictures_is_taken(kind):
 
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", "GIF", "BMP", "TIFF", "PPM"])
-def test_a_file_cut_anywhere_is_refused_in_words(kind):
+def test_truncated_file_is_refused_with_a_message(kind):
     whole = file_of(quarters(), kind)
     for length in {*range(0, len(whole) - 20, max(1, len(whole) // 40))}:
         try:

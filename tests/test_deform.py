@@ -210,7 +210,7 @@ def affine(rng):
     return IDENTITY + 0.4 * rng.normal(size=(3, 3)), np.array([0.1, -0.2, 0.3])
 
 
-def test_what_flows_stays_near_the_particles_that_carry_it(rng):
+def test_fluid_gaussians_stay_near_their_particles(rng):
     gaussians = random_gaussians(300, rng)
     particles = make_particles(gaussians, density=1000, spacing=0.07)
     x = particles.x.astype(float)

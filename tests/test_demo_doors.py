@@ -87,7 +87,7 @@ def test_an_address_asks_only_so_much_at_once(tmp_path, method, path, most):
     ],
     ids=["deep", "long", "closed", "name", "site"],
 )
-def test_what_is_refused_does_not_reach_the_page(tmp_path, status, method, path, body, headers):
+def test_refused_requests_do_not_reach_the_page(tmp_path, status, method, path, body, headers):
     async def visit() -> Page:
         page = Page(tmp_path)
         page.ask(method, path, body, **headers)
@@ -115,7 +115,7 @@ def test_the_page_knows_who_asks(tmp_path, monkeypatch):
     assert asyncio.run(visit()) == [(f"cookie {'a' * 32}", "10.0.0.1")]
 
 
-def test_of_too_many_connections_one_is_closed(monkeypatch):
+def test_excess_connections_are_closed(monkeypatch):
     """As uvicorn makes them: each knows how many there may be."""
     closed: list[Patient] = []
     monkeypatch.setattr(connections.H11Protocol, "__init__", lambda self: None)

@@ -82,7 +82,7 @@ OF_GAUSSIANS = [
 
 
 @pytest.mark.parametrize("kind", OF_GAUSSIANS)
-def test_the_size_that_is_told_is_about_that_of_the_file(export, done, rng, kind):
+def test_predicted_size_is_close_to_that_of_the_file(export, done, rng, kind):
     g = many(rng, 5000, 0)
     made = Clip.from_frames(
         [Frame(i, i / 10, g.transform(1, np.array([i, 0, 0]))) for i in range(4)]
@@ -343,7 +343,7 @@ def test_a_run_that_may_be_torn_has_no_error_and_no_point():
     assert "at most" not in text and 'class="reached"' not in text
 
 
-def test_what_was_not_measured_has_no_error_and_no_point():
+def test_unmeasured_accuracy_has_no_error_and_no_point():
     changes = {"material.law": "fluid", "object.velocity": [0, 0, -30]}
     scene = Scene.named("drop").replaced(changes)
     text = as_html(_report(), scene.data(), 4.0, Estimator().stops(scene))

@@ -118,7 +118,7 @@ def test_video_is_decoded_up_to_the_length_of_the_scene(tmp_path):
 @pytest.mark.parametrize(
     ("seconds", "speed", "count"), [(0.3, 1.0, 8), (0.3, 0.5, 12), (1 / 24, 1.0, 2)]
 )
-def test_what_comes_after_the_scene_is_left_out(tmp_path, monkeypatch, seconds, speed, count):
+def test_frames_after_the_scene_are_left_out(tmp_path, monkeypatch, seconds, speed, count):
     monkeypatch.setattr("demo.fits.video.resource.setrlimit", lambda *_: None)
     monkeypatch.setattr("demo.fits.video.isolated.run", lambda work, *options, **_: work(*options))
     path = filmed(tmp_path / "a.mp4")
@@ -130,7 +130,7 @@ def test_what_comes_after_the_scene_is_left_out(tmp_path, monkeypatch, seconds, 
         read_video(path, tmp_path / "out", seconds, speed, LONG)
 
 
-def test_what_cannot_be_fitted_is_refused_in_a_sentence(studio):
+def test_impossible_fits_are_refused_in_a_sentence(studio):
     done, video = prepared(studio, Search())
     for result, path, answer, sentence in (
         (None, video, {}, "no result yet"),
@@ -275,7 +275,7 @@ def test_the_panel_shows_film_and_fit_picture_by_picture(studio, handlers):
     assert handlers.on_result_shown(studio)(done, None)["found"] == panel["found"], "after a reload"
 
 
-def test_what_cannot_be_told_is_said_with_what_would_tell_it(studio, handlers):
+def test_undetermined_value_is_reported_with_a_remedy(studio, handlers):
     import gradio as gr
 
     why = "nothing that was measured depends on it."

@@ -18,7 +18,7 @@ def here(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
 
 
-def test_it_goes_with_everything_in_it(tmp_path):
+def test_folder_is_removed_with_its_content(tmp_path):
     with lock_folder() as root:
         (root / "visitors").mkdir()
         (root / "visitors" / "photograph.png").write_bytes(b"x")
@@ -26,14 +26,14 @@ def test_it_goes_with_everything_in_it(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_it_may_be_named_by_the_home(tmp_path, monkeypatch):
+def test_folder_may_be_named_relative_to_home(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.chdir(tmp_path)
     with lock_folder("~/page") as root:
         assert root == tmp_path / "page" and not (tmp_path / "~").exists()
 
 
-def test_it_goes_when_the_page_fails(tmp_path):
+def test_folder_is_removed_if_the_page_fails(tmp_path):
     with pytest.raises(RuntimeError), lock_folder() as root:
         (root / "photograph.png").write_bytes(b"x")
         raise RuntimeError

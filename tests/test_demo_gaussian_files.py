@@ -71,7 +71,7 @@ def read(studio: Studio, data: bytes) -> GaussianFile:
     return job.progress.result
 
 
-def test_what_of_a_file_is_passed_over_is_among_its_notes(studio):
+def test_ignored_content_of_a_file_is_in_its_notes(studio):
     file = read(studio, of(head=HEAD.replace(b"property float nx", b"property float metallic")))
     assert file.notes[0] == "Unknown columns are ignored: metallic."
 
@@ -127,7 +127,7 @@ def test_regions_in_the_units_of_the_file_are_turned_with_it(studio):
         (b"", "The file is empty"),
     ],
 )
-def test_a_broken_file_gets_one_sentence_and_leaves_nothing(studio, data, limit):
+def test_broken_file_gets_a_sentence_and_leaves_nothing(studio, data, limit):
     job = studio.take("a", sent(studio, data))
     assert job.wait(60) and job.progress.state == "refused"
     assert limit in job.progress.message and str(studio.visitors.root) not in job.progress.message
@@ -160,7 +160,7 @@ def test_file_type_follows_content_and_has_limits(studio):
     assert catalogue(studio.settings)["limits"]["file_endings"] == object_endings()
 
 
-def test_what_is_told_must_suit_the_object(studio):
+def test_reading_options_must_suit_the_object(studio):
     file = GaussianFile("a.ply", "3DGS PLY", 10, Axes("-y", "-z", False))
     for answer, source, option in (
         ({"up": "y"}, Cutout("", ""), "up"),

@@ -108,7 +108,7 @@ def test_new_visitor_gets_an_http_only_cookie():
     assert "Secure; Partitioned" in _answer(embedded=True)["set-cookie"]
 
 
-def test_what_is_no_page_is_inert_and_streams_are_passed_through():
+def test_files_are_inert_and_streams_pass_through():
     answer = _answer(kind=b"text/event-stream")
     assert "sandbox" in answer["content-security-policy"]
     assert answer["x-accel-buffering"] == "no" and answer["x-content-type-options"] == "nosniff"

@@ -152,7 +152,7 @@ def test_a_fifo_among_the_uploads_is_not_opened(studio):
         studio.cut_out("a", str(pipe))
 
 
-def test_what_a_program_has_sent_becomes_its_own_when_it_is_used(studio):
+def test_upload_of_a_program_gets_its_owner_on_first_use(studio):
     sent = studio.visitors.store(None, DUCK.read_bytes(), ".png")
     job = studio.cut_out("session a", str(sent))
     assert Path(job.subject).parent == studio.visitors.get("session a").folder / "uploads"
@@ -173,7 +173,7 @@ def test_one_visitor_cannot_fill_the_queue(studio, stuck):
     studio.visitors.close()
 
 
-def test_a_full_queue_of_runs_takes_cut_outs_all_the_same(tmp_path):
+def test_full_queue_of_runs_still_accepts_cutouts(tmp_path):
     over = threading.Event()
 
     def hold(_: Order) -> Iterator[None]:
@@ -277,7 +277,7 @@ def test_click_picks_an_object_that_the_brush_corrects(studio, tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("place", [[0.3], [0.3, 1.5], "middle", [float("nan"), 0.5], {"x": 1}])
-def test_what_is_no_place_in_the_picture_is_refused(place):
+def test_points_outside_the_picture_are_refused(place):
     assert (
         read_place(None) is None and read_place([]) is None and read_place([0.25, 1]) == (0.25, 1.0)
     )

@@ -34,7 +34,7 @@ def _sent(studio: Studio, picture: bytes = b"", name: str = "a") -> str:
     return str(studio.visitors.store(name, picture or DUCK.read_bytes(), ".png"))
 
 
-def test_it_is_declared_where_the_command_line_declares_it(studio):
+def test_page_and_command_line_share_declarations(studio):
     from demo.catalogue import catalogue
 
     offered = catalogue(studio.settings)["known"]
@@ -81,7 +81,7 @@ def test_generator_is_offered_if_the_server_has_weights(studio, monkeypatch):
         ({"depth": ["duck.png"]}, "does not have this picture"),
     ],
 )
-def test_what_cannot_be_used_is_refused_readably(studio, options, message):
+def test_unusable_options_are_refused_readably(studio, options, message):
     with pytest.raises(InputError, match=message):
         studio.check_extras("a", options)
 
@@ -105,7 +105,7 @@ def test_a_program_names_a_picture_as_often_as_it_likes(studio):
         studio.check_extras("b", {"depth": arrived})
 
 
-def test_nothing_told_and_only_defaults_told_are_the_same(studio):
+def test_no_options_and_default_options_are_equal(studio):
     options = {"side": None, "facing": "left", "near": None, "thickness": None}
     assert studio.check_extras("a", options) == studio.check_extras("a", None) == NO_EXTRAS
     assert NO_EXTRAS.generator("relief") is relief

@@ -34,6 +34,6 @@ def test_equal_answers_differ_and_come_back_as_they_were():
 
 
 @pytest.mark.parametrize("answer", ["<p>text</p>", None, gradio.skip()])
-def test_what_is_no_value_of_a_panel_stays(answer):
+def test_values_outside_panels_are_kept(answer):
     (first, _), got = _asked(answer, {"job": "a"})
     assert first[0] == answer and got == [{"job": "a"}] * 2

@@ -101,7 +101,7 @@ def test_its_picture_has_the_limits_of_the_first(studio, tmp_path):
         ({"objects.0.generator": "lgm"}, "objects.0.generator = given"),
     ],
 )
-def test_it_is_made_of_nothing_but_a_picture_that_was_sent(studio, changes, said):
+def test_object_is_made_only_from_an_uploaded_picture(studio, changes, said):
     studio.visitors.get("a")
     with pytest.raises(InputError, match=said):
         _order(studio, _collide(**changes))

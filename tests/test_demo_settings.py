@@ -141,7 +141,7 @@ def test_lists_of_a_scene_are_counted_first(change, monkeypatch):
 
 
 @pytest.mark.parametrize("data", [None, "press", {"material": {"law": "gold"}}])
-def test_what_is_no_scene_is_refused(data):
+def test_invalid_scenes_are_refused(data):
     with pytest.raises(InputError):
         scene_of(data, Settings())
 
@@ -200,7 +200,7 @@ def test_fractions_of_frames_are_refused():
         scene_of(data, Settings())
 
 
-def test_what_would_take_too_long_is_refused_before_it_starts():
+def test_too_long_runs_are_refused_before_they_start():
     stiff = Scene.named("press").replaced({"material.E": 1e10})
     with pytest.raises(InputError, match="would take about"):
         check_time(Estimator().minimum(stiff), Settings())
@@ -258,7 +258,7 @@ def test_accuracy_levels_follow_measurements_of_the_scene():
     assert f"off by at most {format_percent(stops[0].error)} ({stops[0].pixels:.0f} px)" in table
 
 
-def test_what_was_not_measured_is_not_promised():
+def test_unmeasured_error_is_not_promised():
     changes = {"material.law": "fluid", "object.velocity": [0, 0, -30]}
     scene = Scene.named("drop").replaced(changes)
     forecast = Estimator()(scene)
@@ -308,7 +308,7 @@ def test_two_looks_do_not_take_each_other_for_others(monkeypatch):
     assert at_once == [True] and not forecaster.meter._measuring.locked()
 
 
-def test_kernels_that_are_not_there_take_time_and_it_is_said(monkeypatch):
+def test_time_for_missing_kernels_is_announced(monkeypatch):
     monkeypatch.setattr("demo.forecast.Load.measure", lambda *_: Load(2.0, 3.0))
     scene, forecaster = Scene.named("press"), Estimator()
     warm, cold = forecaster(scene), forecaster(scene, compiling=5.0)

@@ -21,7 +21,7 @@ from phy124.errors import InputError
 from support.served import ROOT
 
 
-def test_a_busy_port_is_said_in_a_sentence(tmp_path):
+def test_busy_port_is_reported_in_a_sentence(tmp_path):
     pytest.importorskip("gradio", reason="the extra demo is not installed")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

@@ -55,7 +55,7 @@ class Page:
         return [sent[0]["status"] for sent in self.answers]
 
 
-def test_of_too_many_streams_of_a_cookie_the_oldest_ends():
+def test_oldest_of_too_many_streams_of_a_cookie_ends():
     async def visit():
         page = Page()
         opened = [await page.visit("a") for _ in range(STREAMS_EACH)]

@@ -35,7 +35,7 @@ def measurement(*errors: float | None, torn: int = 0, rate: float | None = 1.0) 
     return Measurement(levels=levels, order=rate, why_not=why, skipped=())
 
 
-def test_the_error_is_told_for_the_chosen_grid():
+def test_error_is_shown_for_the_chosen_grid():
     result = measurement(0.08, 0.06, 0.04)
     for cells, error, why in (
         (16, 0.06, "Measured on D/12, D/16 and D/24."),
@@ -202,7 +202,7 @@ def test_missing_kernels_are_forecast_and_not_probed(visit, monkeypatch):
     assert studio.refine("a", cutout, other) is None
 
 
-def test_what_cannot_be_measured_is_refused(visit):
+def test_unmeasurable_scenes_are_refused(visit):
     studio, cutout, data = visit
     with pytest.raises(InputError, match="no picture yet"):
         studio.measure("a", None, data)

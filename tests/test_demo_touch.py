@@ -124,7 +124,7 @@ def test_invalid_and_thousands_of_orders_do_no_harm(page):
         assert said(socket) == "to 3"
 
 
-def test_nobody_reaches_the_run_of_another(page):
+def test_run_is_reachable_only_for_its_visitor(page):
     table, client = page(max_touch=2)
     mine = table.give(f"cookie {ME}", ORDER)
     for visitor, ticket in ((OTHER, mine), (ME, type(mine)("", None))):
@@ -151,7 +151,7 @@ def test_nobody_reaches_the_run_of_another(page):
         assert said(second) == "to 3"
 
 
-def test_tickets_that_nobody_uses_take_no_place(monkeypatch):
+def test_unused_tickets_take_no_place(monkeypatch):
     table = Table(1)
     for number in range(9):
         table.give(f"idle {number}", ORDER)
@@ -168,7 +168,7 @@ def test_tickets_that_nobody_uses_take_no_place(monkeypatch):
     assert len(table) == 1, "the others are lost"
 
 
-def test_who_comes_when_all_places_are_taken_is_told(page):
+def test_visitor_without_a_free_place_is_notified(page):
     table, client = page(max_touch=1)
     tickets = [table.give(f"cookie {visitor}", ORDER) for visitor in (ME, OTHER)]
     with touched(client, table, ME, tickets[0]) as socket:
@@ -316,7 +316,7 @@ def test_failed_simulation_is_reported(player, monkeypatch):
     assert b'"ended"' in line.sent[-1][1] and b"not valid" in line.sent[-1][1]
 
 
-def test_orders_that_cannot_be_done_are_said_and_the_run_goes_on(player):
+def test_impossible_orders_are_reported_and_the_run_continues(player):
     run, line = player
     mars = [2.25e11, 0, 0]
     bad = [

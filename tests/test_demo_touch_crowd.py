@@ -96,7 +96,7 @@ def descriptors() -> int:
 
 
 @pytest.mark.parametrize("count", [3, pytest.param(20, marks=pytest.mark.slow)])
-def test_of_visitors_who_vanish_nothing_is_left(monkeypatch, count):
+def test_nothing_remains_of_vanished_visitors(monkeypatch, count):
     monkeypatch.setattr(relay, "play", touching.flood_after_a_word)
     monkeypatch.setattr(relay, "Play", lambda order, most: order)
     ways = WAYS[:count]

@@ -59,7 +59,7 @@ def test_a_few_are_answered_at_once_and_fewer_of_one_address():
     asyncio.run(visit())
 
 
-def test_uploads_that_trickle_in_keep_nobody_from_computing():
+def test_slow_uploads_do_not_delay_runs():
     async def visit():
         page = Page()
         page.door = Turns(Turns(page._answer, UPLOADS, RECEIVED, RECEIVED_EACH))

@@ -158,7 +158,7 @@ def test_an_upload_is_counted_where_it_is(visitors):
     assert visitors.used == visitors.get("a").used == 100 and visitors.arrivals.size == 0
 
 
-def test_nobody_waits_while_files_are_counted(tmp_path, monkeypatch):
+def test_counting_files_blocks_no_request(tmp_path, monkeypatch):
     """Folders are looked through outside the lock, and only one's own."""
     visitors, looked = Visitors(tmp_path), []
     for name in "ab":
@@ -201,7 +201,7 @@ def test_room_is_made_by_older_exports_of_the_same_visitor(tmp_path):
     assert visitors.used == mine.measure() + other.used
 
 
-def test_what_does_not_fit_is_refused_in_words_and_takes_nothing(tmp_path):
+def test_too_large_uploads_are_refused_and_leave_nothing(tmp_path):
     visitors = Visitors(tmp_path, Room(each=1000, all=2000))
     mine, other = visitors.get("a"), visitors.get("b")
     kept = _export(mine, "0", 700)
@@ -237,7 +237,7 @@ def test_a_visitor_removed_during_an_upload_is_refused(visitors, monkeypatch):
     assert visitors.used == 0 == len(visitors)
 
 
-def test_what_is_written_at_the_same_time_is_counted_together(tmp_path):
+def test_simultaneous_writes_are_counted_together(tmp_path):
     visitors = Visitors(tmp_path, Room(each=1000, all=2000))
     mine = visitors.get("a")
     with visitors.writing(mine, 600):
@@ -249,7 +249,7 @@ def test_what_is_written_at_the_same_time_is_counted_together(tmp_path):
         pass
 
 
-def test_newcomers_are_refused_in_words_while_everybody_is_there(tmp_path):
+def test_newcomers_are_refused_while_all_visitors_are_active(tmp_path):
     visitors = Visitors(tmp_path, Room(visitors=2))
     for name in "ab":
         _with_result(visitors.get(name))
@@ -274,7 +274,7 @@ def test_uploads_count_towards_a_visitor_and_all(tmp_path):
             visitors.store(name, bytes(900), ".png")
 
 
-def test_uploads_that_nobody_claims_go(visitors, monkeypatch):
+def test_unclaimed_uploads_are_removed(visitors, monkeypatch):
     path = visitors.store(None, b"a photograph", ".png")
     visitors.sweep()
     assert path.exists() and visitors.used == 12

@@ -66,7 +66,7 @@ def test_everything_is_made(order):
     assert not order.stop.exists() and not DEVICE.locked()
 
 
-def test_what_is_promised_is_reported_as_the_command_line_does(order):
+def test_promise_is_worded_as_on_the_command_line(order):
     done, _ = _run(order)
     report = json.loads((done.films / "report.json").read_text("utf-8"))
     assert report["promise"]["error"] is None and report["versions"]["phy124"]
@@ -93,7 +93,7 @@ def test_the_report_says_how_the_object_was_cut_out(order):
         assert 0.3 < cutout["coverage"] < 0.6
 
 
-def test_what_has_not_changed_is_not_done_again(order):
+def test_unchanged_steps_are_not_repeated(order):
     first, _ = _run(order)
     again, events = _run(order)
     assert again == first

@@ -110,7 +110,7 @@ def test_an_open_file_is_written_into(tmp_path):
         assert kept.read() == "new"
 
 
-def test_what_is_neither_file_nor_stream_is_refused(tmp_path):
+def test_outputs_other_than_files_and_streams_are_refused(tmp_path):
     (tmp_path / "loop").symlink_to("loop")
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(os.path.relpath(tmp_path / "socket"))

@@ -66,7 +66,7 @@ def enter(place, other) -> bool:
     return not inside.is_alive()
 
 
-def test_on_a_gpu_nobody_draws_while_a_graph_may_be_captured():
+def test_nothing_is_drawn_on_a_gpu_while_a_graph_is_captured():
     cpu, gpu = SimpleNamespace(device="cpu"), SimpleNamespace(device="cuda:1")
     assert enter(cpu, cpu) and not enter(gpu, gpu)
     for method in (Simulation._advance, Simulation._make_frame, Renderer.__call__):

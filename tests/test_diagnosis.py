@@ -60,7 +60,7 @@ def test_a_particle_is_named_by_number_law_place_and_speed(solver):
     assert words.endswith("m at rest"), "a position that is not finite is not written down"
 
 
-def test_what_limits_a_substep_and_who_is_fastest_are_said(solver):
+def test_substep_limit_and_fastest_particle_are_named(solver):
     words = describe_substep(solver.model, solver.state, solver.clock)
     assert "limited by the stiffness of the material" in words
     assert f"fastest is particle {len(solver.model) // 2 + 3} of law sand" in words

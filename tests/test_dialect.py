@@ -45,7 +45,7 @@ def layout(path, names, rng, *, reach=0.5, unit=True):
         ((*NORMALS, "f_rest_0"), {}, None),
     ],
 )
-def test_who_may_have_written_it(tmp_path, rng, names, options, dialect):
+def test_likely_dialect_of_a_file(tmp_path, rng, names, options, dialect):
     result = likely_dialect(layout(tmp_path / "a.ply", names, rng, **options))
     assert (result and result[0]) == dialect
 
@@ -64,12 +64,12 @@ def test_the_end_of_a_file_is_looked_at_too(tmp_path, rng):
     assert likely_dialect(path) is None
 
 
-def test_what_phy124_writes_is_read_as_it_is(tmp_path):
+def test_files_of_phy124_are_read_unchanged(tmp_path):
     write_ply(tmp_path / "a.ply", ball(100))
     assert likely_dialect(tmp_path / "a.ply") is None
 
 
-def test_the_guess_is_told_unless_the_axes_are_given(tmp_path, rng):
+def test_guessed_dialect_is_noted_unless_axes_are_set(tmp_path, rng):
     file = str(layout(tmp_path / "a.ply", LGM, rng, reach=1.0))
     with pytest.warns(UserWarning, match="may be a file of LGM: .* give --dialect lgm"):
         answer = PlyFile(file)()

@@ -43,7 +43,7 @@ def bar_after_a_period(damping):
     return first.energy, work.loss(now.energy - first.energy, 0.0, now.elastic - first.elastic)
 
 
-def test_what_a_bar_without_friction_loses_is_numerical():
+def test_loss_of_an_undamped_bar_is_numerical():
     first, loss = bar_after_a_period(0.0)
     assert loss.material == 0
     assert 0 < loss.numerical == loss.total < 0.01 * first

@@ -54,5 +54,5 @@ def test_markdown_s_own_letters_are_no_markup(pages):
     assert "`THINNEST`" in pages["particles"]
 
 
-def test_what_is_private_is_left_out(pages):
+def test_private_names_are_left_out(pages):
     assert not any("def _" in page for page in pages.values())

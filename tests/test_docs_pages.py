@@ -91,7 +91,7 @@ def test_numbered_lists_count_up(page):
         last = int(number)
 
 
-def test_paragraphs_are_told_from_lists_tables_and_code():
+def test_paragraphs_are_distinguished_from_lists_and_code():
     page = "one\nline\n- first\n  goes on\n- second\n\n| a | b |\n\n```sh\nls\n```\nlast\n"
     assert list(paragraphs(page)) == ["one line", "- first goes on", "- second", "last"]
 

@@ -82,7 +82,7 @@ def test_many_arguments_are_explained(room):
 
 
 @pytest.mark.parametrize("room", ROOMS)
-def test_refusals_are_told(room):
+def test_raised_errors_are_documented(room):
     for function in functions(room):
         if refuses(function):
             assert "InputError:" in function.section("Raises"), function.name

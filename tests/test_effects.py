@@ -24,7 +24,7 @@ def test_effects_follow_the_scene():
     assert "return mapping" in [o.effect for o in pressed.left_out]
 
 
-def test_what_leaving_out_saves_grows_with_the_work():
+def test_saving_of_an_omission_grows_with_the_work():
     effects = Effects.of(Scene.named("press"))
     work = {"particles": 10**6, "substeps": 1000, "nodes": 10**5}
     saved = saved_by(effects, **work)
@@ -152,7 +152,7 @@ def test_effects_name_the_kernels_that_run(gradient):
     assert "accuracy.gradient" in whys(effects)[omitted]
 
 
-def test_what_looks_for_tears_and_tries_substeps_is_named():
+def test_tear_checks_and_substep_trials_are_listed():
     search = "search for torn material and separate pieces in each frame"
     scenes = [Scene.named(name) for name in ("press", "water")]
     named = [scene.replaced({"accuracy": {"solver": "mpm"}}) for scene in scenes]

@@ -179,7 +179,7 @@ def test_diverging_grids_give_the_finest_and_the_spread():
     assert first.order is None and first.value == 0.2 and first.error == pytest.approx(0.1)
 
 
-def test_a_value_that_is_in_by_its_error_alone_is_told_apart():
+def test_value_inside_only_by_its_error_is_marked():
     """The limit is 0.27, the band ends at 0.26, and the finest grid is a hundredth away."""
     near = result(made(run=lambda cells: (0.27 + cells**-2,))).estimates[0]
     assert near.inside and near.by_its_error
@@ -187,7 +187,7 @@ def test_a_value_that_is_in_by_its_error_alone_is_told_apart():
     assert "in by error" in "\n".join(details(result(made(run=lambda cells: (0.27 + cells**-2,)))))
 
 
-def test_a_miss_is_said_and_needs_a_reason():
+def test_missed_band_is_reported_and_needs_a_reason():
     off = made(run=lambda cells: (0.3 + cells**-2 / 100,))
     missed = result(off)
     assert not missed.estimates[0].inside and not missed.good
@@ -203,7 +203,7 @@ def test_a_control_that_stays_inside_is_a_failure():
     assert "CONTROL" in summary(vacuous)
 
 
-def test_a_run_that_fails_is_told_and_stops_no_other(monkeypatch):
+def test_failed_run_is_reported_and_stops_no_other(monkeypatch):
     broken = made(run=lambda cells: (1 / (cells - 6),), grids=(4, 6, 8))
     monkeypatch.setattr(running_module, "find_experiment", lambda name: broken)
     (seen,) = run_all([broken], jobs=1, progress=silent)

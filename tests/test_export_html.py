@@ -68,7 +68,7 @@ def _unpacked(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
     return head, out
 
 
-def test_what_is_packed_can_be_unpacked(clip):
+def test_packing_round_trip(clip):
     head, arrays = _unpacked(pack(clip, CAMERA))
     width = np.ptp(clip.means, axis=(0, 1)).max()
     assert arrays["means"] == pytest.approx(clip.means, abs=float(width) / 65535)

@@ -69,7 +69,7 @@ def sources(tmp_path_factory):
         for both in product(PROBLEMS, STAGES)
     ],
 )
-def test_a_problem_at_any_stage_is_one_sentence(
+def test_problem_at_any_stage_is_reported_in_a_sentence(
     name, stage, sources, tmp_path, monkeypatch, capsys
 ):
     problem, status, sentence = PROBLEMS[name]
@@ -102,13 +102,13 @@ def refuse_broken(folder):
             json.loads(path.read_text())
 
 
-def test_what_warp_raises_is_named_after_it():
+def test_errors_of_warp_are_named_after_it():
     with pytest.raises(ValueError) as caught:
         wp.get_device("cuda:99")
     assert failure(caught.value).sentence.startswith("Warp failed: ")
 
 
-def test_what_pydantic_refuses_elsewhere_is_an_error():
+def test_pydantic_errors_of_other_code_are_errors():
     """Only the refusal of an option is bad input."""
     with pytest.raises(ValidationError) as caught:
         TypeAdapter(int).validate_python("x")
@@ -163,7 +163,7 @@ def test_the_bridge_says_the_same(name, monkeypatch, capsys):
         (None, 1, "a.clip is there."),
     ],
 )
-def test_what_is_kept_is_said_with_the_cause(cause, status, said):
+def test_kept_files_are_named_with_the_cause(cause, status, said):
     problem = Incomplete("a.clip is there.")
     problem.__cause__ = cause
     result = failure(problem)

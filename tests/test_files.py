@@ -50,7 +50,7 @@ def test_an_older_file_stays_until_the_new_one_is_whole(tmp_path, ending):
 
 
 @pytest.mark.parametrize("name", ["missing/clip.mp4", "folder"])
-def test_what_cannot_be_written_is_refused(tmp_path, name):
+def test_unwritable_paths_are_refused(tmp_path, name):
     (tmp_path / "folder").mkdir()
     with (
         pytest.raises(InputError, match="no file can be written to this path"),

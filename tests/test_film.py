@@ -138,7 +138,7 @@ def test_slow_motion_plays_the_same_pictures_longer(tmp_path, clip):
     assert sum(shown) == 500 and len(shown) == 3
 
 
-def test_choppy_slow_motion_is_told_of(clip):
+def test_choppy_slow_motion_is_noted(clip):
     (warning,) = film_notes(clip, view(speed=0.25))
     assert warning is not None and "6 frames per second" in warning and "--fps 96" in warning
     assert film_notes(clip, view(speed=0.5)) == film_notes(clip, view(fps=2)) == []

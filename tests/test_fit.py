@@ -121,7 +121,7 @@ def test_fit_of_stiffness_and_mass_is_refused():
     assert sum(problem.calls) < 40
 
 
-def test_what_nothing_depends_on_is_refused():
+def test_parameter_without_effect_is_refused():
     names = ("material.E", "material.damping", "material.density", "boundaries.0.friction")
     problem = Oscillator(names=names, truth=np.full(4, 0.5))
     with pytest.raises(InputError, match=r"friction: no measurement .* slope"):
@@ -168,7 +168,7 @@ def test_a_value_that_the_error_of_the_grid_hides_is_refused():
         estimate(Oscillator(bent=20.0))
 
 
-def test_effects_in_different_directions_are_told_apart():
+def test_independent_effects_are_distinguished():
     assert find_unseen(("a", "b"), np.array([[1.0, 0.5], [0, 1], [0, 0]]), 1.0) is None
 
 
@@ -217,7 +217,7 @@ def test_bad_declarations(data, words):
 
 
 @pytest.mark.parametrize("text", ["material.E", "=1..2"])
-def test_what_is_no_range_of_a_path(text):
+def test_invalid_ranges_of_a_path(text):
     with pytest.raises(InputError, match="LEAST"):
         parse_ranges((text,))
 
@@ -310,7 +310,7 @@ def test_a_budget_that_is_too_small_is_refused():
         (["points.csv", "--object", "o.ply", "--find", "material.E=1e4..1e5"], "until 9 s"),
     ],
 )
-def test_the_command_refuses_in_a_sentence(tmp_path, monkeypatch, capsys, words, sentence):
+def test_command_refuses_with_a_sentence(tmp_path, monkeypatch, capsys, words, sentence):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "points.csv").write_text("time,id,x,y,z\n0,a,0,0,0.5\n9,a,0,0,0.5\n")
     n = 8

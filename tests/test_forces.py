@@ -268,7 +268,7 @@ def test_spring_of_any_stiffness_reaches_its_target():
         np.testing.assert_allclose(centre(s, held), (0.02, 0.05, 0), atol=2e-3)
 
 
-def test_it_holds_within_its_time_only():
+def test_grab_acts_only_within_its_time():
     held = grab((0, 0, 1), (0, 0, 1), start=2e-3, end=4e-3)
     s = solver(held, ceiling=1e-4)
     s.advance(2e-3)
@@ -331,7 +331,7 @@ def test_grabs_and_wrenches_refuse_nonsense():
             kind(region={"lower": [0, 0, 0]})
 
 
-def test_what_acts_can_be_replaced_between_two_substeps():
+def test_forces_can_be_replaced_between_two_substeps():
     single, other = WrenchForce(force=(1, 0, 0)), WrenchForce(force=(0, 2, 0), start=0.005)
     first = WrenchForce(force=(1, 0, 0), end=0.005)
     both = solver(first, other, ceiling=1e-3)

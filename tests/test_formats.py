@@ -77,7 +77,7 @@ def test_formats_round_trip_within_their_steps(tmp_path, rng, name, degree):
         ("gaussforge.splat", "splat", ()),
     ],
 )
-def test_what_other_programs_wrote_is_read(file, name, axes):
+def test_files_of_other_programs_are_read(file, name, axes):
     """Axes, quaternions, scales, colours and opacities; harmonics turn with the axes."""
     wanted = read_ply(FOREIGN / "source.ply").gaussians
     content = read_as_is(FOREIGN / file)
@@ -304,7 +304,7 @@ def test_a_palette_holds_few_vectors_exactly_and_many_nearly(rng):
 
 
 @pytest.mark.parametrize("name", STILL)
-def test_the_object_of_a_gaussian_is_kept_where_it_is_said(tmp_path, rng, name):
+def test_object_ids_are_kept_by_formats_that_have_them(tmp_path, rng, name):
     path, plain = tmp_path / "a", many(rng, 300, 0)
     several = replace(plain, object_id=rng.choice([0, 3, 700, 70_000], 300).astype(np.int32))
     write_gaussians(path, several, name)

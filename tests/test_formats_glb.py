@@ -202,7 +202,7 @@ def test_glb_reads_in_the_library_of_another_container(tmp_path, rng):
 
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e6])
 @pytest.mark.parametrize("logs", [False, True])
-def test_scales_are_told_in_any_unit(tmp_path, unit, logs):
+def test_scale_kind_is_detected_in_any_unit(tmp_path, unit, logs):
     """In millimetres all logarithms are above 0, too: what covers the object tells."""
     wanted = ball(3000).transform(unit, np.zeros(3))
     scales = np.maximum(wanted.scales, 1.01) if unit > 1 else wanted.scales

@@ -88,11 +88,11 @@ def test_an_azimuth_lies_between_the_named_views():
     assert np.allclose(np.array(left.eye) - middle, middle - np.array(named.eye))
 
 
-def test_what_stays_in_the_picture_is_not_mentioned():
+def test_object_that_stays_in_the_picture_is_not_noted():
     assert describe_framing(flight(AWAY[:2]), view()) == {"departures": [], "notes": []}
 
 
-def test_leaving_is_told_with_the_view_the_frame_and_what_helps():
+def test_leaving_the_picture_is_noted_with_a_remedy():
     clip, chosen = flight(AWAY), view()
     (left,) = departures(clip, chosen)
     assert left.view == "front"
@@ -201,7 +201,7 @@ def test_a_steady_way_is_seen_from_a_still_camera():
     assert len(set(cameras(flight(way), view(**FITS), "front"))) == 1
 
 
-def test_what_goes_too_far_is_followed_or_told():
+def test_far_motion_is_followed_or_noted():
     clip = flight([(0, 0, 0), (0, 300, 0)])
     assert not departures(clip, view(**FITS))
     (note,) = describe_framing(clip, view(**FITS, follow=False))["notes"]
@@ -264,7 +264,7 @@ def test_camera_moves_out_as_two_objects_part(side, size):
     assert cameras(replace(clip, objects=()), chosen, side)[0].eye == still[0].eye
 
 
-def test_commands_film_on_the_stage_unless_told_otherwise(tmp_path):
+def test_commands_film_on_the_stage_by_default(tmp_path):
     assert SceneOptions("drop").resolve().view.stage == "studio"
     assert SceneOptions("drop", set=("view.stage=plain",)).resolve().view.stage == "plain"
     assert SceneOptions("drop", view=ViewOptions(stage="plain")).resolve().view.stage == "plain"

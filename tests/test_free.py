@@ -83,7 +83,7 @@ def test_alone_it_flies_a_parabola_and_turns_as_it_did():
 
 
 @pytest.mark.parametrize(("threads", "sticky"), [(1, False), (2, False), (1, True)])
-def test_what_the_body_loses_the_material_gets(threads, sticky):
+def test_momentum_is_exchanged_with_the_material(threads, sticky):
     body = BALL._replace(
         place=(0.05, 0.03, 0.46), velocity=(0.3, 0.1, -1.0), spin=(1.0, 2.0, 3.0), sticky=sticky
     )
@@ -108,7 +108,7 @@ def test_what_the_body_loses_the_material_gets(threads, sticky):
     assert "momentum has no physical source" in what or "energy" in what
 
 
-def test_it_slides_by_its_friction_and_rolls():
+def test_free_solid_slides_by_friction_and_rolls():
     box = FreeBody("box", "box", (0.2, 0.15, 0.1), (0, 0, 0.1), velocity=(2.0, 0, 0))
     for body, speed in ((box, 2 - 0.3 * G * 0.3), (BALL._replace(place=(0, 0, 0.15)), 10 / 7)):
         s = beside(body._replace(velocity=(2.0, 0, 0)), floor=0.3)
@@ -218,7 +218,7 @@ def test_heavy_free_body_squeezes_jelly_soundly():
 
 
 @pytest.mark.slow
-def test_what_is_mirrored_moves_as_a_mirror_shows():
+def test_mirrored_scene_has_the_mirrored_motion():
     results = []
     for way in (1, -1):
         body = FreeBody(
@@ -289,7 +289,7 @@ def test_a_ball_on_a_box_pushes_as_finite_elements_say(phase):
 
 
 @pytest.mark.slow
-def test_it_goes_on_from_a_snapshot_bit_for_bit():
+def test_free_solid_resumes_bit_for_bit():
     made = []
     for pause in (False, True):
         body = BALL._replace(place=(0.05, 0.03, 0.46), velocity=(0.3, 0.1, -1.0))
@@ -379,7 +379,7 @@ def scene(**changes) -> Scene:
         ({"forces": [{"kind": "gravity", "object": "box"}]}, "no object is called box"),
     ],
 )
-def test_what_a_free_solid_would_pass_through_is_refused(changes, said):
+def test_obstacles_that_ignore_free_solids_are_refused(changes, said):
     with pytest.raises(InputError, match=said):
         scene(**changes)
 

@@ -71,7 +71,7 @@ def test_the_command_line_refuses_what_cannot_be(picture, capsys):
     assert "steps" in capsys.readouterr().err
 
 
-def test_what_takes_long_is_told_before_and_in_the_report(picture):
+def test_long_work_is_announced_and_reported(picture):
     slow, order = Slow(), []
     made = make_gaussians(
         picture, generator=slow, on_estimate=lambda effort: order.append(slow.calls)

@@ -90,7 +90,7 @@ def test_outliers_and_faint_gaussians_do_not_count(tmp_path, rng):
     assert len(PlyFile(str(tmp_path / "a.ply"))()) == 2001
 
 
-def test_axes_can_be_told(tmp_path, rng):
+def test_axes_can_be_set(tmp_path, rng):
     write_ply(tmp_path / "a.ply", box(rng))
     standing = PlyFile(str(tmp_path / "a.ply"), Reading(up="x", front="z"))()
     extent = standing.means.max(axis=0) - standing.means.min(axis=0)

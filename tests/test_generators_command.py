@@ -54,7 +54,7 @@ def test_the_picture_goes_in_and_gaussians_come_out(tmp_path, copies):
         ("open(out, 'w').write('ply of nothing')", "not a PLY"),
     ],
 )
-def test_what_goes_wrong_is_said(tmp_path, line, limit):
+def test_failures_of_the_command_are_reported(tmp_path, line, limit):
     with pytest.raises(InputError, match=limit):
         make(f"cmd: {program(tmp_path, line)}")(PICTURE, seed=0, progress=lambda *_: None)
 

@@ -48,7 +48,7 @@ def test_inner_particles_get_balls_in_the_colour_above(body):
     np.testing.assert_allclose(grains.rgb[far], body.rgb[nearest[far]], atol=0.15)
 
 
-def test_what_holds_together_has_none(body):
+def test_intact_material_has_no_grains(body):
     made, shown, particles = grained(body, NeoHookean())
     assert shown is body and particles is made
     assert len(grained(body, Fluid())[1]) > len(body)

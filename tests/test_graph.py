@@ -152,7 +152,7 @@ def test_callback_after_each_visit_of_the_host():
     assert calls[-1] == 0.25 and len(calls) < alone.clock.substeps / 5
 
 
-def test_who_must_look_after_each_substep_gets_them_one_by_one():
+def test_after_is_called_once_per_substep():
     host, alone = solvers(NeoHookean(E=3e4))
     calls = []
     alone.advance(FRAMES[0], after=lambda: calls.append(alone.clock.substeps), each=True)

@@ -41,7 +41,7 @@ def test_growing_frames_are_stacked_without_a_copy(tmp_path):
     assert np.shares_memory(clip.velocities, growing.arrays["velocities"])
 
 
-def test_it_becomes_the_clip_and_stays_what_it_is(tmp_path):
+def test_growing_file_becomes_the_clip_unchanged(tmp_path):
     growing, _, clip = grown(tmp_path / "frames")
     named = replace(clip, scene={"a": "ü"}, report={"complete": True})
     assert growing.finish(named, tmp_path / "clip.safetensors")

@@ -38,7 +38,7 @@ def box(major: bytes, *others: bytes) -> bytes:
         (b"RIFF\0\0\0\0AVI ", None),
     ],
 )
-def test_kinds_are_told_by_brands(data, kind):
+def test_kinds_follow_from_brands(data, kind):
     assert read_kind(data) == kind
     assert read_kind(data[: header.HEAD]) == kind
 

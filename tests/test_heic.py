@@ -47,7 +47,7 @@ def test_large_ones_are_refused_before_decoding(tmp_path, monkeypatch):
     ],
     ids=["larger than said", "smaller than said", "cut", "head"],
 )
-def test_broken_ones_are_refused_in_words(tmp_path, data):
+def test_broken_heic_is_refused_with_a_message(tmp_path, data):
     (tmp_path / "a.heic").write_bytes(data)
     with pytest.raises(InputError, match="broken or cut short"):
         open_image(tmp_path / "a.heic")
@@ -65,7 +65,7 @@ def _endless(*_: object) -> None:
     time.sleep(600)
 
 
-def test_without_the_package_its_name_is_told(monkeypatch):
+def test_missing_package_is_named(monkeypatch):
     monkeypatch.setattr(codecs, "can_read_heic", lambda: False)
     with pytest.raises(InputError, match=r"package pi-heif can read\. Install it \(.*pip install"):
         open_image(PHONE)

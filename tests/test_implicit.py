@@ -104,7 +104,7 @@ def test_a_hull_is_the_sum_of_its_pictures_within_its_flat_ends(hull, rng):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_what_is_no_place_stays_within_the_fields(ball, hull, bad):
+def test_non_finite_points_stay_within_the_fields(ball, hull, bad):
     points = np.full((3, 3), bad)
     for surface in (ball, hull):
         values, _ = surface.gradient(points)
@@ -130,7 +130,7 @@ def test_near_neighbours_move_apart_on_the_surface():
     np.testing.assert_allclose(spacing, max(distance, 0.6))
 
 
-def test_what_is_on_the_other_side_of_a_thin_part_does_not_push():
+def test_points_behind_a_thin_part_do_not_push():
     points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, -0.2], [0.9, 0.0, 0.0]])
     normals = np.array([[0, 0, 1.0], [0, 0, -1.0], [0, 0, 1.0]])
     near = np.array([[1, 2], [0, 2], [1, 0]], np.int32)

@@ -34,7 +34,7 @@ def torn():
     return run, run.run()
 
 
-def test_what_lies_open_is_drawn_in_the_colour_above_it(torn):
+def test_exposed_interior_has_the_colour_above_it(torn):
     run, clip = torn
     added = clip.report["grains"]
     assert added == len(clip.opacities) - len(run.setup.gaussians) > 20
@@ -67,7 +67,7 @@ def test_nothing_is_added_where_nothing_tears():
     assert clip.means.shape[1] == clip.report["gaussians"] and clip.report["grains"] == 0
 
 
-def test_what_is_torn_may_have_no_inside():
+def test_torn_material_may_have_no_interior():
     """Two needles that are torn apart: every particle is of a Gaussian, so nothing lies open."""
     needles = ball(400).select(np.array([0, 399]))
     particles = make_particles(needles, density=1e3, spacing=1.0, binding="particles")

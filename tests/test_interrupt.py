@@ -212,7 +212,7 @@ def test_the_same_command_with_resume_goes_on(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["complete"]
 
 
-def test_an_object_told_by_its_picture_where_it_is_there_goes_on(tmp_path):
+def test_object_from_a_picture_is_resumed(tmp_path):
     """`crop` of a further object is found in its picture, so the scene of a command lacks it."""
     changes = {"accuracy": {"cells": 8}, "time.frames": 3, "view.size": 32, "view.views": ["front"]}
     asked = Scene.named("collide").replaced(changes)

@@ -73,14 +73,14 @@ def test_errors_come_across():
         run(exec, unsendable)
 
 
-def test_a_crash_is_told():
+def test_crash_is_reported():
     with pytest.raises(Unfinished, match=r"broke down \(exit status 3\)"):
         run(os._exit, 3)
     with pytest.raises(Unfinished, match="broke down"):
         run(exec, "import os, signal; os.kill(os.getpid(), signal.SIGTERM)")
 
 
-def test_it_needs_no_room_on_a_disk(monkeypatch):
+def test_process_needs_no_disk_space(monkeypatch):
     def full(*_):
         raise OSError("No space left on device")
 
@@ -96,11 +96,11 @@ def test_its_memory_can_be_limited():
     assert len(run(bytearray, 1 << 20, memory=1 << 29)) == 1 << 20
 
 
-def test_what_is_printed_is_no_part_of_the_answer():
+def test_printed_text_is_not_part_of_the_result():
     assert run(print, "loud") is None
 
 
-def test_it_starts_with_little():
+def test_process_starts_with_few_imports():
     loaded = run(eval, "(__import__('phy124.imaging.grabcut'), list(__import__('sys').modules))[1]")
     assert "cv2" in loaded
     assert not {"warp", "pydantic", "scipy", "phy124.gaussians"} & set(loaded)
@@ -125,7 +125,7 @@ def test_scripts_need_no_main_guard_and_threads_can_wait(tmp_path):
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGKILL])
-def test_it_ends_with_whoever_waits_for_it(tmp_path, ending):
+def test_process_ends_with_its_parent(tmp_path, ending):
     note = tmp_path / "process"
     work = NOTE_AND_SLEEP.format(str(note))
     order = f"from phy124.runtime.isolated import run; run(exec, {work!r})"

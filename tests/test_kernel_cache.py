@@ -121,7 +121,7 @@ def test_without_room_nothing_is_compiled_and_nothing_stays(cache, monkeypatch):
     assert not [*cache.glob("wp_*")]
 
 
-def test_of_a_compilation_that_fails_nothing_stays(cache, monkeypatch):
+def test_failed_compilation_leaves_nothing(cache, monkeypatch):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -150,7 +150,7 @@ def test_partial_kernels_are_removed_between_compilations(cache):
     assert not half.exists() and not tmp.exists() and foreign.exists()
 
 
-def test_what_a_program_compiles_without_a_lock_is_not_removed(cache):
+def test_modules_compiled_without_a_lock_are_not_removed(cache):
     """A script that launches a kernel itself; without its folder the compiler would end it."""
     half = cache / f"wp_phy124_test_half_1234567_p{os.getpid()}_t1234"
     for folder in (half, cache / "headers_0"):

@@ -29,7 +29,7 @@ def test_products_and_sums_are_rounded_once(residue):
     assert out.numpy()[0] == -(2.0**-26)
 
 
-def test_what_the_user_told_the_compiler_stays(monkeypatch):
+def test_user_options_of_the_compiler_are_kept(monkeypatch):
     monkeypatch.setattr(wp.config, "cpu_compiler_flags", "-fno-vectorize")
     kernel("phy124_test_flags")
     options = wp.get_module_options("phy124_test_flags")

@@ -28,7 +28,7 @@ def test_known_colours(rgb, wanted):
     np.testing.assert_allclose(lab_of(*rgb), wanted, atol=0.05)
 
 
-def test_it_agrees_with_opencv_within_its_tables(rng):
+def test_lab_agrees_with_opencv_within_its_tables(rng):
     picture = rng.integers(0, 256, (40, 50, 3), np.uint8)
     theirs = cv2.cvtColor(picture.astype(np.float32) / 255, cv2.COLOR_RGB2Lab)
     ours = to_lab(picture)

@@ -363,7 +363,7 @@ def test_only_lattices_alone_divide_the_loss_of_objects(changes):
         stacked(**changes)
 
 
-def test_what_only_lattices_divide_stays_on_them_on_a_gpu():
+def test_energy_checks_stay_on_lattices_on_a_gpu():
     assert choose_solver(stacked(), "cuda:0").on_lattice
     alone = stacked(objects=[], boundaries=[], stiffness_profile=None)
     assert not choose_solver(alone, "cuda:0").on_lattice

@@ -203,7 +203,7 @@ def test_keys_and_shapes_are_those_of_the_public_files(golden_lgm, option):
     assert {k: list(v.shape) for k, v in model.state_dict().items()} == table
 
 
-def test_wrong_option_or_tensors_are_refused_in_words(tiny):
+def test_wrong_option_or_tensors_are_refused(tiny):
     with pytest.raises(InputError, match=r"lrm, small, big, tiny"):
         load({}, "huge")
     with pytest.raises(
@@ -212,7 +212,7 @@ def test_wrong_option_or_tensors_are_refused_in_words(tiny):
         load(tiny.state_dict(), "big")
 
 
-def test_foreign_and_cut_files_are_refused_in_words(tmp_path):
+def test_foreign_and_truncated_files_are_refused(tmp_path):
     for name in ("cut.safetensors", "cut.pth"):
         (tmp_path / name).write_bytes(b"\x10\0\0\0\0\0\0\0no weights")
         with pytest.raises(InputError, match="cut short or of another kind"):

@@ -67,7 +67,7 @@ def test_a_gpu_with_too_little_memory_is_named_before_the_run(monkeypatch):
     assert check_limits(*needs, "cpu").state > 1e5
 
 
-def test_what_is_too_far_up_for_float32_is_refused():
+def test_heights_beyond_float32_are_refused():
     """A ball of 5 cm at 10 km: float32 knows its places to a millimetre, a sixth of a cell."""
     with pytest.raises(InputError, match=r"object\.lift = 10000 m: .*Use at most 620 m") as refusal:
         run(**{"object.size": 0.05, "object.lift": 1e4})

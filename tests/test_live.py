@@ -84,7 +84,7 @@ def test_live_run_keeps_only_acting_forces():
     assert np.array_equal(held, same)
 
 
-def test_what_is_held_follows_the_hand_and_falls_when_it_lets_go():
+def test_grabbed_object_follows_the_hand_and_falls_on_release():
     run = live(boundaries=[])
     run.step()
     run.grab((0, 0, 1.0))
@@ -232,7 +232,7 @@ def test_liquid_flows_while_inputs_are_possible():
         (lambda run: run.move(2, (0, 0, 0)), "move.wall"),
     ],
 )
-def test_what_cannot_be_done_is_refused_and_the_run_goes_on(call, field):
+def test_impossible_inputs_are_refused_and_the_run_continues(call, field):
     swings = {"kind": "sphere", "centre": [0, 0.8, 0.2], "motion": {"kind": "swing"}}
     run = live(boundaries=[*GROUND, swings])
     run.step()
@@ -242,7 +242,7 @@ def test_what_cannot_be_done_is_refused_and_the_run_goes_on(call, field):
     assert np.isfinite(run.step().gaussians.means).all()
 
 
-def test_what_is_too_much_is_made_smaller_and_said():
+def test_excessive_inputs_are_reduced_and_reported():
     run = live()
     run.step()
     run.push((1e30, 0, 0), seconds=0.01)
@@ -268,7 +268,7 @@ def test_torque_spins_a_rim_no_faster_than_force_pushes():
     assert rim == pytest.approx(force / limits.mass) and said and also
 
 
-def test_what_flies_away_begins_anew():
+def test_run_restarts_if_the_object_flies_away():
     run = live(boundaries=[])
     run.step()
     run.gravity((1e9, 0, 0))
@@ -343,7 +343,7 @@ def test_the_grid_is_as_fine_as_this_machine_holds(monkeypatch):
         held_rate(thing(), scene(), rate=float("nan"))
 
 
-def test_the_finest_grid_that_keeps_up_is_told_from_one_trial(monkeypatch):
+def test_finest_grid_in_real_time_follows_from_a_trial(monkeypatch):
     tried = []
 
     def trial(gaussians: Gaussians, on: Scene, *_) -> choose.Cost:

@@ -70,7 +70,7 @@ def full(monkeypatch, *folders: Path):
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), ValueError("a plugin")])
-def test_what_is_computed_stays_if_filming_fails(tmp_path, monkeypatch, error, capsys):
+def test_frames_are_kept_if_filming_fails(tmp_path, monkeypatch, error, capsys):
     def fail(clip, view, folder, context):
         (folder / "front.mp4").touch()
         raise error
@@ -184,7 +184,7 @@ def test_results_go_where_there_is_room(tmp_path, monkeypatch, temporary, done):
 
 
 @pytest.mark.filterwarnings("ignore:the frames are kept in memory only")
-def test_it_is_said_if_nothing_can_be_kept(tmp_path, monkeypatch, temporary):
+def test_loss_of_all_frames_is_reported(tmp_path, monkeypatch, temporary):
     with (
         full(monkeypatch, tmp_path),
         pytest.raises(Incomplete, match="could not be saved"),
@@ -208,7 +208,7 @@ def test_results_of_a_full_disk_are_kept_elsewhere(tmp_path, temporary, every_fr
     assert set(json.loads((kept / "report.json").read_text())["files"]) == names(kept)
 
 
-def test_too_little_room_is_said_before_work(tmp_path, monkeypatch):
+def test_lack_of_disk_space_is_reported_before_work(tmp_path, monkeypatch):
     def stop(stage: str, done: int, total: int) -> None:
         if stage == "simulate":
             raise Cancelled

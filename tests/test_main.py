@@ -83,7 +83,7 @@ def test_the_report_has_the_documented_keys(made):
     assert report == Clip.load(made / "clip.safetensors").report
 
 
-def test_a_warm_scene_is_said_to_be(made, capsys):
+def test_warm_scene_is_reported_as_such(made, capsys):
     assert main(["warm", "press", "--device", "cpu"]) == 0
     assert main(["warm", "press", "--device", "cpu"]) == 0
     printed, problems = capsys.readouterr()
@@ -171,7 +171,7 @@ def test_clip_is_filmed_slowly_by_moving_cameras(made, tmp_path, capsys):
     assert "Simulate it again with --outputs force" in capsys.readouterr().err
 
 
-def test_an_object_that_leaves_the_picture_is_told_of(made, tmp_path, capsys):
+def test_object_that_leaves_the_picture_is_noted(made, tmp_path, capsys):
     gone = ["--scene", "push_right", "--set", "object.velocity=[0,200,0]", "--views", "front"]
     simulate = ["simulate", str(made / "gaussians.ply"), *QUICK, *gone, "--out", str(tmp_path)]
     assert main([*simulate, "--no-follow"]) == 0
@@ -267,7 +267,7 @@ def test_scenes_and_effects_and_doctor_print(capsys):
         (["scenes", "dance"], "scene = dance"),
     ],
 )
-def test_bad_input_is_one_sentence(arguments, sentence, tmp_path, capsys, monkeypatch):
+def test_bad_input_is_refused_in_a_sentence(arguments, sentence, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 2
     printed = capsys.readouterr()
@@ -281,7 +281,7 @@ def test_errors_are_json_for_scripts(capsys):
     assert "none.png" in json.loads(capsys.readouterr().out)["error"]
 
 
-def test_an_unwritable_folder_is_one_sentence(tmp_path, capsys):
+def test_unwritable_folder_is_refused_in_a_sentence(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     status = main(["generate", str(DUCK), *QUICK, "--out", str(tmp_path / "file" / "sub")])
     assert status == 2
@@ -373,7 +373,7 @@ def test_a_photograph_is_cut_out(tmp_path, capsys):
     assert ((cut[..., 3] > 127) == disc).mean() > 0.98
 
 
-def test_what_of_a_file_is_dropped_is_said(tmp_path, capsys):
+def test_dropped_content_of_a_file_is_noted(tmp_path, capsys):
     """NaN Gaussians of a PLY and of a frame of a clip: in the report, and on the screen."""
     good = ball(1000)
     means, opacities = good.means.copy(), good.opacities.copy()
@@ -400,7 +400,7 @@ def test_what_of_a_file_is_dropped_is_said(tmp_path, capsys):
     )
 
 
-def test_a_frame_in_which_nothing_is_anywhere_is_said(made, tmp_path, capsys):
+def test_frame_without_finite_gaussians_is_reported(made, tmp_path, capsys):
     clip = Clip.load(made / "clip.safetensors")
     for frame, status in ((1, 0), (0, 2)):
         means = np.array(clip.means)

@@ -119,7 +119,7 @@ def test_memory_that_is_not_initialised_changes_nothing(name):
         np.testing.assert_array_equal(other[what], array, err_msg=what)
 
 
-def test_what_is_not_written_is_seen():
+def test_unwritten_memory_is_detected():
     """The control: without it the test above could not fail."""
     with poisoned() as count:
         taken = wp.empty(3, dtype=wp.vec3, device="cpu").numpy()

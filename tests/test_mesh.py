@@ -114,7 +114,7 @@ def corners(values, faces="3 0 1 2"):
         ("a.obj", b"", "0 bytes"),
     ],
 )
-def test_what_is_no_usable_mesh_is_refused_in_a_sentence(tmp_path, name, content, said):
+def test_unusable_meshes_are_refused_in_a_sentence(tmp_path, name, content, said):
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(InputError, match=said) as refused:
@@ -245,7 +245,7 @@ def test_mesh_far_from_the_origin_keeps_its_shape(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(content.gaussians.means, axis=1), 1, atol=0.02)
 
 
-def test_meshes_are_told_from_files_of_gaussians(tmp_path):
+def test_meshes_are_distinguished_from_gaussians(tmp_path):
     mesh_file = saved(tmp_path / "mesh.glb", ball())
     gaussians = mesh(mesh_file, RED)
     assert is_mesh(mesh_file) and is_mesh(saved(tmp_path / "mesh.ply", ball()))

@@ -125,7 +125,7 @@ def test_whole_clip_models_serve_as_well(tmp_path, rng):
     np.testing.assert_allclose(rows, wanted, rtol=1e-4, atol=1e-6)
 
 
-def test_missing_and_foreign_clip_models_are_refused_in_words(tmp_path, monkeypatch):
+def test_missing_and_foreign_clip_models_are_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("HF_HUB_CACHE", str(tmp_path / "hub"))
     monkeypatch.delenv("PHY124_WEIGHTS", raising=False)
     with pytest.raises(InputError, match=r"phy124 weights fetch clip"):

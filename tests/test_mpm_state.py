@@ -69,5 +69,5 @@ def test_maxima_are_read_with_their_names():
     assert result.lower.tolist() == [-3, -4, -5] and result.upper.tolist() == [6, 7, 8]
 
 
-def test_what_has_nothing_to_do_is_not_launched():
+def test_empty_launches_are_skipped():
     assert launches([("nothing", None)]) == []

@@ -27,7 +27,7 @@ def test_each_member_does_its_tasks_in_order(size):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_nobody_begins_a_task_before_all_have_done_the_last(size):
+def test_tasks_begin_after_all_threads_end_the_last(size):
     done: list[int] = []
 
     def work(member, task):
@@ -75,7 +75,7 @@ def test_a_barrier_that_is_abandoned_lets_go():
 
 
 @pytest.mark.parametrize(("late", "others"), [(0.0, 1), (0.05, 1), (0.02, 4)])
-def test_nobody_leaves_a_barrier_before_all_have_come(late, others):
+def test_barrier_holds_until_all_threads_arrive(late, others):
     barrier, came = Barrier(1 + others), []
 
     def other(party):

@@ -74,7 +74,7 @@ def mix(s) -> None:
     s.step(1e-4, 1e-4)
 
 
-def test_slabs_that_overlap_are_cut_anew():
+def test_overlapping_slabs_are_recut():
     s = solver(4)
     s.step(1e-4, 1e-4)
     first = s.slabs.share
@@ -111,7 +111,7 @@ def test_slabs_of_few_nodes_stay_though_they_overlap(monkeypatch):
     assert all(len(part.chosen) == 0 for part in s.slabs.parts)
 
 
-def test_workers_are_as_many_as_asked_for_or_as_pay(monkeypatch):
+def test_number_of_workers_is_chosen_or_profitable(monkeypatch):
     monkeypatch.setattr(workers, "free_cores", lambda: 8)
     assert usable_workers(MIN_PARTICLES, "cpu") == 1
     assert usable_workers(3 * MIN_PARTICLES, "cpu") == 3

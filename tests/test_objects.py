@@ -72,7 +72,7 @@ def test_faint_object_is_sought_around_the_click():
     assert search_around(image, (0.5, 0.05), find) is None
 
 
-def test_of_a_search_one_object_is_left_and_the_others_are_told(alpha, monkeypatch):
+def test_search_keeps_a_single_object_and_notes_others(alpha, monkeypatch):
     monkeypatch.setitem(METHODS, "u2netp", found_as(alpha))
     picture = Image.fromarray(np.dstack([alpha] * 3) // 2 + 60)
     cutout = foreground(picture)

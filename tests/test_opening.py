@@ -102,7 +102,7 @@ def test_without_permission_each_command_says_so(tmp_path, monkeypatch, capsys, 
 
 
 @pytest.mark.parametrize("name", ["none.ply", "file/none.ply", "a\0b"])
-def test_what_is_not_there_is_missing(tmp_path, name):
+def test_absent_path_is_missing(tmp_path, name):
     (tmp_path / "file").touch()
     assert obstacle(tmp_path / name) == ("there is no such file.", "Check the path.")
 
@@ -127,7 +127,7 @@ def test_a_file_has_no_obstacle(tmp_path):
         (b"<html><body>Sign in", "web page"),
     ],
 )
-def test_what_was_saved_in_place_of_a_file_is_named(tmp_path, capsys, command, data, words):
+def test_folder_in_place_of_a_file_is_named(tmp_path, capsys, command, data, words):
     path = tmp_path / "it"
     path.write_bytes(data)
     status = main([text.replace("{}", str(path)) for text in command])

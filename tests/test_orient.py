@@ -43,7 +43,7 @@ def test_only_the_right_up_axis_has_blue_on_top(file, tmp_path, capsys):
     assert all(abs(heights[axis]) < 0.45 for axis in ("x", "-x", "z", "-z"))
 
 
-def test_of_a_known_way_up_the_fronts_are_drawn(file, tmp_path):
+def test_fronts_are_drawn_for_a_known_up_direction(file, tmp_path):
     out = tmp_path / "sheet.png"
     assert main(["orient", str(file), "--up=-y", "--out", str(out), "--device", "cpu"]) == 0
     assert np.asarray(Image.open(out)).shape == (2 * SIZE, 2 * SIZE, 3)

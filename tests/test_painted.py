@@ -25,7 +25,7 @@ def test_sixteen_bits_are_scaled_not_clipped(tmp_path):
     np.testing.assert_allclose(grey, [0, 0.2, 0.4, 1])
 
 
-def test_it_is_turned_upright_as_the_picture_was(tmp_path):
+def test_painted_map_is_rotated_like_the_picture(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6  # lies on its left side
     picture = Image.fromarray(np.array([[0, 51], [102, 255]], np.uint8))

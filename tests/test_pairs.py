@@ -46,7 +46,7 @@ def momentum(solver, body):
 
 
 @pytest.mark.parametrize(("threads", "sticky"), [(1, False), (2, False), (1, True)])
-def test_what_one_gives_the_other_gets(threads, sticky):
+def test_bodies_exchange_opposite_impulses(threads, sticky):
     s = two(0.01, threads=threads, pairs=[Pair(1, 0, friction=0.3, sticky=sticky)])
     before, whole = [momentum(s, body) for body in (0, 1)], diagnose(s)
     s.advance(0.1)

@@ -207,7 +207,7 @@ def test_thin_pieces_get_denser_carriers_not_fillers(rng):
     assert len(fill(sheet, 0.05)) == 0
 
 
-def test_what_is_three_cells_wide_has_the_lattice_alone():
+def test_part_three_cells_wide_has_only_lattice_particles():
     """Denser particles there made a pressed duck err by up to two fifths more."""
     box = make_shape("box", (1, 1, 0.3), (0.5, 0.5, 0.5))
     spacing = 0.05

@@ -20,7 +20,7 @@ def test_touching_cells_hang_together_and_an_empty_layer_parts():
 
 
 @pytest.mark.parametrize("away", [3.0, 1.5 * FAR, 1e9])
-def test_what_comes_off_is_counted_however_far_it_goes(away):
+def test_detached_pieces_are_counted_at_any_distance(away):
     first, other = block((0, 0, 0)), block((0, 0, 4), cells=2)
     rest = np.concatenate([first, other])
     pieces = Pieces(rest, 1.0)
@@ -44,7 +44,7 @@ def test_each_body_is_counted_by_itself():
     assert Pieces(rest, 1.0).loose(halves) == len(rest) / 2
 
 
-def test_what_is_no_number_or_strewn_is_not_judged(rng):
+def test_non_finite_and_scattered_objects_are_not_judged(rng):
     rest = block((0, 0, 0))
     broken = rest.copy()
     broken[0, 0] = np.nan

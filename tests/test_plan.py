@@ -128,7 +128,7 @@ def test_two_wishes_are_one_too_many():
         PlanOptions(max_error="2px", max_seconds=3).goal()
 
 
-def test_what_makes_a_run_slow_is_said_before_it(file, tmp_path, capsys):
+def test_causes_of_slow_runs_are_named_before_them(file, tmp_path, capsys):
     (tmp_path / "s.toml").write_text(
         "[[parts]]\nregion = {upper = [9, 9, 0.2]}\nmaterial = {law = 'rigid'}\n"
         "[material]\nlaw = 'neo_hookean'\nE = 1e4\n"

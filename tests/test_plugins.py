@@ -138,7 +138,7 @@ def test_instances_of_ones_own_classes_move():
     assert np.abs(clip.means[-1] - clip.means[0]).max() < 1e-5
 
 
-def test_what_they_are_they_say_themselves():
+def test_plugins_describe_themselves():
     scene = rubber_scene(forces=(Freeze(),))
     ran = Effects.of(scene).ran
     assert {"stress rubber", "particle forces", "collider table (separate)"} <= set(ran)
@@ -251,7 +251,7 @@ def test_a_broken_sink_is_refused(installed, tmp_path, capsys, name, complaint):
     assert complaint in capsys.readouterr().err
 
 
-def test_what_a_sink_lacks_is_said(monkeypatch):
+def test_missing_methods_of_a_sink_are_named(monkeypatch):
     monkeypatch.setattr("bridge.backends.load_plugin", lambda group, name: lambda *a, **b: object())
     with pytest.raises(InputError, match="has no __enter__, __exit__, write, monotonic, listen"):
         open_sink("lamp", Options())
@@ -413,7 +413,7 @@ def test_help_lists_registered_generators_and_sinks(installed, capsys):
     assert "rclpy, dds, foxglove, clip, gone, lamp, none)" in shown
 
 
-def test_a_misspelt_name_is_told_of_what_is_registered(installed):
+def test_misspelt_name_lists_registered_names(installed):
     with pytest.raises(InputError, match="Did you mean rubber"):
         Scene.from_data({"material": {"law": "ruber"}})
 

@@ -171,7 +171,7 @@ def test_a_glb_of_far_places_in_float32_is_called_coarse(tmp_path):
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1, 1e4])
-def test_what_is_moved_to_its_origin_goes_back_exactly(rng, scale):
+def test_shift_to_the_origin_is_reversed_exactly(rng, scale):
     places = (rng.normal(size=(500, 3)) * scale + EARTH * scale).astype(np.float32)
     means, origin = centre_means(places.astype(float))
     back = move_back(means, origin)
@@ -180,7 +180,7 @@ def test_what_is_moved_to_its_origin_goes_back_exactly(rng, scale):
     assert move_back(means + np.float32(1e-9 * scale), origin) is None
 
 
-def test_what_is_too_coarse_depends_on_what_is_chosen(rng):
+def test_coarseness_depends_on_the_chosen_part(rng):
     means = rng.uniform(-1, 1, (4000, 3))
     assert describe_coarseness(means, 1.9 / COARSE) is None
     assert describe_coarseness(means[np.abs(means).max(axis=1) < 0.5], 1.9 / COARSE) is not None
@@ -203,7 +203,7 @@ def test_a_sog_far_away_keeps_its_places(tmp_path):
     np.testing.assert_allclose(np.ptp(means, axis=0), 1, rtol=1e-3)
 
 
-def test_the_floor_of_a_far_capture_is_told_in_its_own_places(tmp_path):
+def test_floor_of_a_far_capture_is_in_file_coordinates(tmp_path):
     table = raw_table(rotate_gaussians(captured(7, floaters=0).gaussians, orientation().T))
     columns = {name: table[name].astype(float) for name in table.dtype.names}
     kinds = dict.fromkeys(columns, "f8")

@@ -209,7 +209,7 @@ def test_columns_of_the_gaussians_own_file(tmp_path):
         ({"E": np.array(["a"] * 10)}, "its E are not numbers"),
     ],
 )
-def test_what_does_not_fit_is_refused_in_words(tmp_path, arrays, limit):
+def test_mismatched_files_are_refused_with_a_message(tmp_path, arrays, limit):
     file, x = saved(tmp_path / "bad.npz", **arrays), lattice((1, 2, 5), 0.1)
     with pytest.raises(InputError, match=limit):
         with_properties(particles(x), Properties(file=file).columns(x, x, None), [NeoHookean()])
@@ -230,7 +230,7 @@ def test_irregular_points_are_not_interpolated(tmp_path, rng):
         Properties(file=file, sampling="trilinear").columns(x, x[1:], None)
 
 
-def test_what_has_no_field_of_that_name_keeps_its_own():
+def test_materials_without_the_field_are_unchanged():
     x = lattice((1, 1, 4), 0.1)
     base = replace(particles(x), material=np.array([0, 0, 1, 1], np.int32))
     columns = {"E": np.array([1e5, 2e5, 3e5, 4e5])}

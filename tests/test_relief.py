@@ -245,7 +245,7 @@ def test_a_limb_is_a_cylinder_with_flat_ends():
     assert np.ptp(gaussians.means[lowest, 0]) > 0.3
 
 
-def test_who_sits_on_two_round_feet_sits_flat_and_shows_both(renderer):
+def test_seated_figure_has_a_flat_base_and_both_feet(renderer):
     """A bear: no foot of the picture is cut off, nothing is between them, and it does not tip."""
     body = (np.hypot((X - 96) / 46, (Y - 110) / 60) < 1) | (abs(X - 96) < 34) & (abs(Y - 140) < 34)
     feet = np.minimum(np.hypot(X - 62, Y - 160), np.hypot(X - 130, Y - 160)) < 24
@@ -269,13 +269,13 @@ def outlines(renderer, gaussians, inputs):
     return wanted, renderer(gaussians, camera, (0, 0, 0), alpha=True)[..., 3] > 0.5
 
 
-def test_what_lies_is_as_deep_as_high():
+def test_lying_object_is_as_deep_as_high():
     log = (abs(X - 96) < 80) & (abs(Y - 96) < 20)
     means = relief(shaded(log, (Y - 96) / 20), count=5000).means
     assert np.ptp(means[:, 0]) == pytest.approx(np.ptp(means[:, 2]), rel=0.15)
 
 
-def test_what_is_turned_on_a_lathe_is_round_in_each_row():
+def test_solid_of_revolution_is_round_in_each_row():
     """A mushroom's cap is as deep as wide, and so is its stalk; a bear's arms are not."""
     cap = (np.hypot(X - 96, 1.5 * (Y - 96)) < 80) & (Y < 96)
     stalk = (abs(X - 96) < 15) & (Y >= 96) & (Y < 160)

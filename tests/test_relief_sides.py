@@ -58,7 +58,7 @@ def test_two_pairs_of_legs_are_four():
     assert lowest.sum() > 20  # flat
 
 
-def test_what_is_near_the_camera_is_not_larger_than_that():
+def test_perspective_is_removed_from_near_parts():
     """A large ball, above it a small one nearer to the viewer of the front: pictured larger."""
     unit = 80  # pixels per m
     (x, z, small), large = (0.4, 0.38, 0.12), 0.3

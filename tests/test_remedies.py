@@ -62,7 +62,7 @@ def test_gentler_push_halves_speeds_forces_and_press():
     assert press.down == 2 * before.down
 
 
-def test_what_does_not_apply_is_left_out():
+def test_inapplicable_remedies_are_left_out():
     scene = Scene.named("drop").replaced(
         {"material.law": "neo_hookean", "accuracy": {"cells": 4, "precision": "float64"}}
     )

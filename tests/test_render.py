@@ -254,7 +254,7 @@ def test_front_hides_back_and_right_is_plus_y(renderers):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_what_is_not_finite_is_not_drawn(renderers, rng, form):
+def test_non_finite_gaussians_are_not_drawn(renderers, rng, form):
     g, camera = cloud(rng, 300), Camera.orbit(0, 0, 1.5, 64)
     broken = {
         name: getattr(g, name).copy() for name in ("means", "quats", "scales", "opacities", "sh")

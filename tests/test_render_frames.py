@@ -76,7 +76,7 @@ def test_a_camera_for_each_frame(renderers, rng):
         np.testing.assert_array_equal(image, wanted)
 
 
-def test_it_stays_close_to_its_reader_and_stops_when_closed(rng):
+def test_frames_are_rendered_on_demand_until_closed(rng):
     taken = []
 
     def endless():

@@ -106,7 +106,7 @@ def test_cancelled_retry_restores_the_substep(tmp_path):
     assert (run.solver.clock.cfl, run.solver.clock.ceiling) == usual
 
 
-def test_what_was_said_about_a_run_and_its_seconds_are_kept(tmp_path):
+def test_notes_and_seconds_of_a_paused_run_are_kept(tmp_path):
     run = Simulation(prepare(ball(800), Scene.named("press").replaced(SCENE)))
     next(iter(run))
     run.setup.context.watch.seconds["generate"] = 7.0

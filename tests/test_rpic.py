@@ -102,7 +102,7 @@ def spinning(rate, precision="float32"):
     )
 
 
-def test_what_turns_keeps_its_angular_momentum():
+def test_turning_body_keeps_its_angular_momentum():
     solver = spinning(1000.0, "float64")
     first = angular_momentum(solver)
     solver.advance(0.02)
@@ -180,7 +180,7 @@ def test_the_number_of_physgaussian_is_a_rate(golden):
         ({"rpic_damping": 1e7}, "rpic_damping = 10000000.0: it must be"),
     ],
 )
-def test_what_cannot_be_is_refused(data, words):
+def test_impossible_rpic_settings_are_refused(data, words):
     with pytest.raises(InputError, match=words):
         Scene.from_data({"accuracy": data})
 

@@ -23,7 +23,7 @@ def test_two_hardware_threads_of_one_core_count_once(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(("others", "free"), [(0, 2), (1, 2), (3, 1), (9, 1)])
-def test_what_others_run_takes_hardware_threads_first(monkeypatch, others, free):
+def test_other_processes_use_hardware_threads_first(monkeypatch, others, free):
     monkeypatch.setattr(cores, "_hardware_threads", lambda: 4)
     monkeypatch.setattr(cores, "physical_cores", lambda: 2)
     monkeypatch.setattr(cores, "_others_running", lambda: others)
@@ -46,6 +46,6 @@ def test_a_busy_machine_does_not_use_up_the_quota(monkeypatch):
     assert cores.free_cores() == 4
 
 
-def test_where_the_system_does_not_tell_all_cores_are_physical(monkeypatch):
+def test_unknown_topology_counts_all_cores_as_physical(monkeypatch):
     monkeypatch.setattr(cores, "SIBLINGS", "/nowhere/{}")
     assert cores.physical_cores() == cores.cores()

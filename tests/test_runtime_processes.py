@@ -36,6 +36,6 @@ def exists(process: int) -> bool:
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_is_told_of():
+def test_killed_worker_is_reported():
     with processes(1) as pool, pytest.raises(OSError, match="a worker process was killed"):
         list(as_done(pool, os._exit, [9], lambda: None))

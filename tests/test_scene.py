@@ -183,7 +183,7 @@ def test_a_part_of_a_named_accuracy_can_be_set():
 
 
 @pytest.mark.parametrize("path", ["accuracy.cells.x", "material.E.x", "seed.x.y", "forces.x.kind"])
-def test_what_is_nowhere_cannot_be_set(path):
+def test_unknown_paths_cannot_be_set(path):
     with pytest.raises(InputError, match=rf"^{path} = 1: .*'x'"):
         Scene.named("press").replaced({path: 1})
 
@@ -200,7 +200,7 @@ def test_a_byte_order_mark_is_no_mistake(tmp_path):
     assert Scene.from_toml(tmp_path / "s.toml") == Scene()
 
 
-def test_what_was_asked_for_is_never_forgotten():
+def test_change_of_law_keeps_requested_values():
     with pytest.raises(InputError, match=r"material.E = 2e4|material.E = 20000"):
         Scene.named("press").replaced({"material.E": 2e4, "material.law": "fluid"})
     made = Scene.named("press").replaced({"material.damping": 3.0, "material.law": "hencky"})
@@ -260,7 +260,7 @@ def test_values_are_written_as_in_toml(text, value):
     assert parse_value(text) == value
 
 
-def test_a_scene_is_said_in_one_line():
+def test_scene_is_summarised_in_a_line():
     part = {"region": {"upper": [0, 0, 0]}, "static": True}
     scene = Scene.named("press").replaced({"material.law": "foam", "parts": [part]})
     said = summarise(scene)

@@ -69,7 +69,7 @@ def test_the_walk_finds_every_section(declared):
     assert len(declared) > 500
 
 
-def test_what_is_refused_is_refused_in_words(declared):
+def test_refusals_of_bounds_have_messages(declared):
     """One sentence in our own language, whose remedy is legal."""
     for leaf in declared:
         for value in [*legal(leaf.node), *beyond(leaf.node)]:

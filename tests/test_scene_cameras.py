@@ -46,7 +46,7 @@ def test_a_turntable_turns_at_a_constant_rate(clip):
     assert np.allclose(eyes, away, atol=1e-5) and np.allclose(targets, 0, atol=1e-6)
 
 
-def test_a_turntable_is_the_orbit_unless_told_otherwise(clip):
+def test_turntable_is_the_default_orbit(clip):
     turning = view({"kind": "turntable"}, views=["orbit"])
     orbit, table = (cameras(clip, turning, side) for side in turning.sides)
     assert turning.sides == ("orbit", "turntable")
@@ -102,7 +102,7 @@ def test_only_cameras_that_show_what_the_view_shows_are_judged():
     assert [left.view for left in departures(clip, near)] == ["turntable"]
 
 
-def test_a_way_that_the_clip_cuts_off_is_told_of(clip):
+def test_camera_path_longer_than_the_clip_is_noted(clip):
     keys = [{"time": 0, "azimuth": 0}, {"time": 2, "azimuth": 90}]
     (note,) = describe_framing(clip, view({"kind": "path", "keys": keys}))["notes"]
     assert note.startswith("The clip ends at 1 s, before the path of camera path;")

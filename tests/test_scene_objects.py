@@ -84,13 +84,13 @@ def run(few_gaussians) -> Simulation:
         ({"forces": [{"kind": "gravity", "object": "cat"}]}, "no object is called cat"),
     ],
 )
-def test_what_cannot_be_is_refused_in_a_sentence(data, said):
+def test_impossible_objects_are_refused_in_a_sentence(data, said):
     with pytest.raises(InputError) as refused:
         Scene.from_data(data)
     assert said in str(refused.value)
 
 
-def test_a_scene_of_one_object_is_written_as_ever():
+def test_scene_of_a_single_object_has_the_short_form():
     plain = Scene.named("drop")
     assert set(plain.data()["object"]) == {"size", "lift", "velocity", "spin"}
     assert not {"objects", "pairs"} & plain.data().keys()
@@ -108,7 +108,7 @@ def test_the_entry_that_names_most_decides_about_a_pair():
 
 
 @pytest.mark.parametrize("name", ["sphere", "box", "capsule"])
-def test_a_shape_is_as_large_as_asked_and_faces_outwards(name):
+def test_shape_has_its_size_and_faces_outwards(name):
     made = make_shape(name, (0.5, 1.0, 0.5), (1, 0, 0))
     low, high = compute_bounds(made)
     assert np.allclose(high, [0.25, 0.5, 0.25], atol=0.02) and np.allclose(low, -high, atol=0.02)
@@ -116,7 +116,7 @@ def test_a_shape_is_as_large_as_asked_and_faces_outwards(name):
     assert made.rgb[:, 0].mean() > 0.6 and made.rgb[:, 1:].max() == 0
 
 
-def test_objects_stand_where_they_are_told(run):
+def test_objects_stand_at_their_places(run):
     middle, box, copy = (run.setup.gaussians.of_object(index) for index in range(3))
     assert compute_bounds(box)[0][2] == pytest.approx(0, abs=0.01)
     assert compute_bounds(middle)[0][2] == pytest.approx(compute_bounds(box)[1][2] + 0.3, abs=0.03)
@@ -152,7 +152,7 @@ def test_particles_are_sorted_by_object(run):
         assert np.all(x.max(axis=0) < compute_bounds(members)[1] + 0.1)
 
 
-def test_what_goes_on_after_a_pause_is_the_same(run, tmp_path):
+def test_run_of_several_objects_resumes_unchanged(run, tmp_path):
     half = Simulation(prepare(run.setup.source, run.scene, RunContext(threads=1)))
     next(iter(half))
     resume.save(half, tmp_path / "pause")
@@ -178,7 +178,7 @@ def test_gaussians_move_with_their_own_object_only():
     assert np.abs(mixed.gaussians.means - apart).max() > 0.5
 
 
-def test_what_only_touched_is_not_torn_when_it_parts():
+def test_separating_objects_are_not_torn():
     x = np.random.default_rng(0).uniform(0, 1, (2000, 3))
     body = (x[:, 0] > 0.5).astype(int)
     apart = x + np.where(body[:, None] == 1, [2.0, 0, 0], 0.0)
@@ -198,12 +198,12 @@ def test_scenery_is_seen_and_has_no_particles():
     assert selected.any() and np.array_equal(clip.means[-1][selected], clip.means[0][selected])
 
 
-def test_what_overlaps_is_refused_with_both_names():
+def test_overlapping_objects_are_refused_by_name():
     with pytest.raises(InputError, match=r"object and box: they overlap .* by about 0\.\d+ m"):
         Simulation(prepare(ball(400), scene(objects=[{**BOX, "place": [0, 0.3]}])))
 
 
-def test_what_stands_beside_is_not_on_it():
+def test_adjacent_object_does_not_stand_on_the_other():
     with pytest.raises(InputError, match=r"copy.on = object: it is not above the object"):
         Simulation(
             prepare(ball(400), scene(objects=[{"name": "copy", "on": "object", "place": [0, 3]}]))
@@ -323,7 +323,7 @@ def test_live_grab_and_its_session_take_the_same_object():
             live.grab(live.centres["ball"].tolist(), object=wrong, radius=0.1)
 
 
-def test_what_is_held_in_its_place_is_not_taken_hold_of():
+def test_static_objects_cannot_be_grabbed():
     held = {**BOX, "place": [0, 0], "held": True}
     live = Live(ball(300), scene(**{**ON_BOX, "objects": [held]}), RunContext(threads=1))
     live.step()

@@ -56,7 +56,7 @@ def _nested(depth: int, kind: type) -> object:
 
 @pytest.mark.parametrize("kind", [dict, list])
 @pytest.mark.parametrize("depth", [DEEPEST + 1, 3000])
-def test_nested_data_is_refused_in_words(kind, depth):
+def test_deeply_nested_data_is_refused(kind, depth):
     nested = _nested(depth, kind)
     with pytest.raises(InputError, match="nested more than 32 levels deep"):
         Scene.from_data({"material": nested})
@@ -65,14 +65,14 @@ def test_nested_data_is_refused_in_words(kind, depth):
 
 
 @pytest.mark.parametrize("name", ["a", "objects", "material"])
-def test_a_path_of_thousands_of_names_is_refused_in_words(name):
+def test_path_of_thousands_of_names_is_refused(name):
     with pytest.raises(InputError, match="3,000 names") as refused:
         Scene.named("drop").replaced({".".join([name] * 3000): 1})
     assert len(str(refused.value)) < 400
 
 
 @pytest.mark.parametrize("text", [".".join("a" * 3000) + " = 1", f"a = {'[' * 3000}{']' * 3000}"])
-def test_a_file_of_nested_data_is_refused_in_words(tmp_path, text):
+def test_file_of_deeply_nested_data_is_refused(tmp_path, text):
     (tmp_path / "scene.toml").write_text(text)
     with pytest.raises(InputError, match="nested"):
         Scene.from_toml(tmp_path / "scene.toml")

@@ -183,7 +183,7 @@ def test_only_what_is_fluid_or_metal_shines(water, tmp_path):
     assert not any("shine" in name for name in Effects.of(Scene.named("drop")).ran)
 
 
-def test_each_view_of_a_film_is_lit_and_its_time_is_told(water, tmp_path):
+def test_each_view_of_a_film_is_lit_and_timed(water, tmp_path):
     shine, watch = Shine(water), Stopwatch()
     view = Scene().view.model_copy(update={"views": ("front",), "size": (32, 32)})
     film(water, view, tmp_path, watch=watch)

@@ -21,14 +21,14 @@ def test_signals_call_the_handler_and_are_restored():
     assert [signal.getsignal(n) for n in NUMBERS] == before
 
 
-def test_what_breaks_inside_leaves_nothing_changed():
+def test_error_inside_restores_the_signals():
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt), handling(interrupt):
         signal.raise_signal(signal.SIGTERM)
     assert signal.getsignal(signal.SIGTERM) is before
 
 
-def test_what_nohup_ignores_stays_ignored():
+def test_signals_ignored_by_nohup_stay_ignored():
     usual = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
         with handling(interrupt):

@@ -16,7 +16,7 @@ Y, X = np.mgrid[:120, :160]
 DISK = np.hypot(X - 80, Y - 60) < 30
 
 
-def test_pieces_are_counted_without_crumbs():
+def test_pieces_are_counted_without_tiny_fragments():
     two = DISK | (np.hypot(X - 140, Y - 20) < 8)
     assert (count_pieces(DISK), count_pieces(two)) == (1, 2)
     assert count_pieces(DISK | (np.hypot(X - 140, Y - 20) < 2)) == 1

@@ -50,7 +50,7 @@ def test_the_first_frame_is_the_object_at_rest():
     assert np.allclose(first.quats, s.setup.gaussians.quats, atol=1e-6)
 
 
-def test_each_frame_is_told_as_soon_as_it_is_there():
+def test_each_frame_is_announced_at_once():
     simulation, seen = Simulation(prepare(ball(), Scene.named("press").replaced(QUICK))), []
     clip = simulation.run(lambda frame: seen.append((frame.index, simulation.count)))
     assert seen == [(index, index + 1) for index in range(len(clip))]

@@ -125,7 +125,7 @@ def test_a_thrown_body_never_sleeps_in_the_air(fps, frames):
     assert run.report()["sleep"] is None
 
 
-def test_what_creeps_slowly_does_not_sleep():
+def test_slowly_creeping_object_does_not_sleep():
     """A thick fluid that sinks by less than a tenth of the tolerance per frame."""
     material = {"law": "fluid", "viscosity": 2e3, "bulk_modulus": 2e5}
     forces = [{"kind": "gravity", "g": [0, 0, -0.01]}, {**DAMPING, "rate": 5.0}]
@@ -236,7 +236,7 @@ def test_no_even_acceleration_goes_astray_further_than_promised(rng):
     assert STILL / 30 < worst <= STILL
 
 
-def test_what_begins_to_topple_is_awake():
+def test_toppling_object_is_awake():
     """Growing by a fifth per frame, it is invisible at first and far away in the end."""
     assert left_out(lambda frame: 1e-9 * 1.2**frame, 60) == []
     assert left_out(lambda frame: 1e-9 * 0.8**frame, 60) != []

@@ -34,7 +34,7 @@ def test_a_run_that_computes_for_too_long_stops(monkeypatch):
     assert "twice time.budget" in str(long.stopped)
 
 
-def test_what_was_spent_before_a_pause_counts():
+def test_time_spent_before_a_pause_counts():
     first = run()
     first.step(), first.step()
     second = run()

@@ -116,7 +116,7 @@ def test_gsplat_is_called_as_its_interface_asks(monkeypatch):
     assert theirs.screen_gradients().shape == (6, 2)
 
 
-def test_unseen_gaussians_are_told():
+def test_invisible_gaussians_are_marked():
     splats = random_splats(4)
     splats[0] = torch.tensor([[0.0, 0, 0], [0, 0, 5], [0, 0, 1.0], [3, 0, 0]]).double()
     drawn = rasterize(*splats, orbit_view(0, 0, 2, 16), torch.zeros(3).double())

@@ -289,7 +289,7 @@ def test_reused_renderer_draws_as_a_new_one():
         np.testing.assert_array_equal(kept(g, camera, stage=stage), fresh)
 
 
-def test_shade_stands_between_the_cells_that_are_told():
+def test_shade_is_interpolated_between_cells():
     shade = np.zeros((16, 16), np.float32)
     floor = Floor(0.0, (0.0, 0.0), 1.0, shade)
     assert floor.shaded == (0, 0, 0, 0)

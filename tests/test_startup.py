@@ -29,7 +29,7 @@ def test_no_message_goes_to_standard_output(fresh):
     assert wp.config.log_level == wp.LOG_WARNING
 
 
-def test_what_the_user_chose_stays(fresh, monkeypatch):
+def test_user_choice_is_kept(fresh, monkeypatch):
     monkeypatch.setattr(wp.config, "log_level", wp.LOG_DEBUG)
     monkeypatch.setattr(wp.config, "kernel_cache_dir", "/dev/null/mine")
     startup.prepare()
@@ -58,7 +58,7 @@ def test_a_folder_may_be_named_by_the_home(named, fresh, monkeypatch, tmp_path):
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="no /proc")
-def test_a_folder_that_only_seems_to_be_writable_is_found_out(fresh, monkeypatch, tmp_path):
+def test_folder_that_only_seems_writable_is_detected(fresh, monkeypatch, tmp_path):
     """As /proc is for root."""
     monkeypatch.setenv("HOME", "/proc")
     monkeypatch.setattr(startup.tempfile, "gettempdir", lambda: str(tmp_path))

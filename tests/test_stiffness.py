@@ -98,7 +98,7 @@ def test_rows_are_per_particle_only_where_stiffness_varies():
     assert len(stiff.model.groups[0].theta) == 1
 
 
-def test_what_does_not_scale_with_e_stays():
+def test_quantities_independent_of_e_are_unchanged():
     x, law = bar(), Plasticine()
     fraction = np.full(len(x), 0.5)
     rows = (

@@ -80,7 +80,7 @@ def test_lost_results_are_an_error_and_lost_messages_are_none(command, tmp_path)
     ("text", "written"),
     [("• 2 × 日 é", rb"* 2 x \u65e5 \xe9"), (os.fsdecode(b"name-\xff"), b"name-\xff")],
 )
-def test_what_an_encoding_lacks_is_spelled(text, written, tmp_path, monkeypatch):
+def test_characters_missing_in_an_encoding_are_spelled(text, written, tmp_path, monkeypatch):
     """The bytes of a file's name that are no text are kept."""
     with open(tmp_path / "out", "w", encoding="ascii", errors="strict") as stream:
         monkeypatch.setattr(sys, "stdout", stream)

@@ -38,7 +38,7 @@ def haze(rng, *, count=3000) -> Gaussians:
 
 
 @pytest.mark.parametrize("stretched", [[1, 1, 1], [1, 0.1, 0.05], [0.3, 0.3, 1]])
-def test_nothing_is_said_of_an_object_alone(stretched, rng):
+def test_object_without_surroundings_has_no_note(stretched, rng):
     alone = ball(8000)
     shape = dots(alone.means * stretched, 0.004)
     assert surroundings(shape) == []
@@ -52,7 +52,7 @@ def test_nothing_is_said_of_an_object_alone(stretched, rng):
         (haze, "of the visible area lies"),
     ],
 )
-def test_the_place_around_an_object_is_said_with_a_crop(around, words, rng, tmp_path):
+def test_surroundings_are_noted_with_a_crop(around, words, rng, tmp_path):
     place = join([ball(12_000), around(rng)])
     write_ply(tmp_path / "place.ply", place)
     said = PlyFile(str(tmp_path / "place.ply")).open().notes[-1]

@@ -131,7 +131,7 @@ def test_a_sweep_that_cannot_be_made_is_refused(balls, changes, said):
         Plan(declared(balls, **changes))
 
 
-def test_clips_are_whole_and_told_in_the_manifest(made):
+def test_clips_are_complete_and_listed_in_the_manifest(made):
     rows = read_manifest(Storage(str(made)))
     assert [row["index"] for row in rows] == list(range(6))
     for row in rows:
@@ -164,7 +164,7 @@ def test_shares_of_several_machines_are_together_the_whole(made, balls, tmp_path
     assert len(read_manifest(Storage(str(tmp_path / "out")))) == 6
 
 
-def test_what_cannot_be_made_is_a_row_and_the_rest_goes_on(balls, tmp_path):
+def test_failed_clip_is_a_row_and_others_continue(balls, tmp_path):
     (tmp_path / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\n")
     sweep = declared(balls, pictures=[str(balls / "a.ply"), str(tmp_path / "broken.ply")])
     axes = {
@@ -293,7 +293,7 @@ def test_the_report_has_a_picture_of_each_clip(made):
     assert page.count("<img") == 6 and "largest force on a wall" in page
 
 
-def test_the_cost_is_told_from_a_few_clips(balls):
+def test_cost_is_predicted_from_a_few_clips(balls):
     answer = forecast_sweep(
         Plan(
             declared(
@@ -347,7 +347,7 @@ def test_tasks_reserve_what_their_scenes_need():
 
 
 @pytest.mark.parametrize("workers", [1, 2, 8])
-def test_the_time_left_is_told_within_a_fifth(balls, workers):
+def test_remaining_time_is_right_within_a_fifth(balls, workers):
     """Clips of a queue, the last ones ten times as long as the first."""
     spread = {"first": 1e4, "last": 1e6, "count": 100, "spacing": "log"}
     axes = {"material.E": spread, "accuracy.cells": 24}

@@ -117,7 +117,7 @@ def test_a_finer_grid_is_not(cells):
     assert pulled(2, 7.0, cells=cells)[1].likely
 
 
-def test_what_flows_may_part():
+def test_fluids_may_separate():
     _, tearing = pulled(2, 7.0, Sand)
     assert tearing.count == 0
 

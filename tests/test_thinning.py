@@ -29,7 +29,7 @@ def test_so_many_are_left_and_the_same_each_time():
     assert any(not np.array_equal(some.means, other.means) for other in others)
 
 
-def test_what_is_left_covers_what_all_covered():
+def test_remaining_gaussians_cover_the_same_area():
     g = ball(8000)
     camera = Camera.orbit(0, 10, 1.9, 64, (0, 0, 0))
     draw = Renderer(device="cpu")
@@ -44,7 +44,7 @@ def test_what_is_left_covers_what_all_covered():
     assert abs(few - all_of_it).mean() < abs(bare - all_of_it).mean()
 
 
-def test_a_generator_that_can_be_told_makes_so_many_itself():
+def test_generator_with_a_count_option_makes_the_count():
     assert with_count(relief, 700).keywords == {"count": 700}
     reader = PlyFile("object.ply")
     assert with_count(reader, 700) is reader

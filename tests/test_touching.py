@@ -42,18 +42,18 @@ def test_two_discs_of_two_colours_are_two():
         [],
     ],
 )
-def test_what_shows_one_sign_alone_is_one(parts):
+def test_single_sign_does_not_split_an_object(parts):
     assert split_touching(*painted(*parts)) is None
 
 
-def test_of_three_in_a_row_the_one_at_the_place_is_taken():
+def test_click_selects_one_of_three_objects():
     rgb, alpha = painted((disc(50, 45), RED), (disc(136, 45), BLUE), (disc(222, 45), (30, 160, 60)))
     for x in (50, 136, 222):
         taken = select_part(rgb, alpha, (80, x)) > 0
         assert (taken & disc(x, 45)).sum() > 0.95 * taken.sum()
 
 
-def test_touching_objects_are_told_and_a_pick_parts_them(monkeypatch):
+def test_touching_objects_are_noted_and_split_by_a_pick(monkeypatch):
     rgb, alpha = painted((disc(90), RED), (disc(206), BLUE))
     monkeypatch.setitem(METHODS, "u2netp", Method(lambda image: False, lambda *_: alpha))
     picture = Image.fromarray(rgb)

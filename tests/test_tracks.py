@@ -58,7 +58,7 @@ def test_a_track_is_active_in_its_window_only():
     assert [sample(track, t)[1] for t in (0.0, 0.19, 0.2, 0.39, 0.4, 5.0)] == [0, 0, 1, 1, 0, 0]
 
 
-def test_what_a_track_does_at_most_is_asked_for_a_time():
+def test_largest_value_of_a_track_in_an_interval():
     keys = ((0.0, (0.0, 0.0, 0.0)), (1.0, (3.0, 4.0, 0.0)), (3.0, (3.0, 4.0, 0.0)))
     track = Track(keys, start=2.0, end=5.0, origin=2.0)
     times = [(0, 1), (2.5, 2.6), (3.5, 4), (5.5, 9)]
@@ -225,7 +225,7 @@ def test_uniform_accelerations_add_up_in_slot_zero():
     np.testing.assert_allclose(tracks.values.numpy()[0, :3], [4.0, 0, -9.81], rtol=1e-3)
 
 
-def test_what_never_changes_is_sampled_once():
+def test_constant_tracks_are_sampled_once():
     tracks = Tracks(real=wp.float32, device="cpu")
     tracks.accelerate(Track.of_profile((0, 0, -9.81), Constant(), 0.0, 1e30, mean=True))
     assert not tracks.vary

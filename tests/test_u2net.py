@@ -189,7 +189,7 @@ def test_a_blank_picture_shows_the_network_nothing():
     ).any()
 
 
-def test_missing_corrupt_and_foreign_files_are_refused_in_words(no_weights, tmp_path):
+def test_missing_corrupt_and_foreign_files_are_refused(no_weights, tmp_path):
     with pytest.raises(InputError, match=r"u2net\.onnx .* was not found .*weights fetch u2net"):
         u2net.find_alpha(Image.new("RGB", (8, 8)))
     (tmp_path / "bad.onnx").write_bytes(b"no network")

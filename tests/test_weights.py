@@ -239,7 +239,7 @@ def test_file_of_unknown_checksum_is_checked_against_the_server(hub, tmp_path):
         fetch("toy", tmp_path / "bad", endpoint=hub.endpoint)
 
 
-def test_unreachable_or_absent_file_is_one_sentence(hub, tmp_path, monkeypatch):
+def test_unreachable_or_absent_file_is_a_sentence(hub, tmp_path, monkeypatch):
     KNOWN["toy"] = (WeightFile("maker/toy", "absent.bin", "MIT"),)
     with pytest.raises(InputError, match=r"could not be fetched.*hf download maker/toy absent.bin"):
         fetch("toy", tmp_path, endpoint=hub.endpoint)
@@ -282,7 +282,7 @@ def test_command_line_lists_and_fetches(hub, tmp_path, monkeypatch, capsys):
     assert "needs the name of a set" in capsys.readouterr().err
 
 
-def test_generating_without_weights_is_one_sentence(tmp_path, capsys):
+def test_generating_without_weights_is_refused_in_a_sentence(tmp_path, capsys):
     from PIL import Image
 
     from phy124.__main__ import main

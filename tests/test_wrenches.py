@@ -25,7 +25,7 @@ SCENE = {"accuracy": {"cells": 8}, "time.frames": 4, "time.fps": 60.0, "wrenches
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_they_add_up_to_the_change_of_both_momenta(threads):
+def test_wrenches_add_up_to_the_change_of_momenta(threads):
     walls, x = [Ground(height=0.0), Box(upper=(0.4, 1, 0.4))], block(middle=(0, 0, 0.5))
     external, wrenches = ExternalWork(), Wrenches()
     solver = make_solver(
@@ -81,7 +81,7 @@ def test_a_body_at_rest_weighs_on_the_ground():
     assert clip.report["walls"]["ground"]["largest_force"] >= weight
 
 
-def test_walls_of_one_boundary_are_told_apart():
+def test_walls_of_a_boundary_are_distinguished():
     tray = Container(inside=Region(lower=(-1, -1, 0), upper=(1, 1, 1e6)))
     assert tray.part_names() == ["x_low", "x_high", "y_low", "y_high", "z_low"]
     assert Gripper(axis="x").part_names() == ["x_low", "x_high"]

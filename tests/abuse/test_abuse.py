@@ -110,7 +110,7 @@ def test_no_file_of_the_server_is_read_as_a_picture(server, attacker, path, meta
         assert stated["answer"] == {"option": option, "message": NOT_HERE}
 
 
-def test_nobody_reads_the_picture_of_somebody_else(server, attacker):
+def test_pictures_are_private_to_their_visitor(server, attacker):
     theirs = Attacker(server).uploaded(DUCK)
     assert attacker.choose(theirs) == NOT_HERE
     shown = attacker.press("scene", "change", [None, _scene(), {"side": theirs}])[0]
@@ -248,7 +248,7 @@ ODD = {
 
 
 @pytest.mark.parametrize("kind", ODD)
-def test_odd_pictures_are_refused_in_words(attacker, kind):
+def test_odd_pictures_are_refused_with_a_message(attacker, kind):
     data, message = ODD[kind]
     said = attacker.choose(attacker.uploaded(data))
     assert message in said
@@ -368,7 +368,7 @@ def test_one_tiny_run_teaches_nothing(attacker):
     assert answer.startswith("complete"), answer
 
 
-def test_tickets_push_nobody_out(server):
+def test_tickets_displace_no_visitor(server):
     good = Attacker(server)
     good.choose(good.uploaded(DUCK))
     before = server.health()["visitors"]

@@ -91,7 +91,7 @@ ODD: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("kind", ODD)
-def test_odd_values_are_refused_in_words_and_not_logged(server, attacker, kind):
+def test_odd_values_are_refused_with_a_message_and_not_logged(server, attacker, kind):
     path, before = attacker.uploaded(DUCK), server.log.stat().st_size
     answer = attacker.generate({"path": path}, **ODD[kind])
     assert "error" in answer and "null" not in answer and len(answer) < 600, answer

@@ -93,7 +93,7 @@ def test_newcomers_leave_the_picture_of_who_is_there(server):
     assert Path(path).exists() and server.health()["visitors"] <= VISITORS
 
 
-def test_uploads_that_belong_to_nobody_stay_few(server):
+def test_uploads_without_a_visitor_stay_few(server):
     for _ in range(200):
         Attacker(server, cookie=False, address="10.0.0.3").uploaded(DUCK)
     arrivals = list((server.folder / "visitors" / "arrivals").iterdir())
@@ -142,7 +142,7 @@ def _has_ended(stream: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize(("cookie", "most"), [(True, STREAMS_EACH), (False, STREAMS_ADDRESS)])
-def test_idle_streams_shut_nobody_out(server, cookie, most):
+def test_idle_streams_block_no_visitor(server, cookie, most):
     """A new stream of a cookie ends its oldest one, so more may have begun than are open."""
     attacker, opened = Attacker(server, cookie=cookie), []
     with contextlib.ExitStack() as stack:

@@ -115,7 +115,7 @@ def test_the_picture_chosen_last_is_shown_although_sent_first(visit):
     assert page.evaluate(SRC, "#photo img") == before
 
 
-def test_of_two_sides_the_last_is_used_although_answered_first(visit):
+def test_last_of_two_sides_is_used_even_if_answered_first(visit):
     page = visit.page
     visit.upload()
     side = page.get_by_label("Side", exact=True)

@@ -77,7 +77,7 @@ def test_chime_follows_a_long_run_unless_it_is_off(page, job, sound, notes):
     assert page.evaluate("notes.length") == notes
 
 
-def test_who_finds_the_queue_full_can_try_again(page):
+def test_visitor_can_retry_after_a_full_queue(page):
     page.evaluate("run(null).then((event) => { globalThis.asked = event; })")
     page.get_by_text("The queue is full.").wait_for()
     page.get_by_role("button", name="Try again now").click()

@@ -113,7 +113,7 @@ def test_a_file_chosen_before_the_last_is_answered_is_read(visit, tmp_path):
     page.get_by_text("The file is cut short within its header.").wait_for()
 
 
-def test_that_there_is_no_picture_is_said_until_there_is_one(visit):
+def test_missing_picture_is_noted_until_one_is_chosen(visit):
     page = visit.page
     page.wait_for_selector(".photo-hint")
     page.locator("#forecast").get_by_text("no picture yet").wait_for()

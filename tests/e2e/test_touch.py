@@ -81,7 +81,7 @@ def test_keys_move_the_object_and_what_was_done_becomes_a_clip(visit):
 
 
 @pytest.mark.slow
-def test_what_rests_is_drawn_once_with_all_of_its_gaussians(visit):
+def test_resting_object_is_drawn_once_with_all_gaussians(visit):
     page = visit.page
     # Frames that show nothing new are not drawn; the last of the swing may still show between two.
     page.wait_for_function(f"{HAND}.fine && {HAND}.frames > {HAND}.pictures + 20")
