@@ -12,6 +12,7 @@ from phy124.generators.ply_file import PlyFile, Reading
 from phy124.pipeline.capture import capture
 from phy124.rendering import framing, nearest
 from phy124.rendering.framing import cameras, departures, describe_framing
+from phy124.rendering.liquid import MOVES, WIDEST
 from phy124.rendering.nearest import CLOSE, DEPTHS, ROOM, Sample
 from phy124.rendering.stage.solids import span_container
 from phy124.scene import Scene, View
@@ -164,6 +165,26 @@ def test_the_whole_motion_fills_the_picture(steps, size):
     assert (low > 0).all() and (high < 1).all()
     assert (high - low).max() == pytest.approx(1 / ROOM, abs=0.05)
     assert np.allclose((low + high)[(high - low).argmax()], 1, atol=0.03)
+
+
+def test_the_thin_tip_of_a_heap_is_in_the_picture():
+    clip = flight(AWAY[:1], count=40_000)
+    means = clip.means.copy()
+    tip = np.random.default_rng(2).choice(40_000, 40, replace=False)
+    means[0, tip] = np.linspace((0, 0.5, 0), (0, 0.9, 0), 40)
+    clip = replace(clip, means=means)
+    pixels, _ = cameras(clip, view(fit=True, size=256), "front")[0].project(means[0])
+    assert (pixels > 256).any(axis=1).sum() <= 10
+
+
+def test_discs_on_the_surface_of_a_liquid_are_in_the_picture():
+    clip = flight(AWAY[:1])
+    report = {"grid": {"dx": 0.1}, "shine": {"fluid": [[0, 500]]}}
+    drawn = replace(clip, report={**clip.report, **report})
+    solid, liquid = (cameras(each, view(fit=True), "front")[0] for each in (clip, drawn))
+    edge = np.array([[0, 0.5 + 0.1 * (WIDEST + MOVES[1]), 0]])
+    size = view().size[0]
+    assert solid.project(edge)[0][0, 0] > size > liquid.project(edge)[0][0, 0]
 
 
 def test_the_orbit_shows_the_whole_motion_too():

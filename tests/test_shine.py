@@ -68,6 +68,25 @@ def test_a_liquid_is_drawn_as_discs_on_its_surface(solid):
     np.testing.assert_allclose(np.sqrt(across), drawn.scales[on].min(axis=1), rtol=2e-3)
 
 
+def test_dense_gaussians_on_its_surface_make_no_liquid_hollow(solid):
+    shell = np.random.default_rng(0).normal(size=(4 * len(solid), 3))
+    shell *= 0.5 / np.linalg.norm(shell, axis=1)[:, None]
+    inner = solid[np.linalg.norm(solid, axis=1) < 0.45]
+    x, left = np.concatenate([shell, inner]), (len(solid) - len(inner)) / len(shell)
+    volumes = CELL**3 * np.repeat([left, 1.0], [len(shell), len(inner)])
+    drawn = Liquid(x, 2 * CELL, None, volumes=volumes).shape(still(x))
+    on = drawn.normals.any(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(drawn.means[on], axis=1), 0.5, atol=0.06)
+
+
+def test_gaussians_of_a_liquid_have_the_volume_of_its_particles(water):
+    setup = prepare(ball(600), Scene.model_validate(water.scene), RunContext(threads=1))
+    (liquid,) = water.report["liquids"]
+    counts = np.diff(liquid["runs"])[:, 0]
+    assert (counts.sum(), len(counts)) == (len(water.opacities), 2)
+    np.testing.assert_allclose(counts @ liquid["volumes"], setup.particles.volume.sum())
+
+
 def test_thick_liquid_lets_less_light_through(solid):
     flat = solid * [1, 1, 0.2]
     thick, thin = (Liquid(x, 2 * CELL, 0.5).shape(still(x)) for x in (solid, flat))

@@ -55,7 +55,8 @@ these normals differ from disc to disc."""
 LITTLE = 0.02
 """Lower bound of the fraction of space before walls; averages are divided by this fraction."""
 ALONE, DROP = 0.4, 0.42
-"""Drops: largest phi at a drop's centre, relative to the drop's volume in cells; standard deviation
+"""Drops: largest phi at a drop's centre, relative to the largest volume of a
+Gaussian in cells; standard deviation
 of a drop, relative to the edge of a cube of the same volume."""
 TORN, THINNER, KEPT = 0.62, 0.85, 0.6
 """Jets: largest spread of a jet, and largest ratio of that spread to the spread at rest; fraction
@@ -153,17 +154,15 @@ class Field:
         """Return the smoothed values of the cells, averaged over the space before all walls."""
         return np.asarray(self.blur(values) / self._room, np.float32)
 
-    def fill(self, volume: float) -> NDArray[np.float32]:
-        """Return the smoothed fraction phi of each cell that is filled by points of a volume [m^3].
+    def fill(self, volumes: NDArray) -> NDArray[np.float32]:
+        """Return the smoothed fraction phi of each cell that points of volumes [N] m^3 fill.
 
-        It is at most 1: at rest, the points on an object's surface lie closer together.
+        It is at most 1: where a liquid is compressed, its points lie closer together.
         """
-        return self.smooth(np.minimum(volume / self.cell**3 * self._spread(), 1))
+        return self.smooth(np.minimum(self._spread(volumes) / self.cell**3, 1))
 
-    def _spread(self) -> NDArray[np.float64]:
-        """Return the number of points of each cell; each point is divided linearly among eight
-        cells.
-        """
+    def _spread(self, volumes: NDArray) -> NDArray[np.float64]:
+        """Return the volume in each cell [m^3]; each point is divided linearly among 8 cells."""
         first = np.clip(np.floor(self._at).astype(int), 0, np.array(self._size)[:, None] - 2)
         upper = np.clip(self._at - first, 0, 1)
         flat: Any = np.ravel_multi_index(tuple(first), self._size)
@@ -171,7 +170,7 @@ class Field:
         for corner in np.ndindex(2, 2, 2):
             share = np.prod([u if c else 1 - u for u, c in zip(upper, corner, strict=True)], axis=0)
             there = flat + np.ravel_multi_index(corner, self._size)
-            total += np.bincount(there, share, minlength=len(total))
+            total += np.bincount(there, share * volumes, minlength=len(total))
         return total.reshape(self._size)
 
     def nearest(self, field: NDArray, chosen: NDArray | slice = slice(None)) -> NDArray[np.float32]:
@@ -203,7 +202,12 @@ class Liquid:
     """Shapes the Gaussians of one liquid of a clip."""
 
     def __init__(
-        self, x: NDArray, cell: float, visibility: float | None, planes: Planes = NOWHERE
+        self,
+        x: NDArray,
+        cell: float,
+        visibility: float | None,
+        planes: Planes = NOWHERE,
+        volumes: NDArray | None = None,
     ) -> None:
         """Measure the liquid while it is at rest.
 
@@ -212,19 +216,23 @@ class Liquid:
             cell: Cell size of the simulation's grid, m.
             visibility: Distance over which the liquid dims light to 1/e, m; None: it is opaque.
             planes: Its flat walls.
+            volumes: Volumes of its Gaussians [N], m^3; None: equal volumes that fill the liquid at
+                rest.
         """
         self._cell, self._visibility, field = cell, visibility, Field(x, cell, planes)
-        density = np.median(field.sample(field.smooth(field.sum(None))))
-        self._volume = field.cell**3 / max(float(density), 2.0)
-        self._spread = _measure_spread(field, field.fill(self._volume))
+        if volumes is None:
+            density = np.median(field.sample(field.smooth(field.sum(None))))
+            volumes = np.full(len(x), field.cell**3 / max(float(density), 2.0))
+        self._volumes = volumes
+        self._spread = _measure_spread(field, field.fill(volumes))
 
     def shape(self, part: Gaussians, planes: Planes = NOWHERE) -> Surface:
         """Return the liquid's Gaussians in the form in which they are drawn next to flat walls."""
         field = Field(part.means.astype(np.float64), self._cell, planes)
-        phi = field.fill(self._volume)
+        phi = field.fill(self._volumes)
         spread = _measure_spread(field, phi)
         torn = (spread < TORN) & (spread < THINNER * self._spread) & (field.gap > TOUCH)
-        return _shape(part, field, phi, self._volume / field.cell**3, torn, self._visibility)
+        return _shape(part, field, phi, self._volumes / field.cell**3, torn, self._visibility)
 
 
 def _measure_spread(field: Field, phi: NDArray) -> NDArray[np.float32]:
@@ -238,7 +246,7 @@ def _shape(
     part: Gaussians,
     field: Field,
     phi: NDArray,
-    volume: float,
+    volumes: NDArray,
     torn: NDArray,
     visibility: float | None,
 ) -> Surface:
@@ -248,7 +256,7 @@ def _shape(
         part: The liquid's Gaussians.
         field: The grid of their centres.
         phi: Fraction of the space in each cell that the liquid fills, smoothed.
-        volume: Volume of each Gaussian, in cells.
+        volumes: Volumes of the Gaussians [N], in cells.
         torn: Mask of the Gaussians in jets, of which some are drops and the others are not drawn.
         visibility: Distance over which the liquid dims light to 1/e, m; None: it is opaque.
     """
@@ -273,7 +281,7 @@ def _shape(
     wet = _touches(field, phi, close) & ~thin & (depth > np.maximum(field.gap, EDGE))
     normals[wet], steep[wet], ahead[wet] = -field.facing[wet], here[wet], 0
     chance = 0.618034 * np.arange(n) % 1
-    alone = (here < ALONE * volume) | (torn & (chance > KEPT))
+    alone = (here < ALONE * volumes.max()) | (torn & (chance > KEPT))
     fade = np.where(alone | torn, 0, 1 - smoothstep(ahead, *FILLED))
     fade *= smoothstep(steep / np.maximum(here, 1e-6), *STEEP) * np.where(wet, lower, 1)
     free = alone | (~torn & ~thin & (fade < 0.5) & (here < LEVEL))
@@ -296,7 +304,7 @@ def _shape(
     overlapping = np.maximum(2 * np.pi * radius**2 * layer, 0.5)
     opacities[on] = fade[on] * -np.expm1(-np.maximum(tau, -np.log1p(-LEAST)) / overlapping)
     drop = alone[loose]
-    size, opacities[loose] = _balls(volume, here[loose], drop, chance[loose], per_cell)
+    size, opacities[loose] = _balls(volumes[loose], here[loose], drop, chance[loose], per_cell)
     scales[loose] = (size * cell)[:, None]
     normals[free | (fade == 0)] = 0
 
@@ -311,16 +319,16 @@ def _shape(
 
 
 def _balls(
-    volume: float, phi: NDArray, drop: NDArray, chance: NDArray, per_cell: float
+    volumes: NDArray, phi: NDArray, drop: NDArray, chance: NDArray, per_cell: float
 ) -> tuple[NDArray, NDArray]:
     """Return standard deviations [n], in cells, and opacities [n] of drops, and of balls in spray.
 
     Balls overlap in spray that is not thin enough for drops, and absorb what their volume does.
     """
-    apart = np.cbrt(volume / np.maximum(phi, 1e-3))
+    apart = np.cbrt(volumes / np.maximum(phi, 1e-3))
     uneven = 0.6 + 0.8 * chance**3
-    size = np.where(drop, DROP * np.cbrt(volume) * uneven, np.minimum(0.6 * apart, WIDEST))
-    column = np.minimum(volume / (2 * np.pi * size**2) * per_cell, OPAQUE)
+    size = np.where(drop, DROP * np.cbrt(volumes) * uneven, np.minimum(0.6 * apart, WIDEST))
+    column = np.minimum(volumes / (2 * np.pi * size**2) * per_cell, OPAQUE)
     return size, np.where(drop, 0.9, np.maximum(-np.expm1(-column), LEAST / 2))
 
 

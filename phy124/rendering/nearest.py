@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from phy124.camera import Camera
 from phy124.gaussians import Array, rotation_matrices
 from phy124.io.clip import Clip
+from phy124.rendering.liquid import MOVES, WIDEST
 
 Values = NDArray[np.float64]
 
-SAMPLE = 2048
+SAMPLE = 8192
 """Largest number of Gaussians that represent the object; they are picked at even intervals."""
 MOST_VALUES, FEWEST = 1 << 20, 128
 """Largest product of the sample's Gaussians and the frames; for longer clips the sample is reduced,
@@ -35,7 +36,7 @@ VISIBLE = 0.1
 """Smallest opacity of a Gaussian that counts as part of the object."""
 OUTSIDE = 0.01
 """Fraction of the object that may be outside the picture without a warning."""
-LEFT_OUT = 5e-4
+LEFT_OUT = 1.5e-4
 """Fraction of the sample that may lie outside each edge, so that single drops have no effect."""
 DEPTHS = 1.5
 """Smallest distance of the camera from a motion, in units of the motion's depth along the view."""
@@ -82,11 +83,12 @@ class Sample:
         corners = (rest.min(axis=1), rest.max(axis=1)) if rest.size else None
         chosen = chosen[:: 1 + len(chosen) // min(SAMPLE, max(MOST_VALUES // len(clip), FEWEST))]
         chosen = chosen[np.isfinite(clip.means[0, chosen]).all(axis=1)]
+        drawn = np.eye(3) * _discs(clip)[chosen, None, None] ** 2
         means = np.empty((len(clip), len(chosen), 3), np.float32)
         shapes = np.empty((*means.shape, 3), np.float32)
         for index, (centres, quats, scales) in enumerate(clip.rows_of(chosen)):
             axes = rotation_matrices(quats) * scales[:, None]
-            shape = axes @ axes.transpose(0, 2, 1)
+            shape = axes @ axes.transpose(0, 2, 1) + drawn
             sound: Any = np.isfinite(centres).all(axis=1) & np.isfinite(shape).all(axis=(1, 2))
             shapes[index] = np.where(sound[:, None, None], shape, 0.0)
             means[index] = np.where(sound[:, None], centres, means[0])
@@ -146,6 +148,17 @@ class Sample:
 
 _samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
 """The sample of each clip in use; the cameras of all sides of a view are placed by it."""
+
+
+def _discs(clip: Clip) -> Values:
+    """Return how far discs on a liquid's surface reach beyond the liquid's Gaussians [N], m; 0 for
+    other Gaussians.
+    """
+    reach = np.zeros(len(clip.opacities))
+    cell = float(clip.report.get("grid", {}).get("dx", 0.0))
+    for first, last in (clip.report.get("shine") or {}).get("fluid", ()):
+        reach[first:last] = (MOVES[1] + WIDEST) * cell
+    return reach
 
 
 @dataclass(frozen=True)
@@ -208,16 +221,13 @@ def place_along(
     if seen.turning:
         seen = replace(seen, points=seen.points - (seen.axes @ still.shift)[..., None])
     spans = [slice(max(t - window, 0), t + window + 1) for t in range(len(cameras))]
-    parts = [
-        replace(seen, points=seen.points[span], reach=seen.reach[span], axes=seen.axes[span])
-        for span in spans
-    ]
+    edges = seen._edges(halves / still.zoom)
+    around = np.array([edges[span].max(axis=0) for span in spans])
     if seen.turning:
-        least = np.array([part._edges(halves / still.zoom).max() for part in parts])
-        stands = np.column_stack([least, np.tile(still.shift, (len(parts), 1))])
+        radii, shifts = around.max(axis=(1, 2)), np.tile(still.shift, (len(spans), 1))
     else:
-        places = [part.standing(halves, still.zoom) for part in parts]
-        stands = np.array([[place.distance, *place.shift] for place in places])
+        radii, shifts = seen._between(around, halves / still.zoom)
+    stands = np.column_stack([radii, shifts])
     smooth = np.array([stands[span].mean(axis=0) for span in spans])
     return smooth[:, 0], smooth[:, 1:]
 
@@ -268,12 +278,12 @@ class _Seen:
         `Camera.halves`.
         """
         halves = halves / zoom
-        edges = self._edges(halves)
-        across, along = halves * (edges[:, 0] - edges[:, 1]) / 2
+        edges = self._edges(halves).max(axis=0)
         if not self.turning:
-            shift = across * self.axes[0, 0] + along * self.axes[0, 1]
-            return Standing(float(edges.sum(axis=1).max() / 2), shift, zoom)
+            distance, shift = self._between(edges, halves)
+            return Standing(float(distance), shift, zoom)
         # All cameras look at the same point, which may only move up or down.
+        along = halves[1] * (edges[1, 0] - edges[1, 1]) / 2
         shift = np.array([0.0, 0.0, along * self.axes[:, 1, 2].mean()])
         moved = replace(self, points=self.points - (self.axes @ shift)[..., None])
         lower = moved._edges(halves).max()
@@ -281,18 +291,25 @@ class _Seen:
             return Standing(float(lower), shift, zoom)
         return Standing(float(edges.max()), np.zeros(3), zoom)
 
-    def _edges(self, halves: Values) -> Values:
-        """Return the distances that keep the sample inside the edges right, left; bottom, top
-        [2,2], m.
+    def _between(self, edges: Values, halves: Values) -> tuple[Values, Values]:
+        """Return the distances [...] m and shifts [...,3] m of cameras that do not turn and see
+        what is between edges [...,2,2] m.
         """
-        few, most = int(LEFT_OUT * self.points.shape[2]), np.full((2, 2), -np.inf)
+        shift = halves * (edges[..., 0] - edges[..., 1]) / 2
+        return edges.sum(axis=-1).max(axis=-1) / 2, shift @ self.axes[0, :2]
+
+    def _edges(self, halves: Values) -> Values:
+        """Return the distances that keep the sample of each frame inside the edges right, left;
+        bottom, top [T,2,2], m.
+        """
+        few, needed = int(LEFT_OUT * self.points.shape[2]), []
         for part in _blocks(len(self.points)):
             points, reach = self.points[part], self.reach[part]
             both = [(sign * points[:, :2] + reach) / halves[:, None] for sign in (1, -1)]
-            needed = np.stack(both, axis=2) - points[:, None, None, 2]
-            needed.partition(needed.shape[-1] - 1 - few, axis=-1)
-            most = np.maximum(most, needed[..., -1 - few].max(axis=0))
-        return most
+            each = np.stack(both, axis=2) - points[:, None, None, 2]
+            each.partition(each.shape[-1] - 1 - few, axis=-1)
+            needed.append(each[..., -1 - few])
+        return np.concatenate(needed)
 
 
 def _blocks(count: int) -> list[slice]:

@@ -72,14 +72,22 @@ class Shine:
         self._surfaces: dict[int, tuple[Gaussians, dict[str, NDArray]]] = {}
         self._planes = _planes(clip) if "fluid" in self._parts else []
         whole = {"runs": laws.get("fluid"), "visibility": None}
-        before = self._planes[0] if self._planes else NOWHERE
         self._liquids = [
-            (which, Liquid(_finite(clip.means[0][which]), self._cell, liquid["visibility"], before))
+            (which, self._liquid(clip, which, liquid))
             for liquid in clip.report.get("liquids") or [whole]
             if "fluid" in self._parts and self._cell > 0 and len(which := _indices(liquid["runs"]))
         ]
         self.seconds = 0.0
         """Time spent on gloss since the start [s]."""
+
+    def _liquid(self, clip: Clip, which: NDArray, liquid: dict[str, Any]) -> Liquid:
+        """Measure a liquid of the report in the clip's first frame; `which` are its Gaussians."""
+        volumes = liquid.get("volumes")  # absent in old clips
+        if volumes is not None:
+            volumes = np.repeat(volumes, [last - first for first, last in liquid["runs"]])
+        before = self._planes[0] if self._planes else NOWHERE
+        x = _finite(clip.means[0][which])
+        return Liquid(x, self._cell, liquid["visibility"], before, volumes)
 
     @property
     def any(self) -> bool:

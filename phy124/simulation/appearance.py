@@ -58,20 +58,33 @@ class Appearance(NamedTuple):
         past its last.
         """
         laws = sorted({section.law for section in materials if section.shines})
-        return {law: self._spans([section.law == law for section in materials]) for law in laws}
+        return {law: self._spans(self._is(law, materials)) for law in laws}
 
     def liquids(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
-        """Return, for each liquid, the spans of its Gaussians, and its visibility [m] or None."""
-        return [
-            {"runs": self._spans(np.arange(len(materials)) == k), "visibility": section.visibility}
-            for k, section in enumerate(materials)
-            if isinstance(section, Fluid)
-        ]
+        """Return, for each liquid, its visibility [m] or None, the spans of its Gaussians, and the
+        volume of a Gaussian in each span [m^3].
 
-    def _spans(self, chosen: Sequence[bool] | NDArray[np.bool_]) -> list[list[int]]:
-        """Return the spans of the moving Gaussians whose materials are chosen."""
+        A grain has the volume of a particle. The Gaussians of the surface share the volume of the
+        particles that have no grain.
+        """
+        liquids = []
+        for k, section in enumerate(materials):
+            if isinstance(section, Fluid):
+                particles = self.particles.volume[self.particles.material == k]
+                surface = self._spans(self.rounds & (self.kinds == k))
+                grains = self._spans(~self.rounds & (self.kinds == k))
+                each = float(particles.sum() / max(len(particles), 1))
+                left = each * (len(particles) - _count(grains)) / max(_count(surface), 1)
+                volumes = [left] * len(surface) + [each] * len(grains)
+                liquids.append(
+                    {"runs": surface + grains, "volumes": volumes, "visibility": section.visibility}
+                )
+        return liquids
+
+    def _spans(self, chosen: NDArray[np.bool_]) -> list[list[int]]:
+        """Return the spans of the chosen moving Gaussians."""
         inside = np.zeros(len(self.moves) + 2, np.int8)
-        inside[np.flatnonzero(self.moves)[np.asarray(chosen)[self.kinds]] + 1] = 1
+        inside[np.flatnonzero(self.moves)[chosen] + 1] = 1
         return np.flatnonzero(np.diff(inside)).reshape(-1, 2).tolist()
 
     def elongation(
@@ -114,8 +127,16 @@ class Appearance(NamedTuple):
 
     def _of_law(self, law: str, materials: Sequence[AnyMaterial]) -> NDArray[np.int64]:
         """Return the indices of the moving Gaussians whose material has a given law."""
-        chosen = np.array([section.law == law for section in materials])[self.kinds]
-        return np.flatnonzero(self.moves)[chosen]
+        return np.flatnonzero(self.moves)[self._is(law, materials)]
+
+    def _is(self, law: str, materials: Sequence[AnyMaterial]) -> NDArray[np.bool_]:
+        """Return the mask of the moving Gaussians whose material has a given law."""
+        return np.array([section.law == law for section in materials])[self.kinds]
+
+
+def _count(spans: list[list[int]]) -> int:
+    """Return the number of Gaussians in spans."""
+    return sum(last - first for first, last in spans)
 
 
 def _laws(materials: Sequence[AnyMaterial]) -> list[str]:
