@@ -72,7 +72,7 @@ class FrameEncoder:
     def static(self) -> list[Message]:
         """Return the static transforms: the world's, and those of all fixed cameras seen so far.
 
-        These transforms are sent before all frames; all of them are sent again when a camera is
+        Static transforms are sent before all frames; all of them are sent again when a camera is
         added.
         """
         world = {

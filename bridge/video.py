@@ -1,7 +1,7 @@
 """H.264 as Foxglove expects it: Annex B, one access unit per picture, no B frames.
 
-ffmpeg encodes without look-ahead. Its output is an AVI stream, whose chunks state their length, so
-that the bytes of a picture are complete before the next picture is sent.
+ffmpeg encodes without look-ahead. The output of ffmpeg is an AVI stream, whose chunks state their
+length, so that the bytes of a picture are complete before the next picture is sent.
 """
 
 from __future__ import annotations

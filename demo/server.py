@@ -255,8 +255,8 @@ def tool_routes(page: Any, studio: Studio) -> list[BaseRoute]:
 def without_cors() -> Iterator[None]:
     """Within this context, apps lack Gradio's middleware that lets other sites read answers.
 
-    If it were removed after the start, all middleware would be built a second time, and would no
-    longer count the streams and requests from before.
+    If that middleware were removed after the start, all middleware would be built a second time,
+    and would no longer count the streams and requests from before.
     """
     from gradio import routes
 

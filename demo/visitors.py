@@ -74,7 +74,10 @@ class Visitors:
             return visitor
 
     def has(self, name: str) -> bool:
-        """Return whether a visitor is known. This does not count as a request of the visitor."""
+        """Return whether a visitor is known.
+
+        A call of this function does not count as a request of the visitor.
+        """
         return name in self._known
 
     def is_here(self, name: str | None) -> bool:

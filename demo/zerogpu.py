@@ -1,9 +1,9 @@
 """Run jobs on ZeroGPU, the shared GPUs of Hugging Face Spaces, reserved for the forecast time.
 
 ZeroGPU refuses a job whose declared duration exceeds the visitor's remaining quota (anonymous
-visitors have about 120 s a day), and ends a job that takes longer than declared. Therefore each job
-declares its forecast time, which is also its limit. Source: huggingface.co/docs/hub/spaces-zerogpu
-and the package `spaces` 0.51.
+visitors have about 120 s a day), and ends a job that takes longer than declared. Each job therefore
+declares its forecast time, which is also the job's limit. Source:
+huggingface.co/docs/hub/spaces-zerogpu and the package `spaces` 0.51.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A relay in this server connects the browser (static/touch.js) with a process (phy124.live), one per
 run. The process makes the Gaussians, chooses a grid that runs in real time on this machine, and
-simulates. It sends the browser the nodes of the lattice to which the Gaussians are bound.
+simulates. The process sends the browser the nodes of the lattice to which the Gaussians are bound.
 """
 
 from .relay import socket_route

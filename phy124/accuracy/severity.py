@@ -71,7 +71,8 @@ def poisson(scene: Scene) -> float:
 def bar_speed(section: AnyMaterial) -> float:
     """Return the speed of waves along a bar [m/s], sqrt(E / rho) for elastic materials.
 
-    It remains finite as Poisson's ratio approaches 0.5, unlike the speed of pressure waves.
+    The speed of waves in a bar remains finite as Poisson's ratio approaches 0.5, unlike the speed
+    of pressure waves.
     """
     if isinstance(section, Elastic):
         return math.sqrt(section.E / section.density)

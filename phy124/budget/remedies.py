@@ -117,7 +117,7 @@ def _soften(scene: Scene) -> Remedy | None:
 def find_speedups(scene: Scene, limiter: str, done: float) -> tuple[Remedy, ...]:
     """Return remedies for a run that has taken twice its time budget.
 
-    These remedies lengthen the substep, coarsen the grid, or raise the budget. The proposed budget
+    The remedies lengthen the substep, coarsen the grid, or raise the budget. The proposed budget
     assumes that the run's time grows as the square of the clip's length, as in an accelerating
     motion.
 

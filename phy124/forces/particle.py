@@ -1,6 +1,6 @@
 """Forces that act on particles one by one.
 
-These are a force in newtons, wind, attraction to a point, a push inside a zone of space, and
+Such forces are a force in newtons, wind, attraction to a point, a push inside a zone of space, and
 prescribed velocities.
 """
 

@@ -1,8 +1,8 @@
 """Converts the axes of a file to those of phy124, and rotates Gaussians.
 
 The world of phy124 is z up with the object facing +x (docs/reference/conventions.md). If `rotate`
-is set, it is applied to the file first. Then `up` and `front`, or the file's dialect, say which
-directions of the file point up and to the front.
+is set, it is applied to the file first. After that rotation, `up` and `front`, or the file's
+dialect, say which directions of the file point up and to the front.
 """
 
 from __future__ import annotations

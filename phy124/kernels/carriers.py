@@ -66,7 +66,8 @@ def find_carriers(
     """Find the nearest particles of each point, and weights w = (1 - (d / R)^2)^2 that sum to 1.
 
     R is the distance of the nearest particle that is not chosen, with the limits described in
-    `phy124.motion.binding.find_carriers`. Missing particles have weight 0.
+    `phy124.motion.binding.find_carriers`. If there are fewer particles than requested, the missing
+    ones have weight 0.
     """
     n = wp.tid()
     point = points[n]

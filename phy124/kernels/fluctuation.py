@@ -1,12 +1,12 @@
 """Controls the damping of the transfers: FLIP, AFLIP and XPIC reduce it, RPIC increases it.
 
-The grid does not represent all of the particles' motion. APIC discards the rest, called the
-fluctuation, in every substep, which damps the motion. The fluctuation is the difference between (v,
-C) and (v, C) after a round trip over the grid; this operator is D = 1 - S S^+ in the notation of
-Hammerquist and Nairn 2017. FLIP restores the whole fluctuation, and AFLIP (Fei et al. 2021)
-restores a fraction of it. XPIC(m) restores all of it except D^m (v, C), which is only noise. Here C
-makes the round trip together with v, so that the round trip changes neither momentum nor angular
-momentum.
+The grid does not represent all of the particles' motion. In every substep, APIC discards the part
+that the grid does not represent, called the fluctuation, and thus damps the motion. The fluctuation
+is the difference between (v, C) and (v, C) after a round trip over the grid; this operator is D = 1
+- S S^+ in the notation of Hammerquist and Nairn 2017. FLIP restores the whole fluctuation, and
+AFLIP (Fei et al. 2021) restores a fraction of it. XPIC(m) restores the whole fluctuation except D^m
+(v, C), which is only noise. Here C makes the round trip together with v, so that the round trip
+changes neither momentum nor angular momentum.
 
 RPIC: the symmetric part of C decays; its skew part, the spin, does not. PhysGaussian's
 `rpic_damping` r scatters (1 - r) C + r/2 (C - C^T) in each substep, so that r = 1 is RPIC (Jiang et

@@ -1,8 +1,7 @@
 """Measures the particles' bounding box, and the maxima that limit a substep.
 
-These maxima are read by `timestep.make_timestep` on the device, and by phy124/mpm/timestep.py on
-the host.
-The lowest corner is stored as the maximum of -x.
+The maxima are read by `timestep.make_timestep` on the device, and by phy124/mpm/timestep.py on the
+host. The lowest corner is stored as the maximum of -x.
 """
 
 from typing import Any

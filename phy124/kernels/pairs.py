@@ -142,9 +142,9 @@ def fill_fraction(
 ):
     """Return the ratio of a body's mass at a node to its mass in the interior.
 
-    The interior is taken up to two nodes inward. The ratio is -1 if the body's volume fraction
-    there is less than `narrowest`. At an edge of the body, and under compression, both masses
-    change by the same factor.
+    The interior is taken up to two nodes inward. The ratio is -1 if the body's volume fraction in
+    the interior is less than `narrowest`. At an edge of the body, and under compression, both
+    masses change by the same factor.
     """
     m = mass_at(grid, window, node)
     deep = wp.max(mass_at(grid, window, node + inward), mass_at(grid, window, node + 2 * inward))
@@ -184,9 +184,9 @@ def neighbour(step: wp.vec3i, n: int):
 def is_closed(gap: Any, more: Any):
     """Return whether the gap between two bodies at a node is so small that they touch.
 
-    The gap is a mean over more than a cell. At the edge of the contact area it includes the wider
-    gap outside this area, so a gap up to `ROUNDING` times `more` counts as closed; `more` is the
-    sum of the neighbours' gaps, each minus this gap.
+    The gap is a mean over more than a cell. At the edge of the contact area, the mean includes the
+    wider gap outside this area, so a gap up to `ROUNDING` times `more` counts as closed; `more` is
+    the sum of the neighbours' gaps, each minus the node's gap.
     """
     unit = type(gap)(1.0)
     return gap < unit and gap <= type(gap)(ROUNDING) * wp.max(more, type(gap)(0.0))
@@ -232,11 +232,11 @@ def stop(relative: Any, n: Any, friction: Any):
 def make_pair(real: Any):
     """Kernel over nodes that two bodies share: applies equal and opposite impulses to the bodies.
 
-    `low` is the first of these nodes on the lattice, `fill` the volume fraction per mass at a node
-    of each body, `yields` 1 for a body that can move and 0 for a body that never moves. A sticky
-    pair has one velocity at each node where both have mass. `sums_out` sums the impulse of the
-    first body on the second, and its moment about the origin of the world. Of neighbouring nodes, a
-    thread reads only the masses, which no thread changes.
+    `low` is the first of the shared nodes on the lattice, `fill` the volume fraction per mass at a
+    node of each body, and `yields` is 1 for a body that can move and 0 for a body that never moves.
+    A sticky pair has one velocity at each node where both have mass. `sums_out` sums the impulse of
+    the first body on the second, and its moment about the origin of the world. Of neighbouring
+    nodes, a thread reads only the masses, which no thread changes.
     """
     t = types(real)
 

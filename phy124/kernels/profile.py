@@ -1,10 +1,10 @@
 """Time tables on the device: piecewise linear tracks, sampled once per substep.
 
 A wall needs its current position and speed. A force is averaged over the interval of its kick, from
-half a substep ago to half a substep ahead. These intervals cover time without gaps, so any
-force has its exact impulse for any sequence of substeps. A profile's period may be shorter than a
-substep: means include all its periods, and a wall's speed is then the difference of its two
-positions divided by the substep.
+half a substep ago to half a substep ahead. The intervals of successive kicks cover time without
+gaps, so any force has its exact impulse for any sequence of substeps. A profile's period may be
+shorter than a substep: means include all its periods, and a wall's speed is then the difference of
+its two positions divided by the substep.
 """
 
 from typing import Any

@@ -132,7 +132,7 @@ def slope(f: Any):
 def offsets(f: Any):
     """Return the vector (0, 1, 2) in the precision of f.
 
-    This vector replaces casts of a loop index, which would change the type of the index itself.
+    The vector replaces casts of a loop index, which would change the type of the index itself.
     """
     return wp.vector(type(f)(0.0), type(f)(1.0), type(f)(2.0))
 

@@ -132,8 +132,8 @@ def make_wall_sums(real: Any):
     """Kernel: adds the impulse and the work of walls on the nodes of a box to the `GIVEN` sums.
 
     The work of an impulse J is J . v with the velocity v after the impulse, since this velocity
-    moves the material. This work is zero for walls at rest and negative for friction. With the
-    velocity before the impulse, stress that presses on a wall without moving it would count as
+    moves the material. The work of a wall is zero for walls at rest and negative for friction. With
+    the velocity before the impulse, stress that presses on a wall without moving it would count as
     work. A thread handles a segment of a row, as in `make_wall_copy`.
     """
 
@@ -169,10 +169,10 @@ def make_uniform_sums(real: Any):
 
     The acceleration acts after forces on particles and before walls, so `walls_out` stores the
     walls' sums up to the previous substep. `means` has the walls of lattices and of liquids by
-    projection. Their work is computed with the mean velocities of a step, so the work of the
-    acceleration is computed with the mean of the momenta before and after the step. `base` is the
-    momentum without the sums that are still being accumulated. `pushes` and `walls` have one row of
-    sums for each worker, `means` one for each wall of a lattice or one for a liquid's walls.
+    projection. The work of such walls is computed with the mean velocities of a step, so the work
+    of the acceleration is computed with the mean of the momenta before and after the step. `base`
+    is the momentum without the sums that are still being accumulated. `pushes` and `walls` have one
+    row of sums for each worker, `means` one for each wall of a lattice or one for a liquid's walls.
     """
 
     @kernel(f"phy124_uniform_sums_{real.__name__}", real)

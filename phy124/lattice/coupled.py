@@ -1,8 +1,8 @@
 """CoupledSolver: bodies on lattices together with bodies of the material point method.
 
-Bodies of both kinds take the same substeps. In a substep, the particles' grids are updated and the
-lattices' nodes are kicked. Then all contact acts, and walls act on the grids. Finally, particles
-and lattices move.
+Bodies on lattices and bodies of particles take the same substeps. In a substep, the particles'
+grids are updated and the lattices' nodes are kicked. After the kick, all contact acts, and walls
+act on the grids. Finally, particles and lattices move.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Computes contact between the surface points of two bodies, or of two parts of a body.
 
-Every point is paired with an opposite position on the other surface. This position is at first the
-nearest point of the other surface, and then follows the paired point along that surface. The
-weights of the pair are those of the point minus those of the opposite position, so that an impulse
-along the surface's normal acts on both parts along one line, with opposite signs. Impulses are
-computed like those of walls.
+Every point is paired with an opposite position on the other surface. The opposite position is at
+first the nearest point of the other surface, and then follows the paired point along that surface.
+The weights of the pair are those of the point minus those of the opposite position, so that an
+impulse along the surface's normal acts on both parts along one line, with opposite signs. Impulses
+are computed like those of walls.
 
 Pairs are listed again when a part has moved relative to the mean motion of both parts. A sample of
 the surfaces shows whether parts are near each other; if not, nothing else is computed.

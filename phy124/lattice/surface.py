@@ -4,8 +4,9 @@ The weights of a point are those of a position a quarter of a cell further insid
 nodes, and corrected so that they reproduce every linear function at the point itself. The true
 weights at the surface depend mostly on the lightest nodes, which would vibrate.
 
-Points are sorted by eight colours: neighbouring points of a colour are about a cell apart. In this
-order, the error after a pass of Gauss-Seidel is a tenth of the error after a pass from row to row.
+Points are sorted by eight colours: neighbouring points of a colour are about a cell apart. In the
+order of colours, the error after a pass of Gauss-Seidel is a tenth of the error after a pass from
+row to row.
 """
 
 from __future__ import annotations

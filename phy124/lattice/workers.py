@@ -226,7 +226,7 @@ class Crew:
     def viscosity(self, worker: Worker, out: wp.array) -> list[Named]:
         """Return the launches that add the force of viscosity to the nodes, after the kick.
 
-        This force is that of a material without stiffness.
+        The force of viscosity is the force of a material without stiffness.
 
         Args:
             worker: The worker.

@@ -67,7 +67,8 @@ class Projection:
     ) -> list[list[Recorded]]:
         """Return a worker's launches of a solution: begin, then pairs of advance and improve.
 
-        There are three pairs: for the first iteration, for odd and for even iterations.
+        Three pairs of launches are recorded: for the first iteration, for odd and for even
+        iterations.
 
         Args:
             cells: The cells.

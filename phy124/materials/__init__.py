@@ -1,7 +1,7 @@
 """Constitutive laws of a scene, each with its parameters in SI units and their bounds.
 
-Each material is a section of the scene file. Its device functions are in phy124/kernels; the
-formulae and their sources are in docs/design/laws.md.
+Each material is a section of the scene file. The device functions of materials are in
+phy124/kernels; the formulae and their sources are in docs/design/laws.md.
 """
 
 from typing import Annotated

@@ -3,8 +3,8 @@
 The paper names neither the CLIP model nor the formula. The paper's values (about 0.99, higher is
 better) are assumed to be the mean cosine of consecutive frames, as in Gen-1 (Esser et al. 2023).
 4DGen (Yin et al. 2023, section 4.3) uses half the squared angle instead (about 0.01, lower is
-better). Both formulas measure only how little consecutive frames differ: a frozen video has the
-best value.
+better). The two formulas of CLIP-T measure only how little consecutive frames differ: a frozen
+video has the best value.
 """
 
 from __future__ import annotations

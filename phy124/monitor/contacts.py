@@ -130,7 +130,7 @@ class Contacts(Observer):
     ) -> tuple[Stage, Stage, Stage]:
         """Return the stages that measure a wall: one before the wall acts, and two after.
 
-        The stages in which the wall itself acts are `stages`.
+        The wall itself acts in `stages`, between the first and the second of these stages.
         """
         del stages
         near = NodesNear([wall], model)

@@ -1,9 +1,9 @@
 """Dissipation: energy lost to the material, to walls and to the grid.
 
 Viscous materials dissipate the work of the rate-dependent part of their stress. Plastic and fluid
-materials dissipate the work of the rest of their stress, minus the elastic energy stored. Walls
-dissipate energy by friction. All other losses are numerical: they occur in the transfers and in the
-layer of cells that a wall stops.
+materials also dissipate the work of the rate-independent part of their stress, minus the elastic
+energy stored. Walls dissipate energy by friction. All other losses are numerical: they occur in the
+transfers and in the layer of cells that a wall stops.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """External work: impulse and work of forces and walls on the object, summed in every substep.
 
-Velocities are stored before forces on particles and walls act, and compared afterwards. A uniform
-acceleration contributes M a dt and M a . dx, which needs no launch; if it varies in time, a kernel
-of one thread adds its impulse and work at the end of each substep.
+Velocities are stored before the forces on particles or the walls act, and compared afterwards. A
+uniform acceleration contributes M a dt and M a . dx, which needs no launch; if it varies in time, a
+kernel of one thread adds its impulse and work at the end of each substep.
 """
 
 from __future__ import annotations

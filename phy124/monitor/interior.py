@@ -2,9 +2,9 @@
 
 A generator places Gaussians only on the surface, so a torn object would show a hole. Once the grid
 has torn material, inner particles that have lost a neighbour get round Gaussians in the colours of
-the surface, like grains. These particles are not known in advance, so their Gaussians are added to
-the finished clip. Until its particle is exposed, each such Gaussian is hidden in the surface
-Gaussian above it.
+the surface, like grains. Which particles a tear will expose is not known in advance, so their
+Gaussians are added to the finished clip. Until its particle is exposed, each such Gaussian is
+hidden in the surface Gaussian above it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Depth of points inside a solid, on the host: the counterpart of `phy124.kernels.distance`.
 
-A shape is defined by the same three vectors as in that module, and the depth is the negative of the
-signed distance; `tests/test_depth.py` compares the two modules.
+A shape is defined by the same three vectors as in `phy124.kernels.distance`, and the depth is the
+negative of the signed distance; `tests/test_depth.py` compares the two modules.
 """
 
 from __future__ import annotations

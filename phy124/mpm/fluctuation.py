@@ -1,7 +1,7 @@
 """Fluctuation: the part of the particles' motion that the grid does not represent.
 
-APIC discards the fluctuation and needs none of these launches. The other schemes transfer (v, C) to
-the grid and back, once or several times, before the scatter of a substep, and restore a part of the
+APIC discards the fluctuation and needs no launches for it. The other schemes transfer (v, C) to the
+grid and back, once or several times, before the scatter of a substep, and restore a part of the
 difference after the gather.
 """
 

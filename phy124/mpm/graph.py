@@ -1,14 +1,14 @@
 """Graph: all substeps of a frame as one graph on the device, without transfers to the host.
 
-On CUDA a launch from Python takes longer than many of the kernels. Therefore one substep is
+On CUDA a launch from Python takes longer than many of the kernels. One substep is therefore
 captured as the body of a loop on the device. The last kernel of the loop
-(phy124/kernels/timestep.py) chooses the next substep. This kernel ends the loop when the frame's
-time is reached, and after `MOST` substeps, so that a run can be stopped. It also ends the loop when
-only the host can continue: because the window must follow the particles, or because the next
-substep may have to be rejected (see phy124/mpm/rejection.py). A condition in a graph takes longer
-than most kernels; if none of the next substeps can be the last one, they follow each other without
-conditions. The same graph also runs on the CPU, where the tests compare it with the host's loop bit
-for bit.
+(phy124/kernels/timestep.py) chooses the next substep. The last kernel ends the loop when the
+frame's time is reached, and after `MOST` substeps, so that a run can be stopped. The last kernel
+also ends the loop when only the host can continue: because the window must follow the particles, or
+because the next substep may have to be rejected (see phy124/mpm/rejection.py). A condition in a
+graph takes longer than most kernels; if none of the next substeps can be the last one, they follow
+each other without conditions. The same graph also runs on the CPU, where the tests compare it with
+the host's loop bit for bit.
 """
 
 from __future__ import annotations

@@ -73,8 +73,9 @@ class StepRejection:
     def begin(self, start: float, end: float) -> None:
         """Compute bounds of forces and walls from `start` to `end` [s].
 
-        Only this interval counts, so that a push does not shorten the substeps of another frame.
-        Kicks reach back by half a substep, so one frame duration before `start` is also included.
+        Forces and walls outside this interval are ignored, so that a push does not shorten the
+        substeps of another frame. Kicks reach back by half a substep, so one frame duration before
+        `start` is also included.
         """
         before = start - ROUNDED * (end - start) if math.isfinite(start) else start
         self.acceleration = _max_acceleration(self._model, self._tracks, self._pushes, before, end)
@@ -127,8 +128,8 @@ class StepRejection:
         """Return the number of substeps in which no particle can leave the margin of its window.
 
         In substep k a particle moves by at most (v + k a dt) dt. Here a dt^2 is capped at `PULL`
-        cells. Above this value substeps are run as trials, and the particles are measured after a
-        violent substep.
+        cells. If a dt^2 is larger, substeps are run as trials, and the particles are measured after
+        a violent substep.
         """
         dx, dt = self._model.dx, clock.stable().dt
         if not math.isfinite(dt):

@@ -76,8 +76,8 @@ class Team(Generic[Task]):
     def put(self, task: Task) -> None:
         """Wait until all members have finished their previous task, then start this task.
 
-        An exception of the previous task is re-raised; if there are several, the exception of the
-        lowest member.
+        An exception of the previous task is re-raised; if several members failed, the exception of
+        the member with the lowest number.
         """
         self._hand_over(task)
 

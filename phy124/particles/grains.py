@@ -1,8 +1,8 @@
 """Adds grains: small round Gaussians inside materials that fall apart.
 
 The Gaussians of a generator lie on the surface. If sand, snow or foam falls apart, the background
-would be visible between these Gaussians. To prevent this, inner particles get round Gaussians in
-the colours of the surface above them. Grains do not change the motion.
+would be visible between these Gaussians. To hide the background, inner particles get round
+Gaussians in the colours of the surface above them. Grains do not change the motion.
 """
 
 from __future__ import annotations

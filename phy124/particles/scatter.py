@@ -1,8 +1,8 @@
 """Moves particles from their lattice to random places, so that rows of the lattice do not show.
 
-Sand that runs apart in thin layers stretches by a factor of several along its flow. Particles of a
-regular lattice then form rows like strings of beads, with empty grooves between them. Each particle
-stays in its own cell of the lattice, so the density hardly varies.
+Sand that runs apart in thin layers stretches by a factor of several along its flow. In such sand,
+particles of a regular lattice would form rows like strings of beads, with empty grooves between the
+rows. Each particle stays in its own cell of the lattice, so the density hardly varies.
 """
 
 from __future__ import annotations

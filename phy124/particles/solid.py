@@ -6,7 +6,7 @@ interior is found in four steps:
 - Each Gaussian is sampled within one standard deviation, finely enough for the voxels.
 - The grid is flooded from outside; voxels that the flood does not reach are inside. The flood is
   repeated with the samples dilated by increasing radii r (in voxels), which seals gaps up to 2 r.
-  Larger radii are used only where they enclose a new cavity; other narrow slots are not closed.
+  Larger dilations are used only where they enclose a new cavity; other narrow slots stay open.
   Wide openings are never sealed.
 - If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
   inside if axis-parallel rays from it meet the shell in at least five of the six directions.
@@ -15,9 +15,9 @@ interior is found in four steps:
   fractions make volumes accurate below the voxel size.
 
 The voxels depend on the Gaussians alone; the solid is therefore the same for every simulation grid.
-The result is resampled to voxels that are aligned with the particle lattice (i + 1/2) * spacing:
-their side is the particle spacing multiplied or divided by a whole number. `MAX_VOXELS` and
-`MAX_SAMPLES` limit time and memory.
+The solid is resampled to voxels that are aligned with the particle lattice (i + 1/2) * spacing: the
+side of these voxels is the particle spacing multiplied or divided by a whole number. `MAX_VOXELS`
+and `MAX_SAMPLES` limit time and memory.
 """
 
 from __future__ import annotations

@@ -122,7 +122,8 @@ def _part_moments(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return centres [V,3] and second moments [V,3,3] of the filled parts of voxels.
 
-    Both are computed from `SAMPLES` points per axis; a point at the surface counts in part.
+    The centres and moments are computed from `SAMPLES` points per axis; a point at the surface
+    counts in part.
 
     Args:
         normal: Outward normals [V,3].

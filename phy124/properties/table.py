@@ -127,8 +127,8 @@ def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64]
 def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.float64]]:
     """Return columns and centres of the voxels of dense arrays [X,Y,Z]; NaN marks empty voxels.
 
-    `lower` and `upper` are the centres of the first and last voxel. Without them, the voxels fill a
-    box of side 1.
+    `lower` and `upper` are the centres of the first and last voxel. Without `lower` and `upper`,
+    the voxels fill a box of side 1.
     """
     dense = {name: columns[name] for name in EVERY if name in columns}
     shape = next(iter(dense.values())).shape

@@ -3,7 +3,8 @@
 SciPy formats the docstrings of its functions while it is imported, and its copy of NumPy's names
 imports parts of NumPy that phy124 does not use. typeguard, which tyro uses, imports `unittest` for
 one class, and thereby the event loop and TLS. pydantic describes its schemas by 70 typed
-dictionaries, which only type checkers read. Without these parts, the imports take half of the time.
+dictionaries, which only type checkers read. Without the parts for documentation and tests, the
+imports take half of the time.
 """
 
 from __future__ import annotations

@@ -335,8 +335,8 @@ class Scene(Section):
     def of_clip(cls, data: dict[str, Any], source: str = "clip") -> Scene:
         """Read a clip's scene for filming; leave out sections of classes that are not known here.
 
-        Another program may have defined such classes. Forces and boundaries of unknown classes are
-        left out, and unknown materials are replaced by the default.
+        Another program may have defined classes that are not known here. Forces and boundaries of
+        unknown classes are left out, and unknown materials are replaced by the default.
 
         Raises:
             InputError: The data is not a scene.

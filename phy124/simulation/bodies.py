@@ -144,7 +144,7 @@ def proportions_of(gaussians: Gaussians, scene: Scene) -> Proportions | None:
 
 @contextmanager
 def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
-    """Prefix refusals with the name of an object within this context, unless it is the first.
+    """Within this context, prefix refusals with the name of an object; not for the first object.
 
     Raises:
         InputError: The same refusal, with the object's name.

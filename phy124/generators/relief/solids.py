@@ -129,7 +129,7 @@ def _balls(silhouette: Silhouette) -> Field:
     """Return the squared half thicknesses of the union of all balls in the silhouette.
 
     The result is the maximum over centres m of D(m)^2 - |x - m|^2, with D the distance to the rim.
-    This upper envelope of parabolas is computed along one axis after the other.
+    The result is an upper envelope of parabolas, which is computed along one axis after the other.
     """
     squares = silhouette.distance**2
     for _ in range(2):

@@ -6,15 +6,13 @@ surface, as at a wall: along the normal n if they approach the surface, and tang
 Coulomb friction allows it. The velocities of body and nodes are solved for together: a light body
 that exchanged momentum with one node after the other would not come to rest. Let u = V + w x r be
 the surface velocity at a node of mass m. The impulse on the node is m W (u' - v), with the velocity
-u' after the exchange, where W is 1 along n and a fraction of 1 across n. This gives six equations,
-
-    (M + sum B^T m W B) (V', w') = M (V, w) + sum B^T m W v,    u = B (V, w),
-
-which `assemble` sums and `solve` solves. Whether a node approaches the surface, and how much
-friction it has, is taken from the previous solution (a semi-smooth Newton iteration). For any W,
-the exchange conserves momentum and angular momentum and adds no energy. The impulses on the nodes,
-in the precision of the nodes, are summed and subtracted from the body, so that conservation holds
-to the rounding of the sums.
+u' after the exchange, where W is 1 along n and a fraction of 1 across n. The body's motion (V', w')
+after the exchange follows from six equations, (M + sum B^T m W B) (V', w') = M (V, w) + sum B^T m W
+v with u = B (V, w), which `assemble` sums and `solve` solves. Whether a node approaches the
+surface, and how much friction it has, is taken from the previous solution (a semi-smooth Newton
+iteration). For any W, the exchange conserves momentum and angular momentum and adds no energy. The
+impulses on the nodes, in the precision of the nodes, are summed and subtracted from the body, so
+that conservation holds to the rounding of the sums.
 
 Flat walls stop the body at its lowest points, without a bounce and with Coulomb friction. The
 walls' impulses are computed with the same six equations (projected Gauss-Seidel), so that a body

@@ -2,10 +2,10 @@
 
 A point at signed distance g from the wall must not approach it faster than g / dt. While a wall
 presses a point, the point moves away at the speed -restore g. Impulses of the last substep are
-applied first; then projected Gauss-Seidel corrects them (friction in Coulomb's cone), forwards and
-back, in an order in which consecutive points are about a cell apart (phy124/lattice/surface.py). An
-impulse J changes the velocities of a point's nodes by w_i J / m_i, and so its own velocity by (sum
-w_i^2 / m_i) J.
+applied first. Projected Gauss-Seidel then corrects them, with friction in Coulomb's cone. It visits
+the points forwards and back, in an order in which consecutive points are about a cell apart
+(phy124/lattice/surface.py). An impulse J changes the velocities of a point's nodes by w_i J / m_i,
+and so its own velocity by (sum w_i^2 / m_i) J.
 
 Contact in this form neither creates nor sustains vibrations. The pass over all points, forwards and
 back, is a symmetric positive operator E on velocities. With C = E^-1 - 1, the impulses of the last
@@ -104,10 +104,10 @@ normal, the distance of the point and the friction coefficient.
 def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
     """Kernel of one thread: finds points near a wall, and applies the last substep's impulses.
 
-    `inverse` is zero for nodes that a clamp holds. `force_out` holds the mean force
-    on each point in the last substep [N]; it becomes zero where a point has left. `gap_out` is the
-    normal and the distance of each point near the wall; for other points the distance is infinite.
-    `near` lists the points within reach.
+    `inverse` is zero for nodes that a clamp holds. `force_out` holds the mean force on each point
+    in the last substep [N]; the force becomes zero for a point that has left the wall. `gap_out` is
+    the normal and the distance of each point near the wall; for other points the distance is
+    infinite. `near` lists the points within reach.
 
     Args:
         shape: Name of a distance function.

@@ -3,8 +3,8 @@
 A point's contact force acts over the kick of a substep. The impulse of clamps on a node is the
 change of the node's momentum while the clamps act, minus the contact impulses that the clamps take.
 `make_add_momentum` subtracts the node's momentum before the clamps act, and adds it afterwards;
-`make_pass_on` subtracts the contact impulses. Both sums are float64, since a frame may have
-thousands of substeps.
+`make_pass_on` subtracts the contact impulses. The sums for points and for nodes are float64, since
+a frame may have thousands of substeps.
 """
 
 from typing import Any

@@ -173,8 +173,8 @@ def make_pin(real: Any):
     """Kernel over pairs of a held and a free node: makes the motion zero at the clamp's surface.
 
     The quadratic B-spline of the pair vanishes at the clamp's surface if the held node moves at
-    `ratio` times the velocity of the free node relative to the clamp. Momenta are projected on this
-    motion, as in the columns of a wall (phy124/kernels/columns.py).
+    `ratio` times the velocity of the free node relative to the clamp. Momenta are projected onto
+    motions of this kind, as in the columns of a wall (phy124/kernels/columns.py).
     """
     t = types(real)
 

@@ -77,7 +77,7 @@ def make_node_work(real: Any):
 def make_contact_work(real: Any):
     """Kernel of one thread: adds three kinds of work of impulses on points to sums from `at` on.
 
-    They are the work of the wall's motion, of the impulses' normal component, and of friction.
+    The three are the work of the wall's motion, of the impulses' normal component, and of friction.
 
     `gap` holds the normals, `rates[slot]` the velocity of the wall. Impulses do not act on nodes
     for which `inverse` is zero.

@@ -2,8 +2,8 @@
 
 The pressure gives a body two responses: that of its rigid motion (`solids`), and that of the layer
 of mass at its surface to the change of the pressure since the last step (a Robin condition:
-Fernandez, Mullaert and Vidrascu 2013). The second response is zero at rest; without it, the
-deformation of a light or soft body would become unstable.
+Fernandez, Mullaert and Vidrascu 2013). The response of the layer is zero at rest; without this
+response, the deformation of a light or soft body would become unstable.
 """
 
 from typing import Any
@@ -210,8 +210,8 @@ def make_body_change(real: Any):
 def make_contact(real: Any):
     """Kernel over a region's cells: computes the area of a body's contact with fixed walls.
 
-    `still` has the open share of each face if bodies are ignored. The areas have the signs of the
-    rows of `make_jumps`.
+    `still` has the open share of each face if bodies are ignored. The areas have the same signs as
+    the rows that `make_jumps` writes.
     """
     t = types(real)
 

@@ -34,9 +34,9 @@ def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size
 def make_excess(real: Any):
     """Kernel over cells: computes how much of the density's error a step removes.
 
-    Cells inside a wall have no unknown. The density that is missing in such a cell is added to the
-    cell in front of the wall or, at an edge or corner between walls, to the cell in front of all of
-    these walls.
+    Cells inside a wall have no unknown in the linear system. The density that is missing in a cell
+    inside a wall is added to the cell in front of the wall or, at an edge or corner between walls,
+    to the cell in front of all of these walls.
     """
     t = types(real)
 

@@ -1,8 +1,8 @@
 """The shape of a body of particles in a liquid, as a wall.
 
 The distance from a body's surface follows from the share of each cell that the body fills, in the
-same way as the distance from the liquid's surface (`surface`). Since this rounds edges off, the
-surface is shifted outwards until it encloses the body's volume.
+same way as the distance from the liquid's surface (`surface`). Since the distance rounds edges off,
+the surface is shifted outwards until it encloses the body's volume.
 """
 
 from typing import Any

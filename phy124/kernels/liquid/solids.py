@@ -224,7 +224,7 @@ def make_kick(real: Any):
 def make_predict(real: Any):
     """Kernel over solids: writes each solid's motion before the solved pressure acts.
 
-    This motion is the planned motion, plus the response to the sums of `make_lift`.
+    The predicted motion is the planned motion, plus the response to the sums of `make_lift`.
     """
     t = types(real)
 

@@ -1,8 +1,8 @@
 """Computes distances from walls and open shares of faces; moves particles out of walls.
 
 Distances are stored at the corners, edges, faces and centres of cells. The open fraction of each
-face (Ng, Min and Gibou 2009) and the solid volume of each eighth of a cell follow from them. A new
-shape needs only its distance function (distance.py).
+face (Ng, Min and Gibou 2009) and the solid volume of each eighth of a cell follow from these
+distances. A new shape needs only its distance function (distance.py).
 """
 
 from typing import Any
@@ -185,9 +185,9 @@ def wall_across(
 ):
     """Return the index of the wall that closes a cell's face; -1 if no wall closes it.
 
-    This wall is the one nearest to the face's middle. Where walls meet, nine points on the face are
-    compared: the result is the wall nearest to the point at which the distance changes most along
-    the axis. At the bottom of a tank it is the floor, not a side.
+    The wall that closes a face is the one nearest to the face's middle. Where walls meet, nine
+    points on the face are compared: the result is the wall nearest to the point at which the
+    distance changes most along the axis. At the bottom of a tank it is the floor, not a side.
     """
     points = halves(size)
     middle = solid_face(cell, axis, jump, size)
@@ -323,7 +323,7 @@ def make_eighths(shape: str, real: Any):
     """Kernel over eighths of cells: multiplies open fractions by those that each wall leaves open.
 
     The product is exact where walls are perpendicular to each other. The arguments are the same as
-    for the kernel of distances.
+    those of the kernel of `make_wall_distance`.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -417,10 +417,10 @@ def make_solid_shares(real: Any):
 def make_push_out(shape: str, real: Any):
     """Kernel: moves particles out of all walls of a shape and stops them there.
 
-    `walls` has the indices of these walls in `slots` and `frictions`, which are tables of all
-    walls; `geometries` has the shapes of these walls. A wall stops the normal velocity, and reduces
-    the tangential velocity by up to the coefficient of friction times the normal velocity. The
-    impulse on the particles and its work are added to `sums_out`.
+    `walls` has the indices of the shape's walls in `slots` and `frictions`, which are tables of all
+    walls; `geometries` has their dimensions. A wall stops the normal velocity, and reduces the
+    tangential velocity by up to the coefficient of friction times the normal velocity. The impulse
+    on the particles and its work are added to `sums_out`.
     """
     t = types(real)
     distance = SHAPES[shape]

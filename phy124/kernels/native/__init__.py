@@ -5,8 +5,8 @@ Python signature. A line `//: PIECE` begins a piece of the file. The text become
 module, and therefore of its hash: a module whose text has changed is compiled again. Inside a body
 `float(x)` and `int(x)` are macros of Warp, so casts are written in C style.
 
-For each body, a plain form in Python defines the result, and a test compares the two; the head of
-each file names both.
+For each C++ function, a plain form in Python defines the result, and a test compares the two forms;
+the head of each file names the plain form and the test.
 """
 
 import inspect

@@ -40,7 +40,7 @@ class Splat:
 
     With the screen covariance ((a, b), (b, d)) the exponent is a sum of two squares, -1/2 ((dx -
     shear dy)^2 precision_x + dy^2 precision_y), shear = b/d, precision_x = d/det, precision_y =
-    1/d. This exponent is never positive, and is exact for needles, unlike the expanded conic.
+    1/d. The sum of squares is never positive, and is exact for needles, unlike the expanded conic.
     """
 
     mean: wp.vec2  # [px]

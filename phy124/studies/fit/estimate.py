@@ -58,8 +58,8 @@ class Estimate:
 
         The values are extrapolated to a grid of this size; infinity means no grid error. The
         uncertainty of the extrapolated values is assumed to be their shift by the extrapolation,
-        and at least `model`. This uncertainty is a systematic error, so it is added to the error
-        due to the measurements.
+        and at least `model`. The uncertainty of the extrapolated values is a systematic error, so
+        it is added to the error due to the measurements.
 
         Args:
             cells: Cells across the object; may be infinite.

@@ -164,8 +164,9 @@ def _refuse_endless(path: Path, count: int) -> None:
 def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return the object's mask in a frame.
 
-    The mask contains the opaque pixels if the frame has transparent pixels. Otherwise, it contains
-    the pixels whose colour differs from the median colour of the frame's border, with holes filled.
+    The mask contains the opaque pixels if the frame has transparent pixels. Otherwise, the mask
+    contains the pixels whose colour differs from the median colour of the frame's border, with
+    holes filled.
     """
     if picture.shape[2] == 4 and picture[..., 3].min() < 255:
         return picture[..., 3] > 127

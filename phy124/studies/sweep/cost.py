@@ -176,7 +176,7 @@ def fit_line(moments: np.ndarray) -> tuple[float, float]:
     """Fit a line to seconds over work by least squares, with non-negative intercept and slope.
 
     Clips with equal work determine only the ratio of seconds to work. A small penalty on the
-    intercept makes the fit unique in this case.
+    intercept makes the fit unique if all clips have equal work.
 
     Args:
         moments: Sums over clips of 1, work, seconds, work squared, and work times seconds.

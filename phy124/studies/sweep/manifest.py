@@ -64,7 +64,7 @@ def write_manifest(storage: Storage) -> int:
     """Write the table of all clips, in the order of their indices; return the number of clips.
 
     A clip may have several rows, for example because its picture or the code has changed since its
-    first run. The table then contains only the newest row.
+    first run. The table then contains only the newest row of the clip.
     """
     arrow, parquet = _arrow()
     tables = list(_tables(storage, arrow))

@@ -1,7 +1,7 @@
 """The multi-view U-Net of ImageDream; without image condition, it is that of MVDream.
 
-The network is a latent diffusion U-Net (Rombach et al. 2022). Its self-attention spans all views of
-an object, and its time embedding includes each view's camera. Wang & Shi 2023, "ImageDream"; Shi et
+The network is a latent diffusion U-Net (Rombach et al. 2022). The self-attention spans all views of
+an object, and the time embedding includes each view's camera. Wang & Shi 2023, "ImageDream"; Shi et
 al. 2023, "MVDream".
 """
 

@@ -236,7 +236,7 @@ def measure_lattice_drops(
 def _steps(loads: Sequence[float], hold: float) -> Keyframes:
     """Return a profile that applies the loads one after another, each for the time `hold` [s].
 
-    In the first third of this time, the factor rises to the load. It then stays constant.
+    In the first third of the time `hold`, the factor rises to the load. It then stays constant.
     """
     times, factors = [0.0], [0.0]
     for number, load in enumerate(loads):

@@ -123,8 +123,8 @@ def relative(value: Array, reference: Array) -> float:
 def alike(what: str, value: Array, reference: Array, setting: Setting) -> Check:
     """Check that two results are equal.
 
-    On a CPU, they must be bitwise equal. On a GPU, whose order of summation varies, they must be
-    equal up to rounding.
+    On a CPU, the results must be bitwise equal. On a GPU, whose order of summation varies, the
+    results must be equal up to rounding.
 
     Args:
         what: Name of the quantity.

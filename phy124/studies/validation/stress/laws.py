@@ -110,8 +110,8 @@ HEAP = 0.4
 def heap(setting: Setting) -> list[Check]:
     """Check that heaps of sand come to rest with the angle of repose.
 
-    The initial cones are five degrees steeper than this angle. A cone that is 20 degrees too steep
-    must collapse to less than the angle of repose, since inertia makes its heap flatter.
+    The initial cones are five degrees steeper than the angle of repose. A cone that is 20 degrees
+    too steep must collapse to less than the angle of repose, since inertia makes its heap flatter.
     """
     checks, cells = [], 20 if setting.long else 12
     # On finer grids, gentle heaps creep for longer: by 0.0037 R in 0.2 s after 1 s at 20 degrees.
@@ -216,9 +216,9 @@ FRAMES = (NeoHookean(E=1e4), Hencky(E=1e4), Metal(E=1e4), Sand(), Fluid(bulk_mod
 def impossible(setting: Setting) -> list[Check]:
     """Check unphysical deformations.
 
-    The stress of each law must be finite for all unphysical deformations. A body with one particle
-    in such a state must stay finite and keep its energy balance, and the particle's neighbours must
-    hardly move.
+    The stress of each law must be finite for all unphysical deformations. A body with one
+    unphysically deformed particle must stay finite and keep its energy balance, and the particle's
+    neighbours must hardly move.
     """
     checks = every_deformation(setting)
     for material in FRAMES:
