@@ -245,6 +245,16 @@ def test_a_limb_is_a_cylinder_with_flat_ends():
     assert np.ptp(gaussians.means[lowest, 0]) > 0.3
 
 
+@pytest.mark.parametrize("gap", [2, 40])
+def test_only_deep_gaps_divide_an_end(gap):
+    """A jar whose cut-out is ragged by two pixels is as deep at its top as below; ears are not."""
+    bumps = (abs(X - 75) < 8) | (abs(X - 117) < 8)
+    jar = (abs(X - 96) < 40) & (Y < 170) & (Y > np.where(bumps, 28, 28 + gap))
+    gaussians = relief(shaded(jar, (X - 96) / 40), count=10_000)
+    (top, _), (depth, _) = extents(gaussians, 0.43, 0.48), extents(gaussians, -0.05, 0.05)
+    assert top > 0.9 * depth if gap < 40 else top < 0.5 * depth
+
+
 def test_seated_figure_has_a_flat_base_and_both_feet(renderer):
     """A bear: no foot of the picture is cut off, nothing is between them, and it does not tip."""
     body = (np.hypot((X - 96) / 46, (Y - 110) / 60) < 1) | (abs(X - 96) < 34) & (abs(Y - 140) < 34)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
@@ -24,6 +25,9 @@ ARC = 0.15
 CORNERED = 0.92
 """Smallest ratio of the width at the start of the arc to the width twice as high above the end; a
 ball has 0.74."""
+RAGGED = 0.03
+"""Gaps between the parts of an end count if they are deeper than this fraction of its width;
+shallower ones are the raggedness of a cut-out."""
 TALL = 0.8
 """Smallest ratio of height to width above a flat end; flatter objects lie and do not stand."""
 
@@ -114,15 +118,22 @@ def _widest(row: NDArray[np.bool_]) -> int:
 
 def _divides(solid: NDArray[np.bool_], rows: int) -> bool:
     """Whether some row of the lower end has more runs of pixels than the end's first row."""
-    last = int(np.flatnonzero(solid.any(axis=1))[-1])
-    runs = np.count_nonzero(np.diff(solid[last - rows + 1 : last + 1].astype(int)) > 0, axis=1)
+    runs = _count_runs(solid, rows)
     return bool(runs.max() > runs[0])
 
 
 def _is_parted(solid: NDArray[np.bool_], rows: int) -> bool:
     """Whether a row of the lower end has several separate parts, such as two legs."""
+    return bool(_count_runs(solid, rows).max() > 1)
+
+
+def _count_runs(solid: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
+    """Count the parts in each row of the lower end that deep gaps separate."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
-    return any(_widest(row) < np.count_nonzero(row) for row in solid[last - rows + 1 : last + 1])
+    first = last - rows + 1
+    depth = round(RAGGED * _widest(solid[first]))
+    filled = sliding_window_view(solid[first - depth : last + 1], depth + 1, axis=0).any(axis=2)
+    return np.count_nonzero(np.diff(filled.astype(int), prepend=0) > 0, axis=1)
 
 
 def _rises(solid: NDArray[np.bool_], rows: int) -> bool:
