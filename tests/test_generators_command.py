@@ -50,6 +50,7 @@ def test_the_picture_goes_in_and_gaussians_come_out(tmp_path, copies):
     ("line", "limit"),
     [
         ("sys.exit('no CUDA here')", r"exit status 1: no CUDA here"),
+        ("sys.exit(3)", r"exit status 3 and printed nothing\. Run it"),
         ("pass", "wrote no file"),
         ("open(out, 'w').write('ply of nothing')", "not a PLY"),
     ],

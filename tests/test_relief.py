@@ -249,7 +249,7 @@ def test_a_limb_is_a_cylinder_with_flat_ends():
 def test_only_deep_gaps_divide_an_end(gap):
     """A jar whose cut-out is ragged by two pixels is as deep at its top as below; ears are not."""
     bumps = (abs(X - 75) < 8) | (abs(X - 117) < 8)
-    jar = (abs(X - 96) < 40) & (Y < 170) & (Y > np.where(bumps, 28, 28 + gap))
+    jar = (abs(X - 96) < 40) & (Y < 170) & (np.where(bumps, 28, 28 + gap) < Y)
     gaussians = relief(shaded(jar, (X - 96) / 40), count=10_000)
     (top, _), (depth, _) = extents(gaussians, 0.43, 0.48), extents(gaussians, -0.05, 0.05)
     assert top > 0.9 * depth if gap < 40 else top < 0.5 * depth

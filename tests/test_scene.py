@@ -127,6 +127,9 @@ def test_broken_files_are_refused(tmp_path):
     path.write_text("size = = 3")
     with pytest.raises(InputError, match="it is not valid TOML"):
         Scene.from_toml(path)
+    path.write_text(f"seed = {'1' * 6000}")
+    with pytest.raises(InputError, match="thousands of digits"):
+        Scene.from_toml(path)
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="it cannot be read"):
         Scene.from_toml(path)

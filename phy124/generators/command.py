@@ -122,7 +122,9 @@ class Command:
             if process.returncode:
                 output.seek(0)
                 last = output.read().decode("utf-8", "replace").strip()[-LONGEST_MESSAGE:]
-                raise self._failure(f"It failed with exit status {process.returncode}: {last}", "")
+                limit = f"It failed with exit status {process.returncode}"
+                why = f": {last}" if last else " and printed nothing."
+                raise self._failure(limit + why, "Run it in a terminal to find the cause.")
         progress("generate", 1, 1)
 
     def _failure(self, limit: str, remedy: str) -> InputError:

@@ -56,6 +56,7 @@ REMEDY = (
     "Use a picture that shows one whole object on a plain background, give a mask (white where "
     "the object is), or save the cut-out object as PNG with transparency."
 )
+LATE = f"Try again when the machine is less busy. {REMEDY}"
 
 
 class Method(NamedTuple):
@@ -301,7 +302,7 @@ def _search(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alp
         alpha = METHODS[method].find(_flatten(image, method), deadline)
     except isolated.Unfinished as error:
         limit = f"The search for the object by {method} {error}."
-        raise InputError("foreground", method, limit, REMEDY) from error
+        raise InputError("foreground", method, limit, LATE) from error
     return np.minimum(alpha, np.asarray(image.getchannel("A")))
 
 

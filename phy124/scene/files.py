@@ -44,6 +44,8 @@ def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
         )
     except tomllib.TOMLDecodeError as error:
         limit, remedy = f"it is not valid TOML: {error}.", "Correct that line."
+    except ValueError:  # from Python, which limits the digits of an integer
+        limit, remedy = "it contains a number of thousands of digits.", "Shorten that number."
     raise InputError(field, path, limit, remedy)
 
 
