@@ -1,6 +1,6 @@
 """Optional inputs in addition to the front picture: other views, a depth map, a thickness, and
 whether to film the object in its photograph. For a file of Gaussians, the only optional input is
-the orientation. Names, ranges and choices are those of the command line's options.
+the orientation. The inputs have the names, ranges and choices of the command line's options.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Tickets, which limit the number of live runs per visitor and in total; limits of saved sessions.
 
-A ticket takes a place as soon as a page shows it; a ticket that is never shown takes none.
+A ticket takes a place as soon as a page shows it; a ticket that is never shown takes no place.
 """
 
 from __future__ import annotations

@@ -2,8 +2,9 @@
 grid.
 
 The distance between the motions of the run and of its companion is measured on a sample of the
-Gaussians. The error of the run is about this distance times a factor, and at most this distance
-times a larger factor. The factors were measured on many objects (docs/lab/own-error.md).
+Gaussians. The error of the run is about the distance between the motions times a factor, and at
+most that distance times a larger factor. The factors were measured on many objects
+(docs/lab/own-error.md).
 
 The companion runs after the run, so it changes neither the run nor its result. Whether the
 companion runs depends only on numbers counted in the run, not on measured times, so that equal runs

@@ -2,10 +2,10 @@
 
 The result at grid spacing h is modelled as exact + h^p e + scatter h^p. The field e is common to
 all grids, and the scatter is random. Two levels then differ by about C |h_i^p - h_j^p|. The order p
-is fitted to the logarithms of these distances over all pairs of levels. The fields exact and e are
-fitted to all levels by least squares with weights h^-2p (Eca, Hoekstra 2014). The error of a level
-is h^p e plus the scatter (Richardson 1911; Roache 1998). Only the distances between the levels are
-needed.
+is fitted to the logarithms of the distances between the levels, over all pairs of levels. The
+fields exact and e are fitted to all levels by least squares with weights h^-2p (Eca, Hoekstra
+2014). The error of a level is h^p e plus the scatter (Richardson 1911; Roache 1998). Only the
+distances between the levels are needed.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ def decontaminate(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[n
     """Remove the background's contribution from the colours of a soft edge; return [H,W,3].
 
     Half-transparent pixels get the colour of the nearest opaque pixel slightly inside the object.
-    Where the object is too thin for such pixels, the colours on its centre line are used.
+    Where the object is too thin to have such inner pixels, the colours on its centre line are used.
 
     Args:
         rgb: The image [H,W,3].

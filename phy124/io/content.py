@@ -151,8 +151,8 @@ def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
 def for_run(most: float = math.inf) -> Iterator[None]:
     """Read files, within this context, for a run that keeps at most `most` Gaussians.
 
-    A file from which the run would not fit into the memory is then refused before it is read.
-    Inner contexts can only lower the number.
+    A file that would make the run exceed the memory is then refused before it is read. Inner
+    contexts can only lower the number.
     """
     token = _kept.set(min(most, _kept.get() or math.inf))
     try:

@@ -2,10 +2,10 @@
 
 The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `vertex` whose
 properties are found by name. Colours are spherical harmonics, with all red `f_rest` first, then
-green, then blue. The axes of these files are x right, y down, z into the image; those of phy124 are
-z up with the object facing +x (docs/reference/conventions.md). The axes are converted on reading
-and writing. The conversion is a signed permutation and therefore exact: a round trip preserves all
-values bit for bit, except for the rounding of log and logit.
+green, then blue. The axes of such PLY files are x right, y down, z into the image; the axes of
+phy124 are z up with the object facing +x (docs/reference/conventions.md). The axes are converted on
+reading and writing. The conversion is a signed permutation and therefore exact: a round trip
+preserves all values bit for bit, except for the rounding of log and logit.
 
 If a column of another training program changes the Gaussians, the change is applied. Unknown
 columns are named in a note, since they may change the Gaussians, too.

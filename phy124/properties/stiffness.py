@@ -1,9 +1,9 @@
 """Stiffness fields: a Young's modulus that varies continuously inside one object.
 
-The first parameters of every law are proportional to E. A field multiplies them by a factor at each
-particle: E(x) = fraction(x) E, where E is the material's Young's modulus. Kernels then read a row
-of parameters per particle; in a scene without such a field, all particles share a row. A fraction
-per Gaussian can also be a column of a file of properties (phy124/properties).
+The first parameters of every law are proportional to E. A field multiplies these parameters by a
+factor at each particle: E(x) = fraction(x) E, where E is the material's Young's modulus. Kernels
+then read a row of parameters per particle; in a scene without such a field, all particles share a
+row. A fraction per Gaussian can also be a column of a file of properties (phy124/properties).
 """
 
 from __future__ import annotations

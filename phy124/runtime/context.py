@@ -27,8 +27,8 @@ class ContextOptions(TypedDict, total=False):
 class RunContext:
     """Device, threads, progress function and stopwatch of a computation.
 
-    A change of these fields changes results only by rounding: the number of threads and the device
-    determine the order of sums.
+    A change of the context's fields changes results only by rounding: the number of threads and the
+    device determine the order of sums.
     """
 
     device: str = "cpu"

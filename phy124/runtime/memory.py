@@ -39,7 +39,7 @@ def trim() -> None:
     """Give freed memory back to the system.
 
     The C library keeps the gaps between small objects that are left by the arrays of each frame; in
-    a long run they add up to the size of all frames.
+    a long run these gaps add up to the size of all frames.
     """
     with suppress(OSError, AttributeError):  # only the GNU C library has this function
         ctypes.CDLL(None).malloc_trim(0)
@@ -48,7 +48,7 @@ def trim() -> None:
 def free_memory(device: str = "cpu") -> float:
     """Return the memory that this process may still allocate [bytes]; infinity if unknown.
 
-    On a CPU this is the minimum of the machine's free memory, the limits of control groups
+    On a CPU the result is the minimum of the machine's free memory, the limits of control groups
     (containers, batch systems), and `ulimit -v`. `device` is Warp's name of the device.
     """
     if device != "cpu":
@@ -94,7 +94,8 @@ def share_heap() -> None:
     """Make all threads share one heap, so that repeated runs do not use more and more memory.
 
     By default glibc opens up to eight heaps per core, and rarely returns their memory. Call this
-    before the first thread starts, because existing heaps stay. MALLOC_ARENA_MAX takes precedence.
+    function before the first thread starts, because existing heaps stay. MALLOC_ARENA_MAX takes
+    precedence.
     """
     if HEAPS not in os.environ and hasattr(os, "confstr"):
         with suppress(ValueError, OSError):

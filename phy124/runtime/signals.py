@@ -18,7 +18,7 @@ Handler = Callable[[int, FrameType | None], object]
 
 @contextmanager
 def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None]:
-    """Let these signals call `handler` within this context; it works only in the main thread.
+    """Within this context, let ending signals call `handler`; this works only in the main thread.
 
     Signals that the parent process has set to be ignored (nohup) stay ignored, except those in
     `always`: a shell without job control sets SIGINT to be ignored for background processes.

@@ -78,8 +78,8 @@ def load_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
 class Kinds:
     """The kinds of section that a field of a scene accepts: phy124's own and registered kinds.
 
-    As the annotation of a field, it makes pydantic validate registered kinds and include them in
-    the JSON schema.
+    As the annotation of a field, an instance makes pydantic validate registered kinds and include
+    them in the JSON schema.
     """
 
     base: type[Section]

@@ -1,7 +1,7 @@
 """Runs ONNX networks with onnxruntime on the CPU, and predicts how long they take.
 
-Callers may name the inputs and outputs that they need. A file of another network, in which these
-names are missing, is then refused before it runs. Nothing is downloaded.
+Callers may name the inputs and outputs that they need. A file of another network, which lacks the
+named inputs or outputs, is then refused before it runs. Nothing is downloaded.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Detects the flat ends of an object: the base on which it stands, and a flat top.
 
 In an image, the lower edge of a standing object is a straight line or, with perspective, an arc
-between two corners. If the solid were closed there as at other parts of the rim, it would get a
-keel. To avoid this, the silhouette is extended by its mirror image below the edge, inflated, and
-then cut off flat. Flat tops are treated in the same way.
+between two corners. If the solid were closed at this edge as at other parts of the rim, the solid
+would get a keel. To avoid a keel, the silhouette is extended by its mirror image below the edge,
+inflated, and then cut off flat. Flat tops are treated in the same way.
 """
 
 from __future__ import annotations

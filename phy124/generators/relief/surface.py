@@ -253,8 +253,9 @@ def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.
 def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
     """Return random points, on average one per pitch^2 of the front's area.
 
-    Each cube that the surface crosses gets one candidate. Since a plane of normal n crosses
-    |nx| + |ny| + |nz| cubes per square, candidates are then dropped at random by this factor.
+    Each cube that the surface crosses gets one candidate. Since a plane of normal n crosses |nx| +
+    |ny| + |nz| cubes per square, candidates are then dropped at random to reduce their number by
+    the factor |nx| + |ny| + |nz|.
     """
     corner, low, high = _columns(surface.w, pitch)
     first, last = np.floor(low / pitch).astype(int), np.floor(high / pitch).astype(int)

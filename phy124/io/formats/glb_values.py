@@ -1,7 +1,8 @@
 """Reads the values of a GLB file, and decides whether its scales are logarithms.
 
 An accessor (glTF 2.0, section 3.6.2) reads numbers of one type from a view of the binary chunk. A
-sparse accessor replaces some of these numbers; an accessor without a view starts from zeros.
+sparse accessor replaces some of the numbers in a view; an accessor without a view starts from
+zeros.
 
 Scales are lengths in the ratified KHR_gaussian_splatting, but logarithms in its review draft, and a
 file does not say which text it follows. Negative scales must be logarithms. Some programs, named in

@@ -2,8 +2,8 @@
 
 Fischler and Bolles 1981, "Random sample consensus": each trial plane passes through three random
 points, and the plane with most points near it is chosen. The chosen plane is then fitted to its
-points by least squares. The scatter of these points determines the distance within which a point
-belongs to the plane.
+points by least squares. The scatter of the plane's points determines the distance within which a
+point belongs to the plane.
 """
 
 from __future__ import annotations

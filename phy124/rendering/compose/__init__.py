@@ -1,7 +1,7 @@
 """Films the moving object inside the photograph from which it was made.
 
-Generators assume a camera straight in front of the object. Zoom and shift of this camera are
-matched to the photograph. The object is removed from the photograph by inpainting; the moving
+Generators assume a camera straight in front of the object. The zoom and shift of the assumed camera
+are matched to the photograph. The object is removed from the photograph by inpainting; the moving
 object and its shadow are drawn over the result.
 """
 

@@ -121,7 +121,8 @@ class TrainedParts:
     """Loads the public networks: the encoders first, and the U-Net when it is needed.
 
     The image encoder is kept for the next image if it fits into memory together with the U-Net.
-    Otherwise it is released after use. The text is always the same and is encoded once.
+    Otherwise the image encoder is released after use. The text is always the same and is encoded
+    once.
     """
 
     def __init__(

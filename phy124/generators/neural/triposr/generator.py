@@ -184,7 +184,8 @@ def load_torch(path: Path) -> Any:
 def frame(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Centre a cut-out [H,W,4] in a grey square [S,S,3] as the original program does.
 
-    Like that program, this drops the last row and column of the object's bounding box.
+    Like the original program, this function drops the last row and column of the object's bounding
+    box.
 
     Raises:
         InputError: If there is no alpha channel or nothing is opaque.
