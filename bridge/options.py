@@ -117,7 +117,8 @@ class Options(Section):
                 " ".join(f"{a:.6g}" for a in angles(*q)) for q in ((x, y, z, w), (y, z, w, x))
             )
             raise ValueError(
-                "The order is x y z w; earlier versions had w x y z, and this could be either. "
+                "The order is x y z w. Earlier versions had w x y z, and these numbers could be "
+                "either. "
                 f"Give roll pitch yaw: {now} if it is x y z w, {before} if it is w x y z."
             )
         return x, y, z, w
@@ -127,7 +128,7 @@ class Options(Section):
         if self.parent_frame == self.frame_id:
             raise ValueError(
                 f"The parent frame and the frame are both {self.frame_id!r}; a frame cannot be its "
-                "own parent. Rename one, or leave the parent empty to send no transform."
+                "own parent. Rename one frame, or leave the parent empty to send no transform."
             )
         return self
 

@@ -272,5 +272,7 @@ def checked_speed(speed: float) -> float:
 
 def _checked_rate(rate: float | None) -> float | None:
     if rate is not None and not rate > 0:
-        raise InputError("rate", rate, "It must be positive.", "Leave it out to show every frame.")
+        raise InputError(
+            "rate", rate, "It must be positive.", "Leave the option out to show every frame."
+        )
     return rate

@@ -56,7 +56,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
     require_mcap()
     if others:
         limit = f"It is split into {1 + len(others)} files, so this program did not record it."
-        raise InputError("recover", path, limit, "Use `ros2 bag reindex -s mcap` for it.")
+        raise InputError("recover", path, limit, "Use `ros2 bag reindex -s mcap` for this file.")
     _refuse_foreign(source)
     whole, frames = _inspect(source)
     if whole and _is_finished(Path(path), source) and output is None:
@@ -144,13 +144,17 @@ def _inspect(file: Path) -> tuple[bool, int]:
             footer = True
         elif isinstance(record, Channel) and find_recorded(record.topic) is None:
             limit = f"It holds the topic {record.topic}, so this program did not record it."
-            raise InputError("recover", file, limit, "Use `ros2 bag reindex -s mcap` for it.")
+            raise InputError(
+                "recover", file, limit, "Use `ros2 bag reindex -s mcap` for this file."
+            )
         elif isinstance(record, Header) and record.profile != bag.PROFILE:
             limit = "It is an MCAP file, but not a ROS 2 bag."
-            raise InputError("recover", file, limit, "Use the mcap command-line tool for it.")
+            raise InputError(
+                "recover", file, limit, "Use the mcap command-line tool for this file."
+            )
     if points is None:
         limit = "Not even its first frame is complete, so there is nothing to recover."
-        raise InputError("recover", file, limit, "Delete it and record again.")
+        raise InputError("recover", file, limit, "Delete the file and record again.")
     if damaged:
         log.warning("%d damaged chunks of %s cannot be read.", damaged, file)
     return footer and not damaged, frames

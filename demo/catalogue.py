@@ -200,14 +200,14 @@ def _refuse_makers(scene: Scene) -> None:
             if getattr(source, name) is not None:
                 limit = "On this page further objects are made from pictures, or are plain shapes."
                 field = f"objects.{index}.{name}"
-                raise InputError(field, "given", limit, "Remove it, or send a picture.")
+                raise InputError(field, "given", limit, "Remove the object, or send a picture.")
 
 
 def _check_upload(field: str, path: Path, settings: Settings, uploads: Path | None) -> None:
     # The path is compared as text: files outside the folder must not even be examined.
     if uploads is None or str(path) != str(uploads / path.name) or not is_plain_file(path):
         limit = "On this page a scene cannot name a file, except a picture that you have sent."
-        raise InputError(field, "a file", limit, "Remove it, or choose a picture for it.")
+        raise InputError(field, "a file", limit, "Remove the object, or choose a picture for it.")
     check_picture(path, settings, field)
 
 

@@ -126,7 +126,7 @@ def _mcap(done: Done, path: Path) -> None:
         raise InputError(
             "format",
             "mcap",
-            "The server could not write it.",
+            "The server could not write the file.",
             "Use clip.safetensors instead.",
         ) from error
 

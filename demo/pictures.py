@@ -57,7 +57,7 @@ def check_picture(path: Path, settings: Settings, field: str = "image") -> None:
     width, height = read_picture_size(path, field=field)
     if width * height > settings.max_megapixels * 1e6:
         limit = f"The picture has more than {settings.max_megapixels:g} million pixels."
-        raise InputError(field, path.name, limit, "Reduce it to 2000 pixels, for example.")
+        raise InputError(field, path.name, limit, "Reduce the picture, for example to 2000 pixels.")
 
 
 def is_shown(picture: Path) -> bool:

@@ -41,9 +41,9 @@ def _describe_squeeze(volume: float) -> str:
     rest.
     """
     if volume > 0.97:
-        return "No part of it was noticeably compressed."
+        return "No part of the object was noticeably compressed."
     size = "half its volume" if 0.45 < volume < 0.55 else f"{volume:.0%} of its volume"
-    return f"Its most compressed part shrank to {size.replace('%', ' %')}."
+    return f"The object's most compressed part shrank to {size.replace('%', ' %')}."
 
 
 def as_html(

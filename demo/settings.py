@@ -152,7 +152,7 @@ class Settings(Section):
     @property
     def make_smaller(self) -> str:
         """Remedy for a picture above the size limit."""
-        return "Save it as JPEG or reduce it to 2000 pixels."
+        return "Save the picture as JPEG, or reduce it to 2000 pixels."
 
     @property
     def room(self) -> Room:

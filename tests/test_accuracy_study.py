@@ -275,7 +275,7 @@ def test_the_recommendation_is_the_fastest_that_is_good_enough():
     unknown = Convergence(None, why_not="no convergence: x")
     assert recommend((row(8, 0.3, 0.5), row(16, 0.2, 1.0)), result, (4, 4)) == (
         "Most accurate: D/16, with an error of about 20 % of the object's size in 1.0 s. No grid "
-        "is recommended, since none has an error of at most 4.0 %; this needs a finer one."
+        "is recommended, since none has an error of at most 4.0 %; a finer grid is needed."
     )
     assert "no convergence" in recommend(rows, unknown, (4, 4))
 

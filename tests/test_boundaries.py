@@ -323,7 +323,7 @@ def test_each_boundary_launches_its_kernels():
 def test_thin_obstacles_are_refused_with_a_reason():
     with pytest.raises(InputError, match="thinner than two grid cells") as refused:
         solver(block(), Box(lower=(0, 0, 0), upper=(1, 1, 0.05)))
-    assert "Make it thicker or the grid finer" in str(refused.value)
+    assert "Make the solid thicker, or use a finer grid" in str(refused.value)
     with pytest.raises(InputError, match=r"boundaries\.gripper.*each pad"):
         solver(block(), Gripper(thick=0.1))
 

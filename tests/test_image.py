@@ -164,7 +164,7 @@ def test_jpeg_of_endless_passes_is_refused(tmp_path):
     path.write_bytes(jpeg_of_many_scans(1032, 99))
     assert open_image(path).size == (1032, 1032)
     path.write_bytes(jpeg_of_many_scans(1032, 60_000))
-    with pytest.raises(InputError, match=r"more than 100 passes.*Save it as PNG"):
+    with pytest.raises(InputError, match=r"more than 100 passes.*Save the picture as PNG"):
         open_image(path)
 
 

@@ -77,7 +77,7 @@ def test_a_file_that_may_not_be_read_is_not_called_missing(tmp_path, monkeypatch
     monkeypatch.setattr(opening, "open", refuse, raising=False)
     assert obstacle(path) == (
         "you have no permission to read it (Permission denied).",
-        "Ask its owner for access, or change its permissions.",
+        "Ask the file's owner for access, or change its permissions.",
     )
 
 

@@ -95,7 +95,9 @@ class Standard:
             )
             return {"result": result(Code.FEATURE_UNSUPPORTED, said)}
         if self._run.state == wanted:
-            return {"result": result(Code.ALREADY_IN_TARGET_STATE, "It is in that state already.")}
+            return {
+                "result": result(Code.ALREADY_IN_TARGET_STATE, "The run is in that state already.")
+            }
         self._run.enter(State(wanted))
         return {"result": result(Code.OK)}
 

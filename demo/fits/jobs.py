@@ -67,7 +67,7 @@ class Fits:
             raise InputError("run", "none", NO_RESULT, "Generate one first.")
         if find_spec("cma") is None:
             limit = "This server cannot search for a softness: the package cma is not installed."
-            raise InputError("fit", "none", limit, "Ask its operator to install it.")
+            raise InputError("fit", "none", limit, "Ask the operator of the page to install it.")
         scene = scene_of_result(done)
         softness(scene)
         expected, load = outlook(scene, self.forecaster.rates), self.forecaster.load().thread

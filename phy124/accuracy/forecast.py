@@ -363,7 +363,7 @@ def _caveat(pilot: Pilot, limiters: Mapping[str, float]) -> str | None:
     if moving > UNSURE:
         return (
             f"The speed of the material, not its stiffness, limits {moving:.0%} of the substeps. "
-            "This differs between grids, so the predicted time is only a rough estimate."
+            "The fraction differs between grids, so the predicted time is only a rough estimate."
         )
     return None
 

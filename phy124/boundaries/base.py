@@ -223,7 +223,7 @@ class Boundary(Section):
                 f"{2 * self.thickness():g} m",
                 f"{self.thing} is thinner than two grid cells of {model.dx:g} m, "
                 "so material would pass through it.",
-                "Make it thicker or the grid finer.",
+                "Make the solid thicker, or use a finer grid.",
             )
 
     def reach(self, dx: float) -> float | None:

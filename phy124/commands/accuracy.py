@@ -143,7 +143,7 @@ class ShowAccuracy:
                 "levels",
                 " ".join(map(str, levels)) or "none",
                 "at least three grids are needed to estimate an error.",
-                "Add one: --levels 16 24 32, for example.",
+                "Add a grid, as in --levels 16 24 32.",
             )
         return levels
 

@@ -72,7 +72,9 @@ class Fit:
                     on_forecast=lambda expected: self._tell(bars, expected),
                 )
             except Cancelled:
-                return bars.status(f"the same command continues it; runs so far are in {out}")
+                return bars.status(
+                    f"the same command continues the fit; its runs so far are in {out}"
+                )
         files = [str(path) for path in result.files]
         print(json.dumps({**result.report, "files": files}) if self.json else result.table())
         if not self.json:

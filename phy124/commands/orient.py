@@ -48,7 +48,7 @@ class Orient:
         out = self.out or Path("out") / f"{self.file.stem}-orient.png"
         if out.suffix.lower() != ".png":
             raise InputError(
-                "out", out, "It is not the name of a PNG file.", "Use a name that ends in .png."
+                "out", out, "Only a PNG file can be written.", "Use a name that ends in .png."
             )
         if self.up is not None and self.up not in FRONTS:
             raise InputError(

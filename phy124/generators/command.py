@@ -109,7 +109,7 @@ class Command:
             except OSError as error:
                 limit = f"It cannot be started ({error.strerror})."
                 raise self._failure(
-                    limit, "Check that it is installed and that its path is right."
+                    limit, "Check that the program is installed, and its path."
                 ) from None
             with _killed_at_last(process):
                 while process.poll() is None:

@@ -88,7 +88,7 @@ def read_depth(path: Path) -> NDArray[np.float32]:
         raise InputError("depth", path, limit, "Save one number per pixel, [height, width].")
     if not np.isfinite(values).all():
         limit = "Some of its values are not finite."
-        raise InputError("depth", path, limit, "Replace them, for example by the farthest value.")
+        raise InputError("depth", path, limit, "Replace these values by the farthest one.")
     return values.astype(np.float32)
 
 

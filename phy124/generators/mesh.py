@@ -166,7 +166,7 @@ def _read_apart(path: Path, function: Callable[..., Any], *arguments: Any) -> An
     except ValueError as error:
         limit, _, remedy = str(error).partition("; ")
         raise _unusable(
-            path, limit, remedy or "Save it again from the program that made it."
+            path, limit, remedy or "Save the mesh again from the program that made it."
         ) from None
 
 
@@ -267,7 +267,7 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
         raise ValueError(f"it has no triangles.; {remedy}")
     if triangles > MOST_TRIANGLES:
         limit = f"it has {triangles:,} triangles, and {MOST_TRIANGLES:,} are allowed."
-        raise ValueError(f"{limit}; Simplify it in the program that made it.")
+        raise ValueError(f"{limit}; Simplify the mesh in the program that made it.")
     return [piece for piece in pieces if len(getattr(piece, "faces", ()))], shapes
 
 

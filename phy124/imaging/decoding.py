@@ -103,7 +103,7 @@ def decode(data: bytes, purpose: Purpose, longest: int) -> Decoded:
         raise explain_unidentified(data, purpose.formats) from None
     except Exception as error:  # Pillow and its libraries raise exceptions of many types
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise Unusable(f"It is broken or cut short ({reason}).", COPY) from None
+        raise Unusable(f"The file is broken or cut short ({reason}).", COPY) from None
 
 
 def check_size(size: Size, minimum: int) -> None:
@@ -123,9 +123,9 @@ def check_size(size: Size, minimum: int) -> None:
 def explain_unidentified(data: bytes, formats: tuple[str, ...]) -> Unusable:
     """Return an error that explains why the data is not an image in one of the formats."""
     if read_kind(data) in (*formats, "HEIC"):
-        return Unusable("It is broken or cut short.", COPY)
+        return Unusable("The file is broken or cut short.", COPY)
     return Unusable(
-        f"It is not a {_join_names(formats)} picture.", "Save it as PNG or JPEG and try again."
+        f"It is not a {_join_names(formats)} picture.", "Save the picture as PNG or JPEG."
     )
 
 
@@ -190,7 +190,7 @@ def _check_scans(jpeg: bytes) -> None:
         scans += segment[1] == SCAN
         if scans > MAX_SCANS:
             limit = f"It is a JPEG of more than {MAX_SCANS} passes, which takes very long to open."
-            raise Unusable(limit, "Save it as PNG or as an ordinary JPEG.")
+            raise Unusable(limit, "Save the picture as PNG or as an ordinary JPEG.")
         place = segment.end() + int.from_bytes(jpeg[segment.end() : segment.end() + 2], "big")
 
 
@@ -255,7 +255,7 @@ def _scale_floats(picture: Image.Image) -> Image.Image:
     levels = np.asarray(picture)
     if not np.logical_and(levels >= 0, levels <= 1).all():
         limit = "Its values are floating-point numbers that are not all from 0 to 1."
-        raise Unusable(limit, "Save it with 8 or 16 bits per value.")
+        raise Unusable(limit, "Save the picture with 8 or 16 bits per value.")
     return Image.fromarray(np.rint(255 * levels).astype(np.uint8))
 
 

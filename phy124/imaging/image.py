@@ -164,7 +164,7 @@ def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDA
     rows, columns = np.nonzero(mask)
     if not len(rows) or rows.min() == rows.max() or columns.min() == columns.max():
         remedy = "Use a picture that shows more of the object."
-        raise InputError("mask", "empty", "It shows no object to centre.", remedy)
+        raise InputError("mask", "empty", "The mask shows no object to centre.", remedy)
     top, bottom, left, right = rows.min(), rows.max(), columns.min(), columns.max()
     scale = int(size * (1 - border_ratio)) / max(bottom - top, right - left)
     height, width = max(1, int((bottom - top) * scale)), max(1, int((right - left) * scale))
@@ -195,7 +195,7 @@ def _open(
         raise InputError(field, path, limit, "Reduce it.") from None
     except isolated.Unfinished as error:
         why = str(error).partition(" (")[0]
-        raise InputError(field, path, f"It is broken: decoding it {why}.", COPY) from error
+        raise InputError(field, path, f"The file is broken: decoding it {why}.", COPY) from error
     made.picture.info = {"frames": made.frames, "size": made.size, "notes": made.notes}
     return made.picture
 
@@ -227,7 +227,7 @@ def _check_bytes(size: int) -> None:
         raise Unusable("It is empty (0 bytes).", COPY)
     if size > MAX_BYTES:
         limit = f"It has {size / 1e6:.0f} MB; the limit is {MAX_BYTES / 1e6:.0f} MB."
-        raise Unusable(limit, "Save it as JPEG or reduce it.")
+        raise Unusable(limit, "Save the picture as JPEG, or reduce it.")
 
 
 def _read_stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
@@ -237,14 +237,16 @@ def _read_stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
         raise explain_unidentified(data, formats)
     if kind == "HEIC" and not codecs.can_read_heic():
         remedy = f"Install it ({install_command('heic')}), or save the picture as JPEG."
-        raise Unusable("It is a HEIC picture, which only the package pi-heif can read.", remedy)
+        raise Unusable(
+            "The file is a HEIC picture, which only the package pi-heif can read.", remedy
+        )
     if kind == "AVIF" and not can_read_avif():
         limit = "It is an AVIF picture, which this installation of Pillow does not read."
         raise Unusable(limit, "Install Pillow 11.3 or later, or save the picture as JPEG.")
     try:
         return read_size(data)
     except ValueError as error:
-        raise Unusable(f"It is broken or cut short ({error}).", COPY) from None
+        raise Unusable(f"The file is broken or cut short ({error}).", COPY) from None
 
 
 def can_read_avif() -> bool:

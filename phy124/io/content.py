@@ -43,7 +43,7 @@ Y_DOWN = ("-y", "-z")
 """Up and front directions in files of 3DGS and related programs."""
 Y_UP = ("y", "z")
 """Up and front directions in glTF and SPZ files, where y is up."""
-AGAIN = "Copy or download it again."
+AGAIN = "Copy or download the file again."
 _kept: ContextVar[float] = ContextVar("kept", default=0)
 """Largest number of Gaussians of a file that a run keeps; 0 if the file is only read."""
 
@@ -140,7 +140,9 @@ def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
             for the free memory.
     """
     if count < 1:
-        raise refusal(kind, path, "it holds no Gaussians.", "Export it again with Gaussians.")
+        raise refusal(
+            kind, path, "it holds no Gaussians.", "Export the file again, with Gaussians."
+        )
     check_size(kind, path, count)
     if count * row > SMALL + DENSEST * size:
         limit = f"its header states {count:,} Gaussians, more than {size:,} bytes can hold."
@@ -365,7 +367,8 @@ def describe_coarseness(means: NDArray, step: float) -> str | None:
     across = max(round(extent / step), 1)
     return (
         f"The file stores positions in steps of {step:.2g}. With about {across:,} steps across "
-        "the object, this is too coarse. Export it in double precision, or nearer to the origin."
+        "the object, the steps are too coarse. Export the scene in double precision, or "
+        "nearer to the origin."
     )
 
 

@@ -211,7 +211,7 @@ class Growing:
         end = max(tensor.offset + tensor.size for tensor in tensors.values())
         if not path.is_file() or path.stat().st_size != end:
             limit = f"its frames, {path.name}, are missing or cut short."
-            raise InputError("paused run", folder, limit, "Run it again, without --resume.")
+            raise InputError("paused run", folder, limit, "Start the run again, without --resume.")
         return cls(path, tensors)
 
     def close(self) -> None:

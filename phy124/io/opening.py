@@ -60,7 +60,7 @@ def obstacle(path: PathLike) -> tuple[str, str] | None:
     except PermissionError as error:
         return (
             f"you have no permission to read it ({error.strerror}).",
-            "Ask its owner for access, or change its permissions.",
+            "Ask the file's owner for access, or change its permissions.",
         )
     except OSError as error:
         return f"it cannot be opened ({error.strerror}).", "Check the path and the disk."

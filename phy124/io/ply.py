@@ -70,7 +70,7 @@ MOST_NAMED = 12
 """Largest number of unknown columns that a note names; a group of numbered columns counts once."""
 COEFFICIENTS = (*SH_COEFFICIENTS, 25)
 """Numbers of spherical-harmonic coefficients of degree 0 to 4."""
-STANDARD = "Export it in the standard 3DGS layout."
+STANDARD = "Export the file in the standard 3DGS layout."
 Columns = dict[str, NDArray[Any]]
 
 
@@ -85,7 +85,7 @@ def check_names(path: Path, header: Header) -> None:
         limit = "it is compressed by SuperSplat, not a plain PLY."
         raise refusal(path, limit, f"Run `phy124 convert {path.name} plain.ply`.")
     if not header.count:
-        raise refusal(path, "it holds no Gaussians.", "Export it again with Gaussians.")
+        raise refusal(path, "it holds no Gaussians.", "Export the file again, with Gaussians.")
     if not names & set(SPLATS):
         limit = "it is a plain point cloud or mesh: it has no scales, rotations and opacities."
         remedy = "Give a Gaussian splatting PLY, as LGM, TRELLIS or a 3DGS training write it."
@@ -390,7 +390,7 @@ def _read_ascii(path: Path, header: Header) -> NDArray[Any]:
 
 def _cut_short(path: Path, rows: int, wanted: int) -> InputError:
     limit = f"it is cut short: {rows:,} of {wanted:,} Gaussians are present."
-    return refusal(path, limit, "Copy or download it again.")
+    return refusal(path, limit, "Copy or download the file again.")
 
 
 def raw_table(gaussians: Gaussians) -> NDArray[Any]:

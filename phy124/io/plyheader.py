@@ -121,7 +121,7 @@ def _header_lines(path: Path) -> tuple[list[list[str]], int]:
     with open(path, "rb") as file:
         head = file.read(MAX_BYTES)
     if not head:
-        raise refusal(path, "it is empty (0 bytes).", "Copy or download it again.")
+        raise refusal(path, "it is empty (0 bytes).", "Copy or download the file again.")
     if head[:4] in (b"NGSP", b"glTF") or head[:2] in (b"\x1f\x8b", b"PK"):
         raise refusal(path, "it is an SPZ, SOG, GLB or zip file, not a PLY.", SPLATS)
     if head[:4] not in (b"ply\n", b"ply\r"):
@@ -136,7 +136,9 @@ def _header_lines(path: Path) -> tuple[list[list[str]], int]:
             return lines, start
         lines.append([word.decode("utf-8", "replace") for word in words])
     if len(head) < MAX_BYTES:
-        raise refusal(path, "it is cut short within its header.", "Copy or download it again.")
+        raise refusal(
+            path, "it is cut short within its header.", "Copy or download the file again."
+        )
     raise refusal(path, f"its header is longer than {MAX_BYTES:,} bytes.", "Export it again.")
 
 

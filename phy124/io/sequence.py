@@ -76,7 +76,7 @@ def write_sequence(
         raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
     if not name or Path(name).name != name:
         raise InputError(
-            "name", name, "a file name cannot begin with it.", "Use a word such as frame."
+            "name", name, "a file name cannot begin with this text.", "Use a word such as frame."
         )
 
     def write_numbered(folder: Path) -> Iterator[Path]:

@@ -59,7 +59,7 @@ def find_material(
             f"beyond the radius of {radius:g} m."
         )
         near = [round(float(c), 4) for c in x[index]]
-        raise InputError(field, [*place], limit, f"Its nearest point now is {near}.")
+        raise InputError(field, [*place], limit, f"The object's nearest point is now {near}.")
     px, py, pz = run.solver.model.rest[index].tolist()
     return NearestMaterial(
         (px, py, pz), run.scene.names[body[index]] if run.scene.objects else None

@@ -153,6 +153,7 @@ class Rigid(Elastic):
         strain = speed * math.sqrt(self.density / self.simulated_E)
         return [
             f"The rigid body moved at {speed:.3g} m/s; its stiffness is for impacts at "
-            f"{self.speed:g} m/s. At the higher speed, an impact deforms it by about {strain:.1%}; "
+            f"{self.speed:g} m/s. At the higher speed, an impact deforms the body by about "
+            f"{strain:.1%}; "
             f"material.speed = {speed:.3g} makes it stiff enough."
         ]

@@ -115,18 +115,18 @@ def check_comparable(a: Clip, b: Clip) -> None:
     if first != second:
         raise _refusal(
             f"they have {first:,} and {second:,} Gaussians.",
-            "Make both from one picture or .ply file, with the same generator and seed.",
+            "Make both clips from one picture or .ply file, with the same generator and seed.",
         )
     if len(a) != len(b):
         raise _refusal(
             f"they have {len(a)} and {len(b)} frames.",
-            f"Simulate one of them again with --frames {len(a)} or --frames {len(b)}.",
+            f"Simulate one of the clips again with --frames {len(a)} or --frames {len(b)}.",
         )
     late = float(np.abs(a.times - b.times).max())
     if late > SAME_TIME:
         raise _refusal(
             f"their frames are up to {late:.3g} s apart in time.",
-            "Simulate one of them again with the other's time.fps.",
+            "Simulate one of the clips again with the other's time.fps.",
         )
     apart = math.sqrt(
         _squared_distances(_centre(a, a.object_mask), _centre(b, a.object_mask)).mean()
@@ -134,7 +134,7 @@ def check_comparable(a: Clip, b: Clip) -> None:
     if not apart <= SAME_OBJECT:
         raise _refusal(
             f"the clips show different objects: at rest they differ by {apart:.0%} of the size.",
-            "Make both from one picture or .ply file, with the same object.size.",
+            "Make both clips from one picture or .ply file, with the same object.size.",
         )
 
 

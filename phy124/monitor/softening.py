@@ -87,7 +87,7 @@ class Softening(Observer):
         return [
             f"stiffness_profile repeats every {profile.period:.2g} s and is read once at the start "
             f"of each frame, every {1 / fps:.2g} s: changes in between are "
-            "missed. A larger time.fps resolves them."
+            "missed. A larger time.fps resolves these changes."
         ]
 
     def snapshot(self) -> dict[str, Any]:

@@ -361,7 +361,7 @@ def refuse_thin(solid: FreeBody, dx: float) -> None:
     if min(solid.half) < dx:
         thickness = f"{2 * min(solid.half):g} m"
         limit = f"it is thinner than two grid cells of {dx:g} m, so material would pass through it."
-        remedy = "Make it thicker or the grid finer."
+        remedy = "Make the solid thicker, or use a finer grid."
         raise InputError(f"objects ({solid.name})", thickness, limit, remedy)
 
 

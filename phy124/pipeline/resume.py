@@ -268,7 +268,7 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
     version = metadata.pop("format", "")
     if version != FORMAT and version.startswith(FORMAT.rpartition("-")[0]):
         limit = "it was written by another version of phy124, whose results differ."
-        raise InputError("paused run", path, limit, "Run it again, without --resume.")
+        raise InputError("paused run", path, limit, "Start the run again, without --resume.")
     if version != FORMAT:
         raise InputError("paused run", path, "it is not a paused run.", remedy)
     facts = {name: json.loads(text) for name, text in metadata.items()}

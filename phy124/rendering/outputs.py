@@ -102,7 +102,9 @@ def refuse_outputs(view: View, frames: int) -> None:
     moving = [name for name in view.outputs if name in ("flow", "velocity")]
     if moving and frames < 2:
         limit = "flow needs at least two frames."
-        raise InputError("view.outputs", moving[0], limit, "Leave it out, or keep two frames.")
+        raise InputError(
+            "view.outputs", moving[0], limit, "Leave the output out, or keep two frames."
+        )
     if view.outputs and view.output_format == "exr":
         refuse_missing_exr()
 

@@ -69,7 +69,7 @@ def _refusal(path: Path, error: Exception) -> InputError:
         "weights",
         path,
         f"the file cannot be read as tensors; it is cut short or of another kind ({reason}).",
-        "It must be a safetensors file or a plain PyTorch state dict; download "
+        "The file must be safetensors or a plain PyTorch state dict; download "
         "it again (`phy124 doctor` names the command).",
     )
 

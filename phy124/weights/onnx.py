@@ -109,7 +109,7 @@ def _open(path: Path, folds: bool) -> InferenceSession:
             "weights",
             path,
             f"the file is not a readable ONNX network ({str(error).splitlines()[0][:200]}).",
-            "Delete it and fetch it again (`phy124 weights` names the command).",
+            "Delete the file and fetch it again (`phy124 weights` names the command).",
         ) from error
 
 

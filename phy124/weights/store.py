@@ -145,7 +145,7 @@ def _wrong(name: str, path: Path, what: str, file: WeightFile) -> InputError:
         path,
         "the file is cut short, or differs from the published file: "
         f"{what}, expected {file.expected}.",
-        f"Delete it and run `phy124 weights fetch {name}`.",
+        f"Delete the file and run `phy124 weights fetch {name}`.",
     )
 
 

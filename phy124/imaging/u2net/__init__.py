@@ -143,7 +143,7 @@ def load(path: str | os.PathLike[str]) -> Network:
         raise InputError(
             "weights",
             path,
-            f"{error.name} is needed to run it and is not installed.",
+            f"{error.name} is needed to run this network and is not installed.",
             f"Run `{install_command('lgm')}`, or choose the foreground `u2netp`.",
         ) from error
 
@@ -230,7 +230,7 @@ def _load_onnx(path: Path) -> Network:
             "weights",
             path,
             f"the file is not a readable ONNX network ({str(error).strip().splitlines()[-1]}).",
-            "Delete it and run `phy124 weights fetch u2net`.",
+            "Delete the file and run `phy124 weights fetch u2net`.",
         ) from error
 
     def run(x: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -391,7 +391,7 @@ def recognise(path: Path) -> Format:
         return signed
     if head.startswith(GZIP):
         limit = "It is compressed by gzip, but is not an SPZ file."
-        raise InputError("file", path, limit, "Unpack it with gunzip, and give the unpacked file.")
+        raise InputError("file", path, limit, "Unpack the file with gunzip, and give the result.")
     # The file is damaged or has no signature; the reader for its extension reports any damage.
     for chosen in known.values():
         if chosen.read and chosen.suffix == path.suffix.lower():

@@ -312,13 +312,13 @@ def _check_kind(scene: Scene, primitive: dict[str, Any], extension: dict[str, An
     """Refuse Gaussians that use an unsupported feature of the extension."""
     if "indices" in primitive:
         limit = "its Gaussians are selected by indices, which is not supported."
-        raise refusal(KIND, scene.path, limit, "Export it without indices.")
+        raise refusal(KIND, scene.path, limit, "Export the scene without indices.")
     if extension.get("extensions"):
         limit = (
             f"its Gaussians are compressed by {', '.join(extension['extensions'])}, "
             "a draft extension that phy124 does not read."
         )
-        raise refusal(KIND, scene.path, limit, "Export it without compression.")
+        raise refusal(KIND, scene.path, limit, "Export the scene without compression.")
     if extension.get("kernel", "ellipse") != "ellipse":
         limit = f"its kernel is {str(extension['kernel'])[:40]}; only ellipse can be read."
         raise refusal(KIND, scene.path, limit, "Export it again.")
@@ -376,7 +376,9 @@ def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]
     turn = matrix[:3, :3] / (size or 1.0)
     if not np.allclose(turn @ turn.T, np.eye(3), atol=EVEN) or np.linalg.det(turn) < 0:
         limit = "a node scales its Gaussians unevenly, skews or mirrors them, which is unsupported."
-        raise refusal(KIND, scene.path, limit, "Apply the node's transform and export it again.")
+        raise refusal(
+            KIND, scene.path, limit, "Apply the node's transform and export the scene again."
+        )
     shapes = {name: value for name, value in raw.items() if name != "object_id"}
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         means = raw["means"].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]

@@ -93,7 +93,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> Content:
             f"its format version is {str(meta.get('version', 1))[:20]}, "
             "but only version 2 can be read."
         )
-        raise refusal(KIND, path, limit, "Export it again from SuperSplat.")
+        raise refusal(KIND, path, limit, "Export the file again from SuperSplat.")
     count = int(meta["count"])
     check_count(KIND, path, count, 24, path.stat().st_size)
 
@@ -162,7 +162,7 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes
     known = {info.filename.rpartition("/")[2]: info for info in archive.infolist()}
     if name == META and name not in known:
         limit = "it is a zip archive, but not a SOG file: it has no meta.json."
-        raise refusal(KIND, path, limit, "Unpack it, and give one of its files.")
+        raise refusal(KIND, path, limit, "Unpack the archive, and give one of its files.")
     if name not in known:
         raise refusal(KIND, path, f"it has no {name[:80]}.", "Export it again.")
     with archive.open(known[name]) as file:

@@ -293,7 +293,7 @@ def _head(path: Path, data: bytes, size: int, versions: tuple[int, ...]) -> Head
         )
     if head.version not in versions:
         limit = f"its format version is {head.version}, but only versions 1 to 4 can be read."
-        raise refusal(KIND, path, limit, "Export it again as version 3 or 4.")
+        raise refusal(KIND, path, limit, "Export the file again as version 3 or 4.")
     if head.degree > 4 or head.bits > 23:
         raise refusal(KIND, path, "its header is damaged.")
     check_count(KIND, path, head.gaussians, sum(head.sizes) // max(head.gaussians, 1), size)

@@ -72,7 +72,9 @@ def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress =
         stage.GetRootLayer().Save()
         package = Path(folder) / "clip.usdz"
         if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(os.fspath(layer)), os.fspath(package)):
-            raise InputError("output", path, "OpenUSD could not write it.", "Write usd instead.")
+            raise InputError(
+                "output", path, "OpenUSD could not write the file.", "Write usd instead."
+            )
         with replacing(path) as temporary:
             shutil.copyfile(package, temporary)
 

@@ -99,7 +99,7 @@ class Report:
         if self.until is not None:
             return (
                 f"The motions on different levels diverge after {self.until:.3g} s. "
-                "All errors are for the motion until then."
+                "All errors are for the motion up to that time."
             )
         if self.convergence.error is None and self.closest is not None:
             return (
@@ -162,7 +162,7 @@ def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int,
     if not good:
         return (
             f"Most accurate: {best.name}, {reached}. No grid is recommended, since none has an "
-            f"error of at most {format_percent(GOOD)}; this needs a finer one."
+            f"error of at most {format_percent(GOOD)}; a finer grid is needed."
         )
     if not finer:
         return f"{advice}; it is the finest grid that was run."
