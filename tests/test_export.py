@@ -92,7 +92,7 @@ def test_refusals(tmp_path, clip):
         with pytest.raises(InputError, match=words):
             write_ply_sequence(tmp_path / place, clip)
     for name in ("", "a/b", "../up"):
-        with pytest.raises(InputError, match="begin with it"):
+        with pytest.raises(InputError, match="cannot begin with this text"):
             write_ply_sequence(tmp_path / "out", clip, name=name)
     empty = Clip(
         *(a[:0] for a in (clip.means, clip.quats, clip.scales)),

@@ -53,7 +53,7 @@ def test_fronts_are_drawn_for_a_known_up_direction(file, tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "limit"),
-    [(["--up", "w"], "It is not an axis"), (["--out", "a.jpg"], "not the name of a PNG file")],
+    [(["--up", "w"], "It is not an axis"), (["--out", "a.jpg"], "Only a PNG file can be written")],
 )
 def test_refusals(file, capsys, options, limit):
     assert main(["orient", str(file), *options]) == 2
