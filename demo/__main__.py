@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-import inspect
-import os
-import sys
-import threading
-from argparse import ArgumentParser
-from collections.abc import Sequence
-from importlib import import_module
-from importlib.util import find_spec
-from typing import Any
+from phy124.runtime.signals import ending, handling
 
-from phy124.errors import InputError
-from phy124.runtime.failures import Kind, failure
-from phy124.runtime.installation import install_command
-from phy124.runtime.memory import refuse_narrow, share_heap
-from phy124.runtime.streams import steady_streams
+with handling(ending(130)):  # instead of a traceback
+    import inspect
+    import os
+    import sys
+    import threading
+    from argparse import ArgumentParser
+    from collections.abc import Sequence
+    from importlib import import_module
+    from importlib.util import find_spec
+    from typing import Any
 
-from .settings import PREFIX, Settings
+    from phy124.errors import InputError
+    from phy124.runtime.failures import Kind, failure
+    from phy124.runtime.installation import install_command
+    from phy124.runtime.memory import refuse_narrow, share_heap
+    from phy124.runtime.streams import steady_streams
+
+    from .settings import PREFIX, Settings
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -12,28 +12,30 @@ show no traceback.
 
 from __future__ import annotations
 
-import atexit
-import gc
-import json
-import os
-import sys
-import threading
-import traceback
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
-from functools import partial
-from typing import Any, NoReturn
+from phy124.runtime.signals import ending, handling, interrupt
 
-from phy124 import __version__
-from phy124.runtime.failures import failure
-from phy124.runtime.late_builtins import declare_late
-from phy124.runtime.light_imports import import_lightly
-from phy124.runtime.memory import refuse_narrow, share_heap
-from phy124.runtime.signals import handling, interrupt
-from phy124.runtime.streams import steady_streams
-from phy124.schema.arguments.parsing import Answered
-from phy124.schema.arguments.words import split_operands
+with handling(ending(130, "phy124: stopped\n")):  # instead of a traceback
+    import atexit
+    import gc
+    import json
+    import os
+    import sys
+    import threading
+    import traceback
+    import warnings
+    from collections.abc import Iterator, Sequence
+    from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+    from functools import partial
+    from typing import Any, NoReturn
+
+    from phy124 import __version__
+    from phy124.runtime.failures import failure
+    from phy124.runtime.late_builtins import declare_late
+    from phy124.runtime.light_imports import import_lightly
+    from phy124.runtime.memory import refuse_narrow, share_heap
+    from phy124.runtime.streams import steady_streams
+    from phy124.schema.arguments.parsing import Answered
+    from phy124.schema.arguments.words import split_operands
 
 GENERAL = ("--quiet", "--verbose")
 """Options that every command has."""

@@ -164,6 +164,25 @@ def wait_for(process: subprocess.Popen, beginning: str) -> None:
     pytest.fail("".join(lines))
 
 
+@pytest.mark.parametrize(
+    ("program", "module", "said"),
+    [("phy124", "phy124.runtime.failures", "phy124: stopped\n"), ("demo", "pydantic", "")],
+)
+def test_ctrl_c_during_the_first_imports_shows_no_traceback(program, module, said):
+    code = f"""
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+class Interrupting:
+    def find_spec(self, name, *_):
+        if name == {module!r}:
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Interrupting())
+import {program}.__main__
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stderr) == (130, said)
+
+
 def test_ctrl_c_while_nothing_moves_yet_leaves_nothing(tmp_path):
     command = ["generate", DUCK, *OPTIONS, "--out", tmp_path / "new" / "out"]
     with started(*command) as run:
