@@ -171,7 +171,7 @@ def test_elastic_cube_floats_within_a_part_of_its_height(ratio):
 
 
 @pytest.mark.slow
-def test_stone_presses_on_the_floor_with_its_weight_less_its_buoyancy():
+def test_stone_presses_on_the_floor_by_weight_minus_buoyancy():
     """The mean acceleration is zero, so the floor carries what the liquid does not."""
     solver = run(with_block(2.5 * DENSITY, 0.1), 48)
     solver.pairs.begin()

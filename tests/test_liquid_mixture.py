@@ -157,7 +157,7 @@ def test_film_below_a_stone_bears_the_weights_of_both_layers():
     assert film == pytest.approx(0.75 * DENSITY * G * 0.5 * 0.25**2, rel=0.05)
 
 
-def test_oil_on_water_moves_with_other_materials_but_not_free_solids():
+def test_oil_on_water_excludes_free_solids_only():
     data = Scene.named("oil").data()
     stone = {"name": "stone", "shape": "sphere", "size": 0.2, "place": [0.3, 0.0]}
     data["objects"] = [*data["objects"], {**stone, "material": {"law": "sand"}}]

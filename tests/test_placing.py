@@ -58,7 +58,7 @@ def test_parts_say_which_gaussians_are_surroundings():
     assert belongs(Scene(), 400).all()
 
 
-def test_particles_know_their_gaussians_by_the_number_number_among_all():
+def test_particles_have_the_index_of_their_gaussian():
     selected = np.array([False, True, False, True, True])
     first = np.ones(4)
     particles = Particles(

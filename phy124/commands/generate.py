@@ -357,7 +357,7 @@ def floor_sentence(floor: dict[str, Any]) -> str:
     up = ", ".join(f"{value:.3f}" for value in floor["normal"])
     return (
         f"floor: {floor['gaussians']} Gaussians ({floor['fraction']:.0%}) within "
-        f"{floor['tolerance']:.3g} of a plane or below it; up is ({up}), "
+        f"{floor['tolerance']:.3g} of a plane, or below it; the up direction is ({up}), "
         f"{floor['tilt']:.1f} degrees from the direction assumed for the file"
     )
 

@@ -391,7 +391,7 @@ def _description(
         "walls": "force [N] of the object on each wall, and torque about the object's "
         "centre of mass [N m], in the world's axes; the sum of the forces is the opposite of the "
         "output force",
-        "uncovered": "0 in all channels (a force is covered everywhere)",
+        "uncovered": "0 in all channels; for forces all pixels count as covered",
         "outputs": outputs,
         "frames": rows,
     }

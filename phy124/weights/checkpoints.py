@@ -108,7 +108,7 @@ def fill(module: nn.Module, tensors: StateDict, name: str) -> None:
             f"they differ from the {len(wanted)} tensors of {name}: "
             + "; ".join(_differences(missing, extra, shapes))
             + ".",
-            "Choose the file that belongs to this network (`phy124 doctor` lists them).",
+            "Choose the file that belongs to this network (`phy124 doctor` lists the files).",
         )
     module.load_state_dict(dict(tensors), strict=True, assign=True)
 
