@@ -106,7 +106,10 @@ class Fit:
             return cores()
         if not 0 <= self.workers <= 1024:
             raise InputError(
-                "workers", self.workers, "the number of processes must be from 0 to 1024.", "Leave it out."
+                "workers",
+                self.workers,
+                "the number of processes must be from 0 to 1024.",
+                "Leave it out.",
             )
         return self.workers
 
