@@ -35,7 +35,38 @@ const auto transpose = [](Lanes* m) {
         m[k + 4] = __builtin_shufflevector(a, b, 4, 5, 6, 7, 20, 21, 22, 23, 12, 13, 14, 15, 28, 29, 30, 31);
     }
 };
-// Values of the cells' nodes: three components of three nodes of nine rows.
+// Along an axis, the value at a distance t from a cell's centre is (a + 4 t (b + t c)) / 8, and its
+// slope is (b + 2 t c) / 2. `expand` replaces the values at three nodes by a, b and c; `contract`
+// is its transpose.
+const auto each_triple = [](Lanes* values, auto change) {
+    for (int i = 0; i < 27; i += 9)
+        for (int d = 0; d < 3; ++d) {
+            Lanes m[9];
+            for (int k = 0; k < 9; ++k) m[k] = values[3 * i + 3 * k + d];
+            for (int k = 0; k < 9; k += 3) change(m[k], m[k + 1], m[k + 2]);
+            for (int k = 0; k < 3; ++k) change(m[k], m[k + 3], m[k + 6]);
+            for (int k = 0; k < 9; ++k) values[3 * i + 3 * k + d] = m[k];
+        }
+    for (int k = 0; k < 27; ++k) change(values[k], values[k + 27], values[k + 54]);
+};
+const auto expand = [&](Lanes* values) {
+    each_triple(values, [](Lanes& a, Lanes& b, Lanes& c) {
+        const Lanes sum = a + c, rise = c - a;
+        a = sum + 6.0f * b;
+        c = sum - 2.0f * b;
+        b = rise;
+    });
+};
+const auto contract = [&](Lanes* values) {
+    each_triple(values, [](Lanes& a, Lanes& b, Lanes& c) {
+        const Lanes sum = a + c, rise = b;
+        b = 6.0f * a - 2.0f * c;
+        a = sum - rise;
+        c = sum + rise;
+    });
+};
+// Values of the cells' nodes: three components of three nodes of nine rows. They are expanded unless
+// the cells are full.
 const auto collect = [&](const float* values, Lanes* out) {
     for (int r = 0; r < 9; ++r) {
         Lanes m[8];
@@ -49,28 +80,21 @@ const auto collect = [&](const float* values, Lanes* out) {
         transpose(m);
         for (int k = 0; k < 8; ++k) out[9 * r + k] = m[k];
     }
+    if (!full) expand(out);
 };
 alignas(64) Lanes U[81];
 collect((const float*)u.data, U);
-struct Weights {
-    Lanes w[3][3], s[3][3];  // weights and slopes of three nodes along each axis
+// Distances of a point from the centres of its cells.
+struct Place {
+    Lanes x, y, z;
 };
-const auto weigh = [&](int point) {
-    Weights a;
-    for (int axis = 0; axis < 3; ++axis) {
-        const Lanes f = *(const Lanes*)(place + (point * 4 + axis) * 16);
-        a.w[axis][0] = 0.5f * (1.5f - f) * (1.5f - f);
-        a.w[axis][1] = 0.75f - (f - 1.0f) * (f - 1.0f);
-        a.w[axis][2] = 0.5f * (f - 0.5f) * (f - 0.5f);
-        a.s[axis][0] = f - 1.5f;
-        a.s[axis][1] = 2.0f - 2.0f * f;
-        a.s[axis][2] = f - 0.5f;
-    }
-    return a;
+const auto locate = [&](int point) {
+    const Lanes* const f = (const Lanes*)(place + point * 64);
+    return Place{f[0] - 1.0f, f[1] - 1.0f, f[2] - 1.0f};
 };
-// Gauss points of a full cell: distance from its centre, and means and slopes of three values at
-// the two points.
-const float GAUSS = 0.28867513459f, THIRD = 1.0f / 3;
+// Gauss points of a full cell: distance from its centre, and 6 times the means and twice the slopes
+// of three values at the two points.
+const float GAUSS = 0.28867513459f;
 struct Two {
     Lanes low, high;
 };
@@ -78,22 +102,24 @@ struct Three {
     Lanes a, b, c;
 };
 const auto means = [&](Lanes a, Lanes b, Lanes c) {
-    const Lanes even = 0.5f * THIRD * (a + c) + 2 * THIRD * b, odd = 0.5f * GAUSS * (a - c);
+    const Lanes even = (a + c) + 4.0f * b, odd = 3.0f * GAUSS * (a - c);
     return Two{even + odd, even - odd};
 };
 const auto rises = [&](Lanes a, Lanes b, Lanes c) {
-    const Lanes even = 0.5f * (c - a), odd = GAUSS * ((a + c) - 2.0f * b);
+    const Lanes even = c - a, odd = 2.0f * GAUSS * ((a + c) - 2.0f * b);
     return Two{even - odd, even + odd};
 };
 // Their transposes.
 const auto spread_means = [&](Lanes low, Lanes high) {
-    const Lanes even = 0.5f * THIRD * (low + high), odd = 0.5f * GAUSS * (low - high);
+    const Lanes even = low + high, odd = 3.0f * GAUSS * (low - high);
     return Three{even + odd, 4.0f * even, even - odd};
 };
 const auto spread_rises = [&](Lanes low, Lanes high) {
-    const Lanes even = 0.5f * (low + high), odd = GAUSS * (low - high);
+    const Lanes even = low + high, odd = 2.0f * GAUSS * (low - high);
     return Three{-even - odd, 2.0f * odd, even - odd};
 };
+// `differentiate` returns slopes in this unit, `interpolate` values in the other.
+const float SLOPE = per_dx / (full ? 72.0f : 128.0f), VALUE = 1.0f / (full ? 216.0f : 512.0f);
 // Row-major matrices of slopes at the eight points: entry 3 d + axis.
 const auto differentiate = [&](const Lanes* values, Lanes (*slopes)[9]) {
     if (full) {
@@ -125,26 +151,25 @@ const auto differentiate = [&](const Lanes* values, Lanes (*slopes)[9]) {
         return;
     }
     for (int point = 0; point < 8; ++point) {
-        const Weights a = weigh(point);
+        const Place t = locate(point);
+        const Lanes x = 4.0f * t.x, y = 4.0f * t.y, z = 4.0f * t.z;
         for (int d = 0; d < 3; ++d) {
-            Lanes by_x = {}, by_y = {}, by_z = {};
+            Lanes mean[3], rise[3], turn[3];
             for (int i = 0; i < 3; ++i) {
-                Lanes mean = {}, rise = {}, turn = {};
+                Lanes by_z[3], up[3];
                 for (int j = 0; j < 3; ++j) {
                     const Lanes* const n = values + 9 * (3 * i + j) + d;
-                    const Lanes z = a.w[2][0] * n[0] + a.w[2][1] * n[3] + a.w[2][2] * n[6];
-                    const Lanes dz = a.s[2][0] * n[0] + a.s[2][1] * n[3] + a.s[2][2] * n[6];
-                    mean += a.w[1][j] * z;
-                    rise += a.s[1][j] * z;
-                    turn += a.w[1][j] * dz;
+                    const Lanes m = n[3] + t.z * n[6];
+                    by_z[j] = n[0] + z * m, up[j] = m + t.z * n[6];
                 }
-                by_x += a.s[0][i] * mean;
-                by_y += a.w[0][i] * rise;
-                by_z += a.w[0][i] * turn;
+                const Lanes m = by_z[1] + t.y * by_z[2];
+                mean[i] = by_z[0] + y * m, rise[i] = m + t.y * by_z[2];
+                turn[i] = up[0] + y * (up[1] + t.y * up[2]);
             }
-            slopes[point][3 * d] = by_x;
-            slopes[point][3 * d + 1] = by_y;
-            slopes[point][3 * d + 2] = by_z;
+            Lanes* const out = slopes[point] + 3 * d;
+            out[0] = mean[1] + 2.0f * t.x * mean[2];
+            out[1] = rise[0] + x * (rise[1] + t.x * rise[2]);
+            out[2] = turn[0] + x * (turn[1] + t.x * turn[2]);
         }
     }
 };
@@ -164,19 +189,23 @@ const auto interpolate = [&](const Lanes* values, Lanes (*out)[3]) {
             }
         for (int k = 0; k < 4; ++k) {
             const Two m = means(across[0][k], across[1][k], across[2][k]);
-            out[k][d] = m.low, out[4 + k][d] = m.high;
+            out[k][d] = m.low * VALUE, out[4 + k][d] = m.high * VALUE;
         }
     }
     for (int point = 0; point < 8 && !full; ++point) {
-        const Weights a = weigh(point);
+        const Place t = locate(point);
         for (int d = 0; d < 3; ++d) {
-            Lanes sum = {};
-            for (int r = 0; r < 9; ++r) {
-                const Lanes* const n = values + 9 * r + d;
-                const Lanes z = a.w[2][0] * n[0] + a.w[2][1] * n[3] + a.w[2][2] * n[6];
-                sum += a.w[0][r / 3] * a.w[1][r % 3] * z;
+            Lanes by_y[3];
+            for (int i = 0; i < 3; ++i) {
+                Lanes by_z[3];
+                for (int j = 0; j < 3; ++j) {
+                    const Lanes* const n = values + 9 * (3 * i + j) + d;
+                    by_z[j] = n[0] + 4.0f * t.z * (n[3] + t.z * n[6]);
+                }
+                by_y[i] = by_z[0] + 4.0f * t.y * (by_z[1] + t.y * by_z[2]);
             }
-            out[point][d] = sum;
+            const Lanes m = by_y[0] + 4.0f * t.x * (by_y[1] + t.x * by_y[2]);
+            out[point][d] = m * VALUE;
         }
     }
 };
@@ -186,7 +215,7 @@ alignas(64) Lanes F_all[8][9];
 differentiate(U, F_all);
 for (int point = 0; point < 8; ++point)
     for (int k = 0; k < 9; ++k)
-        F_all[point][k] = F_all[point][k] * per_dx + (k % 4 ? 0.0f : 1.0f);
+        F_all[point][k] = F_all[point][k] * SLOPE + (k % 4 ? 0.0f : 1.0f);
 const auto cofactors = [](const Lanes* F, Lanes* c) {
     c[0] = F[4] * F[8] - F[5] * F[7];
     c[1] = F[5] * F[6] - F[3] * F[8];
@@ -208,7 +237,7 @@ collect((const float*)v.data, W);
 differentiate(W, rates);
 // Row-major velocity gradient C = dF/dt F^-1, from the cofactors of F and 1 / J.
 const auto strain_rate = [&](const Lanes* rate, const Lanes* c, Lanes per_J, Lanes* C) {
-    const Lanes scale = per_J * per_dx;
+    const Lanes scale = per_J * SLOPE;
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j) {
             const Lanes sum = rate[3 * i] * c[3 * j] + rate[3 * i + 1] * c[3 * j + 1];
@@ -217,8 +246,9 @@ const auto strain_rate = [&](const Lanes* rate, const Lanes* c, Lanes per_J, Lan
 };
 Lanes fastest = {}, steepest = {}, closing = {}, doubt = {};
 for (int d = 0; d < 3; ++d) {
-    Lanes speed = {};
-    for (int r = 0; r < 9; ++r) {
+    Lanes speed = W[d] * VALUE;
+    if (full) speed = Lanes{};
+    for (int r = 0; r < 9 && full; ++r) {
         const Lanes* const n = W + 9 * r + d;
         const float weight = (r % 3 == 1 ? 0.75f : 0.125f) * (r / 3 == 1 ? 0.75f : 0.125f);
         speed += weight * (0.125f * (n[0] + n[6]) + 0.75f * n[3]);
@@ -273,7 +303,7 @@ for (int point = 0; point < 8; ++point) {
     const Lanes J = cofactors(F, c), safe = larger(J, Lanes{} + FLOOR), per_J = 1.0f / safe;
     const Lanes mu = parameter(point, 0), lam = parameter(point, 1);
     const Lanes log_J = logarithm(safe) + (J < FLOOR ? (J - FLOOR) / FLOOR : Lanes{});
-    const Lanes scale = *(const Lanes*)(place + (point * 4 + 3) * 16) * -per_dx;
+    const Lanes scale = *(const Lanes*)(place + (point * 4 + 3) * 16) * -SLOPE;
     const Lanes shear = scale * mu * J * per_J, pressure = scale * (lam * log_J - mu) * per_J;
     for (int k = 0; k < 9; ++k) P[k] = shear * F[k] + pressure * c[k];
     ADD_VISCOUS
@@ -312,22 +342,28 @@ if (full)
 else {
     for (int k = 0; k < 81; ++k) sums[k] = Lanes{};
     for (int point = 0; point < 8; ++point) {
-        const Weights a = weigh(point);
-        for (int d = 0; d < 3; ++d)
+        const Place t = locate(point);
+        const Lanes x = 4.0f * t.x, y = 4.0f * t.y, z = 4.0f * t.z;
+        for (int d = 0; d < 3; ++d) {
+            const Lanes* const P = F_all[point] + 3 * d;
+            const Lanes mean[3] = {Lanes{}, P[0], 2.0f * t.x * P[0]};
+            const Lanes rise[3] = {P[1], x * P[1], t.x * (x * P[1])};
+            const Lanes turn[3] = {P[2], x * P[2], t.x * (x * P[2])};
             for (int i = 0; i < 3; ++i) {
-                const Lanes* const P = F_all[point] + 3 * d;
-                const Lanes rise = a.s[0][i] * P[0], turn = a.w[0][i] * P[1];
-                const Lanes lift = a.w[0][i] * P[2];
+                const Lanes m = y * mean[i] + rise[i], up = y * turn[i];
+                const Lanes along[3] = {mean[i], m, t.y * (m + rise[i])};
+                const Lanes across[3] = {turn[i], up, t.y * up};
                 for (int j = 0; j < 3; ++j) {
-                    const Lanes along = a.w[1][j] * rise + a.s[1][j] * turn;
-                    const Lanes up = a.w[1][j] * lift;
                     Lanes* const n = sums + 9 * (3 * i + j) + d;
-                    n[0] += a.w[2][0] * along + a.s[2][0] * up;
-                    n[3] += a.w[2][1] * along + a.s[2][1] * up;
-                    n[6] += a.w[2][2] * along + a.s[2][2] * up;
+                    const Lanes g = z * along[j] + across[j];
+                    n[0] += along[j];
+                    n[3] += g;
+                    n[6] += t.z * (g + across[j]);
                 }
             }
+        }
     }
+    contract(sums);
 }
 float* const forces = (float*)force_out.data - 3L * low;
 for (int r = 0; r < 9; ++r) {
@@ -355,9 +391,10 @@ REPORT
     const Lanes inside = J < 0.0f ? Lanes{} : J > 1.0f ? Lanes{} + 1.0f : J; \
     const Lanes eta = scale * inside * parameter(point, 2) * per_J; \
     for (int i = 0; i < 3; ++i) \
+        for (int k = i; k < 3; ++k) C[3 * i + k] = C[3 * k + i] = eta * (C[3 * i + k] + C[3 * k + i]); \
+    for (int i = 0; i < 3; ++i) \
         for (int j = 0; j < 3; ++j) \
-            for (int k = 0; k < 3; ++k) \
-                P[3 * i + j] += eta * (C[3 * i + k] + C[3 * k + i]) * c[3 * k + j]; \
+            for (int k = 0; k < 3; ++k) P[3 * i + j] += C[3 * i + k] * c[3 * k + j]; \
 }
 
 //: measure
@@ -382,19 +419,12 @@ const auto store = [&](const Lanes* values, float* to, int point) {
         out[8] = ((const float*)(values + 8))[k];
     }
 };
+alignas(64) Lanes shift[8][3], speed[8][3];
+interpolate(U, shift);
+interpolate(W, speed);
 for (int point = 0; point < 8; ++point) {
-    const Weights a = weigh(point);
     alignas(64) Lanes c[9], C[9], moved[8] = {};
-    for (int r = 0; r < 9; ++r) {
-        const Lanes across = a.w[0][r / 3] * a.w[1][r % 3];
-        const Lanes low = across * a.w[2][0], middle = across * a.w[2][1], high = across * a.w[2][2];
-        for (int d = 0; d < 3; ++d) {
-            const Lanes* const n = U + 9 * r + d;
-            const Lanes* const m = W + 9 * r + d;
-            moved[d] += low * n[0] + middle * n[3] + high * n[6];
-            moved[3 + d] += low * m[0] + middle * m[3] + high * m[6];
-        }
-    }
+    for (int d = 0; d < 3; ++d) moved[d] = shift[point][d], moved[3 + d] = speed[point][d];
     const Lanes J = cofactors(F_all[point], c);
     strain_rate(rates[point], c, 1.0f / larger(J, Lanes{} + FLOOR), C);
     store(C, (float*)C_out.data, point);
