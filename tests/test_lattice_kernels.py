@@ -26,6 +26,7 @@ def test_simd_and_plain_stress_agree(damping):
         rng = np.random.default_rng(1)
         solver.nodes_state.u.assign(0.02 * rng.normal(size=(solver.nodes, 3)))
         solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
+        solver.nodes_state.lagging.assign(solver.nodes_state.v)
         solver.crew.trial_u.assign(solver.nodes_state.u)
         solver.phases.run_task(TRIAL)
         solver.crew.accelerate(trial=True)

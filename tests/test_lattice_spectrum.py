@@ -42,8 +42,17 @@ def test_measured_damping_covers_the_fastest_decay():
     start = np.random.default_rng(1).normal(size=(solver.nodes, 3))
     start[solver.lattice.tied] = 0
     spectrum._shape.assign(start)
-    largest = spectrum._iterate(0.0, 150, velocities=solver.nodes_state.v)
+    largest = spectrum._iterate(0.0, 150, velocities=solver.nodes_state.lagging)
     assert largest < assumed < 1.25 * largest
+
+
+def test_viscosity_damps_all_motion_at_substeps_at_rest():
+    solver = make(block((0.2, 0.2, 0.2)), SOFT.model_copy(update={"damping": 3000.0}))
+    start = 1e-6 * np.random.default_rng(1).normal(size=(solver.nodes, 3))
+    solver.carry_nodes(lambda x, v: (x, start))
+    for _ in range(300):
+        solver.step(solver.substep_at_rest, solver.substep_at_rest)
+    assert np.abs(solver.nodes_state.v.numpy()).max() < 0.5 * np.abs(start).max()
 
 
 def test_a_stiffer_body_takes_shorter_substeps_at_once():

@@ -24,13 +24,15 @@ def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: boo
     t, count = types(model.real), len(lattice)
     free = (lattice.mass > 0) & ~np.isin(lattice.body, list(model.held))
     inverse = np.divide(1, lattice.mass, out=np.zeros(count), where=free)
+    v = _motion(model, lattice, state)
     zeros = [model.array(np.zeros((count, 3)), t.vec3) for _ in range(3)]
     return Nodes(
         rest=model.array(lattice.x, t.vec3),
         u=zeros[0],
         residue=zeros[1],
         before=zeros[2],
-        v=model.array(_motion(model, lattice, state), t.vec3),
+        v=model.array(v, t.vec3),
+        lagging=model.array(v, t.vec3),
         inverse=model.array(inverse, model.real),
         movable=model.array(inverse, model.real),
         rows=rows_for(model.real, model.device, vectors=vectors),

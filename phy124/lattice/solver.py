@@ -55,6 +55,8 @@ FORGET = 4
 """An earlier frequency decays this many times as fast as in the default solver, because the fastest
 vibration belongs to a few points that are squeezed for a short time.
 """
+KEPT = ("u", "residue", "v", "lagging")
+"""Arrays of the nodes that have a state."""
 PARTS = ("walls", "meetings", "pairs", "free", "clock", "spectrum")
 """Parts of the solver that have a state, in the order in which they are restored."""
 
@@ -291,6 +293,7 @@ class LatticeSolver:
         x[mine], v[mine] = carry(x[mine], v[mine])
         nodes.u.assign(x - rest)
         nodes.v.assign(v)
+        nodes.lagging.assign(v)
         nodes.residue.zero_()
         self.walls.forget()
         self.meetings.way = math.inf
@@ -477,7 +480,7 @@ class LatticeSolver:
         nodes = self.nodes_state
         return {
             "state": self.state.snapshot(),
-            "nodes": {name: wp.clone(getattr(nodes, name)) for name in ("u", "residue", "v")},
+            "nodes": {name: wp.clone(getattr(nodes, name)) for name in KEPT},
             **{name: getattr(self, name).snapshot() for name in PARTS},
             "measured": self._measured,
             "probing": self._probing,

@@ -16,6 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
+from phy124.kernels.lattice.nodes import RECENT
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.walls import Nodes
 from phy124.lattice.workers import Crew
@@ -65,8 +66,8 @@ class Spectrum:
         start[lattice.tied] = 0
         self._shape, self._mixed = (model.array(start, types(model.real).vec3) for _ in range(2))
         self._try, self._compare = crew.compare(self._shape, self._mixed)
-        v = nodes.v.numpy().copy()
-        nodes.v.zero_()  # Viscous forces must not contribute.
+        v = nodes.lagging.numpy().copy()
+        nodes.lagging.zero_()  # Viscous forces must not contribute.
         crew.trial_u.assign(nodes.u)
         run_trials()
         crew.accelerate(trial=True)
@@ -79,15 +80,15 @@ class Spectrum:
         """Ratio of viscosity to stiffness in the fastest vibrations [s]."""
         if any(math.isfinite(section.viscous_limit(model.dx)) for section in model.materials):
             self._size *= math.sqrt(self._least)
-            rate = self._iterate(0.0, DAMPED, velocities=nodes.v)
+            rate = self._iterate(0.0, DAMPED, velocities=nodes.lagging)
             if len(model.materials) > 1:
                 shape = self._shape.numpy().copy()
                 self._shape.assign(start)
-                rate = max(rate, self._iterate(0.0, ROUNDS, velocities=nodes.v))
+                rate = max(rate, self._iterate(0.0, ROUNDS, velocities=nodes.lagging))
                 self._shape.assign(shape)
             self._size = TRIAL * model.dx
             self._delay = MISSED * rate / (2 * self._least)
-        nodes.v.assign(v)
+        nodes.lagging.assign(v)
         self.square = self._least
         """Square of the largest angular frequency, as last measured [1/s^2]."""
         self._stiffened = 1.0
@@ -114,15 +115,13 @@ class Spectrum:
     @property
     def stiffness(self) -> float:
         """dx^2 / dt^2 [m^2/s^2] of the longest stable substep, as last measured."""
-        z = self._damping_ratio
-        longer = math.sqrt(1 + z * z) + z
-        return self.square * (self._model.dx / 2 * longer) ** 2
+        return self.square * (self._model.dx / 2 * _shorten(self._damping_ratio)) ** 2
 
     @property
     def substep_at_rest(self) -> float:
         """Longest stable substep of the undeformed bodies [s]."""
         z = math.sqrt(self._least) * self._delay
-        return 2 / math.sqrt(self._least) / (math.sqrt(1 + z * z) + z)
+        return 2 / math.sqrt(self._least) / _shorten(z)
 
     def follow(self) -> None:
         """Measure the current state; the forces of all points must have been summed."""
@@ -180,6 +179,16 @@ class Spectrum:
         self._shape.assign(np.array(snapshot["shape"]))
         self.stiffen(snapshot.get("stiffened", 1.0))
         self.square = snapshot["square"]
+
+
+def _shorten(z: float) -> float:
+    """Return how many times shorter stable substeps are because of a damping ratio z.
+
+    Velocities lag behind (`RECENT`), so that half of the damping acts on the vibration that limits
+    the substep.
+    """
+    half = (2 * RECENT - 1) * z
+    return math.sqrt(1 + half * half) + half
 
 
 def _norm(values: NDArray[Any]) -> float:

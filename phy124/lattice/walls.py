@@ -81,6 +81,8 @@ class Nodes:
     """Velocities [N,3], m/s, half a substep behind the displacements."""
     before: wp.array
     """Velocities before the kick of the current substep [N,3], m/s."""
+    lagging: wp.array
+    """Velocities on which viscosity acts [N,3], m/s (phy124/kernels/lattice/nodes.py)."""
     inverse: wp.array
     """Inverse masses [N], 1/kg; 0 for tied nodes."""
     movable: wp.array

@@ -185,7 +185,12 @@ class Crew:
         return launches([("locate", model.launch(kernel, span.stop - span.start, inputs, outputs))])
 
     def force(
-        self, worker: Worker, pushes: Tracks | None = None, *, trial: bool = False
+        self,
+        worker: Worker,
+        pushes: Tracks | None = None,
+        *,
+        trial: bool = False,
+        v: wp.array | None = None,
     ) -> list[Named]:
         """Return the launches that sum the forces of a worker's points on the nodes.
 
@@ -193,9 +198,10 @@ class Crew:
             worker: The worker.
             pushes: The tracks of forces on points; None: no force acts on points.
             trial: Whether the forces are those of trial displacements.
+            v: Velocities of the nodes on which viscosity acts [N,3], m/s; None: `Nodes.lagging`.
         """
-        out = worker.trial if trial else worker.forces
-        motion = self.trial_u if trial else self._nodes.u, self._nodes.v
+        out, v = worker.trial if trial else worker.forces, self._nodes.lagging if v is None else v
+        motion = self.trial_u if trial else self._nodes.u, v
         outputs = [out, self._unread if trial else worker.maxima, self.stray]
         records = [self._stress(worker, group, motion, outputs) for group in self._model.groups]
         stress = [("clear", out.zero_), *launches(records)]
@@ -232,7 +238,7 @@ class Crew:
             worker: The worker.
             out: The worker's part of a pool.
         """
-        records, motion = [], (self._nodes.u, self._nodes.before)
+        records, motion = [], (self._nodes.u, self._nodes.lagging)
         for group in self.viscous:
             theta = np.array(group.theta.numpy())
             theta[:, : max(section.scaled for section in _sections(group, self._model))] = 0
@@ -349,7 +355,8 @@ class Crew:
     def drift(self, worker: Worker, tracks: Tracks) -> list[Named]:
         """Return the launch that moves a worker's nodes."""
         nodes = self._nodes
-        inputs = [*self._tied, tracks.clock, nodes.v, nodes.u, nodes.residue]
+        inputs = [*self._tied, tracks.clock, nodes.before]
+        inputs += [nodes.v, nodes.u, nodes.residue, nodes.lagging]
         plain = node_kernels.make_drift(self._model.real)
         return self._over_nodes(worker.nodes, plain, simd.make_drift_simd, inputs)
 
@@ -421,7 +428,7 @@ class Crew:
     def _measure(self, worker: Worker) -> list[Named]:
         """Return the launches that follow a worker's points and measure their motion."""
         if self.measuring:
-            return self.force(worker)
+            return self.force(worker, v=self._nodes.v)
         model, state, nodes, records = self._model, self._state, self._nodes, []
         outputs = [worker.maxima, self.stray]
         for group in model.groups:

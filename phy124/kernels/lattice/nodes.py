@@ -16,6 +16,13 @@ from phy124.kernels.lattice.contact import DRIVEN, MOMENT
 from phy124.kernels.reduction import add_to
 from phy124.kernels.work import add_given
 
+RECENT = wp.constant(0.75)
+"""Share of the present velocity in the velocity on which viscosity acts; the rest is that of the
+substep before. A vibration whose sign changes in every substep is then damped half as much, so
+viscosity shortens the longest stable substep half as much. With a smaller share, vibrations whose
+sign changes every second substep would grow.
+"""
+
 
 @wp.func
 def sum_workers(pool: wp.array(dtype=Any), low: Ints, high: Ints, begin: Ints, n: int):
@@ -231,7 +238,11 @@ def make_pin(real: Any):
 
 @build_once
 def make_drift(real: Any):
-    """Kernel over nodes from `start` to `stop`: changes displacements; tied nodes follow donors."""
+    """Kernel over nodes from `start` to `stop`: changes displacements; tied nodes follow donors.
+
+    `lagging_out` is the velocity on which viscosity acts in the next substep: `RECENT` of the
+    present velocity, and the rest of the velocity one substep earlier, `before`.
+    """
     t = types(real)
 
     @kernel(f"phy124_lattice_drift_{real.__name__}", real, seconds=0.3)
@@ -242,9 +253,11 @@ def make_drift(real: Any):
         tied_nodes: Ints,
         tied_weights: t.reals,
         clock,
+        before: t.vec3s,
         v_out: t.vec3s,
         u_out: t.vec3s,
         residue_out,
+        lagging_out: t.vec3s,
     ):
         n = start + wp.tid()
         if tied_starts[n + 1] > tied_starts[n]:
@@ -252,11 +265,12 @@ def make_drift(real: Any):
             for k in range(tied_starts[n], tied_starts[n + 1]):
                 v += tied_weights[k] * v_out[tied_nodes[k]]
             v_out[n] = v
+        lagging_out[n] = real(RECENT) * v_out[n] + (real(1.0) - real(RECENT)) * before[n]
         # Compensated summation: a small step does not vanish next to a large displacement.
         step = clock[1] * v_out[n] + residue_out[n]
-        before = u_out[n]
-        after = before + step
-        residue_out[n] = step - (after - before)
+        last = u_out[n]
+        after = last + step
+        residue_out[n] = step - (after - last)
         u_out[n] = after
 
     return drift

@@ -497,7 +497,8 @@ for (long n = first; n < last; ++n)
 // Plain form: `drift` of lattice/nodes.py, for one node.
 const long first = start + 256L * thread, last = first + 256 < stop ? first + 256 : stop;
 float *const v = (float*)v_out.data, *const u = (float*)u_out.data;
-float* const residue = (float*)residue_out.data;
+float *const residue = (float*)residue_out.data, *const lagging = (float*)lagging_out.data;
+const float* const before_kick = (const float*)before.data;
 const float dt = ((const float*)clock.data)[1];
 const int* const starts = (const int*)tied_starts.data;
 for (long n = first; n < last; ++n) {
@@ -512,4 +513,5 @@ for (long k = 3 * first; k < 3 * last; ++k) {
     const float step = dt * v[k] + residue[k], before = u[k], after = before + step;
     residue[k] = step - (after - before);
     u[k] = after;
+    lagging[k] = 0.75f * v[k] + 0.25f * before_kick[k];  // `RECENT` of lattice/nodes.py
 }
