@@ -79,6 +79,17 @@ def test_dense_gaussians_on_its_surface_make_no_liquid_hollow(solid):
     np.testing.assert_allclose(np.linalg.norm(drawn.means[on], axis=1), 0.5, atol=0.06)
 
 
+def test_a_thin_leaf_of_a_liquid_is_drawn_in_full(solid):
+    step = np.linspace(0, 0.5, 60)
+    leaf = np.stack(np.meshgrid(0.5 + step, step - 0.25, [0.0]), axis=-1).reshape(-1, 3)
+    x = np.concatenate([solid, leaf])
+    volumes = np.repeat([CELL**3, CELL / 40 / len(leaf)], [len(solid), len(leaf)])
+    drawn = Liquid(x, 2 * CELL, 0.1, volumes=volumes).shape(still(x))
+    tip = np.flatnonzero(x[:, 0] > 0.8)
+    depths = -np.log1p(-drawn.opacities[tip]) * 2 * np.pi * drawn.scales[tip, 0] ** 2
+    assert depths.sum() > 1.4 * 0.2 * 0.5, "optical depth times the area of the tip"
+
+
 def test_gaussians_of_a_liquid_have_the_volume_of_its_particles(water):
     setup = prepare(ball(600), Scene.model_validate(water.scene), RunContext(threads=1))
     (liquid,) = water.report["liquids"]

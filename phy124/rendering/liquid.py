@@ -54,9 +54,10 @@ RIM = 0.3
 these normals differ from disc to disc."""
 LITTLE = 0.02
 """Lower bound of the fraction of space before walls; averages are divided by this fraction."""
+THICKER = 4.0
+"""Largest factor by which the volumes of Gaussians in thin parts at rest are enlarged."""
 ALONE, DROP = 0.4, 0.42
-"""Drops: largest phi at a drop's centre, relative to the largest volume of a
-Gaussian in cells; standard deviation
+"""Drops: largest phi at a drop's centre, relative to the drop's volume in cells; standard deviation
 of a drop, relative to the edge of a cube of the same volume."""
 TORN, THINNER, KEPT = 0.62, 0.85, 0.6
 """Jets: largest spread of a jet, and largest ratio of that spread to the spread at rest; fraction
@@ -223,7 +224,9 @@ class Liquid:
         if volumes is None:
             density = np.median(field.sample(field.smooth(field.sum(None))))
             volumes = np.full(len(x), field.cell**3 / max(float(density), 2.0))
-        self._volumes = volumes
+        # Thin parts have few particles: without more volume, they would not be drawn.
+        here = np.maximum(field.sample(field.fill(volumes)), 1e-6)
+        self._volumes = volumes = volumes * np.clip(LEVEL / here, 1, THICKER)
         self._spread = _measure_spread(field, field.fill(volumes))
 
     def shape(self, part: Gaussians, planes: Planes = NOWHERE) -> Surface:
@@ -281,7 +284,7 @@ def _shape(
     wet = _touches(field, phi, close) & ~thin & (depth > np.maximum(field.gap, EDGE))
     normals[wet], steep[wet], ahead[wet] = -field.facing[wet], here[wet], 0
     chance = 0.618034 * np.arange(n) % 1
-    alone = (here < ALONE * volumes.max()) | (torn & (chance > KEPT))
+    alone = (here < ALONE * volumes) | (torn & (chance > KEPT))
     fade = np.where(alone | torn, 0, 1 - smoothstep(ahead, *FILLED))
     fade *= smoothstep(steep / np.maximum(here, 1e-6), *STEEP) * np.where(wet, lower, 1)
     free = alone | (~torn & ~thin & (fade < 0.5) & (here < LEVEL))
