@@ -1,8 +1,9 @@
 """The folder for visitors' files while the page runs.
 
 The folder is removed when the page ends. If the page is killed, the next page removes its folder: a
-file lock, which ends with its process, shows which folders are in use. Windows has no such locks:
-there the folders of killed pages stay, and nothing prevents two pages from using one folder.
+file lock, which ends with its process, shows which folders are in use. Windows has no locks that
+end with a process: there the folders of killed pages stay, and nothing prevents two pages from
+using one folder.
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ class Clients:
 def _wake(obey: Obey) -> None:
     """Do nothing.
 
-    A queued job of this kind wakes the waiting thread, which then also reads the messages.
+    A queued job that does nothing wakes the waiting thread, which then reads the messages.
     """
     del obey
 

@@ -1,7 +1,8 @@
 """McapSink: writes frames to an MCAP file that ROS 2 plays as a bag.
 
 When `write` returns, the frame has been flushed to the operating system: a killed process loses at
-most the frame being written. `recover` repairs such a file. metadata.yaml is written last.
+most the frame being written. `recover` repairs a file that a killed process left. metadata.yaml is
+written last.
 """
 
 from __future__ import annotations

@@ -120,7 +120,7 @@ def longest_convergence(
     """Estimate the errors over the longest initial part of the clips in which the levels converge.
 
     The motions on two grids may separate after some event, for example if the object topples on
-    only one of the grids. The levels still converge up to that event.
+    only one of the grids. Up to such an event the results on finer grids still converge.
 
     Args:
         spacings: Grid spacings, from coarse to fine [L].

@@ -264,7 +264,7 @@ def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
 def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
     """Return a clip in which the object moves by 1 % of its size per frame.
 
-    Such motion is typical of the videos that are encoded.
+    A motion of 1 % per frame is typical of the videos that are encoded.
     """
     n = len(gaussians)
     shift = np.arange(count, dtype=np.float32)[:, None, None] * np.float32(scene.object.size / 100)

@@ -2,7 +2,7 @@
 
 A narrow neck alone does not show two objects (heads sit on necks), nor does a change of colour
 alone (trousers and shirt). A split requires a neck and a change of colour, and each part must be
-large. A boat's sail is still wrongly split off; docs/lab/cutouts.md has the error rates.
+large. A boat's sail is wrongly split off; docs/lab/cutouts.md has the rates of wrong splits.
 """
 
 from __future__ import annotations

@@ -142,8 +142,8 @@ def rotate_gaussians(gaussians: Gaussians, rotation: NDArray[np.float64]) -> Gau
     """Rotate the centres, shapes and colours of Gaussians about the origin by `rotation [3,3]`.
 
     If the rotation is a signed permutation of the axes, the quaternions' vector parts and the
-    scales are permuted like the centres. Such a rotation is exact; only harmonics above degree 0
-    are rounded.
+    scales are permuted like the centres. Rotating by a signed permutation is exact; only harmonics
+    above degree 0 are rounded.
     """
     if not np.array_equal(np.abs(rotation), np.abs(rotation).round()):
         means = gaussians.means.astype(np.float64) @ rotation.T

@@ -209,8 +209,9 @@ class Clip:
         """Return the velocities of the centres at a frame [N,3], m/s; None for a single frame.
 
         The result is the simulated velocities if the clip has them (`velocities = true` in its
-        scene). Otherwise it is the difference quotient of the adjacent frames, (x_after - x_before)
-        / (t_after - t_before), which is one-sided at the first and last frame.
+        scene). Without simulated velocities, the result is the difference quotient of the adjacent
+        frames, (x_after - x_before) / (t_after - t_before), which is one-sided at the first and
+        last frame.
         """
         if self.velocities is not None:
             return self.velocities[index]

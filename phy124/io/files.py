@@ -70,7 +70,7 @@ file."""
 def is_stream(path: Path) -> bool:
     """Return whether a path is a device, a pipe or an open file.
 
-    Such a path is written into, while an ordinary file is replaced.
+    A device, a pipe or an open file is written into, while an ordinary file is replaced.
 
     Raises:
         OSError: If the path is a folder, a disk, a socket, or a link to itself.

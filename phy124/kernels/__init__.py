@@ -4,7 +4,7 @@ All kernels take their arguments in one order. First come the model's arguments,
 not change (numbers, the model's arrays, lattice, window, clock and the tables of the tracks). The
 state arrays that are only read come next, and the written arrays come last. Only names of written
 arrays end in `_out`. Launches pass their arguments in the same order. tests/test_kernels_order.py
-checks these rules. The module `arguments` declares the meaning of each argument.
+checks the order of arguments. The module `arguments` declares the meaning of each argument.
 """
 
 from phy124.runtime.late_parsing import parse_late

@@ -1,8 +1,9 @@
 """Moves particles that are outside the grid; only the uniform acceleration acts on them.
 
 A particle that is outside the grid when particles scatter counts as outside for the whole substep.
-During the gather, such a particle is hidden outside the gather's window. Otherwise a particle that
-crosses the window's edge during the gather, in either direction, would be moved twice.
+During the gather, a particle that counts as outside is hidden outside the gather's window. Without
+hiding, a particle that crosses the window's edge during the gather, in either direction, would be
+moved twice.
 """
 
 from typing import Any

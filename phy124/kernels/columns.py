@@ -8,9 +8,9 @@ node's velocity times g, the ratio of their distance to the first node's distanc
 B-splines reproduce linear functions, and reach no further behind the wall. Momentum is projected
 onto such velocities, v_1 = sum(g m v) / sum(g^2 m). The projection never adds energy, and acts on
 all three nodes. Without the projection, a wall is as compliant as a layer of material one cell
-thick. Such functions are extended B-splines (Hoellig, Reif, Wipper 2001). The wall acts once the
-material has reached the wall, as determined from the masses of the nodes on the wall's two sides
-(see `coverage`).
+thick. B-splines with such linear values behind the wall are extended B-splines (Hoellig, Reif,
+Wipper 2001). The wall acts once the material has reached the wall, as determined from the masses of
+the nodes on the wall's two sides (see `coverage`).
 
 At the surface of a holding region, held material is treated like material at a wall. The nodes
 inside the holding region are held. The velocity of the node next to the surface is set from the
@@ -140,11 +140,10 @@ def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: An
     mass of a full node of the `lightest` material.
 
     Tips, edges and hairs have less mass on the nearer node although they touch the wall. The
-    narrowing of such a tip is estimated one node farther from the wall. The narrowing at the third
-    node is estimated from the first two nodes. If a body at the wall does not reach the third node,
-    the narrowing is estimated from the first node and the node in front of the first (mass
-    `above`). Mass behind the three nodes (`beyond`) means that material has passed through the
-    wall.
+    narrowing of a tip is estimated one node farther from the wall. The narrowing at the third node
+    is estimated from the first two nodes. If a body at the wall does not reach the third node, the
+    narrowing is estimated from the first node and the node in front of the first (mass `above`).
+    Mass behind the three nodes (`beyond`) means that material has passed through the wall.
     """
     zero = type(above)(0.0)
     if m[1] <= zero:

@@ -31,7 +31,8 @@ def sphere(x: Any, shape: Any):
 def box(x: Any, shape: Any):
     """Return normal and signed distance of the nearest face of the box shape[0] +- shape[1].
 
-    Inside the box this is the exact distance; outside it is the distance from the face's plane.
+    Inside the box the distance is exact; outside, the distance is that from the plane of the
+    nearest face.
     """
     d = x - shape[0]
     out = wp.vector(

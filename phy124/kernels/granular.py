@@ -103,9 +103,9 @@ def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     """Clamp stretches to [smallest, largest]; the excess changes Jp (Stomakhin 2013, eqs. 9, 10).
 
     Stretches and hardening stay unchanged if clamping would raise the energy: under pressure, a
-    stretch of any size causes no fracture. Otherwise snow with a Poisson's ratio near 1/2 would
-    gain energy by fracture. For most elastic particles, bounds of the eigenvalues of F F^T are
-    within the range. The bounds are computed without the eigenvalues.
+    stretch of any size causes no fracture. If clamping could raise the energy, snow with a
+    Poisson's ratio near 1/2 would gain energy by fracture. For most elastic particles, bounds of
+    the eigenvalues of F F^T, which are computed without the eigenvalues, are within the range.
     """
     s = F[0, 0]
     b = gram(F)

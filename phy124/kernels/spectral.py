@@ -164,7 +164,7 @@ def quadratic(c: Any, a: Any, squared: Any):
 def linear_range(s: wp.float32):
     """Return the |A|^2 below which exp A = I + A and atanh A = A to rounding in float32.
 
-    Higher powers of such a small matrix would be denormal numbers, which are slow.
+    Higher powers of so small a matrix A would be denormal numbers, which are slow.
     """
     return wp.float32(1.0e-10)
 

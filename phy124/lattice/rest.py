@@ -8,7 +8,7 @@ instead of between knots, some motions of cut cells would have no stiffness.
 Every body that does not fill its cells has nodes of almost no mass, which have almost no stiffness
 either. Nodes lighter than `LIGHTEST` are tied: their motion is extrapolated linearly from heavier
 nodes, and the transpose of this extrapolation distributes their force and mass over these nodes.
-Such ties conserve momentum and angular momentum.
+Tying nodes in this way conserves momentum and angular momentum.
 """
 
 from __future__ import annotations

@@ -135,9 +135,9 @@ class Spectrum:
     def _iterate(self, share: float, rounds: int, velocities: wp.array | None = None) -> float:
         """Return the square of the largest frequency [1/s^2] after some power iterations.
 
-        The norm gives the largest motions the largest weight. The norm therefore measures the
-        fastest vibration, which moves few nodes, although the shape also contains small motions of
-        all nodes.
+        The norm of the shape gives the largest motions the largest weight. The norm therefore
+        measures the fastest vibration, which moves few nodes, although the shape also contains
+        small motions of all nodes.
 
         Args:
             share: Factor of the accelerations that the shape gets.

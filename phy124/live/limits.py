@@ -1,8 +1,8 @@
 """Limits and defaults of a hand's inputs.
 
-By default a hand pulls with three times the object's weight. Such a pull lifts and throws the
-object, but cannot make the object explode. The object's weight stretches the hand's spring by a few
-hundredths of the object's size.
+By default a hand pulls with three times the object's weight. A pull of three weights lifts and
+throws the object, but cannot make the object explode. The object's weight stretches the hand's
+spring by a few hundredths of the object's size.
 """
 
 from __future__ import annotations

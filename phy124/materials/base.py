@@ -133,7 +133,7 @@ class Material(Section):
         return []
 
     def notes_at(self, speed: float) -> list[str]:
-        """Return notes to the user about a run in which something moved at this speed [m/s]."""
+        """Return notes to the user about a run in which something moved at a speed [m/s]."""
         del speed
         return []
 

@@ -88,9 +88,10 @@ class Fluid(Material):
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
         """Return the parameters with a bulk viscosity zeta and a relaxation; both damp sound.
 
-        The relaxation damps slow changes, zeta fast ones. With zeta = a rho c dx, a substep of the
-        fraction `cfl` requires (2 cfl)^2 <= 4 - 2 (12 zeta / rho dx^2) dt, as in `beside_elastic`;
-        in regions with J < 1, substeps are shorter than at rest.
+        The relaxation damps slow changes of volume, and the viscosity zeta damps fast changes. With
+        zeta = a rho c dx, a substep of the fraction `cfl` requires (2 cfl)^2 <= 4 - 2 (12 zeta /
+        rho dx^2) dt, as in `beside_elastic`; in regions with J < 1, substeps are shorter than at
+        rest.
 
         Args:
             dx: Grid spacing [m].

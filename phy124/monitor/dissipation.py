@@ -117,7 +117,7 @@ class Dissipation(Observer):
         return Loss(material, rubbed, -gained - material)
 
     def details(self, loss: Loss, change: float) -> dict[str, float]:
-        """Return further terms of the balance [J]; here there are no such terms.
+        """Return further terms of the energy balance [J]; the default is no further terms.
 
         Args:
             loss: Energy lost to each cause.

@@ -61,7 +61,7 @@ class Exchange(NamedTuple):
     """Sum of the absolute values of all work [J]."""
 
     def plus(self, sums: Sums) -> Exchange:
-        """Return this exchange plus that of rigid solids (phy124/kernels/free)."""
+        """Return the exchange of energy plus the exchange of rigid solids (phy124/kernels/free)."""
         work, moved, turned = sums[free.WORK :]
         return Exchange(
             self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned

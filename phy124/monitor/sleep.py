@@ -3,14 +3,15 @@
 Zero speed at one time is not rest: a thrown body has zero speed at the top of its path. At rest
 means that for Q frames of T seconds no particle moved further than D from its starting point. Under
 a constant acceleration, a particle can then move by at most 7 D m (1 + m) in the next M = m Q
-frames. In the worst case, the particle first moved by D to one side, turned, and is now at the
-distance D on the other side, moving away. A vibration in phase with the frames, with the largest
-speed v, can hide a displacement of v T / 2 pi.
+frames. The particle moves farthest if it first moved by D to one side of its starting point,
+turned, and is now at the distance D on the other side, moving away. A vibration in phase with the
+frames, with the largest speed v, can hide a displacement of v T / 2 pi.
 
 The object sleeps if the sum of both displacements is invisible and its speed does not grow. The
 object sleeps until a force or a boundary anywhere in the scene changes, or the clip ends. Under
-gravity, an object sleeps only if it has also moved much less than a free body would. Otherwise, in
-a clip with many frames per second, an object at the top of its path would count as resting.
+gravity, an object sleeps only if it has also moved much less than a free body would. Without the
+condition for gravity, in a clip with many frames per second, an object at the top of its path would
+count as resting.
 """
 
 from __future__ import annotations

@@ -267,7 +267,8 @@ def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
 def _cubes(column: NDArray, side: float) -> NDArray[np.int64]:
     """Return the index of each particle's cube along one axis, counted from 0.
 
-    If particles are scattered far, gaps are narrowed to two cubes, which still separates pieces.
+    If particles are scattered far, gaps between occupied cubes are narrowed to two cubes, so pieces
+    remain separate.
     """
     cubes = (column - column.min()) / side
     if cubes.max() < FAR:

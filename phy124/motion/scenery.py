@@ -1,6 +1,7 @@
 """Adds to each frame the Gaussians that the solver does not move.
 
-Such Gaussians belong to static parts, to objects that follow a track, and to rigid solids.
+Gaussians that the solver does not move belong to static parts, to objects that follow a track, and
+to rigid solids.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Fluctuation: the part of the particles' motion that the grid does not represent.
 
-APIC discards the fluctuation and needs no launches for it. The other schemes transfer (v, C) to the
-grid and back, once or several times, before the scatter of a substep, and restore a part of the
-difference after the gather.
+APIC discards the fluctuation and needs no launches for it. The schemes other than APIC transfer (v,
+C) to the grid and back, once or several times, before the scatter of a substep, and restore a part
+of the difference after the gather.
 """
 
 from __future__ import annotations

@@ -73,9 +73,9 @@ class StepRejection:
     def begin(self, start: float, end: float) -> None:
         """Compute bounds of forces and walls from `start` to `end` [s].
 
-        Forces and walls outside this interval are ignored, so that a push does not shorten the
-        substeps of another frame. Kicks reach back by half a substep, so one frame duration before
-        `start` is also included.
+        Forces and walls that act outside the interval are ignored, so that a push does not shorten
+        the substeps of another frame. Kicks reach back by half a substep, so one frame duration
+        before `start` is also included.
         """
         before = start - ROUNDED * (end - start) if math.isfinite(start) else start
         self.acceleration = _max_acceleration(self._model, self._tracks, self._pushes, before, end)

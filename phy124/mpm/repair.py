@@ -1,8 +1,8 @@
 """Repair: particles whose deformation no law can handle are reset to their rest shape.
 
-A few particles at a corner may be inverted while the rest of a run is sound. Such particles are
-reset to F = I and counted. The F_total of plastic and fluid material grows without bound, so its
-norm is limited.
+A few particles at a corner may be inverted while the rest of a run is sound. Particles with a
+deformation that no law can handle are reset to F = I and counted. The F_total of plastic and fluid
+material grows without bound, so its norm is limited.
 """
 
 from __future__ import annotations

@@ -150,7 +150,8 @@ def size_transform(
     at x = y = 0.
 
     With `ground`, the lowest visible point is at z = 0: the lowest point one standard deviation
-    around centres with an opacity of at least 0.1. Otherwise the object is centred in z, too.
+    around centres with an opacity of at least 0.1. Without `ground`, the object is centred in z,
+    too.
 
     Raises:
         InputError: If the size is not positive.

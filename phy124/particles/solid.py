@@ -11,7 +11,7 @@ interior is found in four steps:
 - If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
   inside if axis-parallel rays from it meet the shell in at least five of the six directions.
 - Of a surface voxel, only the fraction below the local surface is part of the solid. The local
-  surface is a plane normal to the outward normal, at the upper limit of the voxel's samples. Such
+  surface is a plane normal to the outward normal, at the upper limit of the voxel's samples. Filled
   fractions make volumes accurate below the voxel size.
 
 The voxels depend on the Gaussians alone; the solid is therefore the same for every simulation grid.

@@ -229,8 +229,8 @@ def _lock(*, wait: bool) -> Iterator[bool]:
 def keep_headers() -> None:
     """Make Warp reuse precompiled headers from now on.
 
-    Otherwise Warp compiles the headers again in each thread of each process. The headers take 2 s
-    of CPU time, more than most kernels need. Unknown versions of Warp are not changed.
+    An unchanged Warp compiles the headers again in each thread of each process. The headers take 2
+    s of CPU time, more than most kernels need. Unknown versions of Warp are not changed.
     """
     try:
         from warp._src.context import Runtime

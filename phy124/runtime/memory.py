@@ -28,7 +28,8 @@ HEAPS = "MALLOC_ARENA_MAX"
 def release(array: object) -> None:
     """Give the memory of a memory-mapped array back to the system after the array was read.
 
-    Otherwise a long run that reads all its frames from disk seems to need memory for all of them.
+    If memory is not given back, a long run that reads all its frames from disk seems to need memory
+    for all frames.
     """
     mapped: Any = getattr(array, "_mmap", None)
     if hasattr(mapped, "madvise") and hasattr(mmap, "MADV_DONTNEED"):

@@ -45,8 +45,8 @@ def steady_streams() -> Iterator[list[OSError]]:
 def _occupy() -> None:
     """Open the null device for each standard stream that is closed.
 
-    Otherwise the next opened file would get the number of the closed stream, and receive the text
-    that native code prints.
+    Without an open stream, the next opened file would get the number of the closed stream, and
+    receive the text that native code prints.
     """
     for number in range(3):
         try:

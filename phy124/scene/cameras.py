@@ -141,7 +141,7 @@ class DollyCamera(_Circling):
 
     @property
     def chosen(self) -> bool:
-        """True, because the distances of this camera are always set."""
+        """Whether the distances of the camera are set: always true for a camera of keys."""
         return True
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:

@@ -85,9 +85,9 @@ def _show_sides(front: Continued, side_picture: Continued, look: BackLook) -> li
     """Return the images of the front, the back and both sides.
 
     The object is assumed to be symmetric about a vertical plane, which is seen edge-on in the image
-    with the more symmetric silhouette. The other image, mirrored, then also shows the opposite
-    side. No image shows the side opposite to the symmetric image, so its colours are invented
-    (`smooth_back`).
+    with the more symmetric silhouette. The less symmetric image, mirrored, then also shows the
+    opposite side. No image shows the side opposite to the symmetric image, so its colours are
+    invented (`smooth_back`).
     """
     pictures = []
     for picture, towards, across in ((front, FRONT, ACROSS), (side_picture, ACROSS, FRONT)):

@@ -2,8 +2,8 @@
 numbers.
 
 The largest component of a unit quaternion is not stored. Since q and -q are the same rotation, the
-largest component can be made positive, and then follows from the length 1. The other components are
-at most 1 / sqrt 2.
+largest component can be made positive, and then follows from the length 1. The three smaller
+components of a unit quaternion are at most 1 / sqrt 2.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ def nearest_codes(codes: NDArray, values: NDArray) -> NDArray[np.uint8]:
 def make_palette(vectors: NDArray, most: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return a palette that approximates `vectors [N,D]`, and the palette index of each vector.
 
-    If there are at most `most` vectors, the palette consists of the vectors. Otherwise the vectors
-    are divided repeatedly, each cell at the median of its principal component of largest variance,
+    If there are at most `most` vectors, the palette consists of the vectors. More vectors are
+    divided repeatedly, each cell at the median of its principal component of largest variance,
     until there are `most` cells. The palette consists of the cells' means.
 
     Args:

@@ -7,13 +7,14 @@ the points forwards and back, in an order in which consecutive points are about 
 (phy124/lattice/surface.py). An impulse J changes the velocities of a point's nodes by w_i J / m_i,
 and so its own velocity by (sum w_i^2 / m_i) J.
 
-Contact in this form neither creates nor sustains vibrations. The pass over all points, forwards and
-back, is a symmetric positive operator E on velocities. With C = E^-1 - 1, the impulses of the last
-substep are those of springs C / dt^2 that are integrated implicitly: (1 + C) v' = v - (K + C) x,
-which is stable for every stiffness K that is stable without walls. A single pass, which is not
-symmetric, excites vibrations. `restore` [1/s] is an integral gain; if it were larger than omega^2
-dt, it would excite the body's slowest vibration, whose angular frequency is omega. `restore` does
-not grow as substeps shrink: otherwise a body that is squeezed hard would be thrown out.
+Contact by impulses that are applied again and corrected neither creates nor sustains vibrations.
+The pass over all points, forwards and back, is a symmetric positive operator E on velocities. With
+C = E^-1 - 1, the impulses of the last substep are those of springs C / dt^2 that are integrated
+implicitly: (1 + C) v' = v - (K + C) x, which is stable for every stiffness K that is stable without
+walls. A single pass, which is not symmetric, excites vibrations. `restore` [1/s] is an integral
+gain; if it were larger than omega^2 dt, it would excite the body's slowest vibration, whose angular
+frequency is omega. `restore` does not grow as substeps shrink: otherwise a body that is squeezed
+hard would be thrown out.
 
 The result of Gauss-Seidel depends on the order of points, so each kernel of it has one thread.
 """

@@ -44,7 +44,7 @@ def make_sweep(real: Any):
 def make_count_active(real: Any):
     """Kernel over parts of the columns: merges workers' ranges, widens them and counts their cells.
 
-    If `all` is 0, cells whose B-spline lies inside walls are not counted.
+    Unless the argument `all` is set, cells whose B-spline lies inside walls are not counted.
     """
     t = types(real)
 

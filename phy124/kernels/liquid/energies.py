@@ -3,8 +3,8 @@
 The work of an impulse is its product with the mean of the velocities at the start and at the end of
 the step, so the works of all causes add up to the change of a face's kinetic energy, and all of
 them are zero in a liquid at rest, where pressure balances gravity. Faces behind walls and above the
-surface may have a share of the particles' mass. Such faces move like their neighbours in the
-liquid, so the mass of such a face is added to the masses of these neighbours.
+surface may have a share of the particles' mass. Faces behind walls and above the surface move like
+their neighbours in the liquid, so the mass of such a face is added to the masses of its neighbours.
 """
 
 from typing import Any

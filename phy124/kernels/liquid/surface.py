@@ -146,8 +146,8 @@ def make_levels(real: Any):
 
     `known_out` has a bit for each face that has a velocity, `liquid_out` is 1 in cells of liquid,
     `hats_out` the share of the linear kernel that is filled, including solid. `phi_out` is the
-    distance to the surface [cells], negative in the liquid. This kernel also applies the uniform
-    acceleration.
+    distance to the surface [cells], negative in the liquid. The kernel of the levels also applies
+    the uniform acceleration.
     """
     t = types(real)
     vec8 = sums(real)

@@ -39,8 +39,8 @@ def wall_link(
 ):
     """Return the wall next to a face: its index, sum of weights g, and sum of g times its velocity.
 
-    Every wall stops the velocity component across the wall; only a sticky wall stops the other
-    components.
+    Every wall stops the velocity component across the wall; only a sticky wall stops the components
+    along the wall.
     """
     zero = type(open[n][0])(0.0)
     size = window[1]

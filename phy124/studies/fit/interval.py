@@ -6,9 +6,9 @@ l, the standard error is 1 / sqrt(l). The half-width of an interval is the sum o
 comes from a bootstrap over groups of measurements, the other is the effect of the grid's error.
 
 Each bootstrap draw selects G of the G groups, with replacement, and makes one Gauss-Newton step
-from the fitted point. A Gauss-Newton step from that point needs no simulation. Errors that are
-common to a group, such as those of a badly tracked point, widen the interval because each group is
-drawn as a whole.
+from the fitted point. A Gauss-Newton step from the fitted point needs no simulation. Errors that
+are common to a group, such as those of a badly tracked point, widen the interval because each group
+is drawn as a whole.
 """
 
 from __future__ import annotations
@@ -122,9 +122,9 @@ def shift_values(
     """Return the largest shift of each value due to grid errors of known size [P].
 
     The pattern of a grid's errors over the measurements is unknown, but has few degrees of freedom
-    (two to four singular values in synthetic tests). The errors may therefore resemble the effect
-    of a value, and this worst case is assumed. In a least-squares fit, errors of norm e then shift
-    value i by at most e sqrt(((J^T J)^-1)_ii).
+    (two to four singular values in synthetic tests). A grid's errors may therefore resemble the
+    effect of a value; the worst case is assumed. In a least-squares fit, errors of norm e then
+    shift value i by at most e sqrt(((J^T J)^-1)_ii).
 
     Args:
         jacobian: Derivatives of the weighted prediction [M,P], in units of the misfit.

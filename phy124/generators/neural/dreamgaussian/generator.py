@@ -231,8 +231,8 @@ def _guided_loss(
 def frame_cutout(image_rgba: NDArray[np.uint8], size: int = 256) -> NDArray[np.uint8]:
     """Centre the cut-out [H,W,4] in a square [size,size,4], as DreamGaussian's process.py does.
 
-    Unlike LGM's function of this name, it resamples 8-bit values. Colours are multiplied by alpha,
-    as in the output of rembg.
+    Unlike LGM's function `frame_cutout`, this function resamples 8-bit values. Colours are
+    multiplied by alpha, as in the output of rembg.
 
     Raises:
         InputError: If there is no alpha channel or nothing is opaque.

@@ -1,7 +1,7 @@
 """Sampling of ImageDream: one image to four views of its object.
 
 Wang & Shi 2023, "ImageDream"; classifier-free guidance (Ho & Salimans 2022). A fifth frame contains
-the image itself. The fifth frame is denoised as well, and LGM drops this frame.
+the image itself. The fifth frame is denoised like the four views, and LGM drops the fifth frame.
 """
 
 from __future__ import annotations
@@ -121,8 +121,8 @@ class TrainedParts:
     """Loads the public networks: the encoders first, and the U-Net when it is needed.
 
     The image encoder is kept for the next image if it fits into memory together with the U-Net.
-    Otherwise the image encoder is released after use. The text is always the same and is encoded
-    once.
+    If memory does not suffice, the image encoder is released after use. The text is always the same
+    and is encoded once.
     """
 
     def __init__(

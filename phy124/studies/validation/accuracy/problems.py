@@ -1,8 +1,8 @@
 """Problems with known solutions, for the same solver that makes clips.
 
 Each problem runs at one grid spacing, and yields the error of its result. Bars and columns are one
-particle thick. With nu = 0, or with both sides held, no quantity varies across such a body, so one
-row of particles represents the whole body.
+particle thick. With nu = 0, or with both sides held, no quantity varies across a bar or column, so
+one row of particles represents the whole body.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ class Vortex:
         return np.stack(columns, axis=1)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return a stage for substeps: it applies the body force that causes this motion."""
+        """Return a stage for substeps: it applies the body force of the exact motion."""
         stiffness = self.material.lame[0] / self.material.density
         middle, width = (self.inner + self.outer) / 2, self.outer - self.inner
         ring = types(model.real).vec4(middle, width, self.amplitude, stiffness)

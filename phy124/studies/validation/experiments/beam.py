@@ -269,7 +269,7 @@ ELASTICA = Experiment(
     title="Elastica: a dead weight on the end of a cantilever",
     source="Euler's elastica by elliptic integrals, as tabulated by Bisshopp and Drucker 1945",
     measured="Tip deflection divided by the length, at rest, for seven weights. The linear theory "
-    "of small bending overestimates it by 11 % at PL²/EI = 1 and by 311 % at 10.",
+    "of small bending overestimates the deflection by 11 % at PL²/EI = 1 and by 311 % at 10.",
     band="from the deflection without shear to the deflection with twice the shear of this beam, "
     "which is 12 times as long as it is thick",
     published=partial(make_band, TIP_LOADS, elastica_drop, "PL²/EI"),

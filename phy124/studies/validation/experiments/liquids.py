@@ -184,7 +184,8 @@ CHANNEL = Experiment(
     source="Started flow between plates (Batchelor 1967, § 4.3): g y (H - y) / (2 ν) less a series",
     measured="A slab with a viscosity of 0.1 m²/s falls with 2 m/s² between sticky plates that are "
     "0.5 m apart. "
-    "Its speed after 0.5 s is measured in the middle fifth of the gap and across the gap [m/s].",
+    "The slab's speed after 0.5 s is measured in the middle fifth of the gap and across the "
+    "gap [m/s].",
     band="±5 %, since the slab has ends, but the theory is for an infinitely long one",
     published=lambda: tuple(
         Quantity.within(name, speed, 0.05)
@@ -204,8 +205,8 @@ SPREADING = Experiment(
     source="Huppert 1982: r = 0.894 (g V³ / 3ν)^(1/8) t^(1/8), which his experiments confirm",
     measured="A heap six times as wide as high spreads on a sticky floor, from the shape of the "
     "similarity solution until four times the time at which this solution has the heap's height. "
-    "In the second half of this time (on a logarithmic scale), the prefactor and the exponent of "
-    "the heap's radius are measured.",
+    "In the second half of the spreading (on a logarithmic scale of time), the prefactor and the "
+    "exponent of the heap's radius are measured.",
     band="prefactor: ±2 %, exponent: ±5 %; inertia and the slope of the surface, which the theory "
     "leaves out, change the rate of spreading by about 3 %",
     published=lambda: (
