@@ -122,10 +122,12 @@ def _refuse_unsuitable(backend: str, network: bool, clock: bool, ros_args: Seque
         raise InputError("network", network, limit, "Leave it out.")
     if ros_args and backend != "rclpy":
         limit = f"The backend {backend} is not a ROS 2 node."
-        raise InputError("--ros-args", " ".join(ros_args[1:]), limit, "Use rclpy, or leave it out.")
+        raise InputError(
+            "--ros-args", " ".join(ros_args[1:]), limit, "Use rclpy, or leave the option out."
+        )
     if clock and backend != "rclpy":
         limit = f"The backend {backend} does not publish /clock."
-        raise InputError("clock", clock, limit, "Use rclpy, or leave it out.")
+        raise InputError("clock", clock, limit, "Use rclpy, or leave the option out.")
 
 
 def _registered_sink(backend: str, options: Options, **how: Any) -> LiveSink:

@@ -117,8 +117,8 @@ class Options(Section):
                 " ".join(f"{a:.6g}" for a in angles(*q)) for q in ((x, y, z, w), (y, z, w, x))
             )
             raise ValueError(
-                "The order is x y z w. Earlier versions had w x y z, and these numbers could be "
-                "either. "
+                "The order is x y z w. Earlier versions had w x y z, and the four numbers fit both "
+                "orders. "
                 f"Give roll pitch yaw: {now} if it is x y z w, {before} if it is w x y z."
             )
         return x, y, z, w
@@ -137,8 +137,8 @@ class Options(Section):
         usual = type(self).model_fields["images"].default
         if self.images != usual and not self.views and self.cameras is None:
             raise ValueError(
-                "Images show what cameras see, but no camera is chosen. Choose some with views or "
-                "cameras, or leave images out."
+                "Images show what cameras see, but no camera is chosen. Set views or cameras, "
+                "or leave images out."
             )
         return self
 

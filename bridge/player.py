@@ -160,7 +160,7 @@ class Player:
         first, last = float(self.times[0]), float(self.times[-1])
         if not first <= time <= last:
             limit = f"The clip runs from {first:g} s to {last:g} s."
-            raise InputError("seek", time, limit, "Seek to a time between them.")
+            raise InputError("seek", time, limit, "Seek to a time within the clip.")
         target = int(np.searchsorted(self.times, time))
         self._next, self._peek, self.finished = target, True, False
         self._splice(float(self.times[target]))

@@ -21,7 +21,7 @@ from bridge.options import LIVE_POINTS, Options, angles, quaternion
         ({"max_points": 0}, "greater than or equal to 1"),
         ({"epoch": 2.0**31}, "less than"),
         ({"profile": "splat"}, "'viz', 'full', 'small', 'ply' or 'splats'"),
-        ({"images": ("depth",)}, "no camera is chosen. Choose some with views or cameras"),
+        ({"images": ("depth",)}, "no camera is chosen. Set views or cameras"),
         ({"qos": 1}, "Extra inputs"),
     ],
 )

@@ -96,7 +96,9 @@ class Standard:
             return {"result": result(Code.FEATURE_UNSUPPORTED, said)}
         if self._run.state == wanted:
             return {
-                "result": result(Code.ALREADY_IN_TARGET_STATE, "The run is in that state already.")
+                "result": result(
+                    Code.ALREADY_IN_TARGET_STATE, "The run is already in the requested state."
+                )
             }
         self._run.enter(State(wanted))
         return {"result": result(Code.OK)}

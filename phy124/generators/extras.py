@@ -88,7 +88,9 @@ def read_depth(path: Path) -> NDArray[np.float32]:
         raise InputError("depth", path, limit, "Save one number per pixel, [height, width].")
     if not np.isfinite(values).all():
         limit = "Some of its values are not finite."
-        raise InputError("depth", path, limit, "Replace these values by the farthest one.")
+        raise InputError(
+            "depth", path, limit, "Replace values that are not finite by the farthest depth."
+        )
     return values.astype(np.float32)
 
 

@@ -79,7 +79,10 @@ class Reading(Section):
             verb = "is" if len(options) == 1 else "are"
             limit = f"{' and '.join(options)} {verb} for a file of Gaussians."
             raise InputError(
-                name, source, limit, f"Give such a file, or leave {' and '.join(options)} out."
+                name,
+                source,
+                limit,
+                f"Give a file of Gaussians, or leave {' and '.join(options)} out.",
             )
 
 

@@ -355,7 +355,9 @@ def _apply_mask(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
     if mask.size != image.size:
         (width, height), (w, h) = original_size(image), original_size(mask)
         limit = f"It does not have the size of the picture, {width} x {height} pixels."
-        raise InputError("mask", f"{w} x {h} pixels", limit, "Paint it over the picture itself.")
+        raise InputError(
+            "mask", f"{w} x {h} pixels", limit, "Paint the mask over the picture itself."
+        )
     mask = make_solid(mask)
     painted = mask.getchannel("A") if has_alpha(mask) else mask.convert("L")
     return np.minimum(np.asarray(painted), np.asarray(image.getchannel("A")))

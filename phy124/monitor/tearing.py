@@ -180,8 +180,8 @@ class Tearing(Observer):
         first = describe_particle(self._model, self._state, self.first)
         return [
             f"{self.count} particles were stretched (by up to {self.stretch:.1f} times) until they "
-            f"lay more than {APART} cells apart; the first one was {first}. There the grid may "
-            f"tear material that should hold together. {REMEDY}"
+            f"lay more than {APART} cells apart; the first one was {first}. Between "
+            f"particles so far apart the grid may tear material that should hold together. {REMEDY}"
         ]
 
     @property

@@ -99,7 +99,7 @@ def _check(density: float, spacing: float, binding: str) -> None:
             raise InputError(name, value, limit, f"Give a positive {name}.")
     if binding not in BINDINGS:
         limit = f"there is no such binding; there are {' and '.join(BINDINGS)}."
-        raise InputError("binding", binding, limit, "Choose one of these.")
+        raise InputError("binding", binding, limit, "Choose one of these bindings.")
 
 
 def _lattice(shape: Solid, room: _Room, spacing: float) -> NDArray[np.float64]:

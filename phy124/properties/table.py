@@ -151,7 +151,9 @@ def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArra
 def _bounds(path: Path, *ends: Any) -> list[NDArray[np.float64]]:
     """Return the centres of the first and the last voxel [3], [3]."""
     if any(np.shape(end) != (3,) for end in ends):
-        raise _refusal(path, "lower and upper are not points.", "Give three numbers for each.")
+        raise _refusal(
+            path, "lower and upper are not points.", "Give three numbers for each bound."
+        )
     return [_numbers(path, "bounds", end) for end in ends]
 
 

@@ -166,7 +166,7 @@ def check_transfer(accuracy: Accuracy) -> None:
             raise InputError(field, value, limit, remedy)
         if name != "transfer" and transfer != "apic":
             limit = f"it needs transfer = apic, not {transfer}."
-            raise InputError(field, value, limit, "Leave one of the two out.")
+            raise InputError(field, value, limit, "Leave one of the two settings out.")
     if accuracy.blend != Accuracy.model_fields["blend"].default and transfer != "aflip":
         limit = f"it needs transfer = aflip, not {transfer}."
         remedy = "Leave blend out or set the transfer."

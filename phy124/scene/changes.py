@@ -137,6 +137,6 @@ def _item(section: Any, key: str, path: str, value: Any) -> Any:
         items = "1 item" if len(section) == 1 else f"{len(section)} items"
         limit = f"there is no item {key!r}; the list has {items}."
         raise InputError(
-            path, value, limit, f"Items are counted from 0; use {len(section)} to add one."
+            path, value, limit, f"Items are counted from 0; use {len(section)} to add an item."
         )
     return section[number]

@@ -159,11 +159,11 @@ def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
         return
     if not checks.balance:
         limit = "it needs checks.balance, which is off."
-        raise InputError("checks.energy", "true", limit, "Leave one of the two out.")
+        raise InputError("checks.energy", "true", limit, "Leave one of the two settings out.")
     for name, present in unsupported.items():
         if present:
             limit = f"it does not support {name}."
-            raise InputError("checks.energy", "true", limit, "Leave one of the two out.")
+            raise InputError("checks.energy", "true", limit, "Leave one of the two settings out.")
 
 
 class Part(Section):

@@ -86,7 +86,7 @@ def _open(path: Path, folds: bool) -> InferenceSession:
         InputError: If onnxruntime is not installed or the file is unreadable.
     """
     if hindrance := obstacle(path):
-        raise InputError("weights", path, hindrance[0], "Run `phy124 weights` to see what exists.")
+        raise InputError("weights", path, hindrance[0], "Run `phy124 weights` to list all weights.")
     try:
         import onnxruntime
     except ImportError as error:

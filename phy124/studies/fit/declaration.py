@@ -32,7 +32,7 @@ def parse_range(data: Any) -> Any:
     except ValueError:
         raise ValueError("it is not a range. Write, for example, 1e4..1e6.") from None
     if not low < high:
-        raise ValueError(f"{low:g} is not below {high:g}. Give the smaller one first.")
+        raise ValueError(f"{low:g} is not below {high:g}. Give the smaller number first.")
     log = low > 0 and high >= DECADE * low
     return {"log_uniform" if log else "uniform": (low, high)}
 

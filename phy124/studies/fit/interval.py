@@ -242,7 +242,7 @@ def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind 
         return None
     weak = directions[-1]
     alike = tuple(name for name, part in zip(names, weak, strict=True) if abs(part) > SHARE)
-    return Blind(alike, "the measurements depend on these values in the same way.")
+    return Blind(alike, "the measurements depend on the named values in the same way.")
 
 
 def find_undetermined(

@@ -60,7 +60,9 @@ class Target:
         kind = "clip" if clip else "film" if path.is_dir() else kinds.get(path.suffix.lower())
         if kind is None or not path.exists():
             limit = "it does not exist, or is not a clip, .csv file, video or folder."
-            raise InputError("target", path, limit, "Give one of these.")
+            raise InputError(
+                "target", path, limit, "Give a clip, a .csv file, a video or a folder."
+            )
         if declared.align and kind != "film":
             raise InputError("align", True, "the target is not a video.", "Leave it out.")
         self.scene, self.gaussians, self.crop = _read_object(declared, clip)
@@ -175,7 +177,7 @@ def _read_object(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Cr
         return scene, thin(gaussians, declared.gaussians, seed=scene.seed), WHOLE
     if declared.object is None:
         limit = "no object is given."
-        raise InputError("object", None, limit, "Give its picture or file of Gaussians.")
+        raise InputError("object", None, limit, "Give the object's picture or file of Gaussians.")
     options: dict[str, Any] = {"count": declared.gaussians}
     path = os.fspath(declared.object)
     made = make_gaussians(path, scene, generator="relief" if needs_image(path) else path, **options)

@@ -192,7 +192,7 @@ def interpolate(first: float, last: float, part: float, *, log: bool = False) ->
 
 def _refuse_descending(ends: Sequence[float]) -> None:
     if ends[0] > ends[1]:
-        raise ValueError(f"{ends[0]:g} is above {ends[1]:g}. Give the smaller one first.")
+        raise ValueError(f"{ends[0]:g} is above {ends[1]:g}. Give the smaller number first.")
 
 
 KIND = re.compile(rf"\.({'|'.join(NAMED.values())})\b")
