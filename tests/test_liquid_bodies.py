@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from phy124.boundaries import Container
 from phy124.forces import Gravity
 from phy124.liquid.mixed import MixedSolver
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Model, State
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
+from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 from test_liquid import DENSITY, TANK, G, block
@@ -146,6 +148,30 @@ def test_liquid_on_a_block_that_fills_its_tank_gains_no_energy():
     clip = Simulation(prepare(ball(), scene, RunContext(threads=1))).run()
     assert clip.report["complete"], clip.report["stopped"]
     assert clip.report["balance"]["energy_gain"] < 0.02
+
+
+def test_liquid_does_not_seep_past_a_block_that_fills_its_tank():
+    """The walls are 0.37 cells beyond the lines of the grid."""
+    low, width, height = 0.37 * DX, 8 * DX, 4 * DX
+    inside = Region(lower=(low, low, low), upper=(low + width, low + width, 1e9))
+    water = block((0, 0, height), (width, width, 2 * height), CELLS) + low
+    body = block((0, 0, 0), (width, width, height), CELLS) + low
+    walls = (Container(inside=inside, contact="slip"),)
+    solver = run(mixed(water, body, 0.7 * DENSITY, walls=walls, E=3e4), 24)
+    x, speeds = solver.state.x.numpy(), np.linalg.norm(solver.state.v.numpy(), axis=1)
+    top = x[len(water) :, 2].max()
+    assert (x[: len(water), 2] < top - DX).mean() < 1e-3
+    assert speeds.max() < np.sqrt(2 * G * height)
+
+
+def test_steps_resolve_the_vibration_of_a_body_below_a_liquid():
+    solver = with_block(0.7 * DENSITY, 0.0, cells=(16, 16, 3))
+    run(solver, 2)
+    clock = solver.liquid.clock
+    assert 0.02 < clock.period < 0.1
+    steps = {1: clock.divide(1 / 24)[0], 0.1: clock.divide(0.1 * clock.period)[0]}
+    assert steps[1] <= clock.period / 4
+    assert steps[0.1] == 0.1 * clock.period
 
 
 @pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
 from phy124.kernels.liquid import bodies as kernels
-from phy124.kernels.liquid import shapes
+from phy124.kernels.liquid import films, shapes
 from phy124.kernels.liquid.active import EMPTY
 from phy124.kernels.reduction import shared_out
 from phy124.liquid.cells import Cells, Region
@@ -86,6 +86,8 @@ class Bodies:
         self._shifts = np.full(model.bodies, np.nan)
         """Distance by which the surface of each body is shifted outwards [cells]."""
         self._limit, self._kick, self._pull = 0.0, 0.0, np.zeros(3)
+        self.period = math.inf
+        """Shortest period of vibration of the bodies that close the space below a liquid [s]."""
         stiff = np.array([_stiffness(model, body) for body in self.numbers])
         self._stiffness = wp.array(stiff, dtype=wp.float64, device=device)
         self._before: list[tuple[NDArray, NDArray]] = []
@@ -136,6 +138,8 @@ class Bodies:
         self._full, self._level = (
             wp.zeros(count, dtype=self._model.real, device=device) for _ in range(2)
         )
+        self._shares, self._vacant = wp.zeros_like(cells.shares), wp.zeros_like(cells.eighths)
+        """Shares of the splines and fractions of eighths, with the walls but without the bodies."""
         self.pressed, self._change, self._contact = (
             wp.zeros(count, dtype=t.vec3, device=device) for _ in range(3)
         )
@@ -153,6 +157,8 @@ class Bodies:
         model, state, real = self._model, self._state, self._model.real
         self._sheet.zero_()
         self._contact.zero_()
+        wp.copy(self._shares, cells.shares)
+        wp.copy(self._vacant, cells.eighths)
         for wall, body in enumerate(self.numbers, self._solids.first(walls) + self.first):
             self._full.zero_()
             self._level.fill_(float(EMPTY))
@@ -171,7 +177,7 @@ class Bodies:
             inputs, outputs = [cells.window, box, self._level], [cells.open, cells.eighths]
             self._launch(shapes.make_body_openings(real), size, inputs, outputs)
             inputs = [cells.window, box, self._level, cells.still[0], cells.open]
-            self._launch(kernels.make_contact(real), size, inputs, [self._contact])
+            self._launch(films.make_contact(real), size, inputs, [self._contact])
             for _, launch in [walls.share(cells, region, 0, 1)]:
                 if launch is not None:
                     launch.launch()
@@ -180,10 +186,10 @@ class Bodies:
         """Compute distances from a body's surface, and shift it to enclose the body's volume."""
         real, shift = self._model.real, float(np.nan_to_num(self._shifts[body]))
         self._volumes.zero_()
-        inputs = [shift, cells.lattice, cells.window, box, self._full]
+        inputs = [shift, cells.lattice, cells.window, box, self._full, self._shares]
         outputs = [self._level, self._volumes]
         self._launch(shapes.make_body_level(real), count, inputs, outputs)
-        inputs = [cells.window, box, self._level]
+        inputs = [cells.window, box, self._level, self._vacant]
         self._launch(shapes.make_body_volume(real), count, inputs, [self._volumes])
         volume, inside, slope = np.asarray(self._volumes.numpy(), np.float64).tolist()
         if volume > 0:
@@ -296,8 +302,10 @@ class Bodies:
         """
         model, real = self._model, self._model.real
         before = np.array(self._exchanged.numpy(), np.float64)[self.first :]
+        self.period = math.inf
         for index in range(len(self.numbers)):
             self._press_film(cells, tracks, sums, densities, index)
+            self.period = min(self.period, self._vibration(index))
         # Velocities of bodies are not half a step behind, so the first impulse is not halved.
         total = np.asarray(self._exchanged.numpy(), np.float64)[self.first :] * drift / self._kick
         self._films = total - before * drift / self._kick
@@ -335,11 +343,24 @@ class Bodies:
         grid = [box, cells.lattice, cells.window, tracks.clock, tracks.values]
         surface = [cells.which, cells.liquid, cells.jumps, cells.pressure]
         inputs = [solid, *layers, *grid, *surface, self._contact]
-        self._launch(kernels.make_head(real), count, inputs, [self._rims])
+        self._launch(films.make_head(real), count, inputs, [self._rims])
         inputs = [solid, self._rims, self._solids.scale, *layers, *grid, *surface]
-        inputs += [cells.still[1], self._contact]
+        inputs += [cells.distances, cells.still[1], self._contact]
         outputs = [self.pressed, sums, self._exchanged]
-        self._launch(kernels.make_film(real), count, inputs, outputs)
+        self._launch(films.make_film(real), count, inputs, outputs)
+
+    def _vibration(self, index: int) -> float:
+        """Return the period of a body's vibration on a wall [s]; infinite if its rim is wet.
+
+        It is four times the time in which a wave crosses the body.
+        """
+        _, rims, areas = np.asarray(self._rims.numpy(), np.float64).T
+        dry = (areas > 0) & (rims < 2 * np.sqrt(areas))
+        body, volume = self.numbers[index], float(self._volumes.numpy()[0])
+        if body in self._model.held or not dry.any():
+            return math.inf
+        height = self._model.dx * volume / areas[dry].max()
+        return 4 * float(height) / _wave_speed(self._model, body)
 
     def _weigh_layers(
         self, cells: Cells, region: Region, densities: wp.array | None
@@ -359,7 +380,7 @@ class Bodies:
         layers = wp.zeros(count, dtype=wp.vec2d, device=model.device)
         inputs = [types(model.real).vec3(*up), low, region.box, cells.lattice, cells.window]
         inputs += [densities, cells.liquid]
-        kernel = kernels.make_layers(model.real)
+        kernel = films.make_layers(model.real)
         self._launch(kernel, int(np.prod(region.size)), inputs, [layers])
         totals = np.asarray(layers.numpy(), np.float64)
         full = np.flatnonzero(totals[:, 1])
@@ -404,6 +425,7 @@ class Bodies:
             "shifts": shifts,
             "centres": centres,
             "forces": self._forces.tolist(),
+            "period": self.period,
             "films": self._films.tolist(),
         }
 
@@ -413,6 +435,7 @@ class Bodies:
         self.impulses, self._kick = np.array(snapshot["impulses"]), snapshot["kick"]
         self._shifts, self._centres = np.array(snapshot["shifts"]), np.array(snapshot["centres"])
         self._forces, self._films = (np.array(snapshot[name]) for name in ("forces", "films"))
+        self.period = snapshot["period"]
 
 
 Advance = Callable[[float], None]
@@ -424,8 +447,14 @@ def _stiffness(model: Model, body: int) -> float:
     if body in model.held:
         return math.inf
     run = model.particles(body)
-    volume = float(np.sum(model.volume.numpy()[run], dtype=np.float64))
-    laws = {group.law.name for group in model.groups if group.body == body}
-    sections = [m for m in model.materials if m.device_law.name in laws]
-    modulus = min(section.density * section.wave_speed() ** 2 for section in sections)
+    volume, mass = (
+        float(np.sum(array.numpy()[run], dtype=np.float64)) for array in (model.volume, model.mass)
+    )
+    modulus = mass / volume * _wave_speed(model, body) ** 2
     return float(modulus * model.dx**2 / volume ** (1 / 3))
+
+
+def _wave_speed(model: Model, body: int) -> float:
+    """Return the speed of waves in the softest material of a body [m/s]."""
+    laws = {group.law.name for group in model.groups if group.body == body}
+    return min(m.wave_speed() for m in model.materials if m.device_law.name in laws)

@@ -26,6 +26,11 @@ DIFFUSED = 5.0
 of iterations for viscosity to about 200.
 """
 
+RESOLVED, AVERAGED = 4.0, 1.5
+"""A body below a liquid vibrates. Either its period has `RESOLVED` steps, or a step has `AVERAGED`
+periods. Between these limits, the pressure of the last step would amplify the vibration.
+"""
+
 
 class LiquidClock(Clock):
     """A clock whose steps obey the limits for an incompressible liquid."""
@@ -40,6 +45,8 @@ class LiquidClock(Clock):
     """Largest speed of a wall [m/s]."""
     bodies = 0.0
     """Largest speed of bodies of other materials [m/s]."""
+    period = math.inf
+    """Period of vibration of a body that closes the space below a liquid [s]."""
 
     def diffuse(self, rate: float) -> None:
         """Limit steps by viscosity; the argument is the rate of diffusion to a face [1/s]."""
@@ -59,6 +66,19 @@ class LiquidClock(Clock):
         }
         limiter = min(limits, key=limits.__getitem__)
         return Substep(limits[limiter], limiter)
+
+    def divide(self, rest: float) -> tuple[float, Substep]:
+        """Return the length of the next step [s], and its limit.
+
+        Args:
+            rest: Remaining time, which equal steps divide [s].
+        """
+        limit = self.stable()
+        dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
+        if self.period / RESOLVED < dt < AVERAGED * self.period:
+            limit = Substep(self.period / RESOLVED, "elastic")
+            dt = rest / math.ceil(rest / limit.dt)
+        return dt, limit
 
     def lag(self, power: float, momentum: NDArray) -> float:
         """Return the change of kinetic energy [J] between the times of velocities and positions.

@@ -8,17 +8,19 @@ from typing import Any
 from phy124.boundaries import Boundary
 from phy124.kernels.liquid import (
     active,
+    bodies,
     faces,
+    films,
     impulses,
     mixture,
     packing,
     pressure,
+    shapes,
     spread,
     surface,
     transfer,
     viscous,
 )
-from phy124.kernels.liquid.bodies import kernels as body_kernels
 from phy124.liquid import projection
 from phy124.liquid.solids import solid_kernels
 from phy124.liquid.walls import wall_kernels
@@ -30,7 +32,7 @@ def kernels(
     real: Any,
     form: str,
     *,
-    bodies: bool = False,
+    mixed: bool = False,
     pushed: bool = False,
 ) -> Iterator[Any]:
     """Yield the kernels that a liquid's steps launch, except those of the forces on particles.
@@ -40,18 +42,29 @@ def kernels(
         solids: Shapes of free solids.
         real: wp.float32 or wp.float64.
         form: Form of the transfers, "plain" or "simd".
-        bodies: Whether other materials move in the liquid.
+        mixed: Whether other materials move in the liquid.
         pushed: Whether forces act on particles.
     """
     if pushed and boundaries:
         yield impulses.make_gains(real)
     yield from wall_kernels(boundaries, solids, real)
-    if bodies:
-        yield from body_kernels(real)
-    if solids or bodies:
+    if mixed:
+        yield from _of_bodies(real)
+    if solids or mixed:
         yield from solid_kernels(real)
     yield from _of_phases(real, form)
     yield from projection.kernels()
+
+
+def _of_bodies(real: Any) -> Iterator[Any]:
+    """Yield the kernels of bodies of other materials."""
+    yield from (make(real) for make in (bodies.make_moments, bodies.make_yield, bodies.make_answer))
+    yield from (bodies.make_body_change(real), bodies.make_body_gather(real))
+    yield from (make(real) for make in (bodies.make_body_push, shapes.make_body_scatter))
+    yield from (make(real) for make in (shapes.make_body_level, shapes.make_body_volume))
+    yield from (make(real) for make in (shapes.make_body_distance, shapes.make_body_openings))
+    yield from (shapes.make_body_push_out(real), films.make_contact(real), films.make_layers(real))
+    yield from (films.make_head(real), films.make_film(real))
 
 
 def _of_phases(real: Any, form: str) -> Iterator[Any]:

@@ -331,8 +331,10 @@ class LiquidSolver:
         """Take one step; its stable length divides the remaining time evenly."""
         self._fit()
         clock = self.clock
-        limit, rest = clock.stable(), until - clock.time
-        dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
+        if self._bodies is not None:
+            clock.period = self._bodies.period
+        rest = until - clock.time
+        dt, limit = clock.divide(rest)
         self.step((clock.last_dt + dt) / 2, dt)
         if dt == rest:
             clock.time = until

@@ -12,9 +12,12 @@ import warp as wp
 from phy124.kernels.arguments import Box, Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.liquid.active import EMPTY
-from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number
-from phy124.kernels.liquid.surface import depth
+from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number, stride
+from phy124.kernels.liquid.surface import depth, filled_share
 from phy124.kernels.liquid.walls import GAP, SHUT, centre_of, halves, square
+
+BURIED = wp.constant(0.7)
+"""Largest share of a cell's spline inside walls at which the fill tells where a body is."""
 
 
 @wp.func
@@ -89,12 +92,55 @@ def eighth(cell: wp.vec3i, a: int, b: int, c: int, like: Any):
     )
 
 
+@wp.func
+def raw_level(full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, dx: Any):
+    """Return the distance of a cell's centre from a body [cells], by the fill outside walls."""
+    level = type(dx)(EMPTY)
+    if full[n] > type(dx)(0.0):
+        level = -depth(filled_share(full[n], shares[n][1], dx))
+    return level
+
+
+@wp.func
+def way_out(shares: wp.array(dtype=Any), n: int, size: wp.vec3i):
+    """Return the step from a cell to that neighbour, of 26, to which walls lead outwards."""
+    slopes = wp.vector(type(shares[n][1])(0.0), type(shares[n][1])(0.0), type(shares[n][1])(0.0))
+    for axis in range(3):
+        step = stride(axis, size)
+        slopes[axis] = shares[n - step][1] - shares[n + step][1]
+    least = type(shares[n][1])(0.5) * wp.max(wp.abs(slopes))
+    way = int(0)
+    for axis in range(3):
+        if wp.abs(slopes[axis]) > least:
+            way += int(wp.sign(slopes[axis])) * stride(axis, size)
+    return way
+
+
+@wp.func
+def level_near(
+    full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, size: wp.vec3i, dx: Any
+):
+    """Return the distance of a cell's centre from a body [cells]; inside walls, extrapolate it.
+
+    The distance is linear on the line from the cell to the first one outside walls.
+    """
+    m = n
+    for _ in range(3):
+        if shares[m][1] > type(dx)(BURIED):
+            m += way_out(shares, m, size)
+    level = raw_level(full, shares, m, dx)
+    if m != n and shares[m][1] <= type(dx)(BURIED):
+        further = raw_level(full, shares, 2 * m - n, dx)
+        level = wp.clamp(level + level - further, -type(dx)(EMPTY), type(dx)(EMPTY))
+    return level
+
+
 @build_once
 def make_body_level(real: Any):
     """Kernel over the cells of a region: computes the distance from a body's surface [cells].
 
-    The surface is shifted outwards by `shift` [cells]. The body's volume [cells] is added to
-    `volumes_out`.
+    A body that touches a wall continues in it, so no liquid gets between both. The surface is
+    shifted outwards by `shift` [cells]. The body's volume [cells] is added to `volumes_out`.
     """
     t = types(real)
 
@@ -105,17 +151,21 @@ def make_body_level(real: Any):
         window,
         region: Box,
         full: t.reals,
+        shares: t.vec2s,
         level_out: t.reals,
         volumes_out: Doubles,
     ):
         cell = cell_of(wp.tid(), region[1]) + region[0]
-        if inner(cell, window[1], 0):
-            n = number(cell, window[1])
+        size = window[1]
+        if inner(cell, size, 0):
+            n = number(cell, size)
             dx = lattice[3]
-            fill = full[n] / (dx * dx * dx)
-            if fill > real(0.0):
-                level_out[n] = -depth(fill) - shift
-                wp.atomic_add(volumes_out, 0, wp.float64(fill))
+            level = raw_level(full, shares, n, dx)
+            if inner(cell, size, 7):
+                level = level_near(full, shares, n, size, dx)
+            if level < real(EMPTY):
+                level_out[n] = level - shift
+            wp.atomic_add(volumes_out, 0, wp.float64(full[n] / (dx * dx * dx)))
 
     return body_level
 
@@ -142,14 +192,15 @@ def level_at(level: wp.array(dtype=Any), s: Any, size: wp.vec3i):
 
 @build_once
 def make_body_volume(real: Any):
-    """Kernel over the cells of a region: sums the volume inside a body's surface [cells].
+    """Kernel over a region's cells: sums the volume inside a body's surface and outside walls.
 
-    `volumes_out` also gets the change of this volume if the surface is shifted by a cell.
+    `volumes_out` gets the volume [cells], and its change if the surface is shifted by a cell.
+    `vacant` has the fraction of each eighth of a cell that is outside walls.
     """
     t = types(real)
 
     @kernel(f"phy124_liquid_body_volume_{real.__name__}", real, seconds=0.3)
-    def body_volume(window, region: Box, level: t.reals, volumes_out: Doubles):
+    def body_volume(window, region: Box, level: t.reals, vacant: t.reals, volumes_out: Doubles):
         cell = cell_of(wp.tid(), region[1]) + region[0]
         size = window[1]
         if not inner(cell, size, 2):
@@ -166,9 +217,10 @@ def make_body_volume(real: Any):
                 for c in range(parts):
                     d = level_at(level, eighth(cell, a, b, c, here), size)
                     share = half - real(2.0) * d
-                    inside += real(0.125) * wp.clamp(share, real(0.0), real(1.0))
+                    room = vacant[number(2 * cell + wp.vec3i(a, b, c), 2 * size)]
+                    inside += real(0.125) * room * wp.clamp(share, real(0.0), real(1.0))
                     if share > real(0.0) and share < real(1.0):
-                        slope += real(0.25)
+                        slope += real(0.25) * room
         wp.atomic_add(volumes_out, 1, wp.float64(inside))
         wp.atomic_add(volumes_out, 2, wp.float64(slope))
 
