@@ -161,7 +161,7 @@ def test_bad_speed(speed):
 
 @pytest.mark.parametrize("time", [-0.1, 0.95, math.nan])
 def test_seek_outside_the_clip(time):
-    with pytest.raises(InputError, match=r"runs from 0 s to 0.9 s. Seek to a time between"):
+    with pytest.raises(InputError, match=r"runs from 0 s to 0.9 s. Seek to a time within"):
         Player(TIMES).seek(time, 0.0)
 
 
