@@ -38,12 +38,16 @@ STRAIGHT = 0.98
 """An outline has straight edges if it overlaps with a polygon of few corners by at least this
 (IoU)."""
 CORNERS = 12
+BOXED = 0.95
+"""Smallest part of its bounding rectangle that a rectangle with rounded corners fills."""
 ROUNDED = 0.1
 """Radius of a block's edges, relative to half the block's width."""
 RIM = 3.0
 """Width over which the outline of a foot is rounded [pixels]."""
 SHADED = 0.1
 """Smallest change of brightness across a shaded round object, relative to its mean."""
+NOISE, ROUNDS = 0.01, 10
+"""Noise of the brightness relative to its mean, and rounds of the fit to most pixels."""
 
 
 def inflate(
@@ -185,8 +189,13 @@ def _solidity(object_mask: NDArray[np.bool_]) -> float:
 
 
 def _polygonal(object_mask: NDArray[np.bool_]) -> bool:
-    """Whether the outline consists of at most `CORNERS` straight lines."""
+    """Whether the outline consists of at most `CORNERS` straight lines, or is a rectangle with
+    rounded corners.
+    """
     outline = _outline(object_mask)
+    width, height = cv2.minAreaRect(outline)[1]
+    if np.count_nonzero(object_mask) > BOXED * (width + 1) * (height + 1):
+        return True
     corners = cv2.approxPolyDP(outline, 0.01 * cv2.arcLength(outline, closed=True), closed=True)
     drawn = cv2.fillPoly(np.zeros(object_mask.shape, np.uint8), [corners], 1) > 0
     overlap = np.count_nonzero(drawn & object_mask) / np.count_nonzero(drawn | object_mask)
@@ -209,9 +218,27 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     bright = picture.rgba[..., :3].mean(axis=2)[seen]
     known = np.column_stack([normals, np.ones(len(normals))])
-    fitted = np.linalg.lstsq(known, bright, rcond=None)[0]
-    across, towards = float(fitted[0]), float(fitted[2])
-    return bool(abs(across) + abs(towards) > SHADED * bright.mean())
+    rows = np.nonzero(seen)[0]
+    middles = np.asarray(scipy.ndimage.median(bright, rows, np.arange(len(seen))))[rows]
+    changes = []
+    for values in (bright, bright - middles):  # a standing can's labels are bands of rows
+        across, _, towards, _ = _fit_most(known, values, NOISE * float(bright.mean()))
+        changes.append(abs(across) + abs(towards))
+    return bool(max(changes) > SHADED * bright.mean())
+
+
+def _fit_most(known: Field, values: Field, noise: float) -> list[float]:
+    """Fit values [N] linearly by the columns of `known` [N,C], with the smallest absolute errors.
+
+    Unlike least squares, this ignores what differs from the majority, such as letters and frames.
+    """
+    weights = np.ones(len(values))
+    fitted = np.zeros(known.shape[1])
+    for _ in range(ROUNDS):
+        root = np.sqrt(weights)
+        fitted = np.linalg.lstsq(root[:, None] * known, root * values, rcond=None)[0]
+        weights = 1 / np.maximum(np.abs(values - known @ fitted), noise)
+    return fitted.tolist()
 
 
 def _slab(picture: Continued, view: View, thickness: float) -> Surface:
