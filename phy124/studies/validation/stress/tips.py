@@ -157,7 +157,7 @@ def depth_in_body(inside: Inside, accuracy: str, setting: Setting, solver: str) 
 
 def tips(setting: Setting) -> list[Check]:
     """Check that tips, edges, legs and hairs of a soft body do not penetrate the floor."""
-    lifts = (0.0, 0.1, 0.3) if setting.long else (0.1, 0.3)
+    lifts = (0.0, 0.1, 0.3) if setting.long else (0.3,)
     return [
         check_depth(inside, lift, accuracy, setting, solver)
         for solver in solvers(setting)
@@ -177,5 +177,5 @@ def tips_on_body(setting: Setting) -> list[Check]:
         )
         for solver in solvers(setting)
         for accuracy in (("draft", "standard") if setting.long else ("draft",))
-        for inside in (cone, needle, edge, hairs)
+        for inside in ((cone, needle, edge, hairs) if setting.long else (needle, hairs))
     ]
