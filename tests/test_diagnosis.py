@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124.materials import NeoHookean, Sand
+from phy124.materials import NeoHookean, Rigid, Sand
 from phy124.monitor.diagnostics import (
     broken_particles,
     describe_particle,
@@ -46,6 +46,14 @@ def test_the_first_broken_particle_is_found_in_any_array(solver):
     assert broken_particles(solver.state)[0] == 9
     spoil(solver.state.v, (4, 2), np.inf)
     assert broken_particles(solver.state)[0] == 4
+
+
+def test_a_law_has_the_name_that_scenes_use():
+    x = block(2)
+    body = make_solver(x, np.full(len(x), 1e-4), [Rigid(speed=1, strain=0.02)], dx=0.125)
+    assert law_of(body.model, 0) == "rigid"
+    soft = make_solver(x, np.full(len(x), 1e-4), [NeoHookean(E=1e4, damping=1)], dx=0.125)
+    assert law_of(soft.model, 0) == "neo_hookean"
 
 
 def test_a_particle_is_named_by_number_law_place_and_speed(solver):

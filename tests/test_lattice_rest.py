@@ -45,3 +45,25 @@ def test_sliver_at_a_corner_joins_the_cell_behind_it():
     assert len(x) == 8 * 4**3
     lattice = RestLattice.of(x, volume, volume, DX)
     assert lattice.mass[lattice.mass > 0].min() > 1e-3 * DX**3
+
+
+def test_needles_have_nodes_of_finite_mass():
+    """None of their cells is filled as much as the smallest fraction of a thick body's cells."""
+    fraction = np.zeros((8, 8, 8), np.float32)
+    fraction[1:7, 3, 3], fraction[7, 3, 3] = 1e-4, 1e-38
+    x, volume = integration_points(Solid(np.zeros(3, int), DX / 2, fraction), DX)
+    lattice = RestLattice.of(x, volume, volume, DX)
+    assert np.isclose(volume.sum(), 6e-4 * (DX / 2) ** 3)
+    assert lattice.mass[lattice.mass > 0].min() > 1e-3 * lattice.mass.max()
+
+
+def test_light_nodes_are_tied_to_their_own_sheet():
+    """Two sheets with a gap of two cells would otherwise be glued to each other."""
+    fraction = np.zeros((14, 14, 12), np.float32)
+    fraction[1:13, 1:13, 2:4] = fraction[1:13, 1:13, 8:10] = 1
+    x, volume = integration_points(Solid(np.zeros(3, int), DX / 2, fraction), DX)
+    lattice = RestLattice.of(x, volume, volume, DX)
+    low = lattice.index[:, 2] < 3
+    tied, donor = lattice.ties.nonzero()
+    assert len(tied) > 10
+    assert np.array_equal(low[lattice.tied[tied]], low[donor])

@@ -3,7 +3,7 @@
 import pytest
 
 from phy124.budget.cost import Work, estimate, estimate_memory, rest_substeps
-from phy124.budget.limits import check_limits, note_stiffest_part
+from phy124.budget.limits import check_limits, duration, note_stiffest_part
 from phy124.errors import InputError
 from phy124.particles import make_particles
 from phy124.scene import Scene
@@ -33,6 +33,10 @@ def run(**changes) -> Simulation:
 def test_runs_of_hours_are_refused_before_they_start(changes, message):
     with pytest.raises(InputError, match=message):
         run(**changes)
+
+
+def test_durations_below_a_second_are_not_rounded_to_zero():
+    assert [duration(t) for t in (0.42, 9.8, 42, 7200)] == ["0.42 s", "9.8 s", "42 s", "2.0 hours"]
 
 
 @pytest.mark.parametrize(

@@ -195,6 +195,8 @@ def note_stiffest_part(scene: Scene) -> str | None:
 
 def duration(seconds: float) -> str:
     """Format a duration [s] as text in seconds, hours or days."""
+    if seconds < 10:
+        return f"{seconds:.2g} s"
     if seconds < 5400:
         return f"{seconds:.0f} s"
     if seconds < 2 * 86400:

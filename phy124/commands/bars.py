@@ -144,7 +144,7 @@ class Bars:
             return ""
         from phy124.budget.limits import duration
 
-        return f", about {duration(seconds)} left"
+        return f", about {duration(round(seconds))} left"
 
     def _say(self, line: str) -> None:
         print(line, file=sys.stderr, flush=True)

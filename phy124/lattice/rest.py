@@ -37,8 +37,7 @@ LIGHT, GIVING = 0.02, 0.2
 where the body is squeezed.
 """
 DONORS, NEAR = 27, 3.0
-"""A tied node is extrapolated from at most `DONORS` nodes at a distance of at most `NEAR` [cells].
-"""
+"""A tied node is extrapolated from at most `DONORS` nodes at a distance below `NEAR` [cells]."""
 ROW = 9
 """Number of rows of three nodes along z that a cell touches."""
 STEPS = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -146,10 +145,11 @@ class RestLattice:
             len(nodes),
         )
         density = float(mass.sum() / volume.sum())
-        whole = density * dx**3
+        # A body of needles, or of thin sheets, has no node with the mass of one inside a body.
+        whole = min(density * dx**3, of_nodes.max() / GIVING)
         corner = (np.bincount(number.ravel()) == 1) & (of_nodes < CORNER * whole)
-        tied, ties, of_nodes = _tie_light(index, of_nodes, LIGHTEST * whole, corner)
-        of_nodes, shares = _share(index, of_nodes, LIGHT * whole, GIVING * whole)
+        tied, ties, of_nodes = _tie_light(index, number, of_nodes, LIGHTEST * whole, corner)
+        of_nodes, shares = _share(index, number, of_nodes, LIGHT * whole, GIVING * whole)
         carried = ties.T @ _rows(tied, len(index))
         pushes = scipy.sparse.csr_matrix(carried + shares + shares @ carried)
         rows = number[:, ::3].astype(np.int32)
@@ -222,13 +222,18 @@ def _weights(offset: NDArray) -> NDArray[np.float64]:
 
 
 def _tie_light(
-    index: NDArray[np.int64], mass: NDArray, least: float, corner: NDArray[np.bool_]
+    index: NDArray[np.int64],
+    cells: NDArray[np.int64],
+    mass: NDArray,
+    least: float,
+    corner: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, NDArray[np.float64]]:
     """Return tied nodes, the nodes that carry them, and all masses; a tied node's mass is 0.
 
     Args:
         index: Indices of the nodes [N,3].
-        mass: Their masses [N], kg.
+        cells: The nodes of each cell [C,27].
+        mass: Masses of the nodes [N], kg.
         least: Mass below which a node is tied [kg].
         corner: Whether a node is tied in any case [N].
     """
@@ -236,7 +241,7 @@ def _tie_light(
     # Weights of ties can be negative: nodes that would be left without mass are tied, too.
     while True:
         candidates = np.where(light, 0, candidates)
-        tied, ties = _tie(index, candidates, least, least)
+        tied, ties = _tie(index, cells, candidates, least, least)
         result: NDArray[np.float64] = mass + ties.T @ mass[tied]
         result[tied] = 0
         light = (result < least / 2) & (candidates > 0)
@@ -246,14 +251,18 @@ def _tie_light(
 
 
 def _share(
-    index: NDArray[np.int64], mass: NDArray[np.float64], least: float, giving: float
+    index: NDArray[np.int64],
+    cells: NDArray[np.int64],
+    mass: NDArray[np.float64],
+    least: float,
+    giving: float,
 ) -> tuple[NDArray[np.float64], scipy.sparse.csr_matrix]:
     """Return masses after heavy nodes have given mass to nodes lighter than `least` [kg].
 
     The total mass and its centre are preserved. No node loses more than half of its mass. The
     matrix [N,N] moves forces with the mass: the moved mass has the light node's acceleration.
     """
-    light, weights = _tie(index, mass, least, giving)
+    light, weights = _tie(index, cells, mass, least, giving)
     light, weights = light[mass[light] > 0], weights[mass[light] > 0]
     wanted = least - mass[light]
     taken = abs(weights).T @ wanted
@@ -275,30 +284,87 @@ def _rows(chosen: NDArray[np.int64], count: int) -> scipy.sparse.csr_matrix:
 
 
 def _tie(
-    index: NDArray[np.int64], mass: NDArray, least: float, giving: float
+    index: NDArray[np.int64],
+    cells: NDArray[np.int64],
+    mass: NDArray,
+    least: float,
+    giving: float,
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix]:
     """Return the nodes lighter than `least` [kg], and the weights that extrapolate them.
 
     The weights reproduce every linear function that is determined by the nearby nodes with a mass
-    of at least `giving` [kg]. A light node that has no such node nearby is not tied.
+    of at least `giving` [kg]. Nodes that share a cell with the light node are preferred: others may
+    belong to another part of the body, such as a leaf near a stem, to which the light node would
+    be glued. A light node that has no such node nearby is not tied.
     """
     count = len(index)
     light, heavy = np.flatnonzero(mass < least), np.flatnonzero(mass >= giving)
     if not len(light) or not len(heavy):
         return np.zeros(0, np.int64), scipy.sparse.csr_matrix((0, count))
-    tree = scipy.spatial.KDTree(index[heavy])
-    several = min(DONORS, len(heavy))
-    distance, near = tree.query(index[light], k=several, distance_upper_bound=NEAR)
-    distance, near = distance.reshape(len(light), -1), near.reshape(len(light), -1)
-    present = np.isfinite(distance)
-    donors = heavy[np.where(present, near, 0)]
+    donors, distance = _nearest_in_cells(index, cells, light, heavy)
+    weight, complete = _extrapolate(index, light, donors, distance)
+    alone = np.flatnonzero(~complete)
+    if len(alone):
+        tree = scipy.spatial.KDTree(index[heavy])
+        ranks = np.arange(DONORS) + 1
+        away, near = tree.query(index[light[alone]], k=ranks, distance_upper_bound=NEAR)
+        donors[alone] = heavy[np.where(np.isfinite(away), near, 0)]
+        weight[alone], _ = _extrapolate(index, light[alone], donors[alone], away)
+    tied = np.abs(weight.sum(axis=1) - 1) < 1e-6
+    row, column = np.nonzero(weight[tied])
+    entries = (weight[tied][row, column], (row, donors[tied][row, column]))
+    return light[tied], scipy.sparse.csr_matrix(entries, shape=(int(tied.sum()), count))
+
+
+def _nearest_in_cells(
+    index: NDArray[np.int64], cells: NDArray[np.int64], some: NDArray, heavy: NDArray
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the heavy nodes that share a cell with each node, the nearest first.
+
+    Args:
+        index: Indices of the nodes [N,3].
+        cells: The nodes of each cell [C,27].
+        some: The nodes whose neighbours are returned [T].
+        heavy: The nodes that may be returned [H].
+
+    Returns:
+        The neighbours [T,`DONORS`] and their distances [cells], infinite where there is none.
+    """
+    of_cells = np.repeat(np.arange(len(cells)), cells.shape[1])
+    entries = (np.ones(cells.size, np.float32), (cells.ravel(), of_cells))
+    touches = scipy.sparse.csr_matrix(entries, shape=(len(index), len(cells)))
+    common = (touches[some] @ touches[heavy].T).tocoo()
+    row, donor = common.row, heavy[common.col]
+    far = np.linalg.norm(index[donor] - index[some[row]], axis=1)
+    order = np.lexsort((donor, far, row))
+    order = order[far[order] < NEAR]
+    row = row[order]
+    place = np.arange(len(row)) - np.searchsorted(row, row)
+    row, order, place = (values[place < DONORS] for values in (row, order, place))
+    donors = np.full((len(some), DONORS), heavy[0])
+    distance = np.full((len(some), DONORS), np.inf)
+    donors[row, place], distance[row, place] = donor[order], far[order]
+    return donors, distance
+
+
+def _extrapolate(
+    index: NDArray[np.int64], light: NDArray, donors: NDArray, distance: NDArray
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the weights of donors [T,K], and whether these determine every linear function [T].
+
+    Args:
+        index: Indices of the nodes [N,3].
+        light: The nodes that are extrapolated [T].
+        donors: The nodes from which each is extrapolated [T,K].
+        distance: Their distances [T,K], cells; infinite where there is no donor.
+    """
     arm = (index[donors] - index[light][:, None]).astype(np.float64)
     basis = np.concatenate([np.ones((*arm.shape[:2], 1)), arm], axis=2)
-    importance = np.where(present, np.exp(-(np.minimum(distance, NEAR) ** 2) / 1.5), 0.0)
+    importance = np.exp(-(distance**2) / 1.5)
     moments = np.einsum("tn,tna,tnb->tab", importance, basis, basis)
-    constant = np.linalg.pinv(moments, rcond=1e-8, hermitian=True)[:, :, 0]
-    weight = importance * np.einsum("tna,ta->tn", basis, constant)
-    tied = np.abs(weight.sum(axis=1) - 1) < 1e-6
-    rows = np.repeat(np.arange(tied.sum()), weight.shape[1])
-    entries = (weight[tied].ravel(), (rows, donors[tied].ravel()))
-    return light[tied], scipy.sparse.csr_matrix(entries, shape=(int(tied.sum()), count))
+    size, axes = np.linalg.eigh(moments)
+    determined = size > 1e-8 * size[:, -1:]
+    part = np.where(determined, axes[:, 0], 0) / np.where(determined, size, 1)
+    constant = np.einsum("tk,tak->ta", part, axes)
+    complete = np.asarray(determined.all(axis=1))
+    return importance * np.einsum("tna,ta->tn", basis, constant), complete

@@ -179,8 +179,11 @@ def broken_particles(state: State) -> NDArray[np.intp]:
 
 
 def law_of(model: Model, index: int) -> str:
-    """Return the name of a particle's law."""
-    return next(g.law.name for g in model.groups if g.start <= index < g.stop)
+    """Return the name of a particle's law, as a scene spells it."""
+    kernel = next(g.law.name for g in model.groups if g.start <= index < g.stop)
+    sections = [section for section in model.materials if section.device_law.name == kernel]
+    # A law from outside may have no name.
+    return " or ".join(sorted({str(getattr(section, "law", kernel)) for section in sections}))
 
 
 def describe_particle(model: Model, state: State, index: int) -> str:

@@ -22,8 +22,10 @@ from phy124.particles.solid import Solid
 
 PER_CELL = 8
 """Number of integration points of a cell."""
-SMALLEST = 1e-3
-"""Smallest filled fraction of a cell that gets integration points."""
+SMALLEST, FULLEST = 1e-3, 0.1
+"""Smallest filled fraction of a cell that gets integration points; in a body of needles, `FULLEST`
+times the fraction of the fullest cell, if this is less.
+"""
 HAZE = 0.005
 """Filled fraction of a cell below which the cell has no surface points, because it holds only
 single Gaussians around a body."""
@@ -136,9 +138,7 @@ def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], ND
     reach = np.sqrt(np.maximum(squares, 0))
     x = centre[:, None] + np.einsum("qk,ck,cik->cqi", CORNERS, reach, axes)
     volume = filled * side**3
-    kept = volume >= SMALLEST * dx**3
-    if not kept.any():
-        kept[:] = True
+    kept = volume >= min(SMALLEST * dx**3, FULLEST * volume.max())
     volume = volume[kept] * (solid.volume / volume[kept].sum())
     return x[kept].reshape(-1, 3), np.repeat(volume / PER_CELL, PER_CELL)
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.budget import cost
+from phy124.budget.limits import duration
 from phy124.budget.remedies import SLOW, advise, find_remedies, find_speedups
 from phy124.errors import Cancelled, Remedy
 from phy124.gaussians import Frame
@@ -482,7 +483,7 @@ class Simulation:
                 slow = describe_substep(solver.model, solver.state, solver.clock)
                 done = solver.clock.time * self.scene.time.fps / max(frames - 1, 1)
                 raise Stopped(
-                    f"frame {index} was reached in {spent:.0f} s, twice time.budget: {slow}.",
+                    f"frame {index} was reached in {duration(spent)}, twice time.budget: {slow}.",
                     find_speedups(self.scene, solver.clock.stable().limiter, done),
                 )
             progress("simulate", index, frames)
