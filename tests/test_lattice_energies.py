@@ -340,13 +340,22 @@ def test_changes_in_a_live_run_keep_the_sums():
     assert abs(last["unexplained"]) < 1e-5 * last["turnover"]
 
 
-def test_balance_and_works_agree_on_what_a_clamped_body_loses():
-    """A gust bends an undamped ball that is held at its foot, so that next to nothing is lost."""
-    gust = {"kind": "acceleration", "a": [0.0, 4.5, 0.0], "end": 0.1}
+GUST = {"kind": "acceleration", "a": [0.0, 4.5, 0.0], "end": 0.1}
+WIND = {"kind": "wind", "v": [0.0, 1.0, 0.0], "rate": 5.0}
+UPPER = {**GUST, "region": {"lower": [0.0, 0.0, 0.5], "upper": [1.0, 1.0, 1.0]}}
+
+
+@pytest.mark.parametrize(
+    "forces",
+    [[GUST], [UPPER], [WIND], [{**WIND, "v": [0.0, -1.0, 0.0]}, GUST]],
+    ids=["uniform", "region", "wind", "wind and gust"],
+)
+def test_balance_and_works_agree_on_what_a_clamped_body_loses(forces):
+    """Forces bend an undamped ball that is held at its foot, so that next to nothing is lost."""
     rubber = {"law": "neo_hookean", "E": 5e4}
     shape = {"objects": [], "stiffness_profile": None, "material": rubber}
-    scene = stacked(**shape, boundaries=[{"kind": "foot", "fraction": 0.3}], forces=[gust])
-    report = simulate(scene).run().report
+    scene = stacked(**shape, boundaries=[{"kind": "foot", "fraction": 0.3}], forces=forces)
+    report = simulate(scene, threads=2).run().report
     lost = report["energy"]["lost"] / report["energy"]["turnover"]
     assert report["balance"]["energy_gain"] == pytest.approx(-lost, abs=1e-4)
     assert not any(math.copysign(1, value) < 0 for value in report["energy"].values() if value == 0)

@@ -95,6 +95,7 @@ def test_lattice_compiles_for_cuda(arch, tmp_path):
         *impulses.kernels(wp.float32),
         work.make_node_work(wp.float32),
         work.make_contact_work(wp.float32),
+        work.make_push_work(wp.float32),
         points.make_locate(wp.float32),
         points.make_push(wp.float32),
     )

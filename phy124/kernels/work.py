@@ -168,11 +168,11 @@ def make_uniform_sums(real: Any):
     """Kernel of one thread: adds impulse and work of the uniform acceleration in a substep.
 
     The acceleration acts after forces on particles and before walls, so `walls_out` stores the
-    walls' sums up to the previous substep. `means` has the walls of lattices and of liquids by
-    projection. The work of such walls is computed with the mean velocities of a step, so the work
-    of the acceleration is computed with the mean of the momenta before and after the step. `base`
-    is the momentum without the sums that are still being accumulated. `pushes` and `walls` have one
-    row of sums for each worker, `means` one for each wall of a lattice or one for a liquid's walls.
+    walls' sums up to the previous substep. The works in `mean_pushes` and `mean_walls`, on lattices
+    and on a liquid by projection, are computed with the mean velocities of a step. There the
+    acceleration works on the mean of the momenta before and after the step. `base` is the momentum
+    without the sums that are still being accumulated. All have one row of sums for each worker, but
+    `mean_walls` has one for each wall of a lattice, or one for all walls of a liquid.
     """
 
     @kernel(f"phy124_uniform_sums_{real.__name__}", real)
@@ -183,7 +183,8 @@ def make_uniform_sums(real: Any):
         base: Doubles,
         pushes: wp.array2d(dtype=wp.float64),
         walls: wp.array2d(dtype=wp.float64),
-        means: wp.array2d(dtype=wp.float64),
+        mean_pushes: wp.array2d(dtype=wp.float64),
+        mean_walls: wp.array2d(dtype=wp.float64),
         walls_out: Doubles,
         given_out,
     ):
@@ -200,8 +201,10 @@ def make_uniform_sums(real: Any):
                 p[c] += pushes[worker, c]
             for worker in range(walls.shape[0]):
                 walls_out[c] += walls[worker, c]
-            for row in range(means.shape[0]):
-                walls_out[3 + c] += means[row, c]
+            for row in range(mean_pushes.shape[0]):
+                walls_out[3 + c] += mean_pushes[row, c]
+            for row in range(mean_walls.shape[0]):
+                walls_out[3 + c] += mean_walls[row, c]
             p[c] += (walls_out[3 + c] - before) / wp.float64(2.0)
         work = wp.dot(J, p + J / wp.float64(2.0)) / mass
         add_given(given_out, J, work, wp.length(J), wp.abs(work))

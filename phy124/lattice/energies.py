@@ -23,6 +23,8 @@ from phy124.mpm.stage import Named
 
 STAGE = "dissipation"
 """Name of the stages, the same as for other materials."""
+EXTERNAL = "external work"
+"""Name of the stage that sums impulse and work of forces on points for the balance."""
 ROOM = 24
 """Length of a worker's array of sums; with this length, no two workers write to the same cache
 line.
@@ -65,6 +67,7 @@ class Energies:
         self._walls: Walls | None = None
         self._sums = wp.zeros(shape, dtype=wp.float64, device=solver.model.device)
         self._on = False
+        self._external: wp.array | None = None
         self._clamps = np.zeros(2)
         """Since the start: work of the clamps of earlier walls, and the part of it by the clamps'
         motion [J].
@@ -76,6 +79,11 @@ class Energies:
         self._on, self._pools = True, {at.SHOCK: crew.new_pool()}
         if crew.viscous:
             self._pools[at.VISCOUS] = crew.new_pool()
+        self._solver.record()
+
+    def keep_pushes(self, sums: wp.array) -> None:
+        """Add impulse and work of forces on points to a row of sums per worker, from now on."""
+        self._external = sums
         self._solver.record()
 
     def attach(self) -> None:
@@ -94,12 +102,14 @@ class Energies:
         Args:
             pushed: Whether forces act on points.
         """
-        if not self._on:
-            return
-        solver = self._solver
-        for index, worker in enumerate(solver.workers):
-            forces = [at.STRESS, at.PUSHED] if pushed else [at.STRESS]
-            worker.phases[-1:-1] = [self._fill(index), self._multiply(index, forces)]
+        forces = [at.STRESS, at.PUSHED] if pushed else [at.STRESS]
+        for index, worker in enumerate(self._solver.workers):
+            works = []
+            if self._on:
+                works = [self._fill(index), self._multiply(index, forces)]
+            if pushed and self._external is not None:
+                works.append(self._exchange(index, self._external))
+            worker.phases[-1:-1] = works
 
     def _fill(self, index: int) -> list[Named]:
         """Return a worker's launches that sum the forces of viscosity alone."""
@@ -124,6 +134,12 @@ class Energies:
             work = crew.work(worker, key, *known, pool)
             works += in_shock_only(solver.clock, work) if key == at.SHOCK else work
         return _rename(works)
+
+    def _exchange(self, index: int, sums: wp.array) -> list[Named]:
+        """Return a worker's launch that sums impulse and work of forces on points."""
+        solver, row = self._solver, cast("wp.array", sums[index])
+        work = solver.crew.push_work(solver.workers[index], solver.tracks, row)
+        return [(EXTERNAL, launch) for _, launch in work]
 
     def read(self) -> Works:
         """Return the work so far."""

@@ -21,7 +21,8 @@ from phy124.kernels.lattice import nodes as node_kernels
 from phy124.kernels.lattice import points as point_kernels
 from phy124.kernels.lattice import simd
 from phy124.kernels.lattice.stress import MAXIMA, make_lattice_measure, make_shock, make_stress
-from phy124.kernels.lattice.work import PUSHED, STRESS, make_node_work
+from phy124.kernels.lattice.work import PUSHED, STRESS, make_node_work, make_push_work
+from phy124.kernels.reduction import shared_out
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Group, Model, State
@@ -277,6 +278,23 @@ class Crew:
         inputs += [uniform, nodes.before, nodes.v]
         kernel = make_node_work(model.real)
         return launches([("work", model.launch(kernel, span.stop - span.start, inputs, [out]))])
+
+    def push_work(self, worker: Worker, tracks: Tracks, out: wp.array) -> list[Named]:
+        """Return the launch that sums impulse and work of pushes on a worker's nodes.
+
+        Args:
+            worker: The worker.
+            tracks: The tracks, which hold the clock.
+            out: Sums in the order of phy124/kernels/work.py.
+        """
+        nodes, span, model = self._nodes, worker.nodes, self._model
+        count = span.stop - span.start
+        threads, *fraction = shared_out(count, model.device)
+        inputs = [*fraction, count, span.start, nodes.inverse, self._pushes, *self._spans]
+        inputs += [*self._push_donors, tracks.clock, nodes.before, nodes.v]
+        return launches(
+            [("work", model.launch(make_push_work(model.real), threads, inputs, [out]))]
+        )
 
     def _push(self, worker: Worker, tracks: Tracks) -> Recorded:
         span, state = worker.points, self._state

@@ -33,12 +33,15 @@ if TYPE_CHECKING:
 
 STAGE = "external work"
 """Name of the stages that sum external work."""
-PUSH, WALL, UNIFORM, MEAN = "push", "wall", "uniform", "mean"
-"""Names of the causes of external work: forces on particles, walls, a varying uniform acceleration,
-and walls whose work is computed with the mean velocities of a step: those of lattices, and of a
-liquid by projection.
+PUSH, WALL, UNIFORM = "push", "wall", "uniform"
+"""Names of the causes of external work: forces on particles, walls, and a varying uniform
+acceleration.
 """
-SOURCES = (PUSH, WALL, UNIFORM, MEAN)
+MEAN_PUSH, MEAN = "mean_push", "mean"
+"""Forces on points and walls whose work is computed with the mean velocities of a step, on lattices
+and on a liquid by projection.
+"""
+SOURCES = (PUSH, WALL, UNIFORM, MEAN_PUSH, MEAN)
 ROOM = 16
 """Length of a worker's array of sums; with this length, no two workers write to the same cache
 line.
@@ -264,7 +267,7 @@ class ExternalWork(Observer):
         """Record the launch that adds the uniform acceleration's impulse and work."""
         model, tracks, sums = self._model, self._tracks, self._accumulator(UNIFORM, grid)
         self._set_base()
-        names = (PUSH, WALL, MEAN)
+        names = (PUSH, WALL, MEAN_PUSH, MEAN)
         others = [self._device.get(name, self._zeros(0)) for name in names]
         inputs = [model.total_mass, tracks.clock, tracks.values, self._base, *others]
         kernel = kernels.make_uniform_sums(model.real)
@@ -273,11 +276,11 @@ class ExternalWork(Observer):
     def _set_base(self) -> None:
         """Store the momentum minus the open sums, which include the last impulse of the walls."""
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
-        walls = [
-            self._open(name)[IMPULSES] if name in self._device else np.zeros(3)
-            for name in (WALL, MEAN)
+        before = [
+            sum(self._open(name)[IMPULSES] for name in names if name in self._device)
+            for names in ((WALL,), (MEAN_PUSH, MEAN))
         ]
-        self._walls_before.assign(np.concatenate(walls))
+        self._walls_before.assign(np.concatenate([np.zeros(3) + part for part in before]))
 
     def _attach_push(
         self, stages: Sequence[Stage], model: Model, state: State

@@ -14,6 +14,7 @@ from phy124.kernels.columns import xyz
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.lattice.nodes import force_on
 from phy124.kernels.reduction import add_to
+from phy124.kernels.work import add_given
 
 STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
 """Index of the work of each force: of all stress, the uniform acceleration, forces on points, and
@@ -71,6 +72,51 @@ def make_node_work(real: Any):
         add_to(sums_out, wp.static(UNIFORM), uniform)
 
     return node_work
+
+
+@build_once
+def make_push_work(real: Any):
+    """Kernel over nodes from `start` on: adds impulse and work of forces on points to `GIVEN` sums.
+
+    A thread sums `each` nodes before it writes. The other arguments are those of `make_node_work`.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_push_work_{real.__name__}", real, seconds=0.3)
+    def push_work(
+        first,
+        each,
+        stride,
+        count,
+        start: int,
+        inverse: t.reals,
+        pool: t.vec3s,
+        low: Ints,
+        high: Ints,
+        begin: Ints,
+        donor_starts: Ints,
+        donor_nodes: Ints,
+        donor_weights: t.reals,
+        clock,
+        v_before: t.vec3s,
+        v: t.vec3s,
+        given_out,
+    ):
+        impulse = wp.vec3d()
+        work = wp.float64(0.0)
+        for k in range(each):
+            i = wp.tid() * first + k * stride
+            n = start + i
+            if i < count and inverse[n] > real(0.0):
+                force = force_on(
+                    pool, low, high, begin, donor_starts, donor_nodes, donor_weights, n
+                )
+                J = wp.float64(clock[0]) * wide(force)
+                impulse += J
+                work += wp.float64(0.5) * wp.dot(J, wide(v_before[n]) + wide(v[n]))
+        add_given(given_out, impulse, work, wp.length(impulse), wp.abs(work))
+
+    return push_work
 
 
 @build_once
