@@ -234,6 +234,17 @@ def test_impulses_on_held_nodes_do_no_work():
     assert min(abs(both.solids), abs(both.held), both.friction) > 0.1
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_clamps_that_overlap_and_part_explain_all_work(order):
+    """A clamp at the side is still; one at the top pulls, and has a corner in common with it."""
+    path = Path(times=(0.0, 0.2), points=((0, 0, 0), (0.02, 0, 0.02)))
+    still = Held(lower=(-1, -1, -1), upper=(0.15, 1, 1))
+    pulls = Held(lower=(-1, -1, 0.2), upper=(1, 1, 1), motion=path)
+    parted = Balance(make([block(CUBE)], DAMPED, boundaries=[still, pulls][::order]), 0.05)
+    assert parted.held > 0.1
+    parted.nothing_but("held", "elastic", "viscous", "impacts")
+
+
 def test_floor_that_moves_with_a_clamp_has_no_friction():
     path = Path(times=(0.0, 0.2), points=((0, 0, 0), (0.1, 0, 0.05)))
     walls = [Held(lower=(0.2, -1, -1), upper=(1, 1, 1), motion=path)]

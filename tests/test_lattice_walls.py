@@ -170,3 +170,18 @@ def test_floor_moves_nodes_that_a_clamp_has_released():
     solver.advance(0.03)
     gained, floor = totals.read(solver.clock).momentum - before, solver.walls.sums.numpy()[0]
     assert np.allclose(floor[:3], gained, rtol=0, atol=1e-13 * floor[MOVED])
+
+
+def test_clamp_keeps_nodes_that_an_overlapping_clamp_releases():
+    """After the release, a rising floor lifts the free side, but not what the first clamp holds."""
+    rise = HalfSpace(motion=Path(times=(0.0, 0.1), points=((0, 0, 0), (0, 0, 0.02))))
+    side = Held(lower=(-1, -1, -1), upper=(0.2, 1, 1))
+    released = Held(lower=(-1, -1, -1), upper=(0.25, 1, 1), end=0.01)
+    solver = make(block((0.5, 0.3, 0.3)), boundaries=[side, released, rise])
+    solver.advance(0.02)
+    before = solver.walls.sums.numpy().copy()
+    solver.advance(0.05)
+    inside = (solver.lattice.x[:, 0] < 0.1) & (solver.nodes_state.inverse.numpy() > 0)
+    assert np.abs(solver.nodes_state.u.numpy()[inside]).max() == 0
+    taken = (solver.walls.sums.numpy() - before)[:, IMPULSE + 2]
+    assert taken[0] < 0 < taken[2] and taken[1] == 0

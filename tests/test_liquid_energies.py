@@ -2,10 +2,15 @@
 
 import numpy as np
 import pytest
+import warp as wp
 
 from phy124.boundaries import Container, HalfSpace, Path
 from phy124.errors import InputError
+from phy124.forces import ZoneForce
+from phy124.kernels.liquid.energies import make_push_work
+from phy124.kernels.work import GIVEN, WORK
 from phy124.monitor.diagnostics import diagnose
+from phy124.monitor.external_work import MeanWork
 from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
@@ -41,6 +46,56 @@ def test_nothing_works_on_a_still_tank():
     weight = len(x) / 8**4 * DENSITY * G
     for name, work in works(solver, 12).items():
         assert abs(work) < 1e-3 * weight * 0.25, name
+
+
+EVERYWHERE = Region(lower=(-9, -9, -9), upper=(9, 9, 9))
+ZONE = ZoneForce(place=EVERYWHERE, a=(0, 0, -G / 2))
+
+
+def push(x, forces, steps, **options):
+    """Exchange of forces on particles with a liquid, works by cause, and energies."""
+    external = MeanWork()
+    pushes = external.wrap_forces(forces)
+    solver = measured(x, 8, [TANK], pushes=pushes, accumulators=[external], **options)
+    external.bind(solver)
+    external.open(solver.clock)
+    energy = works(solver, steps)
+    return external.total(solver.clock, np.zeros(3), np.zeros(3)), energy, solver
+
+
+def test_zone_does_no_work_on_a_still_tank():
+    x = block((0, 0, 0), (1, 1, 0.5), 8)
+    given, energy, solver = push(x, [ZONE], 6, gravity=(0, 0, -G / 2))
+    weight = solver.model.total_mass * G
+    assert given.moved > 0.5 * weight * 6 / 48
+    assert abs(given.work) < 1e-5 * weight
+    assert abs(energy["projection"]) < 1e-4 * weight
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_zone_does_the_work_that_a_free_drop_gains(threads):
+    x = block((0.25, 0.25, 5.5), (0.75, 0.75, 6.0), 8)
+    given, energy, _ = push(x, [ZONE], 6, gravity=(0, 0, 0), threads=threads)
+    assert given.work > 1.0
+    assert given.work == pytest.approx(energy["change"], rel=0.01)
+
+
+def test_unresisted_force_does_work_on_velocities_and_their_gradients():
+    mass, dx = wp.array(np.arange(1.0, 8.0), dtype=wp.float64), 0.1
+    before, after = np.random.default_rng(0).normal(size=(2, 7, 4, 3)) * np.array(
+        [[1], [10], [10], [10]]
+    )
+    v, C = wp.array(after[:, 0], dtype=wp.vec3d), wp.array(after[:, 1:], dtype=wp.mat33d)
+    v_kept = wp.array(before[:, 0], dtype=wp.vec3d)
+    C_kept = wp.array(before[:, 1:], dtype=wp.mat33d)
+    sums = wp.zeros(GIVEN, dtype=wp.float64)
+    inputs = [1, 7, 1, mass, dx, v, C, v_kept, v, C_kept, C]
+    wp.launch(make_push_work(wp.float64), 1, inputs, [sums])
+    squares = [
+        (q[:, 0] ** 2).sum(1) + dx**2 / 4 * (q[:, 1:] ** 2).sum((1, 2)) for q in (before, after)
+    ]
+    work = mass.numpy() @ (squares[1] - squares[0]) / 2
+    assert sums.numpy()[WORK] == pytest.approx(work, rel=1e-12)
 
 
 def test_only_gravity_works_on_a_drop_before_it_lands():

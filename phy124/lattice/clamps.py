@@ -46,7 +46,24 @@ class Clamp:
         nodes: Any,
         tracks: Tracks,
         sums: wp.array,
+        row: int,
+        holder: wp.array,
     ) -> None:
+        """Find the nodes that a clamp holds.
+
+        Args:
+            part: The clamp.
+            model: The constants of the run.
+            lattice: The lattice at rest.
+            nodes: Arrays of the nodes.
+            tracks: The tracks, to which the clamp's displacement is added.
+            sums: Sums of the clamp's impulse and work.
+            row: Index of these sums.
+            holder: Row of the clamp that holds each node [N]; the launches write it.
+
+        Raises:
+            InputError: The clamp holds only some directions.
+        """
         if part.contact != "sticky":
             raise InputError(
                 f"boundaries.{type(part).__name__.lower()}.contact",
@@ -55,28 +72,45 @@ class Clamp:
                 'Use contact = "sticky", or accuracy.solver = "mpm".',
             )
         self._model, self._nodes, self._tracks, self._sums = model, nodes, tracks, sums
-        self._slot = tracks.add(part.track(model) or STILL)
+        self._row, self._holder = row, holder
+        self.slot = tracks.add(part.track(model) or STILL)
         far = distances(part, model, lattice.x)
         far[:, 3] += INSET * model.dx
-        held = np.flatnonzero((far[:, 3] < -HELD * model.dx) & acts_on(part, model, lattice.body))
-        self._held = wp.array(held.astype(np.int32), dtype=int, device=model.device)
-        pairs, ratios = pins(lattice, far, acts_on(part, model, lattice.body))
-        self._pairs = wp.array(pairs.astype(np.int32), dtype=wp.vec2i, device=model.device)
+        self.held = np.flatnonzero(
+            (far[:, 3] < -HELD * model.dx) & acts_on(part, model, lattice.body)
+        )
+        """Indices of the nodes inside the clamp."""
+        self.pairs, ratios = pins(lattice, far, acts_on(part, model, lattice.body))
+        """Indices of the nodes at the clamp's surface, inside and outside [K,2]."""
         self._ratios = model.array(ratios, model.real)
-        self.nodes = np.concatenate([held, pairs.ravel()])
+        self.nodes = np.concatenate([self.held, self.pairs.ravel()])
         """Indices of the nodes whose velocities change."""
 
-    def record(self) -> list[wp.Launch | None]:
-        """Record the launches of one substep."""
+    def record(self, earlier: Sequence[Clamp], later: Sequence[Clamp]) -> list[wp.Launch | None]:
+        """Record the launches of one substep.
+
+        Of several active clamps, the last one holds a node inside them. A node inside a clamp
+        belongs to that clamp, even if it is at the surface of another one.
+
+        Args:
+            earlier: The clamps that precede this one in the scene.
+            later: The clamps that follow it.
+        """
         model, nodes, tracks = self._model, self._nodes, self._tracks
-        inputs = [self._slot, nodes.inverse, nodes.rest, nodes.u, tracks.values, tracks.rates]
-        inputs.append(nodes.before)
-        outputs = [nodes.v, nodes.movable, self._sums]
-        held = [self._held, *inputs]
-        pinned = [self._pairs, self._ratios, *inputs]
+        inputs = [self._row, self.slot, nodes.inverse, nodes.rest, nodes.u, tracks.values]
+        inputs += [tracks.rates, nodes.before]
+        outputs = [nodes.v, nodes.movable, self._holder, self._sums]
+        inside = [(clamp.slot, clamp.held) for clamp in later]
+        others = [*inside, *((clamp.slot, clamp.held) for clamp in earlier)]
+        others += [(clamp.slot, clamp.pairs.ravel()) for clamp in later]
+        held = wp.array(self.held.astype(np.int32), dtype=int, device=model.device)
+        pairs = wp.array(self.pairs.astype(np.int32), dtype=wp.vec2i, device=model.device)
+        taken = [slots_at(self.pairs[:, end], others, model.device) for end in (0, 1)]
+        holds = [held, slots_at(self.held, inside, model.device), *inputs]
+        pinned = [pairs, self._ratios, *taken, *inputs]
         return [
-            model.launch(make_hold(model.real), len(self._held), held, outputs),
-            model.launch(make_pin(model.real), len(self._pairs), pinned, outputs),
+            model.launch(make_hold(model.real), len(self.held), holds, outputs),
+            model.launch(make_pin(model.real), len(self.pairs), pinned, outputs),
         ]
 
 
@@ -88,25 +122,22 @@ class PassedOn:
         model: Model,
         nodes: Any,
         clock: wp.array,
-        clamps: Sequence[tuple[int, Clamp]],
+        holder: wp.array,
         sums: wp.array,
         impulses: Impulses | None,
     ) -> None:
-        """Store which clamp holds each node.
+        """Store the arrays of a run.
 
         Args:
             model: The constants of the run.
             nodes: Arrays of the nodes.
             clock: The clock of the substeps.
-            clamps: The clamps in the order in which they act, with their rows of `sums`.
+            holder: Row of `sums` of the clamp that holds each node [N].
             sums: Sums of all simple walls [W,16].
             impulses: Sums per surface point and node; None if they are not kept.
         """
-        holder = np.zeros(len(nodes.rest), np.int32)
-        for row, clamp in clamps:
-            holder[clamp.nodes] = row
         self._model, self._nodes, self._clock, self._sums = model, nodes, clock, sums
-        self._holder = wp.array(holder, dtype=int, device=model.device)
+        self._holder = holder
         self._none = wp.zeros(0, dtype=wp.float64, device=model.device)
         nothing = wp.zeros(0, dtype=wp.vec3d, device=model.device)
         self._of_nodes = nothing if impulses is None else impulses.of_nodes
@@ -157,6 +188,22 @@ def pins(
     offset = 1 + far[middle[chosen], 3] / across[middle[chosen]]
     weights = splines(offset)
     return np.stack([middle[chosen], front[chosen]], axis=1), -weights[:, 0] / weights[:, 1]
+
+
+def slots_at(
+    nodes: NDArray[np.int64], clamps: Sequence[tuple[int, NDArray[np.int64]]], device: str
+) -> wp.array:
+    """Return the tracks of the clamps that have each node [K,L], -1 for none.
+
+    Args:
+        nodes: Indices of nodes [K].
+        clamps: Track and nodes of each clamp; clamps without any of the nodes are left out.
+        device: Warp device.
+    """
+    among = [(slot, np.isin(nodes, theirs)) for slot, theirs in clamps]
+    slots = [np.where(inside, slot, -1) for slot, inside in among if inside.any()]
+    columns = np.stack(slots, axis=1) if slots else np.zeros((len(nodes), 0))
+    return wp.array(columns.astype(np.int32), dtype=int, ndim=2, device=device)
 
 
 def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -67,7 +67,9 @@ class Energies:
         self._walls: Walls | None = None
         self._sums = wp.zeros(shape, dtype=wp.float64, device=solver.model.device)
         self._on = False
-        self._external: wp.array | None = None
+        self.pushes: wp.array | None = None
+        """Sums of impulse and work of forces on points, for each worker [W,16]; None: not summed.
+        """
         self._clamps = np.zeros(2)
         """Since the start: work of the clamps of earlier walls, and the part of it by the clamps'
         motion [J].
@@ -79,11 +81,6 @@ class Energies:
         self._on, self._pools = True, {at.SHOCK: crew.new_pool()}
         if crew.viscous:
             self._pools[at.VISCOUS] = crew.new_pool()
-        self._solver.record()
-
-    def keep_pushes(self, sums: wp.array) -> None:
-        """Add impulse and work of forces on points to a row of sums per worker, from now on."""
-        self._external = sums
         self._solver.record()
 
     def attach(self) -> None:
@@ -107,8 +104,8 @@ class Energies:
             works = []
             if self._on:
                 works = [self._fill(index), self._multiply(index, forces)]
-            if pushed and self._external is not None:
-                works.append(self._exchange(index, self._external))
+            if pushed and self.pushes is not None:
+                works.append(self._exchange(index, self.pushes))
             worker.phases[-1:-1] = works
 
     def _fill(self, index: int) -> list[Named]:

@@ -190,6 +190,11 @@ class LatticeSolver:
         self._look()
         self._measured = measured
 
+    def keep_pushes(self, sums: wp.array) -> None:
+        """Add impulse and work of forces on points to a row of sums per worker, from now on."""
+        self.energies.pushes = sums
+        self.record()
+
     def record(self) -> None:
         """Record the launches of one substep."""
         crew, pushed = self.crew, bool(self._forces)

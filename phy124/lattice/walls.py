@@ -133,6 +133,7 @@ class Walls:
         points = _Points.of(surface, lattice, model, substep)
         self.recovery = RESTORE["separate"] * points.slowest
         """Speed at which points come out of a wall, per depth [1/s]."""
+        self._holder = wp.zeros(len(nodes.rest), dtype=int, device=model.device)
         # Clamps that are no longer there have released their nodes.
         wp.copy(nodes.movable, nodes.inverse)
         self._clamps: list[Clamp] = []
@@ -140,7 +141,8 @@ class Walls:
         for number, (holds, part) in enumerate(simple):
             sums = cast("wp.array", self.sums[number])
             if holds:
-                self._clamps.append(Clamp(part, model, lattice, nodes, tracks, sums))
+                record = sums, number, self._holder
+                self._clamps.append(Clamp(part, model, lattice, nodes, tracks, *record))
             elif points.count:
                 self._contacts.append(_Contact(part, model, points, nodes, tracks, sums))
         for contact in self._contacts:
@@ -159,8 +161,7 @@ class Walls:
         if not self._clamps:
             return None
         model, _, nodes, tracks = self._around
-        clamps = list(zip(self.holding, self._clamps, strict=True))
-        return PassedOn(model, nodes, tracks.clock, clamps, self.sums, self.impulses)
+        return PassedOn(model, nodes, tracks.clock, self._holder, self.sums, self.impulses)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
         """Return the launches of a substep that apply earlier impulses, correct and sum them.
@@ -170,7 +171,11 @@ class Walls:
         Args:
             passed: Passes impulses on held nodes on to clamps; None without clamps.
         """
-        clamps = launches([("clamp", item) for clamp in self._clamps for item in clamp.record()])
+        every = self._clamps
+        records = [clamp.record(every[:i], every[i + 1 :]) for i, clamp in enumerate(every)]
+        # In reverse order, because a clamp that no longer holds a node lets contact move it.
+        ordered = [item for kind in zip(*records[::-1], strict=True) for item in kind]
+        clamps = launches([("clamp", item) for item in ordered])
         if clamps and self.impulses is not None:
             held = np.unique(np.concatenate([clamp.nodes for clamp in self._clamps]))
             clamps = self.impulses.hold(clamps, held)

@@ -56,21 +56,30 @@ class Energies:
         """
         self._model, self._state, self._cells = model, state, cells
         self._sums = wp.zeros((workers, ROOM), dtype=wp.float64, device=model.device)
-        self._on = False
+        self.on = False
+        """Whether work is summed."""
 
     def start(self) -> None:
         """Start to sum the work when the launches are next recorded."""
-        self._on = True
+        self.on = True
 
-    def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses) -> None:
-        """Store walls and accelerations, and allocate the arrays of a window."""
+    def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses, gains: wp.array) -> None:
+        """Store walls, accelerations and gains, and allocate the arrays of a window.
+
+        Args:
+            walls: The walls.
+            tracks: Quantities that change over time.
+            impulses: Sums of the walls' impulses.
+            gains: Momentum by forces on particles, and mass, at each cell, for each worker.
+        """
         self._walls, self._tracks, self._impulses = walls, tracks, impulses
-        if self._on:
+        self._gains = gains
+        if self.on:
             self._before = wp.zeros_like(self._cells.velocity)
 
     def before_pressure(self, worker: int) -> list[Recorded]:
         """Return a worker's launches that store velocities and sum the drag of walls."""
-        if not self._on:
+        if not self.on:
             return []
         cells, keep = self._cells, kernels.make_keep(self._model.real)
         inputs = [worker, cells.active, cells.ends, cells.velocity]
@@ -79,7 +88,7 @@ class Energies:
 
     def of_walls(self, at: int, worker: int) -> list[Recorded]:
         """Return a worker's launch that sums the work of walls in the step so far."""
-        if not (self._on and self._walls.all):
+        if not (self.on and self._walls.all):
             return []
         inputs = [at, self._walls.motions, self._impulses.rows(worker)]
         kernel = kernels.make_wall_work(self._model.real)
@@ -87,18 +96,18 @@ class Energies:
 
     def of_faces(self, worker: int) -> list[Recorded]:
         """Return a worker's launch that sums the work on faces, once their velocities are known."""
-        if not self._on:
+        if not self.on:
             return []
         cells, tracks = self._cells, self._tracks
         inputs = [worker, cells.active, cells.ends, cells.window, tracks.clock, tracks.values]
         inputs += [cells.open, cells.liquid, part_of(cells.sums, slice(0, cells.count))]
-        inputs += [self._before, cells.velocity, cells.other]
+        inputs += [self._gains, self._before, cells.velocity, cells.other]
         kernel = kernels.make_face_work(self._model.real)
         return [(STAGE, self._model.launch(kernel, self._count, inputs, [self._row(worker)]))]
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
         """Return a worker's launch for the work of displacements: sign -1 before, 1 after them."""
-        if not self._on:
+        if not self.on:
             return []
         threads, *fraction = shared_out(run.stop - run.start, self._model.device)
         inputs = [sign, *fraction, self._model.mass[run], self._tracks.values, self._state.x[run]]

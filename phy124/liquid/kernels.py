@@ -9,6 +9,7 @@ from phy124.boundaries import Boundary
 from phy124.kernels.liquid import (
     active,
     bodies,
+    energies,
     faces,
     films,
     impulses,
@@ -45,8 +46,10 @@ def kernels(
         mixed: Whether other materials move in the liquid.
         pushed: Whether forces act on particles.
     """
-    if pushed and boundaries:
-        yield impulses.make_gains(real)
+    if pushed:
+        yield energies.make_push_work(real)
+        if boundaries:
+            yield impulses.make_gains(real)
     yield from wall_kernels(boundaries, solids, real)
     if mixed:
         yield from _of_bodies(real)

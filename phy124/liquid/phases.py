@@ -94,7 +94,8 @@ class Phases:
         density = self._mixture.density
         self._solids = Solids(model, free, density, projection)
         self._bodies = bodies
-        self._pushes = Pushes(model, state, cells)
+        self.pushes = Pushes(model, state, cells)
+        """Velocity changes by forces on particles."""
         if bodies is not None:
             bodies.join(self._solids, projection.mobility)
         self.energies = Energies(model, state, cells, len(workers))
@@ -128,8 +129,9 @@ class Phases:
         """
         self._tracks, self._walls, self._impulses_of_walls = tracks, walls, impulses_of_walls
         self._mixture.fit(self._cells.count)
-        self._pushes.fit(len(self._workers) if pushes and walls.all else 0)
-        self.energies.fit(walls, tracks, impulses_of_walls)
+        in_cells = bool(walls.all) or self.energies.on
+        self.pushes.fit(len(self._workers), pushes, in_cells=in_cells)
+        self.energies.fit(walls, tracks, impulses_of_walls, self.pushes.gains)
         names: list[str] = []
         for index, worker in enumerate(self._workers):
             named = list(self._phases(pushes, index, grid))
@@ -161,10 +163,10 @@ class Phases:
             yield "walls", launches(phase)
         for phase in self._walls.describe(cells, worker, len(self._workers), move=True):
             yield "move", launches(phase)
-        yield "scatter", self._pushes.keep(self._run(worker))
+        yield "scatter", self.pushes.keep(self._run(worker))
         yield "scatter", self._push(pushes, worker, grid)
         yield "scatter", launches(self._solids.kick(self._tracks) if worker == 0 else [])
-        yield "scatter", [*self._scatter(worker), *self._pushes.add(worker, self._run(worker))]
+        yield "scatter", [*self._scatter(worker), *self.pushes.add(worker, self._run(worker))]
         yield from self._before_pressure(worker)
         for phase in solve.phases(cells, cells.pressure, worker, rigid=solids):
             yield "pressure", launches(phase)
@@ -244,7 +246,7 @@ class Phases:
         yield [self._slide(worker, self._walls.still, rubs=False)]
         moves = [self._displace(worker), *self._push_out(worker, stops=False)]
         first, last = (self.energies.of_shifts(worker, self._run(worker), sign) for sign in (-1, 1))
-        yield [*first, *moves, *last]
+        yield [*first, *moves, *last, *self.pushes.work(worker, self._run(worker))]
 
     def _run(self, worker: int) -> slice:
         """Return the particles of a worker."""
@@ -409,7 +411,7 @@ class Phases:
         inputs = [part, self._mixture.density, self._projection.counts, cells.listed, cells.lattice]
         inputs += [cells.window, tracks.clock, tracks.values, walls.motions]
         inputs += [cells.open, cells.distances, cells.owners, self._mixture.densities]
-        inputs += [cells.phi, cells.pressure, self._pushes.gains, self._solids.first(walls)]
+        inputs += [cells.phi, cells.pressure, self.pushes.gains, self._solids.first(walls)]
         outputs = [self._impulses_of_walls.rows(worker)]
         if self._bodies is None:
             inputs.append(len(walls.all))

@@ -1,24 +1,30 @@
-"""Velocity changes that forces on particles cause in each cell, for the pressure at walls.
+"""Velocity changes by forces on particles, for the pressure at walls and for the forces' work.
 
 Between the centre of a cell and a wall, the pressure changes by the weight of the liquid. A force
-on particles acts like a weight, but it may differ between cells.
+on particles acts like a weight, but it may differ between cells. The pressure resists a force in
+the same step, so the work of an impulse is its product with the mean of the velocities before the
+force and at the end of the step.
 """
 
 from __future__ import annotations
 
-from typing import cast
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, cast
 
 import warp as wp
 
 from phy124.kernels.arguments import types
+from phy124.kernels.liquid.energies import make_push_work
 from phy124.kernels.liquid.impulses import make_gains
+from phy124.kernels.reduction import shared_out
 from phy124.liquid.cells import Cells
 from phy124.mpm import Model, State
 from phy124.mpm.model import part_of
-from phy124.mpm.stage import Named, launches
+from phy124.mpm.stage import Named, Recorded, Stage, launches
 
-STAGE = "walls"
-"""Name of the stages in reports."""
+STAGE, WORK = "walls", "external work"
+"""Names of the stages in reports: for the pressure at walls, and for the work."""
 
 
 class Pushes:
@@ -33,34 +39,61 @@ class Pushes:
             cells: The window of the grid.
         """
         self._model, self._state, self._cells = model, state, cells
-        self.fit(0)
+        self.sums: wp.array | None = None
+        """Sums of impulse and work of each worker [W,16]; None: they are not summed."""
+        self.fit(0, (), in_cells=False)
 
-    def fit(self, copies: int) -> None:
+    def fit(self, workers: int, stages: Sequence[Stage], *, in_cells: bool) -> None:
         """Allocate the arrays for a window.
 
         Args:
-            copies: Number of workers; 0 if no force acts on particles.
+            workers: Number of workers.
+            stages: Stages of forces on particles.
+            in_cells: Whether the velocity changes in the cells are needed.
         """
-        model, t, count = self._model, types(self._model.real), copies * self._cells.count
-        kept = len(model) if copies else 0
-        self._kept = wp.zeros(kept, dtype=t.vec3, device=model.device)
-        self._copies = copies
+        model, t = self._model, types(self._model.real)
+        self._in_cells, self._works = bool(stages) and in_cells, bool(stages) and bool(self.sums)
+        keeps = [self._in_cells or self._works, self._works]
+        turns = self._works and not all(stage.keeps_C for stage in stages)
+        self._v = [self._empty(t.vec3, keep) for keep in keeps]
+        self._C = [self._empty(t.mat33, turns) for _ in keeps]
+        """Velocities and their gradients before and after the forces."""
+        count = workers * self._cells.count if self._in_cells else 0
         self.gains = wp.zeros(count, dtype=t.vec4, device=model.device)
         """Momentum that particles gain, and their mass, at each cell; a copy for each worker."""
 
+    def _empty(self, dtype: Any, needed: bool) -> wp.array:
+        return wp.zeros(len(self._model) if needed else 0, dtype=dtype, device=self._model.device)
+
     def keep(self, run: slice) -> list[Named]:
         """Return the launches that store velocities before forces act on a worker's particles."""
-        if not self._copies:
-            return []
-        kept, v = part_of(self._kept, run), part_of(self._state.v, run)
-        return [(STAGE, lambda: wp.copy(kept, v))]
+        return self._copy(0, run)
+
+    def _copy(self, index: int, run: slice) -> list[Named]:
+        """Return the launches that copy v, and C if forces change it, of a worker's particles."""
+        s = self._state
+        pairs = [(self._v[index], s.v), (self._C[index], s.C)]
+        parts = [(part_of(kept, run), part_of(a, run)) for kept, a in pairs if len(kept)]
+        return [(STAGE, partial(wp.copy, kept, a)) for kept, a in parts]
 
     def add(self, worker: int, run: slice) -> list[Named]:
         """Return the launches that sum what a worker's particles gained."""
-        if not self._copies:
-            return []
+        if not self._in_cells:
+            return self._copy(1, run)
         model, cells, s, count = self._model, self._cells, self._state, self._cells.count
         gains = cast("wp.array", self.gains[worker * count : (worker + 1) * count])
-        inputs = [model.mass[run], cells.lattice, cells.window, s.x[run], s.v[run], self._kept[run]]
+        inputs = [model.mass[run], cells.lattice, cells.window, s.x[run], s.v[run], self._v[0][run]]
         launch = model.launch(make_gains(model.real), run.stop - run.start, inputs, [gains])
-        return [(STAGE, gains.zero_), *launches([(STAGE, launch)])]
+        return [*self._copy(1, run), (STAGE, gains.zero_), *launches([(STAGE, launch)])]
+
+    def work(self, worker: int, run: slice) -> list[Recorded]:
+        """Return the launch that sums impulse and work at the end of a step."""
+        if not self._works:
+            return []
+        model, s = self._model, self._state
+        threads, *fraction = shared_out(run.stop - run.start, model.device)
+        before, after = (part_of(v, run) for v in self._v)
+        inputs = [*fraction, model.mass[run], model.dx, s.v[run], s.C[run], before, after]
+        inputs += [part_of(C, run) for C in self._C]
+        row = cast("wp.array", cast("wp.array", self.sums)[worker])
+        return [(WORK, model.launch(make_push_work(model.real), threads, inputs, [row]))]

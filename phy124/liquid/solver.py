@@ -202,6 +202,12 @@ class LiquidSolver:
         """Work on the liquid by cause, if it is summed."""
         return self._phases.energies
 
+    def keep_pushes(self, sums: wp.array) -> None:
+        """Add impulse and work of forces on particles to a row of sums per worker, from now on."""
+        self._phases.pushes.sums = sums
+        if self._fitted:
+            self._record()
+
     @property
     def timings(self) -> Timings:
         """Seconds and launches of each stage, in the first thread."""

@@ -9,7 +9,7 @@ from phy124.monitor.coupled import (
     CoupledWrenches,
 )
 from phy124.monitor.dissipation import Dissipation
-from phy124.monitor.external_work import ExternalWork
+from phy124.monitor.external_work import ExternalWork, MeanWork
 from phy124.monitor.interior import Interior
 from phy124.monitor.lattice import (
     LatticeContacts,
@@ -49,6 +49,10 @@ Each observer wraps the result of earlier observers, so `ExternalWork` measures 
 outside the measurements of single walls. A violation ends an attempt, so `Tearing` reads only sound
 frames.
 """
+LIQUID_OBSERVERS: tuple[type[Observer], ...] = tuple(
+    MeanWork if observer is ExternalWork else observer for observer in OBSERVERS
+)
+"""Observers of a liquid by projection without other bodies."""
 LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeMethod,
     LatticePairs,
@@ -79,4 +83,6 @@ def observers_for(scene: Scene) -> tuple[type[Observer], ...]:
     """Return the observers of a scene's solver."""
     if scene.couples:
         return COUPLED_OBSERVERS
+    if scene.projects and not scene.mixes:
+        return LIQUID_OBSERVERS
     return LATTICE_OBSERVERS if scene.on_lattice else OBSERVERS

@@ -329,6 +329,37 @@ class ExternalWork(Observer):
         return Stage(STAGE, before), Stage(STAGE, after)
 
 
+class MeanWork(ExternalWork):
+    """External work where the solver itself sums that of walls and of forces on particles.
+
+    In a liquid by projection and on lattices, pressure or a clamp resists a force in the same step.
+    All work is therefore computed with the mean velocities of the step.
+    """
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield nothing, because walls need no kernels that measure them."""
+        del subject, real
+        yield from ()
+
+    def wrap_walls(
+        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+    ) -> Any:
+        """Return the walls unchanged."""
+        return walls if inner is None else inner
+
+    def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
+        """Return the forces unchanged."""
+        return list(forces)
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, and let it sum impulse and work of forces on particles."""
+        super().bind(solver, observers)
+        sums = wp.zeros((len(solver.workers), ROOM), dtype=wp.float64, device=solver.model.device)
+        self._device[MEAN_PUSH] = sums
+        solver.keep_pushes(sums)
+
+
 def push_kernels(real: Any, keeps_C: bool) -> tuple[Any, Any]:
     """Return the kernels before and after forces on particles; `keeps_C`: no force changes C."""
     sums = kernels.make_push_sums_v(real) if keeps_C else kernels.make_push_sums(real)

@@ -23,7 +23,7 @@ from phy124.kernels.lattice.nodes import make_node_totals
 from phy124.lattice import impulses
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.diagnostics import Diagnostics, Totals
-from phy124.monitor.external_work import MEAN, MEAN_PUSH, ROOM, ExternalWork
+from phy124.monitor.external_work import MEAN, MeanWork
 from phy124.monitor.lattice_dissipation import LatticeDissipation
 from phy124.monitor.observer import Cost, Effect, Observed, Observer, Subject
 from phy124.monitor.watchdog import Watchdog
@@ -85,33 +85,14 @@ class LatticeWatchdog(Watchdog):
         return {"energy": {"turnover": self.balance.turnover, **losses}}
 
 
-class LatticeWork(ExternalWork):
+class LatticeWork(MeanWork):
     """External impulse and work; walls keep their own sums of both, as forces on points do."""
 
-    @classmethod
-    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield nothing, because walls need no kernels that measure them."""
-        del subject, real
-        yield from ()
-
-    def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
-        """Return the forces unchanged."""
-        return list(forces)
-
-    def wrap_walls(
-        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
-    ) -> Any:
-        """Return the walls unchanged."""
-        return walls if inner is None else inner
-
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Read the sums of the solver's walls, and let it sum the work of forces on points."""
-        super().bind(solver, observers)
+        """Read the sums of the solver's walls, too."""
         self._solver = solver
         self._device[MEAN] = solver.walls.sums
-        sums = wp.zeros((len(solver.workers), ROOM), dtype=wp.float64, device=solver.model.device)
-        self._device[MEAN_PUSH] = sums
-        solver.energies.keep_pushes(sums)
+        super().bind(solver, observers)
 
     def change(self, scene: Scene) -> None:
         """Keep the sums of the earlier walls, and read the sums of the new walls."""

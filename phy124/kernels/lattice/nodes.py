@@ -134,17 +134,32 @@ def make_compare(real: Any):
     return lattice_compare
 
 
+@wp.func
+def any_active(slots: wp.array2d(dtype=int), i: int, values: wp.array(dtype=Any)):
+    """Return whether one of the clamps with the tracks `slots[i]` is active; -1 is no clamp."""
+    for k in range(slots.shape[1]):
+        slot = slots[i, k]
+        if slot >= 0:
+            if values[slot][3] > type(values[slot][3])(0.0):
+                return True
+    return False
+
+
 @build_once
 def make_hold(real: Any):
     """Kernel over held nodes: sets velocities to the clamp's velocity while its track is active.
 
-    `movable_out` is the inverse mass of nodes that contact may move, 0 for held nodes.
+    `movable_out` is the inverse mass of nodes that contact may move, 0 for held nodes; `holder_out`
+    is the row of the clamp that holds a node. Nodes that an active clamp in `others` holds are left
+    to that clamp, so that the work of each clamp belongs to the velocity that its nodes end with.
     """
     t = types(real)
 
     @kernel(f"phy124_lattice_hold_{real.__name__}", real, seconds=0.3)
     def hold(
         held: Ints,
+        others: wp.array2d(dtype=int),
+        row: int,
         slot,
         inverse: t.reals,
         rest: t.vec3s,
@@ -154,9 +169,12 @@ def make_hold(real: Any):
         v_before: t.vec3s,
         v_out: t.vec3s,
         movable_out: t.reals,
+        holder_out: Ints,
         sums_out,
     ):
         n = held[wp.tid()]
+        if any_active(others, wp.tid(), values):
+            return
         if values[slot][3] > real(0.0):
             rate = wp.vector(rates[slot][0], rates[slot][1], rates[slot][2])
             if inverse[n] > real(0.0):
@@ -169,6 +187,7 @@ def make_hold(real: Any):
                 add_to(sums_out, wp.static(DRIVEN), wp.dot(impulse, wide(rate)))
             v_out[n] = rate
             movable_out[n] = real(0.0)
+            holder_out[n] = row
         else:
             movable_out[n] = inverse[n]
 
@@ -181,7 +200,9 @@ def make_pin(real: Any):
 
     The quadratic B-spline of the pair vanishes at the clamp's surface if the held node moves at
     `ratio` times the velocity of the free node relative to the clamp. Momenta are projected onto
-    motions of this kind, as in the columns of a wall (phy124/kernels/columns.py).
+    motions of this kind, as in the columns of a wall (phy124/kernels/columns.py). If another
+    clamp holds the free node, only the held node moves; if another clamp holds the held node,
+    neither does.
     """
     t = types(real)
 
@@ -189,6 +210,9 @@ def make_pin(real: Any):
     def pin(
         pairs: wp.array(dtype=wp.vec2i),
         ratio: t.reals,
+        others_of_held: wp.array2d(dtype=int),
+        others_of_free: wp.array2d(dtype=int),
+        row: int,
         slot,
         inverse: t.reals,
         rest: t.vec3s,
@@ -198,17 +222,23 @@ def make_pin(real: Any):
         v_before: t.vec3s,
         v_out: t.vec3s,
         movable_out: t.reals,
+        holder_out: Ints,
         sums_out,
     ):
         i = wp.tid()
         held = pairs[i][0]
         free = pairs[i][1]
+        leads = any_active(others_of_free, i, values)
+        if not leads:
+            movable_out[free] = inverse[free]
+        if any_active(others_of_held, i, values):
+            return
         movable_out[held] = inverse[held]
-        movable_out[free] = inverse[free]
         if values[slot][3] > real(0.0) and inverse[held] > real(0.0) and inverse[free] > real(0.0):
             # If contact moved one of the two, they would no longer belong together.
             movable_out[held] = real(0.0)
             movable_out[free] = real(0.0)
+            holder_out[held] = row
             wall = wp.vec3d(wp.vector(rates[slot][0], rates[slot][1], rates[slot][2]))
             g = wp.float64(ratio[i])
             m = wp.vec2d(
@@ -219,8 +249,12 @@ def make_pin(real: Any):
             free_before = wide(v_out[free])
             momentum = g * m[0] * (held_before - wall) + m[1] * (free_before - wall)
             motion = momentum / (g * g * m[0] + m[1])
+            if leads:
+                motion = free_before - wall
+            else:
+                v_out[free] = t.vec3(wall + motion)
+                holder_out[free] = row
             v_out[held] = t.vec3(wall + g * motion)
-            v_out[free] = t.vec3(wall + motion)
             first = m[0] * (wide(v_out[held]) - held_before)
             second = m[1] * (wide(v_out[free]) - free_before)
             half = wp.float64(0.5)

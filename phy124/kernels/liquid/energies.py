@@ -13,9 +13,10 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.diagnostics import wide
+from phy124.kernels.diagnostics import kinetic_energy, wide
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride, sums
 from phy124.kernels.reduction import add_to
+from phy124.kernels.work import add_given
 
 VISCOUS, PRESSED, SHIFTED = 0, 1, 2
 """Indices of three sums [J]: work of viscosity, work of pressure, and work of the uniform
@@ -77,12 +78,25 @@ def mass_with_outside(
     return total
 
 
+@wp.func
+def gain_at(gains: wp.array(dtype=Any), n: int, axis: int, step: int, count: int):
+    """Return the velocity change by forces on particles at a face, from both of its cells."""
+    total = gains[n] + gains[n - step]
+    for k in range(n + count, gains.shape[0], count):
+        total += gains[k] + gains[k - step]
+    gain = total[axis]
+    if total[3] > type(gain)(0.0):
+        gain /= total[3]
+    return gain
+
+
 @build_once
 def make_face_work(real: Any):
     """Kernel over cells: adds the work of viscosity and pressure on the low faces to `sums_out`.
 
     `before` holds the velocities before the pressure acts, `velocity` the velocities after the
-    pressure has acted, and `after` the velocities at the end of the step.
+    pressure has acted, and `after` the velocities at the end of the step. The velocities at
+    the start of the step do not contain the step's `gains`.
     """
     t = types(real)
     vec8 = sums(real)
@@ -98,6 +112,7 @@ def make_face_work(real: Any):
         open: t.vec4s,
         liquid: Ints,
         cells: wp.array(dtype=vec8),
+        gains: t.vec4s,
         before: t.vec4s,
         velocity: t.vec4s,
         after: t.vec4s,
@@ -117,7 +132,10 @@ def make_face_work(real: Any):
             if q[4 + axis] > real(0.0) and acts(open, liquid, n, axis, stride(axis, size)) == 1:
                 m = mass_with_outside(open, liquid, cells, n, axis, size)
                 first = q[axis] / q[4 + axis]
-                mean = wp.float64(m) * wp.float64(0.5) * wp.float64(first + after[n][axis])
+                both = first + after[n][axis]
+                if gains.shape[0] > 0:
+                    both -= gain_at(gains, n, axis, stride(axis, size), before.shape[0])
+                mean = wp.float64(m) * wp.float64(0.5) * wp.float64(both)
                 change = before[n][axis] - (first + clock[0] * a[axis])
                 viscous += mean * wp.float64(change)
                 pressed += mean * wp.float64(velocity[n][axis] - before[n][axis])
@@ -171,3 +189,50 @@ def make_shift_work(real: Any):
         add_to(sums_out, SHIFTED, wp.float64(sign) * total)
 
     return shift_work
+
+
+@build_once
+def make_push_work(real: Any):
+    """Kernel at the end of a step: adds impulse and work of forces on particles to `GIVEN` sums.
+
+    `v_kept` and `C_kept` are from before the forces, `v_pushed` and `C_pushed` from after them; the
+    arrays of C are empty if no force changes C.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_liquid_push_work_{real.__name__}", real, seconds=0.2)
+    def push_work(
+        first,
+        each,
+        stride,
+        mass,
+        dx,
+        v,
+        C,
+        v_kept: t.vec3s,
+        v_pushed: t.vec3s,
+        C_kept: t.mat33s,
+        C_pushed: t.mat33s,
+        given_out,
+    ):
+        impulse = wp.vec3d()
+        work = wp.float64(0.0)
+        half = wp.float64(0.5)
+        for k in range(each):
+            p = wp.tid() * first + k * stride
+            if p < mass.shape[0]:
+                m = wp.float64(mass[p])
+                gain = wide(v_pushed[p]) - wide(v_kept[p])
+                mean = half * (wide(v_kept[p]) + wide(v[p]))
+                impulse += m * gain
+                work += m * wp.dot(gain, mean)
+                if C_kept.shape[0] > 0:
+                    turned = C_pushed[p] - C_kept[p]
+                    both = turned + real(0.5) * (C_kept[p] + C[p])
+                    still = wp.vec3d()
+                    work += kinetic_energy(m, still, both, dx)
+                    work -= kinetic_energy(m, still, turned, dx)
+                    work -= kinetic_energy(m, still, both - turned, dx)
+        add_given(given_out, impulse, work, wp.length(impulse), wp.abs(work))
+
+    return push_work
