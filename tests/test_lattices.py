@@ -5,6 +5,7 @@ import pytest
 
 from phy124.accuracy import companion, probe
 from phy124.budget.effects import Effects
+from phy124.errors import InputError
 from phy124.lattice.shock import STALLED
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
@@ -91,6 +92,36 @@ def test_effects_tell_why_there_is_no_lattice():
     assert omitted["rest lattice"].startswith("accuracy.precision is float64")
     (sand,) = (row for row in Effects.of(scene("sand")).left_out if row.effect == "rest lattice")
     assert sand.why == "lattices are for elastic materials"
+
+
+PLATE = {"kind": "half_space", "motion": {"kind": "swing", "amplitude": (0, 0, 0.01)}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"accuracy.solver": "mpm"}, "accuracy.solver is mpm"),
+        ({"binding": "particles"}, "binding is particles: its particles are not on a lattice"),
+        ({"boundaries": [PLATE, {**FOOT, "contact": "slip"}]}, "contact is slip: a body on a"),
+        ({"objects": [{**SAND, "place": [3.0, 0.0]}]}, "lattices are for elastic materials"),
+        (
+            {"objects": [{**SAND, "place": [3.0, 0.0]}], "accuracy.solver": "lattice"},
+            "some objects yield or flow",
+        ),
+    ],
+)
+def test_refusal_of_the_lost_energy_names_what_prevents_lattices(changes, why):
+    with pytest.raises(InputError, match="unless all objects are on lattices; here") as refusal:
+        scene(**{"boundaries": [PLATE], "checks.energy": True, **changes})
+    assert why in str(refusal.value) and ".." not in str(refusal.value)
+
+
+def test_lost_energy_brings_scenes_that_need_it_to_lattices(tmp_path):
+    np.savez(tmp_path / "laws.npz", points=np.eye(3)[:2], law=np.array(["hencky"] * 2))
+    file = {"properties.file": str(tmp_path / "laws.npz")}
+    for changes in ({"accuracy.precision": "float64"}, file):
+        assert not scene(boundaries=[PLATE], **changes).on_lattice
+        assert scene(**{"boundaries": [PLATE], "checks.energy": True, **changes}).on_lattice
 
 
 def left_out_on_gpu(scene, **known):

@@ -41,7 +41,8 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     With `accuracy.solver = "auto"`, elastic objects use lattices where lattices are supported and
     gave better results in measurements (docs/lab/solvers.md). Next to objects of other materials,
     lattices are not faster, and support fewer features. On a GPU a lattice that touches walls takes
-    many times as long (docs/lab/cuda.md).
+    many times as long (docs/lab/cuda.md). A scene that requests the lost energy uses lattices if
+    only they can divide the loss, even where they are slower.
     """
     accuracy = scene.resolution
     if accuracy.solver != "auto":
@@ -49,12 +50,13 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     for item, elastic in zip((scene, *scene.objects), find_elastic(scene), strict=True):
         if not elastic and not getattr(item, "scenery", False):
             return "lattices are for elastic materials"
-    if accuracy.precision == "float64":
+    needed = _needs_lattice(scene)
+    if accuracy.precision == "float64" and not needed:
         return f"accuracy.precision is {accuracy.precision}, in which lattices are slower"
-    if scene.properties is not None:
+    if scene.properties is not None and not needed:
         return "its materials are in a file"
     reason = reason_for_particles(scene)
-    if reason or (device != "cpu" and not _only_on_lattice(scene)):
+    if reason or (device != "cpu" and not needed):
         return reason or "lattices are slower on a GPU"
     slowest = min(section.sound_speed() for section in scene.materials)
     mach = math.sqrt(energy(scene)) / slowest
@@ -67,16 +69,21 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
 
 def choose_solver(scene: Any, device: str) -> Any:
     """Return the scene for a device; names the solver if `auto` means another one there."""
-    if device == "cpu" or scene.resolution.solver != "auto" or _only_on_lattice(scene):
+    if device == "cpu" or scene.resolution.solver != "auto":
         return scene
-    return _with_solver(scene, "mpm")
+    return scene if _needs_lattice(scene) and scene.on_lattice else _with_solver(scene, "mpm")
 
 
-def _only_on_lattice(scene: Any) -> bool:
-    """Return whether only lattices can divide the energy that a scene of elastic objects loses."""
+def reason_for_others(scene: Any) -> str:
+    """Return the reason why a scene does not run on lattices alone; "" if it does."""
+    return reason_for_mpm(scene) or ("some objects yield or flow" if scene.couples else "")
+
+
+def _needs_lattice(scene: Any) -> bool:
+    """Return whether a scene requests the energy that it loses, and MPM cannot divide it."""
     moves = any(wall.moves for wall in scene.boundaries)
     harder = bool(scene.objects) or moves or scene.stiffness_profile is not None
-    return bool(scene.checks.energy and harder and scene.on_lattice)
+    return bool(scene.checks.energy and harder)
 
 
 def keep_lattice(scene: Any, before: Any) -> Any:

@@ -33,7 +33,7 @@ from phy124.scene.accuracies import (
 )
 from phy124.scene.changes import apply
 from phy124.scene.files import check_depth, read_toml
-from phy124.scene.lattices import find_elastic, reason_for_mpm
+from phy124.scene.lattices import find_elastic, reason_for_mpm, reason_for_others
 from phy124.scene.liquids import reason_for_compressible
 from phy124.scene.objects import (
     Pair,
@@ -143,19 +143,7 @@ class Scene(Section):
     def _check_together(self) -> Scene:
         check_objects(self.object, self.objects)
         check_transfer(self.resolution)
-        splits = self.on_lattice and not self.couples
-        whole = splits or self._is_liquid
-        moves = any(wall.moves for wall in self.boundaries)
-        check_energy(
-            self.checks,
-            {
-                "objects": bool(self.objects) and not whole,
-                "accuracy.gradient = spline": self.resolution.gradient != "affine",
-                "a boundary that moves": moves and not whole,
-                "stiffness_profile": self.stiffness_profile is not None and not splits,
-                "accuracy.rpic_damping and a viscous material": self._damped_twice,
-            },
-        )
+        self._check_energy()
         check_free(self.every_object, self.boundaries)
         check_pairs(self.pairs, self.names)
         moving = [item.name for item in self.every_object if not getattr(item, "scenery", False)]
@@ -163,6 +151,27 @@ class Scene(Section):
             if section.object is not None:
                 check_name(section.object, moving)
         return self
+
+    def _check_energy(self) -> None:
+        """Refuse `checks.energy` if the lost energy cannot be divided; raises InputError."""
+        if not self.checks.energy:
+            return
+        why, solid = reason_for_others(self), not self._is_liquid
+        moves = any(wall.moves for wall in self.boundaries)
+        limits = {
+            "objects": bool(self.objects) and solid,
+            "a boundary that moves": moves and solid,
+            "stiffness_profile": self.stiffness_profile is not None,
+        }
+        end = f", unless all objects are on lattices; here they are not: {why}"
+        check_energy(
+            self.checks,
+            {
+                **{f"{name}{end}": present and bool(why) for name, present in limits.items()},
+                "accuracy.gradient = spline": self.resolution.gradient != "affine",
+                "accuracy.rpic_damping and a viscous material": self._damped_twice,
+            },
+        )
 
     @property
     def _is_liquid(self) -> bool:

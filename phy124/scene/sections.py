@@ -162,7 +162,7 @@ def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
         raise InputError("checks.energy", "true", limit, "Leave one of the two settings out.")
     for name, present in unsupported.items():
         if present:
-            limit = f"it does not support {name}."
+            limit = f"it does not support {name.removesuffix('.')}."
             raise InputError("checks.energy", "true", limit, "Leave one of the two settings out.")
 
 
