@@ -65,19 +65,19 @@ def push(x, forces, steps, **options):
 
 def test_zone_does_no_work_on_a_still_tank():
     x = block((0, 0, 0), (1, 1, 0.5), 8)
-    given, energy, solver = push(x, [ZONE], 6, gravity=(0, 0, -G / 2))
+    outside, energy, solver = push(x, [ZONE], 6, gravity=(0, 0, -G / 2))
     weight = solver.model.total_mass * G
-    assert given.moved > 0.5 * weight * 6 / 48
-    assert abs(given.work) < 1e-5 * weight
+    assert outside.moved > 0.5 * weight * 6 / 48
+    assert abs(outside.work) < 1e-5 * weight
     assert abs(energy["projection"]) < 1e-4 * weight
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_zone_does_the_work_that_a_free_drop_gains(threads):
     x = block((0.25, 0.25, 5.5), (0.75, 0.75, 6.0), 8)
-    given, energy, _ = push(x, [ZONE], 6, gravity=(0, 0, 0), threads=threads)
-    assert given.work > 1.0
-    assert given.work == pytest.approx(energy["change"], rel=0.01)
+    outside, energy, _ = push(x, [ZONE], 6, gravity=(0, 0, 0), threads=threads)
+    assert outside.work > 1.0
+    assert outside.work == pytest.approx(energy["change"], rel=0.01)
 
 
 def test_unresisted_force_does_work_on_velocities_and_their_gradients():
