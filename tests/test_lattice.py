@@ -14,6 +14,7 @@ from phy124.materials import Hencky, NeoHookean
 from phy124.monitor.lattice import LatticeTotals
 from phy124.mpm import FreeBody
 from phy124.mpm.tracks import Keyframes
+from phy124.particles.solid import Solid
 from phy124.runtime.context import RunContext
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
@@ -34,6 +35,18 @@ def test_damped_body_stays_sound_in_an_impact():
     solver.advance(0.03)
     assert np.linalg.det(solver.state.F.numpy()).min() > 0
     assert np.linalg.norm(solver.state.v.numpy(), axis=1).max() < 2 * damped.wave_speed()
+
+
+def test_short_substeps_do_not_hide_an_impact():
+    """A ball meets the floor at its speed of sound, while frames shorten all substeps."""
+    line = (np.arange(16) - 7.5) ** 2
+    round_mask = line[:, None, None] + line[:, None] + line <= 64
+    ball = Solid(np.array([0, 0, 1]), DX / 4, round_mask.astype(np.float32))
+    speed = SOFT.wave_speed()
+    solver = make(ball, v=(0, 0, -speed), boundaries=[HalfSpace()])
+    for frame in range(8):
+        solver.advance(0.24 * DX / speed * (frame + 1))
+    assert np.linalg.det(solver.state.F.numpy()).min() > 0.05
 
 
 def test_free_swing_keeps_its_energy():

@@ -29,6 +29,10 @@ the speed of sound.
 """
 IMPACT = 0.3
 """A point that moves farther than this in a substep may be squeezed too much at a wall [cells]."""
+UNSEEN = 0.6
+"""Longest way of a point between two measurements [cells]: at a wall, short substeps together
+squeeze it as much as a long one.
+"""
 COLLAPSED = 1e-6
 """The motion is no longer sound if substeps are shorter than this fraction of the undeformed body's
 substep.
@@ -86,7 +90,8 @@ class LatticeClock(Clock):
             speed: Largest speed relative to a wall [m/s].
             drift: Length of the substep [s].
         """
-        return self.in_shock or speed * drift > IMPACT * self.dx
+        way = speed * (self.time + drift - self._last_measured)
+        return self.in_shock or speed * drift > IMPACT * self.dx or way > UNSEEN * self.dx
 
     def stalls(self, usual: float) -> bool:
         """Return whether the last `STALLED` substeps lasted less than one at rest.
