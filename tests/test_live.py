@@ -84,6 +84,16 @@ def test_live_run_keeps_only_acting_forces():
     assert np.array_equal(held, same)
 
 
+def test_grab_before_the_first_frame_acts_from_the_second():
+    run = live()
+    run.grab((0, 0, 0.9))
+    run.move_to((0, 0, 1.2))
+    assert not run.session().forces[len(run.scene.forces) :]
+    start = middle(run.step())
+    assert middle(run.step())[2] > start[2]
+    assert run.session().forces[-1].kind == "grab"
+
+
 def test_grabbed_object_follows_the_hand_and_falls_on_release():
     run = live(boundaries=[])
     run.step()

@@ -94,9 +94,10 @@ class Inputs:
         for index, moved in self.moved.items():
             path = Path(times=tuple(moved.times), points=tuple(moved.points), smooth=False)
             boundaries[index] = boundaries[index].model_copy(update={"motion": path})
-        grabs = [held.force(since) for held in self.grabs if _acts_after(held, since)]
+        # A grab acts from its second target on, which the next frame adds.
+        grabs = [held for held in self.grabs if len(held.times) > 1 and _acts_after(held, since)]
         pushes = [push for push in self.wrenches if _acts_after(push, since)]
-        forces = (*self._weights(since), *pushes, *grabs)
+        forces = (*self._weights(since), *pushes, *(held.force(since) for held in grabs))
         done = {"forces": forces, "boundaries": tuple(boundaries), **self._stiffness_profile(since)}
         return self.base.model_copy(update=done)
 
