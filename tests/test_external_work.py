@@ -17,7 +17,7 @@ from phy124.forces import (
     WrenchForce,
     ZoneForce,
 )
-from phy124.kernels.work import GIVEN
+from phy124.kernels.work import EXCHANGE
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import WALL, ExternalWork
@@ -133,7 +133,7 @@ def test_a_snapshot_without_rows_is_restored():
     _, external, *_ = run([Gravity()])
     kept = external.snapshot()
     external.restore({**kept, "open": {**kept["open"], WALL: []}})
-    np.testing.assert_array_equal(external.snapshot()["closed"][WALL], np.zeros(GIVEN))
+    np.testing.assert_array_equal(external.snapshot()["closed"][WALL], np.zeros(EXCHANGE))
 
 
 def test_a_snapshot_is_plain_data_and_restores_the_sums():

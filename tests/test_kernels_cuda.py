@@ -85,7 +85,7 @@ def test_grid_and_pushes_compile_for_cuda(tmp_path):
     ("kernel", "numbers"),
     [
         (measure.make_measure(NeoHookean().device_law, wp.float32), 9),
-        (work.make_wall_sums(wp.float32), 2 * work.GIVEN),
+        (work.make_wall_sums(wp.float32), 2 * work.EXCHANGE),
     ],
     ids=["measure", "wall sums"],
 )

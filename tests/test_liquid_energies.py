@@ -8,7 +8,7 @@ from phy124.boundaries import Container, HalfSpace, Path
 from phy124.errors import InputError
 from phy124.forces import ZoneForce
 from phy124.kernels.liquid.energies import make_push_work
-from phy124.kernels.work import GIVEN, WORK
+from phy124.kernels.work import EXCHANGE, WORK
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import MeanWork
 from phy124.pipeline import resume
@@ -88,7 +88,7 @@ def test_unresisted_force_does_work_on_velocities_and_their_gradients():
     v, C = wp.array(after[:, 0], dtype=wp.vec3d), wp.array(after[:, 1:], dtype=wp.mat33d)
     v_kept = wp.array(before[:, 0], dtype=wp.vec3d)
     C_kept = wp.array(before[:, 1:], dtype=wp.mat33d)
-    sums = wp.zeros(GIVEN, dtype=wp.float64)
+    sums = wp.zeros(EXCHANGE, dtype=wp.float64)
     inputs = [1, 7, 1, mass, dx, v, C, v_kept, v, C_kept, C]
     wp.launch(make_push_work(wp.float64), 1, inputs, [sums])
     squares = [

@@ -39,7 +39,7 @@ def measured(before, after, real, device) -> tuple[np.ndarray, np.ndarray]:
     kept = on_device(np.full((*EXTENT, 4), 9.0), real)
     copy, sums = work.make_wall_copy(real), work.make_wall_sums(real)
     wp.launch(copy, threads, [*read, on_device(before, real)], [kept], device="cpu")
-    inputs = wp.zeros(work.GIVEN, dtype=wp.float64, device="cpu")
+    inputs = wp.zeros(work.EXCHANGE, dtype=wp.float64, device="cpu")
     wp.launch(sums, threads, [*read, on_device(after, real), kept], [inputs], device="cpu")
     return kept.numpy().reshape(*EXTENT, 4), inputs.numpy()
 

@@ -83,9 +83,9 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "grid": t.vec4s,  # nodes: momentum, then velocity, and mass [kg]
         "kept": t.vec4s,  # nodes of a box before walls act
         "changes": t.vec4s,  # of the nodes, wanted by the columns at a wall
-        "given": Doubles,  # sums of impulse and work (work.py)
+        "exchange": Doubles,  # sums of impulse and work (work.py)
         "sums": Doubles,
-        "found": Ints,  # number of particles that a check has found, and the lowest index
+        "faults": Ints,  # number of particles that a check rejects, and the lowest index
         "means": wp.array(dtype=wp.vec3d),  # position and velocity of a part (forces.py)
         "second": wp.array(dtype=wp.mat33d),  # its second moment by mass [m^2]
         "contact": wp.array3d(dtype=t.vec4),  # normal and fraction, where a free body touches

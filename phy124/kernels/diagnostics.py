@@ -200,13 +200,13 @@ def make_reset(real: Any):
 
     A deformation F is sound if its volume ratio is between `min_J` and `max_J`, its norm is at most
     `max_norm`, and its smallest stretch is at least the fraction `narrowest` of its largest
-    stretch. J / |cof F| stands for the smallest stretch, and |F| for the largest. `found_out`
+    stretch. J / |cof F| stands for the smallest stretch, and |F| for the largest. `faults_out`
     receives the number of unsound deformations and the lowest index of an unsound one.
     """
     t = types(real)
 
     @kernel(f"phy124_reset_{real.__name__}", real, seconds=0.2)
-    def reset(min_J: real, max_J: real, max_norm: real, narrowest: real, F_out, C_out, found_out):
+    def reset(min_J: real, max_J: real, max_norm: real, narrowest: real, F_out, C_out, faults_out):
         p = wp.tid()
         deformation = F_out[p]
         a = wp.cross(deformation[1], deformation[2])
@@ -221,8 +221,8 @@ def make_reset(real: Any):
         ):
             F_out[p] = wp.identity(3, dtype=real)
             C_out[p] = t.mat33()
-            wp.atomic_add(found_out, 0, 1)
-            wp.atomic_min(found_out, 1, p)
+            wp.atomic_add(faults_out, 0, 1)
+            wp.atomic_min(faults_out, 1, p)
 
     return reset
 
@@ -248,19 +248,19 @@ def make_apart(real: Any):
     """Kernel: counts particles that are stretched apart from their neighbours.
 
     At rest a particle fills a cube whose side is the distance between neighbours. `most` is the
-    square of the stretch above which particles lose contact. `found_out` receives the number of
+    square of the stretch above which particles lose contact. `faults_out` receives the number of
     particles that are stretched more and the lowest index of these particles; `max_out` receives
     the largest stretch.
     """
     t = types(real)
 
     @kernel(f"phy124_apart_{real.__name__}", real, seconds=0.2)
-    def apart(most: t.reals, start: int, F, found_out, max_out: t.reals):
+    def apart(most: t.reals, start: int, F, faults_out, max_out: t.reals):
         p = wp.tid()
         square = largest_stretch_squared(F[p])
         if square > most[p]:
-            wp.atomic_add(found_out, 0, 1)
-            wp.atomic_min(found_out, 1, start + p)
+            wp.atomic_add(faults_out, 0, 1)
+            wp.atomic_min(faults_out, 1, start + p)
             wp.atomic_max(max_out, 0, wp.sqrt(square))
 
     return apart

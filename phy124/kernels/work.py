@@ -19,7 +19,7 @@ from phy124.kernels.reduction import add_to
 from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law, member
 
-IMPULSE, WORK, MOVED, TURNED, GIVEN = 0, 3, 4, 5, 6
+IMPULSE, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 4, 5, 6
 """Index of each sum (for the impulse: of its first component), and the number of sums.
 
 `MOVED` and `TURNED` are the sums of the norms of all impulses and of the absolute values of work.
@@ -28,14 +28,14 @@ For forces on particles, each term is already a thread's sum.
 
 
 @wp.func
-def add_given(
+def add_exchange(
     sums: wp.array(dtype=wp.float64),
     impulse: wp.vec3d,
     work: wp.float64,
     moved: wp.float64,
     turned: wp.float64,
 ):
-    """Add one impulse and its work to the `GIVEN` sums."""
+    """Add one impulse and its work to the `EXCHANGE` sums."""
     add3(sums, IMPULSE, impulse)
     add_to(sums, WORK, work)
     add_to(sums, MOVED, moved)
@@ -77,22 +77,22 @@ def make_push_sums_v(real: Any):
     t = types(real)
 
     @kernel(f"phy124_push_sums_v_{real.__name__}", real)
-    def push_sums_v(first, each, stride, mass, v, v_kept: t.vec3s, given_out):
+    def push_sums_v(first, each, stride, mass, v, v_kept: t.vec3s, exchange_out):
         sums = change(wp.tid() * first, each, stride, mass, v, v_kept)
         impulse = wp.vec3d(sums[0], sums[1], sums[2])
-        add_given(given_out, impulse, sums[3], wp.length(impulse), wp.abs(sums[3]))
+        add_exchange(exchange_out, impulse, sums[3], wp.length(impulse), wp.abs(sums[3]))
 
     return push_sums_v
 
 
 @build_once
 def make_push_sums(real: Any):
-    """Kernel: adds changes of momentum and energy since `push_copy` to `GIVEN` sums."""
+    """Kernel: adds changes of momentum and energy since `push_copy` to `EXCHANGE` sums."""
     t = types(real)
 
     @kernel(f"phy124_push_sums_vC_{real.__name__}", real)
     def push_sums(
-        first, each, stride, mass, dx, v, C, v_kept: t.vec3s, C_kept: t.mat33s, given_out
+        first, each, stride, mass, dx, v, C, v_kept: t.vec3s, C_kept: t.mat33s, exchange_out
     ):
         impulse = wp.vec3d()
         work = wp.float64(0.0)
@@ -105,7 +105,7 @@ def make_push_sums(real: Any):
                 impulse += m * (after - before)
                 work += kinetic_energy(m, after, C[p], dx)
                 work -= kinetic_energy(m, before, C_kept[p], dx)
-        add_given(given_out, impulse, work, wp.length(impulse), wp.abs(work))
+        add_exchange(exchange_out, impulse, work, wp.length(impulse), wp.abs(work))
 
     return push_sums
 
@@ -129,7 +129,7 @@ def make_wall_copy(real: Any):
 
 @build_once
 def make_wall_sums(real: Any):
-    """Kernel: adds the impulse and the work of walls on the nodes of a box to the `GIVEN` sums.
+    """Kernel: adds the impulse and the work of walls on the nodes of a box to the `EXCHANGE` sums.
 
     The work of an impulse J is J . v with the velocity v after the impulse, since this velocity
     moves the material. The work of a wall is zero for walls at rest and negative for friction. With
@@ -138,7 +138,7 @@ def make_wall_sums(real: Any):
     """
 
     @kernel(f"phy124_wall_sums_{real.__name__}", real, seconds=0.2)
-    def wall_sums(each, box, window, grid, kept, given_out):
+    def wall_sums(each, box, window, grid, kept, exchange_out):
         i, j, part = wp.tid()
         row = row_in_grid(box, window, i, j)
         copy = row_in_copy(box, i, j)
@@ -158,7 +158,7 @@ def make_wall_sums(real: Any):
                 moved += wp.length(J)
                 turned += wp.abs(gain)
             k = next_changed(grid, row, kept, copy, k + 1, end)
-        add_given(given_out, impulse, work, moved, turned)
+        add_exchange(exchange_out, impulse, work, moved, turned)
 
     return wall_sums
 
@@ -186,7 +186,7 @@ def make_uniform_sums(real: Any):
         mean_pushes: wp.array2d(dtype=wp.float64),
         mean_walls: wp.array2d(dtype=wp.float64),
         walls_out: Doubles,
-        given_out,
+        exchange_out,
     ):
         a = values[0]
         factor = mass * wp.float64(clock[0])
@@ -194,7 +194,7 @@ def make_uniform_sums(real: Any):
         p = wp.vec3d()
         for c in range(3):
             before = walls_out[3 + c]
-            p[c] = base[c] + walls_out[c] + before + given_out[c]
+            p[c] = base[c] + walls_out[c] + before + exchange_out[c]
             walls_out[c] = wp.float64(0.0)
             walls_out[3 + c] = wp.float64(0.0)
             for worker in range(pushes.shape[0]):
@@ -207,7 +207,7 @@ def make_uniform_sums(real: Any):
                 walls_out[3 + c] += mean_walls[row, c]
             p[c] += (walls_out[3 + c] - before) / wp.float64(2.0)
         work = wp.dot(J, p + J / wp.float64(2.0)) / mass
-        add_given(given_out, J, work, wp.length(J), wp.abs(work))
+        add_exchange(exchange_out, J, work, wp.length(J), wp.abs(work))
 
     return uniform_sums
 

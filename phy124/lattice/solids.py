@@ -20,7 +20,7 @@ from phy124.kernels.lattice import solids as kernels
 from phy124.kernels.lattice.contact import MOMENT, SUMS, make_account
 from phy124.kernels.lattice.rows import rows_for
 from phy124.kernels.lattice.work import SOLIDS
-from phy124.kernels.work import GIVEN, IMPULSE
+from phy124.kernels.work import EXCHANGE, IMPULSE
 from phy124.lattice.clamps import PassedOn
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
@@ -73,9 +73,9 @@ class Solids(FreeBodies):
         """Distance within which points touch solids until the next measurement [m]."""
 
     def _total(self) -> NDArray[np.float64]:
-        """Return each solid's sums of impulse and work on each body [F,bodies,GIVEN]."""
+        """Return each solid's sums of impulse and work on each body [F,bodies,EXCHANGE]."""
         sums = np.asarray(self._sums.numpy(), np.float64)
-        moment, rest = sums[..., MOMENT : MOMENT + 3], sums[..., IMPULSE + 3 : GIVEN]
+        moment, rest = sums[..., MOMENT : MOMENT + 3], sums[..., IMPULSE + 3 : EXCHANGE]
         return np.concatenate([sums[..., :3], moment, rest], axis=-1)
 
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:

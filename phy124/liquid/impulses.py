@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from phy124.kernels.liquid.impulses import COLUMNS, settle
-from phy124.kernels.work import GIVEN
+from phy124.kernels.work import EXCHANGE
 
 MEASURED = 6
 """Length of a wall's total: impulse [N s], and moment about the origin [N m s]."""
@@ -33,7 +33,7 @@ class WallImpulses:
         self.step = wp.zeros((workers, walls, COLUMNS), dtype=real, device=device)
         """Sums of the current step [workers,walls,7]."""
         self._totals = wp.zeros((walls, MEASURED), dtype=real, device=device)
-        self.total = wp.zeros((1, GIVEN), dtype=real, device=device)
+        self.total = wp.zeros((1, EXCHANGE), dtype=real, device=device)
         """Impulse and work of all walls, in the order of `phy124.kernels.work`."""
         outputs = [self.step, self._totals, self.total]
         launch: Any = wp.launch(

@@ -121,7 +121,7 @@ class ExternalWork(Observer):
         """
         self.stored = 0.0
         """Energy received without motion since the start [J]."""
-        self._closed: dict[str, Sums] = {name: np.zeros(kernels.GIVEN) for name in SOURCES}
+        self._closed: dict[str, Sums] = {name: np.zeros(kernels.EXCHANGE) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
         """Momentum of the object at the start of the frame [kg m/s], without the open sums. Time
         that velocities had reached when counting began [s].
@@ -170,7 +170,7 @@ class ExternalWork(Observer):
     def open(self, clock: Clock) -> None:
         """Start counting from the current state."""
         for name in SOURCES:
-            self._closed[name] = np.zeros(kernels.GIVEN)
+            self._closed[name] = np.zeros(kernels.EXCHANGE)
         for sums in self._device.values():
             sums.zero_()
         self._opened, self.stored = clock.time - clock.behind, 0.0
@@ -232,7 +232,7 @@ class ExternalWork(Observer):
             if name in self._device and self._device[name].shape == open_sums.shape:
                 self._device[name].assign(open_sums)
             else:
-                self._closed[name] += open_sums[:, : kernels.GIVEN].sum(axis=0)
+                self._closed[name] += open_sums[:, : kernels.EXCHANGE].sum(axis=0)
         for name in self._device.keys() - snapshot["open"].keys():
             self._device[name].zero_()
         self._momentum, self._opened = np.array(snapshot["momentum"]), snapshot["opened"]
@@ -240,7 +240,7 @@ class ExternalWork(Observer):
 
     def _sum(self, *names: str) -> Sums:
         """Return the total of all sums so far, or the total for the named causes."""
-        total = np.zeros(kernels.GIVEN)
+        total = np.zeros(kernels.EXCHANGE)
         for name in names or SOURCES:
             total += self._closed[name]
             if name in self._device:
@@ -250,7 +250,7 @@ class ExternalWork(Observer):
     def _open(self, name: str) -> Sums:
         """Return the total over all workers since their launches were last recorded."""
         rows: NDArray[Any] = self._device[name].numpy()
-        return rows[:, : kernels.GIVEN].sum(axis=0)
+        return rows[:, : kernels.EXCHANGE].sum(axis=0)
 
     def _accumulator(self, name: str, grid: Grid) -> wp.array:
         """Return an array of sums for one launch; no two threads then add to the same array."""

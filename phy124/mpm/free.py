@@ -159,11 +159,13 @@ class FreeBodies:
             refuse_thin(solid, model.dx)
         self._bodies, self._trials, self._systems, self._changes = (
             [self._zeros(size) for _ in solids]
-            for size in (kernels.SIZE, kernels.TRIAL, kernels.SYSTEM, kernels.GIVEN)
+            for size in (kernels.SIZE, kernels.TRIAL, kernels.SYSTEM, kernels.EXCHANGE)
         )
         for numbers, solid in zip(self._bodies, solids, strict=True):
             numbers.assign(solid.start())
-        self._totals = [[self._zeros(kernels.GIVEN) for _ in range(model.bodies)] for _ in solids]
+        self._totals = [
+            [self._zeros(kernels.EXCHANGE) for _ in range(model.bodies)] for _ in solids
+        ]
         self._begun = self._total()
         self._fill = fill_of(model) if solids else []
         self._contacts = [
@@ -177,7 +179,7 @@ class FreeBodies:
         return self._bodies
 
     def total(self, index: int) -> wp.array:
-        """Return a solid's sums of impulse and work on the first body of particles [GIVEN]."""
+        """Return a solid's sums of impulse and work on the first body of particles [EXCHANGE]."""
         return self._totals[index][0]
 
     def _zeros(self, size: int) -> wp.array:
@@ -263,12 +265,12 @@ class FreeBodies:
         self._begun = self._total()
 
     def _total(self) -> NDArray[np.float64]:
-        """Return each solid's sums of impulse and work on each body [F,bodies,GIVEN]."""
+        """Return each solid's sums of impulse and work on each body [F,bodies,EXCHANGE]."""
         rows = [[sums.numpy() for sums in of_one] for of_one in self._totals]
-        return np.array(rows, float).reshape(len(self.all), self._model.bodies, kernels.GIVEN)
+        return np.array(rows, float).reshape(len(self.all), self._model.bodies, kernels.EXCHANGE)
 
     def impulses(self) -> NDArray[np.float64]:
-        """Return all solids' sums of impulse and work on all particles since the start [GIVEN]."""
+        """Return the sums of impulse and work of all solids on all particles [EXCHANGE]."""
         return self._total().sum(axis=(0, 1))
 
     @property
@@ -292,7 +294,7 @@ class FreeBodies:
             seconds: Time since `begin` [s].
         """
         sums = -(self._total() - self._begun)[:, self._met] / seconds
-        rows = sums.reshape(-1, kernels.GIVEN)
+        rows = sums.reshape(-1, kernels.EXCHANGE)
         return [Wrench(row[:3], row[kernels.MOMENT : kernels.MOMENT + 3]) for row in rows]
 
     def put(self, index: int, motion: Sequence[Any]) -> None:

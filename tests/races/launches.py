@@ -7,7 +7,7 @@ from typing import Any
 from races import controls, gpu_forms
 from races.conflicts import conflicts
 from races.record import Record
-from races.watched import Given, install
+from races.watched import Launched, install
 
 FIRST, THEN = 3, 10
 """Launches of a kernel in a run that are looked at: the first ones, then one in so many."""
@@ -30,7 +30,7 @@ class Detective:
         self._run = run
         self._turns.clear()
 
-    def __call__(self, inputs: Given, launch: Callable[[], None]) -> None:
+    def __call__(self, inputs: Launched, launch: Callable[[], None]) -> None:
         """Run a launch and look at it, if its turn has come."""
         turn = self._turns[inputs.name]
         self._turns[inputs.name] += 1

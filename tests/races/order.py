@@ -6,7 +6,7 @@ import numpy as np
 
 from races import gpu_forms
 from races.record import Record
-from races.watched import Given, install
+from races.watched import Launched, install
 
 
 class Mixer:
@@ -20,7 +20,7 @@ class Mixer:
         """Choose other orders; None: one thread after another."""
         self._rng = None if seed is None else np.random.default_rng(seed)
 
-    def __call__(self, inputs: Given, launch: Callable[[], None]) -> None:
+    def __call__(self, inputs: Launched, launch: Callable[[], None]) -> None:
         """Run a launch."""
         self._record.in_order()
         if self._rng is not None and inputs.threads > 1:

@@ -112,12 +112,12 @@ class _Forward:
         self._kernel, self._native, self._launch, self._lock = kernel, native, launch, lock
 
     def __call__(self, bounds: Any, arguments: Any) -> None:
-        inputs = Given(self._kernel, bounds._obj, arguments._obj)
+        inputs = Launched(self._kernel, bounds._obj, arguments._obj)
         with self._lock:
             self._launch(inputs, lambda: self._native(bounds, arguments))
 
 
-class Given:
+class Launched:
     """A launch: its kernel, number of threads and arrays."""
 
     def __init__(self, kernel: Any, bounds: Any, arguments: Any) -> None:

@@ -19,7 +19,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.relief.back import BackLook
 from phy124.generators.relief.highlights import matte
-from phy124.generators.relief.picture import Given, open_picture
+from phy124.generators.relief.picture import Picture, open_picture
 from phy124.generators.relief.several import Facing, from_sides
 from phy124.generators.relief.single import from_front
 from phy124.generators.relief.surface import VIEW_DISTANCE as VIEW_DISTANCE
@@ -32,15 +32,15 @@ STAGES = 4
 
 
 def relief(
-    image_rgba: Given,
+    image_rgba: Picture,
     *,
     seed: int = 0,
     progress: Progress = silent,
     count: int = 50_000,
     depth: NDArray | DepthNetwork | None = None,
-    side: Given | None = None,
+    side: Picture | None = None,
     facing: Facing = "left",
-    back: Given | None = None,
+    back: Picture | None = None,
     back_look: BackLook = "auto",
     thickness: float | None = None,
     highlights: Literal["keep", "remove"] = "keep",
@@ -77,7 +77,7 @@ def relief(
     def step(done: int) -> None:
         progress("relief", done, STAGES)
 
-    def prepare(image: Given, field: str) -> Image.Image:
+    def prepare(image: Picture, field: str) -> Image.Image:
         picture = open_picture(image, field)
         return matte(picture) if highlights == "remove" else picture
 

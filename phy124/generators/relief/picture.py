@@ -11,14 +11,14 @@ from phy124.generators.extras import fit_to_picture
 from phy124.generators.relief.solids import normalise_depth
 
 Field = NDArray[np.float64]
-Given = Image.Image | NDArray[np.uint8]
+Picture = Image.Image | NDArray[np.uint8]
 WORK = 248
 """Longest side of the resampled silhouette [pixels]."""
 PADDING = 4
 """Width of the transparent border around the silhouette [pixels]."""
 
 
-def open_picture(image: Given, field: str = "image") -> Image.Image:
+def open_picture(image: Picture, field: str = "image") -> Image.Image:
     """Convert an image to RGBA, and check that some of it is opaque.
 
     Raises:

@@ -25,7 +25,7 @@ in `exchange`, and the impulses of walls and the motion in `walls`.
 from phy124.kernels.free.exchange import make_apply, make_assemble, make_begin, make_finish
 from phy124.kernels.free.numbers import (
     ANGULAR,
-    GIVEN,
+    EXCHANGE,
     KICKED,
     MOMENT,
     SIZE,
@@ -40,7 +40,7 @@ from phy124.kernels.free.walls import make_walls
 
 __all__ = [
     "ANGULAR",
-    "GIVEN",
+    "EXCHANGE",
     "KICKED",
     "MOMENT",
     "SIZE",

@@ -10,7 +10,7 @@ from phy124.kernels.columns import coulomb
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.free.numbers import (
     ANGULAR,
-    GIVEN,
+    EXCHANGE,
     GUESS,
     IMPULSE,
     KICKED,
@@ -131,11 +131,11 @@ def make_assemble(real: Any):
 def make_apply(real: Any):
     """Kernel over rows of nodes around a body: gives nodes in contact the body's surface velocity.
 
-    `given_out` collects the impulses on the nodes, in the `GIVEN` sums; the moment is about the
+    `exchange_out` collects the impulses on the nodes as `EXCHANGE` sums; the moment is about the
     body's centre.
     """
     t = types(real)
-    numbers = wp.types.vector(GIVEN, wp.float64)
+    numbers = wp.types.vector(EXCHANGE, wp.float64)
 
     @kernel(f"phy124_free_apply_{real.__name__}", real, seconds=0.4)
     def apply(
@@ -148,7 +148,7 @@ def make_apply(real: Any):
         trial,
         contact,
         grid_out,
-        given_out,
+        exchange_out,
     ):
         i, j = wp.tid()
         first = first_node(body, lattice, reach)
@@ -180,8 +180,8 @@ def make_apply(real: Any):
                     sums[MOVED] += wp.length(J)
                     sums[TURNED] += wp.abs(work)
         if sums[MOVED] > wp.float64(0.0):
-            for a in range(wp.static(GIVEN)):
-                add_to(given_out, a, sums[a])
+            for a in range(wp.static(EXCHANGE)):
+                add_to(exchange_out, a, sums[a])
 
     return apply
 
@@ -195,14 +195,14 @@ def make_finish(real: Any):
     """
 
     @kernel(f"phy124_free_finish_{real.__name__}", real)
-    def finish(mass: wp.float64, trial, given_out, body_out, total_out: Doubles):
-        J = at3(given_out, IMPULSE)
-        moment = at3(given_out, MOMENT)
+    def finish(mass: wp.float64, trial, exchange_out, body_out, total_out: Doubles):
+        J = at3(exchange_out, IMPULSE)
+        moment = at3(exchange_out, MOMENT)
         put3(body_out, VELOCITY, at3(body_out, VELOCITY) + (at3(trial, WALLS) - J) / mass)
         put3(body_out, ANGULAR, at3(body_out, ANGULAR) + at3(trial, WALLS + 3) - moment)
         add3(total_out, MOMENT, wp.cross(at3(body_out, PLACE), J))
-        for a in range(wp.static(GIVEN)):
-            total_out[a] += given_out[a]
-            given_out[a] = wp.float64(0.0)
+        for a in range(wp.static(EXCHANGE)):
+            total_out[a] += exchange_out[a]
+            exchange_out[a] = wp.float64(0.0)
 
     return finish

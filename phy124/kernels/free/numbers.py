@@ -14,7 +14,7 @@ array's length.
 """
 A, B, C, LINEAR, TURNING, SYSTEM = 0, 9, 18, 27, 30, 33
 """Offsets in the six equations: [3,3] blocks of the matrix, then the right-hand side; length."""
-IMPULSE, MOMENT, WORK, MOVED, TURNED, GIVEN = 0, 3, 6, 7, 8, 9
+IMPULSE, MOMENT, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 6, 7, 8, 9
 """Offsets of the sums of impulses on nodes, as in phy124/kernels/work.py; and their number."""
 
 

@@ -29,7 +29,7 @@ from phy124.kernels.contacts import MOMENT as PAIR_MOMENT
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.lattice.rows import Rows
-from phy124.kernels.work import GIVEN, add_given
+from phy124.kernels.work import EXCHANGE, add_exchange
 
 RELAXED = wp.constant(0.6)
 """Fraction of each point's correction that is applied. Neighbouring points share most of their
@@ -41,9 +41,10 @@ each other at a pair of points only if clamps leave it to one of the two.
 """
 NODES = 27
 """Largest number of nodes that carry a surface point."""
-MOMENT, DRIVEN, SUMS = GIVEN, GIVEN + 3, 16
+MOMENT, DRIVEN, SUMS = EXCHANGE, EXCHANGE + 3, 16
 """Index of the moment of all impulses about the origin [N m s]; index of the work by a clamp's
-motion [J]; length of each wall's sums. The first `GIVEN` sums are those of phy124/kernels/work.py.
+motion [J]; length of each wall's sums. The first `EXCHANGE` sums are those of
+phy124/kernels/work.py.
 """
 
 
@@ -439,7 +440,7 @@ def make_account(real: Any, rows: Rows):
             before = moved_by(v_before, nodes, weights, s)
             after = moved_by(v, nodes, weights, s)
             work = wp.float64(0.5) * wp.dot(impulse, wide(before) + wide(after))
-            add_given(sums_out, impulse, work, wp.length(impulse), wp.abs(work))
+            add_exchange(sums_out, impulse, work, wp.length(impulse), wp.abs(work))
             add3(sums_out, wp.static(MOMENT), wp.cross(wide(place[s]), impulse))
 
     return account

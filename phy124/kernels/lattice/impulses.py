@@ -16,7 +16,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.lattice.contact import MOMENT
 from phy124.kernels.reduction import add_to
-from phy124.kernels.work import WORK, add_given
+from phy124.kernels.work import WORK, add_exchange
 
 Impulses = wp.array(dtype=wp.vec3d)
 
@@ -91,7 +91,7 @@ def make_pass_on(real: Any):
                 if weights[s, k] != real(0.0) and inverse[n] == real(0.0) and whole[n] > real(0.0):
                     back = -wp.float64(weights[s, k]) * impulse
                     sums = clamps_out[holder[n]]
-                    add_given(sums, back, wp.float64(0.0), wp.length(back), wp.float64(0.0))
+                    add_exchange(sums, back, wp.float64(0.0), wp.length(back), wp.float64(0.0))
                     at = wide(rest[n]) + wide(u[n])
                     add3(sums, wp.static(MOMENT), wp.cross(at, back))
                     if sums_out.shape[0] > 0:

@@ -14,7 +14,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import ANGULAR, KINETIC, MIDDLE, MOMENTUM, add3, wide
 from phy124.kernels.lattice.contact import DRIVEN, MOMENT
 from phy124.kernels.reduction import add_to
-from phy124.kernels.work import add_given
+from phy124.kernels.work import add_exchange
 
 RECENT = wp.constant(0.75)
 """Share of the present velocity in the velocity on which viscosity acts; the rest is that of the
@@ -182,7 +182,7 @@ def make_hold(real: Any):
                 impulse = mass * (wide(rate) - wide(v_out[n]))
                 at = wide(rest[n]) + wide(u[n])
                 work = wp.float64(0.5) * wp.dot(impulse, wide(rate) + wide(v_before[n]))
-                add_given(sums_out, impulse, work, wp.length(impulse), wp.abs(work))
+                add_exchange(sums_out, impulse, work, wp.length(impulse), wp.abs(work))
                 add3(sums_out, wp.static(MOMENT), wp.cross(at, impulse))
                 add_to(sums_out, wp.static(DRIVEN), wp.dot(impulse, wide(rate)))
             v_out[n] = rate
@@ -261,7 +261,7 @@ def make_pin(real: Any):
             work = half * wp.dot(first, wide(v_out[held]) + wide(v_before[held]))
             work += half * wp.dot(second, wide(v_out[free]) + wide(v_before[free]))
             impulse = first + second
-            add_given(sums_out, impulse, work, wp.length(impulse), wp.abs(work))
+            add_exchange(sums_out, impulse, work, wp.length(impulse), wp.abs(work))
             moment = wp.cross(wide(rest[held]) + wide(u[held]), first)
             moment += wp.cross(wide(rest[free]) + wide(u[free]), second)
             add3(sums_out, wp.static(MOMENT), moment)

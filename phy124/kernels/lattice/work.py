@@ -14,7 +14,7 @@ from phy124.kernels.columns import xyz
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.lattice.nodes import force_on
 from phy124.kernels.reduction import add_to
-from phy124.kernels.work import add_given
+from phy124.kernels.work import add_exchange
 
 STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
 """Index of the work of each force: of all stress, the uniform acceleration, forces on points, and
@@ -76,8 +76,9 @@ def make_node_work(real: Any):
 
 @build_once
 def make_push_work(real: Any):
-    """Kernel over nodes from `start` on: adds impulse and work of forces on points to `GIVEN` sums.
+    """Kernel over nodes from `start` on: sums impulse and work of forces on points.
 
+    The result is added to `EXCHANGE` sums.
     A thread sums `each` nodes before it writes. The other arguments are those of `make_node_work`.
     """
     t = types(real)
@@ -100,7 +101,7 @@ def make_push_work(real: Any):
         clock,
         v_before: t.vec3s,
         v: t.vec3s,
-        given_out,
+        exchange_out,
     ):
         impulse = wp.vec3d()
         work = wp.float64(0.0)
@@ -114,7 +115,7 @@ def make_push_work(real: Any):
                 J = wp.float64(clock[0]) * wide(force)
                 impulse += J
                 work += wp.float64(0.5) * wp.dot(J, wide(v_before[n]) + wide(v[n]))
-        add_given(given_out, impulse, work, wp.length(impulse), wp.abs(work))
+        add_exchange(exchange_out, impulse, work, wp.length(impulse), wp.abs(work))
 
     return push_work
 

@@ -137,7 +137,7 @@ def make_yield(real: Any):
 def make_answer(real: Any):
     """Kernel over bodies: writes the rigid motions that pressure causes, and sums its impulses.
 
-    `given_out` has the impulse on each body and its moment about the origin.
+    `impulses_out` has the impulse on each body and its moment about the origin.
     """
     t = types(real)
 
@@ -151,16 +151,16 @@ def make_answer(real: Any):
         mobility: wp.array2d(dtype=wp.float64),
         sums_out: Sums,
         motions_out: wp.array2d(dtype=t.vec3),
-        given_out: Motions,
+        impulses_out: Motions,
     ):
         solid = free + wp.tid()
         row = take_row(sums_out, wall + solid)
         J = wp.vec3d(row[0], row[1], row[2])
         moment = wp.vec3d(row[3], row[4], row[5])
-        given_out[solid, 0] = given_out[solid, 0] - J
-        given_out[solid, 1] = given_out[solid, 1] - moment
-        force = given_out[solid, 0] / scale
-        turn = (given_out[solid, 1] - wp.cross(centres[solid], given_out[solid, 0])) / scale
+        impulses_out[solid, 0] = impulses_out[solid, 0] - J
+        impulses_out[solid, 1] = impulses_out[solid, 1] - moment
+        force = impulses_out[solid, 0] / scale
+        turn = (impulses_out[solid, 1] - wp.cross(centres[solid], impulses_out[solid, 0])) / scale
         w = plans[solid, 1]
         for a in range(3):
             for b in range(3):

@@ -16,7 +16,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import kinetic_energy, wide
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride, sums
 from phy124.kernels.reduction import add_to
-from phy124.kernels.work import add_given
+from phy124.kernels.work import add_exchange
 
 VISCOUS, PRESSED, SHIFTED = 0, 1, 2
 """Indices of three sums [J]: work of viscosity, work of pressure, and work of the uniform
@@ -193,7 +193,7 @@ def make_shift_work(real: Any):
 
 @build_once
 def make_push_work(real: Any):
-    """Kernel at the end of a step: adds impulse and work of forces on particles to `GIVEN` sums.
+    """Kernel at the end of a step: adds impulse and work of forces on particles to `EXCHANGE` sums.
 
     `v_kept` and `C_kept` are from before the forces, `v_pushed` and `C_pushed` from after them; the
     arrays of C are empty if no force changes C.
@@ -213,7 +213,7 @@ def make_push_work(real: Any):
         v_pushed: t.vec3s,
         C_kept: t.mat33s,
         C_pushed: t.mat33s,
-        given_out,
+        exchange_out,
     ):
         impulse = wp.vec3d()
         work = wp.float64(0.0)
@@ -233,6 +233,6 @@ def make_push_work(real: Any):
                     work += kinetic_energy(m, still, both, dx)
                     work -= kinetic_energy(m, still, turned, dx)
                     work -= kinetic_energy(m, still, both - turned, dx)
-        add_given(given_out, impulse, work, wp.length(impulse), wp.abs(work))
+        add_exchange(exchange_out, impulse, work, wp.length(impulse), wp.abs(work))
 
     return push_work
