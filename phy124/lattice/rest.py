@@ -365,6 +365,6 @@ def _extrapolate(
     size, axes = np.linalg.eigh(moments)
     determined = size > 1e-8 * size[:, -1:]
     part = np.where(determined, axes[:, 0], 0) / np.where(determined, size, 1)
-    constant = np.einsum("tk,tak->ta", part, axes)
+    constant = np.einsum("tk,tjk->tj", part, axes)
     complete = np.asarray(determined.all(axis=1))
     return importance * np.einsum("tna,ta->tn", basis, constant), complete
