@@ -39,7 +39,7 @@ HEAD = struct.Struct("<IIff")
 
 @dataclass(frozen=True)
 class Play:
-    """Order and limits of a live run."""
+    """A live run that a visitor ordered, and its limits."""
 
     order: Order
     most: Settings

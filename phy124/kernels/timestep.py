@@ -123,7 +123,7 @@ def spare(x: wp.float64, origin: wp.float64, dx: wp.float64):
 
 @wp.func
 def corner(maxima: wp.array(dtype=Any), i: int):
-    """Return the three maxima from index i on as a float64 vector."""
+    """Return the maxima at the indices i, i + 1 and i + 2 as a float64 vector."""
     return wp.vec3d(wp.float64(maxima[i]), wp.float64(maxima[i + 1]), wp.float64(maxima[i + 2]))
 
 

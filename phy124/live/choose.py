@@ -122,7 +122,7 @@ def _trial(
     shapes: bool,
     show: Callable[[Frame], object],
 ) -> Cost:
-    """Measure the time of frames while a hand swings the object by its top, which costs most."""
+    """Measure the time of frames in the costliest motion: a hand swings the object by its top."""
     watch = Stopwatch()
     live = Live(gaussians, scene, replace(context, watch=watch), shapes=shapes)
     means = live.step().gaussians.means

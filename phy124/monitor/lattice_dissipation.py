@@ -19,7 +19,7 @@ from phy124.monitor.observer import Effect, Observer, Subject, find
 
 
 class LatticeDissipation(LiquidDissipation):
-    """Work on bodies on lattices, summed in every substep."""
+    """Mechanical work done on bodies on lattices, summed in every substep."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:

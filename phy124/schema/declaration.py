@@ -19,7 +19,7 @@ class Declaration:
         self.schema: Node = root.model_json_schema()
 
     def resolve(self, node: Node) -> Node:
-        """Return the schema to which references lead; for an optional field, that of its value."""
+        """Follow references and return the schema; for an optional field, its value's schema."""
         while True:
             options = [option for option in node.get("anyOf", []) if option != {"type": "null"}]
             if "$ref" in node:

@@ -122,7 +122,7 @@ def level_near(
 ):
     """Return the distance of a cell's centre from a body [cells]; inside walls, extrapolate it.
 
-    The distance is linear on the line from the cell to the first one outside walls.
+    On the line to the nearest cell outside the walls, the distance is linear.
     """
     m = n
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""Describes the stage of a frame as plain data that both the renderer and the player draw."""
+"""Describes the scenery of a frame as plain data that both the renderer and the player draw."""
 
 from __future__ import annotations
 
