@@ -83,7 +83,7 @@ class Sample:
         corners = (rest.min(axis=1), rest.max(axis=1)) if rest.size else None
         chosen = chosen[:: 1 + len(chosen) // min(SAMPLE, max(MOST_VALUES // len(clip), FEWEST))]
         chosen = chosen[np.isfinite(clip.means[0, chosen]).all(axis=1)]
-        drawn = np.eye(3) * _discs(clip)[chosen, None, None] ** 2
+        drawn = np.eye(3) * _reach_of_discs(clip)[chosen, None, None] ** 2
         means = np.empty((len(clip), len(chosen), 3), np.float32)
         shapes = np.empty((*means.shape, 3), np.float32)
         for index, (centres, quats, scales) in enumerate(clip.rows_of(chosen)):
@@ -150,7 +150,7 @@ _samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
 """The sample of each clip in use; the cameras of all sides of a view are placed by it."""
 
 
-def _discs(clip: Clip) -> Values:
+def _reach_of_discs(clip: Clip) -> Values:
     """Return how far discs on a liquid's surface reach beyond the liquid's Gaussians [N], m; 0 for
     other Gaussians.
     """

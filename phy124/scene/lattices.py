@@ -41,8 +41,8 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     With `accuracy.solver = "auto"`, elastic objects use lattices where lattices are supported and
     gave better results in measurements (docs/lab/solvers.md). In scenes with objects of other
     materials, lattices are not faster and support fewer features. On a GPU a lattice that touches
-    walls takes many times as long (docs/lab/cuda.md). A scene that requests the lost
-    energy uses lattices if only they can divide the loss, even where they are slower.
+    walls takes many times as long (docs/lab/cuda.md). A scene that requests the lost energy uses
+    lattices if only they can divide the loss, even where they are slower.
     """
     accuracy = scene.resolution
     if accuracy.solver != "auto":

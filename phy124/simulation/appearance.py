@@ -58,7 +58,7 @@ class Appearance(NamedTuple):
         past its last.
         """
         laws = sorted({section.law for section in materials if section.shines})
-        return {law: self._spans(self._is(law, materials)) for law in laws}
+        return {law: self._spans(self._has_law(law, materials)) for law in laws}
 
     def liquids(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
         """Return, for each liquid, its visibility [m] or None, the spans of its Gaussians, and the
@@ -127,9 +127,9 @@ class Appearance(NamedTuple):
 
     def _of_law(self, law: str, materials: Sequence[AnyMaterial]) -> NDArray[np.int64]:
         """Return the indices of the moving Gaussians whose material has a given law."""
-        return np.flatnonzero(self.moves)[self._is(law, materials)]
+        return np.flatnonzero(self.moves)[self._has_law(law, materials)]
 
-    def _is(self, law: str, materials: Sequence[AnyMaterial]) -> NDArray[np.bool_]:
+    def _has_law(self, law: str, materials: Sequence[AnyMaterial]) -> NDArray[np.bool_]:
         """Return the mask of the moving Gaussians whose material has a given law."""
         return np.array([section.law == law for section in materials])[self.kinds]
 
