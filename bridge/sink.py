@@ -61,8 +61,8 @@ class LiveSink(Sink, Protocol):
     def listen(self, seconds: float, obey: Obey) -> bool | None:
         """Wait for a command for up to `seconds`, and pass it to `obey`.
 
-        Only this method may run in another thread than `write`. Returns whether something was read
-        and more may be waiting.
+        May run in another thread than `write`; the other methods may not. Returns True if a command
+        was read and more may be waiting.
         """
         del obey
         time.sleep(seconds)

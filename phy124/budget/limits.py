@@ -101,7 +101,7 @@ def _check_distance(scene: Scene) -> None:
             f"{lift:g} m",
             "positions of Gaussians are float32, whose resolution at this height is "
             f"{np.spacing(np.float32(lift)):.2g} m, and a cell is {scene.dx:.2g} m wide.",
-            f"Use at most {most:g} m, and move everything below by the same distance.",
+            f"Use at most {most:g} m, and lower all other objects and walls by the same distance.",
             [change_field("object.lift", most)],
         )
     for body in scene.every_object:

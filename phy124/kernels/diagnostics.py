@@ -249,8 +249,8 @@ def make_apart(real: Any):
 
     At rest a particle fills a cube whose side is the distance between neighbours. `most` is the
     square of the stretch above which particles lose contact. `faults_out` receives the number of
-    particles that are stretched more and the lowest index of these particles; `max_out` receives
-    the largest stretch.
+    particles above this limit and the lowest of their indices; `max_out` receives the largest
+    stretch.
     """
     t = types(real)
 

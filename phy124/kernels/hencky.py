@@ -51,7 +51,9 @@ def left_strain(F: Any):
 
 @wp.func
 def inverse_tanh(z: Any):
-    """Return atanh Z, to Z^11 / 11, as coefficients of a quadratic in Z; z has the invariants of Z.
+    """Return coefficients of the quadratic in Z that equals the series of atanh Z up to Z^11.
+
+    `z` holds the invariants of Z.
 
     With W = Z^2, atanh Z = Z (1 + W/3 + W^2/5 + ...). The sum is first reduced to a quadratic in W;
     then Z W = Z^3 and Z W^2 = Z^5 are reduced to quadratics in Z. The reduction in two stages takes

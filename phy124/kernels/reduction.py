@@ -1,7 +1,7 @@
 """Operations of many threads together: sums, maxima, stores, and a barrier.
 
-On a GPU, atomic operations on one address are serialised. Each thread therefore first reduces its
-own items, then the 32 threads of a warp reduce theirs, and one of them writes the result. If
+On a GPU, atomic operations on one address are serialised. Therefore each thread first reduces its
+own items, the 32 threads of a warp then combine their results, and one of them writes the total. If
 threads of a warp are inactive (at the end of a launch, or in another branch), each thread writes
 its own result. From compute capability 9.0 on, a GPU adds four float32 to a node in one
 transaction; older GPUs, float64 and the CPU add each component separately.

@@ -92,7 +92,10 @@ def signed_stretch(F: wp.mat33d) -> wp.mat33d:
 
 @wp.func
 def floored_log(F: wp.mat33d, floor: wp.float64) -> wp.mat33d:
-    """Return log V of F = V R; stretches are raised to `floor`, and reflections are ignored."""
+    """Return log V for F = V R.
+
+    Stretches below `floor` are set to `floor`; reflections are ignored.
+    """
     b = F * wp.transpose(F)
     at = eigenvalues(b)
     half = wp.float64(0.5)

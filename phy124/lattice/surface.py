@@ -1,8 +1,8 @@
 """Finds a body's surface points, with the nodes and weights by which contact acts on them.
 
-The weights of a point are those of a position a quarter of a cell further inside, without the tied
-nodes, and corrected so that they reproduce every linear function at the point itself. The true
-weights at the surface depend mostly on the lightest nodes, which would vibrate.
+A surface point takes the weights of a position a quarter of a cell inside the body, without the
+tied nodes. The weights are then corrected so that they reproduce every linear function at the
+point. The true weights at the surface depend mostly on the lightest nodes, which would vibrate.
 
 Points are sorted by eight colours: neighbouring points of a colour are about a cell apart. In the
 order of colours, the error after a pass of Gauss-Seidel is a tenth of the error after a pass from

@@ -19,7 +19,7 @@ from phy124.mpm.tracks import Tracks
 
 
 class Measured:
-    """Combines forces or boundaries; if they have stages, further stages measure the effect."""
+    """Combines forces or boundaries, and adds stages that measure the effect of their stages."""
 
     def __init__(
         self,

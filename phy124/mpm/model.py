@@ -183,12 +183,12 @@ class Model:
         return 1 + max(group.body for group in self.groups)
 
     def particles(self, body: int) -> slice:
-        """Return the span of a body's particles."""
+        """Return the slice of a body's particles."""
         groups = [group for group in self.groups if group.body == body]
         return slice(groups[0].start, groups[-1].stop)
 
     def named(self, name: str | None) -> slice:
-        """Return the span of a body's particles, or of all particles if the name is None."""
+        """Return the slice of a body's particles, or of all particles if `name` is None."""
         return slice(0, len(self)) if name is None else self.particles(self.names.index(name))
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:

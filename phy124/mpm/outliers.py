@@ -99,7 +99,8 @@ class Outliers:
         return True
 
     def around(self, part: Part, gather: Recorded, grid: Grid, tracks: Tracks) -> list[Recorded]:
-        """Return a part's gather, between launches that move the part's outliers, if any.
+        """Return the gather of `part`, with launches before and after it that move outliers, if
+        any.
 
         Args:
             part: Some of the particles.

@@ -1,9 +1,9 @@
 """Removes highlights from an image; otherwise they would be painted on the object and move with it.
 
-A highlight adds white light to the colour of the surface. Compared with its surroundings, a
-highlight is a small bright spot with equal amounts of red, green and blue added, unless a channel
-is clipped. White paint on a coloured surface, in contrast, adds mainly the colours that the surface
-lacks. On a grey surface, highlights and paint cannot be distinguished; grey surfaces are unchanged.
+A highlight adds white light to the colour of the surface. It is a small spot that is brighter than
+its surroundings by equal amounts of red, green and blue, unless a channel is clipped. White paint
+on a coloured surface, in contrast, adds mainly the colours that the surface lacks. On a grey
+surface, highlights and paint cannot be distinguished; grey surfaces are unchanged.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def matte(picture: Image.Image) -> Image.Image:
 
 
 def _light(rgba: Field) -> Field:
-    """Return the light [H,W,3] that highlights add to an image [H,W,4] of size `WORK`."""
+    """Return the brightness [H,W,3] of the highlights in an image [H,W,4] of size `WORK`."""
     rgb, inside = clean_picture(rgba).astype(np.float32), rgba[..., 3] > 0.5
     disc = _disc(round(LARGEST * WORK))
     # A morphological opening removes bright spots smaller than the disc.

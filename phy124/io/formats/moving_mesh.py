@@ -1,8 +1,8 @@
 """Writes a clip as one animated GLB: a mesh with one morph target per frame.
 
-The mesh is the surface of the first frame, or a mesh of the user with its texture, such as the file
-from which the object was made. Each vertex follows the Gaussians near it, by the rigid motion that
-best fits the Gaussians' motion (Kabsch 1976). The weights of the morph targets are animated
+The mesh is the surface of the first frame. A user can give a textured mesh instead, such as the
+file from which the object was made. Each vertex follows the Gaussians near it, by the rigid motion
+that best fits the Gaussians' motion (Kabsch 1976). The weights of the morph targets are animated
 linearly from frame to frame, so that at most two targets are active. The axes are those of glTF (y
 up, z to the front, metres). The topology is constant; for objects that tear or flow, a mesh of each
 frame can be written instead (`phy124/io/formats/mesh.py`).

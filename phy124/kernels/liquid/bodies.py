@@ -1,9 +1,9 @@
 """Bodies of particles in a liquid: their terms of the pressure equation, and the pressure on them.
 
-The pressure gives a body two responses: that of its rigid motion (`solids`), and that of the layer
-of mass at its surface to the change of the pressure since the last step (a Robin condition:
-Fernandez, Mullaert and Vidrascu 2013). The response of the layer is zero at rest; without this
-response, the deformation of a light or soft body would become unstable.
+A body responds to the pressure in two ways. It moves rigidly (`solids`), and the layer of mass at
+its surface moves with the change of the pressure since the last step (a Robin condition: Fernandez,
+Mullaert and Vidrascu 2013). The response of the layer is zero at rest; without this response, the
+deformation of a light or soft body would become unstable.
 """
 
 from typing import Any

@@ -134,7 +134,7 @@ def _clamped_span(wall: PlacedWall, rest: NDArray) -> Corners:
 
 
 def _around_cylinder(axis: NDArray, sizes: NDArray) -> NDArray[np.float64]:
-    """Return the half sizes of the box around a cylinder with a (radius, half length)."""
+    """Return the half sizes of the bounding box of a cylinder; `sizes` is (radius, half length)."""
     return np.where(np.abs(axis) > 0.5, sizes[1], sizes[0])
 
 

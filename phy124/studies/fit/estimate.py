@@ -142,7 +142,7 @@ def _notes(problem: Problem, places: tuple[Values, ...]) -> list[str]:
 
 
 def _refuse_unseen(problem: Problem, distance: Distance, slopes: Values) -> None:
-    """Refuse values that even exact measurements of this kind cannot determine."""
+    """Refuse values that cannot be determined even from exact measurements."""
     spread = distance.residual(np.zeros_like(problem.measured))
     blind = find_unseen(problem.names, distance.weigh(slopes), float(np.linalg.norm(spread)))
     if blind is not None:

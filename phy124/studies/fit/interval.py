@@ -223,9 +223,9 @@ def suggest_experiment(names: Sequence[str]) -> str:
 
 
 def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind | None:
-    """Return values that even exact measurements of this kind would not determine.
+    """Return the values that cannot be determined even from exact measurements.
 
-    The result is None if exact measurements would determine all values.
+    The result is None if exact measurements determine all values.
 
     Args:
         names: Names of the values [P].

@@ -161,8 +161,8 @@ def _mute(ray: Any) -> None:
     """Stop Ray from printing messages about dead workers, which Ray also writes to its logs.
 
     Ray prints these messages to standard output even with `log_to_driver=False`. The messages would
-    corrupt JSON that phy124 prints to standard output. Versions of Ray without the private
-    attribute that this function sets keep printing the messages.
+    corrupt JSON that phy124 prints to standard output. A version of Ray without this
+    private attribute still prints the messages.
     """
     worker: Any = getattr(getattr(ray, "_private", None), "worker", None)
     if hasattr(worker, "_worker_logs_enabled"):

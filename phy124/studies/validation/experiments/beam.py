@@ -117,7 +117,7 @@ def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
 
 
 def load_all(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return gravity g on the whole beam; the values of the profile are rho g A L^3 / (E I).
+    """Return the force of gravity on the whole beam as a profile of rho g A L^3 / (E I).
 
     Args:
         width: Not used.

@@ -201,7 +201,9 @@ def continuity(setting: Setting) -> list[Check]:
         last = frame
     return [
         at_least("least q(t) . q(t + 1)", minimum, 0.0),
-        at_most("largest turn between frames where axes differ [degrees]", jump, 90.0),
+        at_most(
+            "largest rotation per frame of Gaussians with three distinct axes [degrees]", jump, 90.0
+        ),
     ]
 
 
