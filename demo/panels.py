@@ -9,7 +9,6 @@ from typing import Any
 import gradio as gr
 
 from .handlers import Handler
-from .handlers.run import NO_PICTURE
 
 HEAD = '<script src="phy124/static/server.js"></script>'
 MARK = "mark"
@@ -101,14 +100,11 @@ def touch() -> gr.HTML:
 
 
 def forecast() -> gr.HTML:
-    """Create the forecast as HTML; the event "measure" asks to measure the scene's error."""
-    return gr.HTML(
-        NO_PICTURE,
-        js_on_load="Phy124.forecast(element, trigger); // 'measure'",
-        head=HEAD,
-        apply_default_css=False,
-        elem_id="forecast",
-    )
+    """Create the forecast; the event "measure" asks to measure the scene's error.
+
+    Its value holds the forecast as HTML, and the number of the change of the scene that it answers.
+    """
+    return _panel("forecast", HEAD, events="'measure'")
 
 
 def history() -> gr.HTML:

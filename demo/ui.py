@@ -31,6 +31,11 @@ EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
 """Options of events that must not be dropped, because each has different data."""
 LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}
 """Options of events without data; the answer to the last event has the latest state."""
+CHANGE = "(globalThis.Phy124 ??= {}).change"
+"""JavaScript: how often the scene has changed, undefined before the first change. Events that set
+the forecast send this number instead of the forecast's value, and the answer names it."""
+CHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} = ({CHANGE} ?? 0) + 1]"
+UNCHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} ?? 0]"
 MASTHEAD = """<div id="masthead"><p id="mark"><svg viewBox="0 0 42 42" aria-hidden="true">
 <g fill="none" stroke="currentColor" stroke-width="2.6"><ellipse cx="15" cy="27" rx="11" ry="9"/>
 <ellipse cx="22" cy="20" rx="12" ry="7.5" transform="rotate(-32 22 20)" opacity=".6"/>
@@ -122,9 +127,10 @@ def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, extras
 def _wire_forecast(studio: Studio, asked: list[Any], cut: Any, forecast: Any) -> None:
     # Gradio reports no change of a state after an event without its queue: the cut-out is named.
     changes = [*(component.change for component in asked), cut.then]
+    sent = [*asked, forecast]
     for change in changes:
-        changed = change(handlers.on_scene_changed(studio), asked, forecast, **LAST)
-        changed.then(handlers.on_refine(studio), asked, forecast, **LAST)
+        changed = change(handlers.on_scene_changed(studio), sent, forecast, js=CHANGED, **LAST)
+        changed.then(handlers.on_refine(studio), sent, forecast, js=UNCHANGED, **LAST)
 
 
 def _wire_run(
@@ -145,8 +151,8 @@ def _wire_run(
     results[REPORT].finer(handlers.on_finer(studio), done, started, **QUIET)
     cancel.click(handlers.on_cancel(studio), None, None, **EACH)
     finish, shown = handlers.on_job_end(studio), [forecast, done, go, cancel, *results]
-    shows = (progress.finished, results[-1].show)
-    return [show(finish, [*asked, done], shown, **EACH) for show in shows]
+    shows, sent = (progress.finished, results[-1].show), [*asked, done, forecast]
+    return [show(finish, sent, shown, js=UNCHANGED, **EACH) for show in shows]
 
 
 def _wire_fit(studio: Studio, done: Any, fit: Any, takeaway: Any, shows: list[Any]) -> None:

@@ -50,7 +50,7 @@ def test_a_forgotten_job_is_answered(studio, handlers):
     assert GONE in shown["message"] and shown["job"] is None and source is None
     answer = handlers.on_view_cut(studio)(lost, None)["answer"]
     assert GONE in answer["message"] and (answer["option"], answer["ask"]) == ("side", 3)
-    history = handlers.on_job_end(studio)(None, None, None, None, lost, None)[-1]
+    history = handlers.on_job_end(studio)(None, None, None, None, None, lost, None)[-1]
     assert history == {"runs": []}
 
 
@@ -65,7 +65,7 @@ def test_a_result_without_its_clip_is_not_listed(studio, handlers):
     visitor.remember(old)
     assert handlers.on_load(studio)(None)[-1] == gradio.skip()
     visitor.remember(new)
-    answer = handlers.on_job_end(studio)(None, None, None, None, _event(job=new.name), None)
+    answer = handlers.on_job_end(studio)(None, None, None, None, None, _event(job=new.name), None)
     assert answer[-1] == {"runs": []}
 
 
@@ -95,10 +95,12 @@ def test_a_picture_without_an_object_stays(studio, handlers, tmp_path):
 def test_a_probe_that_is_not_made_gives_the_forecast(studio, handlers, monkeypatch):
     """Else the answer to an older scene would stay."""
     monkeypatch.setattr(handlers.run, "visitor_of", lambda _: "a")
-    asked = (Cutout("/gone", "/gone"), Scene.named("drop").data(), None, None)
-    assert handlers.on_refine(studio)(*asked) == handlers.on_scene_changed(studio)(*asked) != ""
+    asked = (Cutout("/gone", "/gone"), Scene.named("drop").data(), None, 7, None)
+    answer = handlers.on_scene_changed(studio)(*asked)
+    assert handlers.on_refine(studio)(*asked) == answer
+    assert answer["html"] and answer["change"] == 7
     for handler in (handlers.on_refine, handlers.on_scene_changed):
-        assert "no picture yet" in handler(studio)(None, asked[1], None, None)
+        assert handler(studio)(None, *asked[1:]) == {"change": 7, "html": None}
 
 
 def test_each_stage_of_a_run_has_one_time(studio):

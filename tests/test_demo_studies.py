@@ -179,7 +179,7 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch):
     shown.study.write_text(measurement(0.08, 0.06, 0.04).model_dump_json(), "utf-8")
     study.end("done", result=Measured(shown.study))
     event = gr.EventData(None, {"job": study.name})
-    finished = handlers.on_job_end(studio)(cutout, data, None, shown, event, None)
+    finished = handlers.on_job_end(studio)(cutout, data, None, shown, 1, event, None)
     assert finished[1] == gr.skip(), "the same run is shown"
     assert "about 6.0 %" in finished[handlers.results.REPORT - 4]["tables"]
     again = studio.run("a", cutout, {**data, "view": {**data["view"], "elevation": 40.0}})

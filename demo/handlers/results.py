@@ -30,7 +30,15 @@ from ..visitors import Visitor
 from ..work import Done
 from .event import Handler, data_of, file_of, job_of
 from .picture import show_source, ways
-from .run import GONE, busy_buttons, follow_job, forecast_of, idle_buttons, next_accuracy
+from .run import (
+    GONE,
+    answer_change,
+    busy_buttons,
+    follow_job,
+    forecast_of,
+    idle_buttons,
+    next_accuracy,
+)
 
 NOT_SHOWN = [gr.skip()] * 4
 """Leaves the result panels unchanged."""
@@ -63,13 +71,20 @@ def on_job_end(studio: Studio) -> Handler:
     """Handle the end of a job: show the results of a run, or the forecast after a study."""
 
     def finish(
-        source: Any, scene: Any, extras: Any, shown: Any, event: gr.EventData, request: gr.Request
+        source: Any,
+        scene: Any,
+        extras: Any,
+        shown: Any,
+        change: Any,
+        event: gr.EventData,
+        request: gr.Request,
     ) -> tuple[Any, ...]:
         name, job = visitor_of(request), job_of(studio, request, event)
         # An earlier result does not affect the buttons of a run in progress.
         buttons = (gr.skip(), gr.skip()) if data_of(event).get("earlier") else idle_buttons()
         if job is not None and isinstance(job.progress.result, Measured) and source and scene:
-            line = forecast_of(studio, name, source, scene, extras, opened=True)
+            html = forecast_of(studio, name, source, scene, extras, opened=True)
+            line = answer_change(change, html)
             return line, gr.skip(), *buttons, *_with_report(studio, name, shown)
         if job is None and not _is_there(shown):
             return gr.skip(), None, *buttons, *NOT_SHOWN[:TAKEAWAY], *FORGOTTEN

@@ -24,7 +24,6 @@ from .event import Handler
 
 GONE = "The server no longer has this result. Generate it again."
 FORGOTTEN = "The live run has ended. Start another one."
-NO_PICTURE = '<p class="none">no picture yet</p>'
 INFO = """<svg viewBox="0 0 20 20" role="img" aria-label="More about the time and the error">
 <circle cx="10" cy="10" r="7.6"/><path d="M10 9.2v4.4M10 6.4v.1"/></svg>"""
 
@@ -32,12 +31,25 @@ INFO = """<svg viewBox="0 0 20 20" role="img" aria-label="More about the time an
 def on_scene_changed(studio: Studio) -> Handler:
     """Handle a change of the scene: return its forecast."""
 
-    def forecast(source: Source | None, scene: Any, extras: Any, request: gr.Request) -> str:
+    def forecast(
+        source: Source | None, scene: Any, extras: Any, change: Any, request: gr.Request
+    ) -> dict[str, Any]:
         if not scene or source is None:
-            return NO_PICTURE
-        return forecast_of(studio, visitor_of(request), source, scene, extras)
+            return answer_change(change, None)
+        html = forecast_of(studio, visitor_of(request), source, scene, extras)
+        return answer_change(change, html)
 
     return forecast
+
+
+def answer_change(change: Any, html: str | None) -> dict[str, Any]:
+    """Return the forecast panel's value; the panel ignores answers to earlier changes.
+
+    Args:
+        change: Number of the change of the scene, as the page counts.
+        html: The forecast; None if there is no picture.
+    """
+    return {"change": change, "html": html}
 
 
 def forecast_of(
@@ -140,17 +152,20 @@ def _error_line(
 def on_refine(studio: Studio) -> Handler:
     """Handle the end of a series of changes: return a forecast by a probe if possible."""
 
-    def refine(source: Source | None, scene: Any, extras: Any, request: gr.Request) -> str:
+    def refine(
+        source: Source | None, scene: Any, extras: Any, change: Any, request: gr.Request
+    ) -> dict[str, Any]:
         if not scene or source is None:
-            return NO_PICTURE
+            return answer_change(change, None)
         name = visitor_of(request)
         try:
             estimate = studio.refine(name, source, scene, extras)
             # An answer is needed: the probe of an older scene may have been shown meanwhile.
             estimate = estimate or studio.forecast(name, source, scene, extras)
-            return with_stops(studio, name, source, scene, extras, estimate)
+            html = with_stops(studio, name, source, scene, extras, estimate)
         except InputError as error:
-            return show_refusal(error)
+            html = show_refusal(error)
+        return answer_change(change, html)
 
     return refine
 

@@ -68,9 +68,13 @@
 
   /* ---- the state of the page, for its style: first, chosen, running, result or touch ---------- */
 
-  const state = { picture: false, running: false, result: false, touching: false };
+  /** What stands in the place of a forecast that is not there. */
+  const unforecast = () => state.opening || (state.picture ? 'the time is being estimated' : 'no picture yet');
+  /** `opening`: what is being done with a picture or file that was chosen, in words; empty afterwards. */
+  const state = { picture: false, opening: '', running: false, result: false, touching: false };
   function mark(changes) {
     Object.assign(state, changes);
+    for (const none of document.querySelectorAll('#forecast .none')) none.textContent = unforecast();
     if (!state.running) document.body.classList.remove('kept');
     document.body.dataset.state = state.touching ? 'touch' : state.running ? 'running' : state.result ? 'result' : state.picture ? 'chosen' : 'first';
     document.body.dataset.picture = state.picture;
@@ -85,6 +89,7 @@
     if (state.picture || !event.target.closest?.('#go, #begin-touch')) return;
     event.stopPropagation();
     event.preventDefault();
+    if (state.opening) return announce(`Wait: ${state.opening}.`);
     announce('Choose a picture first.');
     const field = document.querySelector('#photo');
     field?.querySelector('input').focus();
@@ -103,7 +108,15 @@
 
   /* ---- the forecast, and its button that measures the error of the scene ------------------- */
 
-  function forecast(element, trigger) {
+  function forecast(element, props, watch, trigger) {
+    const show = () => {
+      const { change, html } = props.value || {};
+      if ((change ?? 0) < (globalThis.Phy124.change ?? 0)) return; // the answer to an earlier scene
+      if (html) element.innerHTML = html; // made by demo/handlers/run.py, which escapes all text
+      else element.replaceChildren(h('p', { class: 'none' }, unforecast()));
+    };
+    watch('value', show);
+    show();
     // A new forecast closes the details that the visitor or the server has opened. Setting `open` again where it
     // is set would call the observer for ever.
     let open = false;

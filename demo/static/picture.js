@@ -110,6 +110,7 @@
       const { limits } = this.offer, gaussians = isOfGaussians(file, limits);
       if (gaussians && file.size > limits.file_bytes) return this.refuse(limits.too_large);
       this.say(`Sending the ${gaussians ? 'file' : 'picture'} …`);
+      mark({ opening: `the ${gaussians ? 'file' : 'picture'} is being sent` });
       const small = gaussians ? file : await reduced(file, limits);
       this.input.value = '';
       if (this.chosen?.file !== file) return; // another file was chosen meanwhile
@@ -123,6 +124,7 @@
     choose(what, reads = false) {
       this.local = null;
       this.say(reads ? 'Reading the file …' : 'Cutting out the object …');
+      mark({ opening: opening(reads) });
       this.ask('choose', what);
     }
 
@@ -142,6 +144,7 @@
     /** A request was answered by an error, which carries no new value. */
     fail() {
       if (!this.questions.pending || this.questions.answered()) return;
+      mark({ opening: '' });
       this.say('The server could not process the picture.', true);
       this.again.hidden = false;
     }
@@ -151,6 +154,7 @@
     /** After a refusal no earlier picture is used: the server is asked to drop it. */
     refuse(message, again = null) {
       this.restoring = false;
+      mark({ opening: '' });
       this.questions.ask('choose', {});
       this.local = message;
       this.say(message, true);
@@ -177,7 +181,7 @@
       if (cut) this.preview.firstChild.src = cut; else this.preview.firstChild.removeAttribute('src');
       this.drop.classList.toggle('file', Boolean(value.file));
       this.brush.load(value.file ? null : photo, cut, this.restoring);
-      mark({ picture: Boolean(cut || value.file) && !value.job });
+      mark({ picture: Boolean(cut || value.file) && !value.job, opening: value.job ? opening(value.reads) : '' });
       if (value.job && !cut) this.brush.opener.hidden = true;
       if (value.job) return this.await(value);
       const seen = cut || (value.file && photo);
@@ -209,6 +213,9 @@
       });
     }
   }
+
+  /** What the server does with a chosen picture or file. */
+  const opening = (reads) => reads ? 'the file is being read' : 'the picture is being cut out';
 
   const isOfGaussians = (file, limits) => limits.file_endings.some((ending) => (file.name || '').toLowerCase().endsWith(ending));
 

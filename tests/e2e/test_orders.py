@@ -21,6 +21,18 @@ STATUS = """() => {
     const note = () => said.push(...[...document.querySelectorAll('.picture-status')].map((p) => p.textContent));
     for (const at of ['#picture', '#more-pictures']) new MutationObserver(note).observe(document.querySelector(at), { childList: true, subtree: true });
 }"""  # noqa: E501
+TEXT = """(html) => {
+    const e = document.createElement('div');
+    e.innerHTML = html;
+    return e.textContent.trim();
+}"""
+FORECASTS = """() => {
+    // All forecasts that are shown from now on.
+    const panel = document.querySelector('#forecast .html-container');
+    globalThis.shown = [];
+    const note = () => shown.push(panel.textContent.trim());
+    new MutationObserver(note).observe(panel, { childList: true, subtree: true });
+}"""
 SHOWN = """() => {
     // The results that are shown from now on, by their places in the history.
     const history = document.querySelector('#history');
@@ -232,15 +244,15 @@ def test_the_forecast_is_that_of_the_last_scene(visit):
         arg=before,
     )  # fmt: skip
     page.locator("#forecast summary").click()
+    page.evaluate(FORECASTS)
     waits = False
     answers[0][0].fulfill(response=answers[0][1])
     _until(visit, answers, 2)
-    last = answers[-1][1].json()["data"][0]
-    page.wait_for_function(
-        "(html) => { const e = document.createElement('div'); e.innerHTML = html;"
-        " return document.querySelector('#forecast').textContent.includes(e.textContent); }",
-        arg=last,
-    )  # fmt: skip
+    stale, last = (
+        page.evaluate(TEXT, answers[place][1].json()["data"][0]["html"]) for place in (0, -1)
+    )
+    page.wait_for_function("(text) => shown.includes(text)", arg=last)
+    assert stale != last and stale not in page.evaluate("shown")
     assert page.locator("#forecast details[open]").count() == 1, "as the visitor left it"
     page.unroute_all(behavior="wait")
 
