@@ -347,6 +347,49 @@ def test_print_is_not_taken_for_shading():
     assert np.ptp(means[:, 0]) == pytest.approx(np.ptp(means[:, 1]), rel=0.1)
 
 
+def test_back_of_a_card_is_plain():
+    """No mirrored print, but the narrow sides have the colour of the frame."""
+    frame = np.minimum(80 - abs(X - 96), 50 - abs(Y - 96)) < 8
+    letters = (abs(Y - 90) < 15) & (abs(X - 80) < 50) & (X % 20 < 10)
+    card = np.where(letters[..., None], (20, 20, 20), (240, 235, 220))
+    card = np.where(frame[..., None], (180, 30, 30), card).astype(np.uint8)
+    gaussians = relief(picture((abs(X - 96) < 80) & (abs(Y - 96) < 50), card), count=8000)
+    facing = rotation_matrices(gaussians.quats)[:, 0, 2]
+    inner = abs(gaussians.means[:, 1]) < 0.4
+    back = gaussians.rgb[(facing < -0.99) & inner]
+    np.testing.assert_allclose(back, np.full_like(back, 0) + [0.941, 0.922, 0.863], atol=0.02)
+    side = gaussians.rgb[(abs(facing) < 0.1) & (abs(gaussians.means[:, 1]) > 0.4)]
+    assert np.median(side[:, 1]) < 0.2
+
+
+def lit_can(turned):
+    """A can with a flat top, lit from the left; turned: sine of the normal's angle [H,W]."""
+    arc = 10 * np.sqrt(np.clip(1 - turned**2, 0, 1))
+    light = 0.45 + 0.45 * np.clip(np.sqrt(np.clip(1 - turned**2, 0, 1)) - 0.6 * turned, 0, 1)
+    grey = (200 * light)[..., None].repeat(3, axis=2).astype(np.uint8)
+    return picture((abs(turned) < 1) & (26 - arc < Y) & (166 + arc > Y), grey)
+
+
+def test_flat_top_has_one_shade():
+    """Its near half does not show the front's colours, and its far half the back's."""
+    gaussians = relief(lit_can((X - 96) / 50), count=10_000)
+    top = gaussians.select(rotation_matrices(gaussians.quats)[:, 2, 2] > 0.95)
+    middle = abs(top.means[:, 1]) < 0.1
+    near, far = (
+        top.rgb[middle & half].mean() for half in (top.means[:, 0] > 0.05, top.means[:, 0] < -0.05)
+    )
+    assert near == pytest.approx(far, abs=0.02)
+
+
+def test_front_of_a_rounded_block_is_its_picture(renderer):
+    """Flat ends neither rise above the picture, nor is there a groove below them."""
+    x, y = (X - 96) / 70, (Y - 96) / 70
+    light = (0.5 + 0.4 * np.clip((1 - x**2) * (1 - y**2), 0, 1))[..., None] * [220, 200, 170]
+    inputs = picture(x**6 + y**6 < 1, light.astype(np.uint8))
+    wanted, seen = outlines(renderer, relief(inputs, count=20_000), inputs)
+    assert (wanted & seen).sum() > 0.97 * (wanted | seen).sum()
+
+
 def test_stripes_go_round(renderer):
     """And at the same heights: red above, green below, seen from behind."""
     rgb = np.where((Y < 96)[..., None], [220, 0, 0], [0, 200, 0]).astype(np.uint8)

@@ -43,6 +43,8 @@ from which they are copied [pixels]."""
 QUIET, STRONG = 0.4, 0.07
 """Fraction of the candidates that may be copied, beginning with the least texture; and standard
 deviation above which texture is weakened, because it shows edges of features."""
+BINS = 10
+"""Number of bins per channel in which the colours of a card are counted."""
 ALIKE = 6
 """Number of candidates with the most similar colours; one of them is chosen at random."""
 
@@ -161,6 +163,23 @@ def _texture(
             total[top:bottom, left:right] += window[part][..., None] * patch
             weights[top:bottom, left:right] += window[part] ** 2
     return total / np.sqrt(weights)[..., None]
+
+
+def card_back(picture: Field, inside: NDArray[np.bool_]) -> Field:
+    """Return the back of a flat card [H,W,3]: everywhere the most common colour of the front.
+
+    Args:
+        picture: Colours of the front [H,W,3].
+        inside: Mask of the silhouette [H,W].
+    """
+    colours = picture[inside]
+    count = np.histogramdd(colours, BINS, [(0.0, 1.0)] * 3)[0]
+    count = scipy.ndimage.gaussian_filter(count, 0.7)
+    most = (np.array(np.unravel_index(count.argmax(), count.shape)) + 0.5) / BINS
+    far = np.abs(colours - most).max(axis=1)
+    return np.broadcast_to(
+        np.median(colours[far <= max(1 / BINS, far.min())], axis=0), picture.shape
+    )
 
 
 def smooth_back(picture: Field, inside: NDArray[np.bool_], size: int) -> Field:

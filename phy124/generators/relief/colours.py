@@ -62,21 +62,28 @@ def colour_points(
         unlit: Colours of the front without light (`light.unlight`) [H,W,3].
         back: Colours of the back without light [H,W,3].
         light: Direction and strength of the light (`light.fit_light`) [3].
-        reach: Depth behind the rim over which the mirrored image fades into the back, pixels.
+        reach: Depth behind the rim over which the mirrored image fades into the back, pixels; 0:
+            only the narrow sides of a card show the mirrored image.
     """
     place = points[:, 1::-1].T
     blur = STRETCH * (1 / np.maximum(np.abs(normals[:, 2]), 1e-3) - 1)
     shown = _sample_blurred(front, place, blur)
-    below = surface.middle(points) - points[:, 2]
-    hidden = below > 0
+    hidden = surface.middle(points) > points[:, 2]
     place, blur = place[:, hidden], blur[hidden]
     behind = _sample_blurred(back, place, blur)
-    if reach > 0:
-        fraction = np.clip(below[hidden] / reach, 0, 1)
-        fraction = fraction * fraction * (3 - 2 * fraction)
-        behind = _sample_blurred(unlit, place, blur) * (1 - fraction) + behind * fraction
+    if back is not unlit:
+        part = _fade(points[hidden], normals[hidden], surface, reach)
+        behind = _sample_blurred(unlit, place, blur) * (1 - part) + behind * part
     shown[:, hidden] = behind * np.exp(normals[hidden] @ light)
     return np.clip(shown, 0, 1).T
+
+
+def _fade(points: Field, normals: Field, surface: Surface, reach: float) -> Field:
+    """Return the weight of the back's colours at surface points behind the rim [N]."""
+    if reach == 0:
+        return np.clip(-normals[:, 2], 0, 1) ** 2
+    part = np.clip((surface.middle(points) - points[:, 2]) / reach, 0, 1)
+    return part * part * (3 - 2 * part)
 
 
 def _sample_blurred(picture: Field, place: Field, blur: Field) -> Field:

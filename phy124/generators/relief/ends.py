@@ -80,6 +80,7 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
         corner = last - rows + 1
         upper = upright[: corner + 1]
         lower = upper[::-1][: max(rows, min(corner, round(MIRRORED * len(rgba))))]
+        lower = np.minimum(lower, upper[-1])  # without a neck at the end
         longer = np.concatenate([upper, lower, np.zeros_like(upper[:padding])])
         grown = max(0, len(longer) - len(alpha))
         rgba = np.pad(rgba[::sign], ((0, grown), (0, 0), (0, 0)))[::sign]

@@ -51,20 +51,17 @@ NOISE, ROUNDS = 0.01, 10
 
 
 def inflate(
-    silhouette: Silhouette, picture: Continued, view: View, size: int, thickness: float = 1.0
+    half: Field, silhouette: Silhouette, picture: Continued, view: View, thickness: float = 1.0
 ) -> Surface:
-    """Return the surface of the solid that is guessed for a silhouette.
+    """Return the surface of a round object.
 
     Args:
+        half: Squared half thicknesses from `half_thickness` [H,W].
         silhouette: The silhouette, extended beyond flat ends.
         picture: Colours, and mask of the object.
         view: The front camera.
-        size: Size of the object, pixels.
         thickness: Factor on the guessed depth.
     """
-    half = half_thickness(silhouette, picture, size)
-    if half is None:
-        return _slab(picture, view, thickness)
     surface = Surface.seen(silhouette.extend(thickness**2 * half), view.middle, view.distance)
     if any(end.divided for end in picture.ends):
         return Surface.of(_with_feet(surface.w, picture), surface.m)
@@ -241,8 +238,14 @@ def _fit_most(known: Field, values: Field, noise: float) -> list[float]:
     return fitted.tolist()
 
 
-def _slab(picture: Continued, view: View, thickness: float) -> Surface:
-    """Return a slab with flat front and back: a square becomes a cube, other shapes are thinner."""
+def make_slab(picture: Continued, view: View, thickness: float = 1.0) -> Surface:
+    """Return a slab with flat front and back: a square becomes a cube, other shapes are thinner.
+
+    Args:
+        picture: Mask of the object.
+        view: The front camera.
+        thickness: Factor on the guessed depth.
+    """
     object_mask = picture.object_mask
     rows, columns = np.flatnonzero(object_mask.any(axis=1)), np.flatnonzero(object_mask.any(axis=0))
     sides = np.ptp(rows) + 1, np.ptp(columns) + 1
