@@ -171,7 +171,7 @@ def test_weird_pictures_give_sound_gaussians(name):
     for field in ("means", "quats", "scales", "opacities", "sh"):
         assert np.isfinite(getattr(gaussians, field)).all()
     size = np.ptp(gaussians.means, axis=0)
-    assert size.max() == pytest.approx(1, abs=0.15)  # a cube's front is nearer than its centre
+    assert 0.78 < size.max() < 1.05  # a cube's front is nearer than its centre
     assert gaussians.scales.max() < 0.1
     np.testing.assert_allclose(
         gaussians.rgb, np.tile([200, 120, 60], (len(gaussians), 1)) / 255, atol=0.02
@@ -360,6 +360,17 @@ def test_back_of_a_card_is_plain():
     np.testing.assert_allclose(back, np.full_like(back, 0) + [0.941, 0.922, 0.863], atol=0.02)
     side = gaussians.rgb[(abs(facing) < 0.1) & (abs(gaussians.means[:, 1]) > 0.4)]
     assert np.median(side[:, 1]) < 0.2
+
+
+def test_framed_gradient_is_not_taken_for_shading(renderer):
+    """A phone is flat, and its rounded corners stay."""
+    inside = 18 - np.hypot(np.maximum(abs(X - 96) - 27, 0), np.maximum(abs(Y - 96) - 62, 0))
+    screen = np.stack([40 + 0.3 * Y, 50 + 0.8 * X, 180 - 0.3 * Y], axis=2)
+    inputs = picture(inside > 0, np.where((inside < 5)[..., None], 15, screen).astype(np.uint8))
+    phone = relief(inputs, count=20_000)
+    assert np.ptp(phone.means[:, 0]) < 0.3 * np.ptp(phone.means[:, 1])
+    wanted, seen = outlines(renderer, phone, inputs)
+    assert (wanted & seen).sum() > 0.98 * (wanted | seen).sum()
 
 
 def lit_can(turned):

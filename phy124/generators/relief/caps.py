@@ -22,43 +22,50 @@ STRIP, BLUR = 8, 12.0
 [pixels]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Plane:
     """The horizontal plane of a flat end. Where the plane's near part would appear beyond the
-    object's last row in the image, a bevel along the view rays of that row replaces it.
+    object's outline in the image, a bevel along the view rays of the outline replaces it.
     """
 
     level: float
     """Projected y of the plane [pixels]."""
-    last: float
-    """The object's last row, relative to the image centre [pixels]."""
-    distance: float
-    """Distance of the camera from the object's centre [pixels]."""
+    outline: Field
+    """The object's last row in each column of the image [W]."""
+    view: View
+    """The front camera."""
     sign: int
     """1 for the bottom, -1 for the top."""
 
-    def height(self, z: Field) -> Field:
-        """Return the projected y of the plane or bevel at coordinates z."""
-        bevel = self.last * (1 - z / self.distance)
-        return np.where(self.is_bevel(z), bevel, self.level)
+    def rows(self, columns: Field, z: Field) -> tuple[Field, NDArray[np.bool_]]:
+        """Return the row of the plane or bevel before projection [N], and whether it is the bevel.
 
-    def is_bevel(self, z: Field) -> NDArray[np.bool_]:
-        """Whether the bevel replaces the plane at coordinates z."""
-        return self.sign * self.last * (1 - z / self.distance) < self.sign * self.level
+        Args:
+            columns: Columns before projection [N].
+            z: Coordinates towards the camera [N].
+        """
+        flat = self.level / self.view.k(z) + self.view.middle[1]
+        outline = np.interp(columns, np.arange(len(self.outline)), self.outline)
+        bevelled = self.sign * outline < self.sign * flat
+        return np.where(bevelled, outline, flat), bevelled
 
-    def normals(self, z: Field) -> Field:
-        """Return unit normals before projection [M,3] at coordinates z [M]."""
-        tilt = -self.level * self.distance / (self.distance - z) ** 2
-        tilt = np.where(self.is_bevel(z), 0.0, tilt)
+    def normals(self, columns: Field, z: Field) -> Field:
+        """Return unit normals before projection [N,3], for the arguments of `rows`."""
+        tilt = np.where(
+            self.rows(columns, z)[1],
+            0.0,
+            -self.level / self.view.distance / self.view.k(z) ** 2,
+        )
         normals = self.sign * np.stack([np.zeros_like(z), np.ones_like(z), tilt], axis=1)
         return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     def includes(self, points: Field, by: float) -> NDArray[np.bool_]:
-        """Whether projected points [M,3] are inside the plane by at least `by` pixels."""
-        return (self.height(points[:, 2]) - points[:, 1]) * self.sign >= by
+        """Whether points before projection [N,3] are inside by at least `by` projected pixels."""
+        x, y, z = points.T
+        return (self.rows(x, z)[0] - y) * self.sign * self.view.k(z) >= by
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cap:
     """The flat face at an end of the object."""
 
@@ -68,24 +75,28 @@ class Cap:
     """Normals before projection [M,3]."""
     plane: Plane
     """The plane of the face; everything beyond it is cut off."""
+    last: float
+    """The object's last row at this end."""
 
 
-def make_cap(surface: Surface, view: View, end: End, pitch: float) -> Cap:
+def make_cap(
+    surface: Surface, view: View, end: End, object_mask: NDArray[np.bool_], pitch: float
+) -> Cap:
     """Make the flat face of an end, at the height that follows from the end's rows in the image.
 
     Args:
         surface: The inflated solid.
         view: The front camera.
         end: The end.
+        object_mask: Mask of the object, without its mirror images [H,W].
         pitch: Spacing of the points, pixels.
     """
     thick = _thick(surface, end.corner - 0.5 * end.sign)
     feet = _thick(surface, end.outermost - RIM * end.sign) if end.divided else thick
-    last = end.outermost - view.middle[1]
-    near = last * view.k(np.array(feet))
+    near = (end.outermost - view.middle[1]) * view.k(np.array(feet))
     seen = 1.0 if end.divided else SEEN
     level = float(seen * near + (1 - seen) * (end.corner - view.middle[1]))
-    plane = Plane(level, float(last), view.distance, end.sign)
+    plane = Plane(level, _outline(end, object_mask), view, end.sign)
     width = surface.w.shape[1]
     x = np.arange(-width / 2, width / 2, pitch)
     z = np.arange(-thick, thick + pitch, pitch * 3**0.5 / 2)
@@ -93,10 +104,21 @@ def make_cap(surface: Surface, view: View, end: End, pitch: float) -> Cap:
     # A triangular lattice: every second line is shifted by half a spacing.
     gx = gx + np.where(np.arange(len(z)) % 2, pitch / 2, 0.0)[:, None]
     depth = gz.ravel()
-    points = view.unproject(np.stack([gx.ravel(), plane.height(depth), depth], axis=1))
+    column = gx.ravel() / view.k(depth) + view.middle[0]
+    points = np.stack([column, plane.rows(column, depth)[0], depth], axis=1)
     value, gradient = surface.gradient(points)
     points = points[value > 0.5 * np.linalg.norm(gradient, axis=1)]
-    return Cap(points, plane.normals(points[:, 2]), plane)
+    return Cap(points, plane.normals(points[:, 0], points[:, 2]), plane, end.outermost)
+
+
+def _outline(end: End, object_mask: NDArray[np.bool_]) -> Field:
+    """Return the object's last row in each column [W]; beside the end, its outermost row."""
+    if end.divided:
+        return np.full(object_mask.shape[1], end.outermost)
+    at_corner = object_mask[int(end.corner - 0.5 * end.sign)]
+    length = object_mask[:: -end.sign].argmax(axis=0)
+    last = (len(object_mask) - 1 - length if end.sign > 0 else length) + 0.5 * end.sign
+    return np.where(at_corner, last, end.outermost)
 
 
 def _thick(surface: Surface, row: float) -> float:
@@ -104,17 +126,15 @@ def _thick(surface: Surface, row: float) -> float:
     return float(np.sqrt(max(surface.w[int(row)].max(), 0.0)))
 
 
-def colour_cap(cap: Cap, view: View, unlit: Field, light: Field) -> Field:
+def colour_cap(cap: Cap, unlit: Field, light: Field) -> Field:
     """Return the colours [M,3] of a cap: those that the image shows along the end.
 
     Args:
         cap: The face.
-        view: The front camera.
         unlit: Colours of the front without light [H,W,3].
         light: Direction and strength of the light [3].
     """
-    last = cap.plane.last + view.middle[1]
-    rows = np.clip(last - cap.plane.sign * np.arange(STRIP), 0, len(unlit) - 1).astype(int)
+    rows = np.clip(cap.last - cap.plane.sign * np.arange(STRIP), 0, len(unlit) - 1).astype(int)
     strip = scipy.ndimage.gaussian_filter1d(unlit[rows].mean(axis=0), BLUR, axis=0)
     columns = np.arange(len(strip))
     colours = np.stack([np.interp(cap.points[:, 0], columns, c) for c in strip.T], axis=1)

@@ -65,6 +65,10 @@ class Continued:
         """Mask of the object, without the mirror images [H,W]."""
         return self.rgba[..., 3] > 0.5
 
+    def shorten(self) -> Continued:
+        """Return the image without its mirror images and ends."""
+        return Continued(self.rgba, self.rgba[..., 3], ())
+
 
 def continue_silhouette(rgba: Field, padding: int) -> Continued:
     """Extend the silhouette of an image [H,W,4] that has a border of `padding` pixels."""

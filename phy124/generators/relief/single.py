@@ -22,7 +22,7 @@ from phy124.generators.relief.colours import (
     clean_picture,
     colour_points,
 )
-from phy124.generators.relief.ends import End, continue_silhouette
+from phy124.generators.relief.ends import Continued, continue_silhouette
 from phy124.generators.relief.height import Silhouette
 from phy124.generators.relief.light import fit_light, unlight
 from phy124.generators.relief.picture import PADDING, WORK, opaque_size, work_picture
@@ -71,13 +71,14 @@ def from_front(
     view = View.of(work.object_mask, VIEW_DISTANCE * WORK)
     half = half_thickness(silhouette, work, WORK)
     if half is None:
+        work = work.shorten()
         surface = make_slab(work, view, thickness)
     else:
         surface = inflate(half, silhouette, work, view, thickness)
     if depth is not None:
         surface = apply_depth(surface, work.rgba[..., 4], work.object_mask)
     step(1)
-    points, normals, spacing, caps = _points(surface, view, work.ends, count, rng, lambda: step(1))
+    points, normals, spacing, caps = _points(surface, view, work, count, rng, lambda: step(1))
     step(2)
     front = clean_picture(work.rgba[..., :4])
     inner = points - surface.inset(points, DRAWN_IN) * normals
@@ -90,14 +91,14 @@ def from_front(
         imagined, reach = unlit, 0.0
         if look == "plain":
             reach = _reach_behind(surface, slab=half is None)
-            inside = silhouette.inside
+            inside = work.alpha > 0.5
             imagined = plain_back(unlit, inside, WORK, rng) if reach else card_back(unlit, inside)
         walls = len(points) - sum(len(cap.points) for cap in caps)
         sides = points[:walls], normals[:walls]
         rgb = np.concatenate(
             [
                 colour_points(*sides, surface, front, unlit, imagined, light, reach),
-                *(colour_cap(cap, view, unlit, light) for cap in caps),
+                *(colour_cap(cap, unlit, light) for cap in caps),
             ]
         )
     else:
@@ -135,7 +136,7 @@ def show_back(back: Image.Image, scale: float, object_mask: NDArray[np.bool_]) -
 def _points(
     surface: Surface,
     view: View,
-    ends: tuple[End, ...],
+    work: Continued,
     count: int,
     rng: np.random.Generator,
     alive: Callable[[], None],
@@ -143,12 +144,11 @@ def _points(
     """Return points, normals and spacing of the side walls, followed by those of the caps; and the
     caps.
     """
-    points, normals, spacing, pitch = spread(surface, ends, count, rng, alive)
-    caps = [make_cap(surface, view, end, pitch) for end in ends]
-    drawn = view.project_points(points, normals)[0]
+    points, normals, spacing, pitch = spread(surface, work.ends, count, rng, alive)
+    caps = [make_cap(surface, view, end, work.object_mask, pitch) for end in work.ends]
     kept = np.ones(len(points), bool)
     for face in caps:
-        kept &= face.plane.includes(drawn, DRAWN_IN)
+        kept &= face.plane.includes(points, DRAWN_IN)
     walls = points[kept], normals[kept], spacing[kept]
     faces = [(face.points, face.normals, np.full(len(face.points), pitch)) for face in caps]
     points, normals, spacing = (np.concatenate(all_) for all_ in zip(walls, *faces, strict=True))

@@ -46,6 +46,9 @@ RIM = 3.0
 """Width over which the outline of a foot is rounded [pixels]."""
 SHADED = 0.1
 """Smallest change of brightness across a shaded round object, relative to its mean."""
+FRAME, LEAST_FRAME = 0.2, 4.0
+"""Largest width of a frame, relative to half the object's width, and its smallest value
+[pixels]."""
 NOISE, ROUNDS = 0.01, 10
 """Noise of the brightness relative to its mean, and rounds of the fit to most pixels."""
 
@@ -202,11 +205,14 @@ def _polygonal(object_mask: NDArray[np.bool_]) -> bool:
 def _is_shaded(picture: Continued, round_: Field) -> bool:
     """Whether the brightness changes across the object as on a shaded round object.
 
-    The brightness is fitted by a linear function of the round solid's normals. Only the horizontal
-    component and the component towards the camera are used, since the colours of many objects
-    differ from bottom to top.
+    The brightness is fitted by a linear function of the round solid's normals. Only the component
+    towards the camera counts, which is largest in the middle: gradients that are printed on a flat
+    object, or that light leaves on it, go from one side to the other. The median of each row is
+    subtracted, since labels and a house's roof are bands of rows, and frames are excluded. Wide
+    objects may lie, so columns take the place of rows for them, too.
     """
-    seen = np.asarray(scipy.ndimage.binary_erosion(picture.object_mask, iterations=4), bool)
+    depth, _ = nearest_of(~picture.object_mask)
+    seen = depth > max(LEAST_FRAME, FRAME * float(depth.max()))
     if not seen.any():
         return True
     slopes = np.asarray(np.gradient(scipy.ndimage.gaussian_filter(round_, 1.0)))
@@ -215,12 +221,13 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     bright = picture.rgba[..., :3].mean(axis=2)[seen]
     known = np.column_stack([normals, np.ones(len(normals))])
-    rows = np.nonzero(seen)[0]
-    middles = np.asarray(scipy.ndimage.median(bright, rows, np.arange(len(seen))))[rows]
+    rows, columns = np.nonzero(seen)
+    wide = np.ptp(columns) > COMPACT * np.ptp(rows)
     changes = []
-    for values in (bright, bright - middles):  # a standing can's labels are bands of rows
-        across, _, towards, _ = _fit_most(known, values, NOISE * float(bright.mean()))
-        changes.append(abs(across) + abs(towards))
+    for band in (rows, columns) if wide else (rows,):
+        medians = np.asarray(scipy.ndimage.median(bright, band, np.arange(max(seen.shape))))
+        _, _, towards, _ = _fit_most(known, bright - medians[band], NOISE * float(bright.mean()))
+        changes.append(abs(towards))
     return bool(max(changes) > SHADED * bright.mean())
 
 
