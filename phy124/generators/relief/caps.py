@@ -112,7 +112,7 @@ def make_cap(
 
 
 def _outline(end: End, object_mask: NDArray[np.bool_]) -> Field:
-    """Return the object's last row in each column [W]; beside the end, its outermost row."""
+    """Return the last row of the object in each column [W]; without the end, the outermost row."""
     if end.divided:
         return np.full(object_mask.shape[1], end.outermost)
     at_corner = object_mask[int(end.corner - 0.5 * end.sign)]
