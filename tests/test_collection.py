@@ -1,4 +1,7 @@
-"""A run of the GPU tests alone skips test files whose packages are not installed."""
+"""Test files: none imports another; a run of the GPU tests skips those that lack a package."""
+
+import re
+from pathlib import Path
 
 import pytest
 
@@ -25,3 +28,11 @@ def test_absent_package_skips_its_test_file(module):
 def test_absent_module_of_the_checkout_is_an_error(module):
     with pytest.raises(GpuModule.CollectError, match=r"phy124\.absent"):
         module("import phy124.absent")
+
+
+def test_no_test_file_imports_another():
+    """What several need is in tests/support."""
+    imports = re.compile(r"^\s*(?:from|import) test_\w+", re.MULTILINE)
+    paths = Path(__file__).parent.rglob("*.py")
+    named = {path.name: imports.findall(path.read_text()) for path in paths}
+    assert not {name: lines for name, lines in named.items() if lines}

@@ -28,7 +28,7 @@ from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 from phy124.studies.fit import Fit
 from phy124.studies.fit.interval import Blind
-from support.clips import falling
+from support.clips import FIT, falling
 from support.waiting import until
 
 SIDE = 32
@@ -246,11 +246,9 @@ def handlers(monkeypatch):
 def test_the_panel_shows_film_and_fit_picture_by_picture(studio, handlers):
     import gradio as gr
 
-    from test_fit_film import REPORT
-
     laid = {"scale": 1.25, "shift": [0, 0], "shared": 0.97}
-    shown = {**REPORT["pictures"], "laid": laid}
-    report = {**REPORT, "pictures": shown, "runs": [90, 9], "seconds": 61.0}
+    shown = {**FIT["pictures"], "laid": laid}
+    report = {**FIT, "pictures": shown, "runs": [90, 9], "seconds": 61.0}
     done, video = prepared(studio, Search(report))
     panel = handlers.on_result_shown(studio)(done, None)
     assert panel["offer"]["budget"] and panel["fields"]["side"]["enum"] and not panel["found"]

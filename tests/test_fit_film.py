@@ -12,7 +12,7 @@ from phy124.studies.fit.page import ONLY_FITTED, ONLY_SEEN, Comparison, figure, 
 from phy124.studies.fit.silhouettes import Silhouettes, _fit_similarity, align_film
 from phy124.studies.fit.target import Target
 from phy124.studies.fit.video import read_film
-from support.clips import falling
+from support.clips import FIT, falling
 from support.photographs import Entry, exif_of, file_of, upright, with_segment
 from support.videos import read_video
 
@@ -66,32 +66,16 @@ def test_the_comparison_shows_target_fitted_and_difference(tmp_path):
     assert np.abs(read_video(tmp_path / "c.mp4")[0].astype(int) - result[:192]).mean() < 3
 
 
-REPORT = {
-    "target": "a<b.mp4", "cells": 24, "notes": [],
-    "found": {"material.E": {"value": 5e4, "interval": [4e4, 6e4],
-                             "limit": {"value": 5e4, "interval": [4e4, 6e4]}}},
-    "measured": {"silhouettes": {"unit": "of a pixel", "misfit": 0.01}},
-    "tried": [
-        {"level": 0, "values": {"material.E": 1e4}, "misfits": [0.1]},
-        {"level": 1, "values": {"material.E": 5e4}, "misfits": [0.02]},
-        {"level": 1, "values": {"material.E": 9e4}, "misfits": None},
-    ],
-    "declared": {"find": {"material.E": {"log_uniform": [1e4, 1e5]}}},
-    "pictures": {"fps": 10.0, "times": [0, 0.1], "was": {"material.E": 4e4},
-                 "before": [0.0, 0.1], "fitted": [0.0, 0.02]},
-}  # fmt: skip
-
-
 def test_the_page_of_a_fit_leads_the_film_picture_by_picture(tmp_path):
     (tmp_path / "c.mp4").write_bytes(b"film")
-    write_page(tmp_path / "c.html", REPORT, tmp_path / "c.mp4")
+    write_page(tmp_path / "c.html", FIT, tmp_path / "c.mp4")
     page = (tmp_path / "c.html").read_text()
     assert "data:video/mp4;base64,ZmlsbQ==" in page and "Phy124Compare(" in page
     assert "a&lt;b.mp4" in page and "<script src" not in page
-    drawn = figure(REPORT, 'x" onerror="')
+    drawn = figure(FIT, 'x" onerror="')
     assert 'max="1"' in drawn and 'data-times="0 0.1"' in drawn and 'onerror="' not in drawn
     assert drawn.count("<polyline") == 2 and drawn.count("<circle") == 2, "a failed run is no dot"
-    none = {**REPORT, "pictures": {**REPORT["pictures"], "before": None}}
+    none = {**FIT, "pictures": {**FIT["pictures"], "before": None}}
     assert figure(none, "c.mp4").count("<polyline") == 1
 
 

@@ -12,6 +12,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians, join
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.formats import glb, read_as_is, read_gaussians, write_gaussians
+from support.glbs import edited
 from support.quantisation import many
 from support.shapes import ball
 
@@ -22,18 +23,6 @@ def assert_same(result: Gaussians, wanted: Gaussians) -> None:
     np.testing.assert_allclose(result.covariances(), wanted.covariances(), rtol=1e-4, atol=1e-8)
     np.testing.assert_allclose(result.opacities, wanted.opacities, atol=1e-6)
     np.testing.assert_allclose(result.sh, wanted.sh, atol=2e-6)
-
-
-def edited(data: bytes, change) -> bytes:
-    """A GLB with another description."""
-    (size,) = struct.unpack_from("<I", data, 12)
-    tree = json.loads(data[20 : 20 + size])
-    change(tree)
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + size :]
-    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
-    return head + struct.pack("<II", len(text), 0x4E4F534A) + text + rest
 
 
 def glb_with(path: Path, gaussians: Gaussians, change) -> Path:

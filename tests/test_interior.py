@@ -14,18 +14,8 @@ from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
+from support.runs import TORN
 from support.shapes import ball
-
-TORN = {
-    "accuracy": {"cells": 8, "solver": "mpm"},
-    "time.frames": 6,
-    "object.lift": 0.1,
-    "object.spin": (0, 0, 40.0),
-    "material.E": 1e4,
-    "forces": [],
-    "boundaries": [],
-    "checks.balance": False,
-}
 
 
 @pytest.fixture(scope="module")

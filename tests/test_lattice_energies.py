@@ -22,12 +22,10 @@ from phy124.scene.lattices import choose_solver
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import fill_solid, surface_of_ball
-from support.lattices import DX, SOFT, block
-from test_meetings import fork_at, make
+from support.lattices import DAMPED, DX, SOFT, block, fork_at, make_bodies
 
 G = 9.81
 CUBE = (0.3, 0.3, 0.3)
-DAMPED = SOFT.model_copy(update={"damping": 300.0})
 
 
 class Balance:
@@ -61,7 +59,7 @@ class Balance:
 @pytest.mark.parametrize(("precision", "rounding"), [("float64", 1e-13), ("float32", 1e-6)])
 def test_fall_turns_the_work_of_gravity_into_speed(precision, rounding):
     pull = {"forces": [Gravity()], "precision": precision}
-    fall = Balance(make([block(CUBE)], **pull), 0.2, rounding=rounding)
+    fall = Balance(make_bodies([block(CUBE)], **pull), 0.2, rounding=rounding)
     assert fall.kinetic == pytest.approx(fall.forces, rel=rounding)
     speed = fall.last.momentum[2] / 27
     assert fall.forces == pytest.approx(27 * speed**2 / 2, rel=10 * rounding)
@@ -71,7 +69,7 @@ def test_fall_turns_the_work_of_gravity_into_speed(precision, rounding):
 def swing(damping, until):
     """A bar that vibrates along its axis in its lowest mode, with a period of 0.4 s."""
     bar = block((2.0, 0.2, 0.2))
-    solver = make([bar], NeoHookean(E=1e5, nu=0.0, density=1000, damping=damping))
+    solver = make_bodies([bar], NeoHookean(E=1e5, nu=0.0, density=1000, damping=damping))
     solver.carry_nodes(lambda x, v: (x, 0.01 * np.outer(np.cos(math.pi / 2 * x[:, 0]), [1, 0, 0])))
     return Balance(solver, until)
 
@@ -97,7 +95,7 @@ def test_damped_swing_loses_what_its_mode_loses():
 
 @pytest.mark.parametrize("law", [Hencky, FixedCorotated])
 def test_each_law_stores_the_work_of_its_stress(law):
-    solver = make([block(CUBE)], law(E=1e5, nu=0.3, density=1000, damping=20.0))
+    solver = make_bodies([block(CUBE)], law(E=1e5, nu=0.3, density=1000, damping=20.0))
     solver.carry_nodes(lambda x, v: (x, x * [1.0, -0.5, 0.2]))
     stretched = Balance(solver, 0.02)
     assert stretched.elastic > 0.05 * stretched.first.kinetic
@@ -109,7 +107,7 @@ def test_slope_rubs_with_friction_times_weight_times_way():
     angle = math.radians(30)
     pull = Gravity(g=(G * math.sin(angle), 0, -G * math.cos(angle)))
     floor = HalfSpace(friction=0.2)
-    solver = make([block((0.4, 0.3, 0.2))], DAMPED, forces=[pull], boundaries=[floor])
+    solver = make_bodies([block((0.4, 0.3, 0.2))], DAMPED, forces=[pull], boundaries=[floor])
     solver.advance(0.4)
     sliding = Balance(solver, 0.6)
     weight = 24 * G * math.cos(angle)
@@ -126,7 +124,7 @@ def moved(wall, solver, balance):
 
 def test_rising_floor_does_the_work_of_the_weight():
     floor = HalfSpace(motion=Path(times=(0.0, 1.0), points=((0, 0, 0), (0, 0, 0.2))))
-    solver = make([block(CUBE)], DAMPED, forces=[Gravity()], boundaries=[floor])
+    solver = make_bodies([block(CUBE)], DAMPED, forces=[Gravity()], boundaries=[floor])
     solver.advance(0.3)
     lifted = Balance(solver, 0.6)
     assert lifted.forces == pytest.approx(-27 * G * lifted.way[2], rel=1e-3)
@@ -138,7 +136,7 @@ def test_rising_floor_does_the_work_of_the_weight():
 def test_moving_floor_and_its_slip_add_up():
     """A belt drags a block: the belt's work heats the contact and speeds the block up."""
     belt = HalfSpace(friction=0.3, motion=Path(times=(0.0, 0.8), points=((0, 0, 0), (1.6, 0, 0))))
-    solver = make([block((0.4, 0.3, 0.2))], DAMPED, forces=[Gravity()], boundaries=[belt])
+    solver = make_bodies([block((0.4, 0.3, 0.2))], DAMPED, forces=[Gravity()], boundaries=[belt])
     solver.advance(0.3)
     dragged = Balance(solver, 0.5)
     force, ahead = 0.3 * 24 * G, 1.6 * moved(belt, solver, dragged)
@@ -149,7 +147,9 @@ def test_moving_floor_and_its_slip_add_up():
 
 
 def test_bounce_loses_at_the_impact_and_by_substeps_alone():
-    solver = make([block(CUBE, low=(0, 0, 0.05))], SOFT, v=[(0, 0, -0.5)], boundaries=[HalfSpace()])
+    solver = make_bodies(
+        [block(CUBE, low=(0, 0, 0.05))], SOFT, v=[(0, 0, -0.5)], boundaries=[HalfSpace()]
+    )
     bounce = Balance(solver, 0.2)
     assert bounce.last.momentum[2] > 0
     assert bounce.impacts > 0 and bounce.material == 0
@@ -160,7 +160,7 @@ def test_bounce_loses_at_the_impact_and_by_substeps_alone():
 
 def test_shock_takes_energy_only_in_fast_compression():
     speed = 0.8 * SOFT.wave_speed()
-    solver = make([block(CUBE)], SOFT, v=[(0, 0, -speed)], boundaries=[HalfSpace()])
+    solver = make_bodies([block(CUBE)], SOFT, v=[(0, 0, -speed)], boundaries=[HalfSpace()])
     hit = Balance(solver, 0.01)
     assert solver.clock.shocked > 0
     assert hit.shock > 0.05 * hit.first.kinetic
@@ -173,7 +173,7 @@ def test_clamp_that_pulls_does_the_work_that_is_stored():
     walls = [Held(lower=(-1, -1, -1), upper=(0.2, 1, 1))]
     walls += [Held(lower=(0.8, -1, -1), upper=(2, 1, 1), motion=pull)]
     material = NeoHookean(E=1e5, nu=0.0, density=1000, damping=500.0)
-    drawn = Balance(make([block((1.0, 0.2, 0.2))], material, boundaries=walls), 0.5)
+    drawn = Balance(make_bodies([block((1.0, 0.2, 0.2))], material, boundaries=walls), 0.5)
     assert drawn.held == pytest.approx(1e5 * 0.04 * 0.02**2 / 2 / 0.6, rel=0.02)
     assert drawn.held - drawn.impacts - drawn.material == pytest.approx(drawn.elastic, rel=0.02)
     drawn.nothing_but("held", "elastic", "viscous", "impacts")
@@ -189,7 +189,7 @@ def test_clamp_that_pulls_does_the_work_that_is_stored():
     ids=["region", "wind", "grab"],
 )
 def test_forces_on_points_do_all_the_work(force):
-    pushed = Balance(make([block((0.275, 0.3, 0.3), per=4)], forces=[force, Gravity()]), 0.1)
+    pushed = Balance(make_bodies([block((0.275, 0.3, 0.3), per=4)], forces=[force, Gravity()]), 0.1)
     assert pushed.forces > 0.05
     pushed.nothing_but("forces", "elastic", "viscous")
 
@@ -198,7 +198,7 @@ def test_objects_rub_with_friction_times_weight_times_way():
     angle, g = math.radians(20), 0.5
     pull = Gravity(g=(g * math.sin(angle), 0, -g * math.cos(angle)))
     solids = [block((1.0, 0.5, 0.2)), block((0.375, 0.3, 0.3), low=(0.125, 0.125, 0.2), per=4)]
-    solver = make(solids, held=[0], pairs=[Pair(0, 1, 0.2)], forces=[pull])
+    solver = make_bodies(solids, held=[0], pairs=[Pair(0, 1, 0.2)], forces=[pull])
     solver.advance(0.7)
     sliding = Balance(solver, 1.0)
     weight, mass = 33.75 * g * math.cos(angle), solver.model.total_mass
@@ -209,7 +209,7 @@ def test_objects_rub_with_friction_times_weight_times_way():
 def test_objects_of_two_materials_collide():
     solids = [block(CUBE), block(CUBE, low=(0.32, 0.05, 0.05), per=4)]
     laws = DAMPED, Hencky(E=5e4, nu=0.2, density=1000)
-    solver = make(solids, *laws, v=[(0.5, 0, 0), (-0.5, 0, 0)])
+    solver = make_bodies(solids, *laws, v=[(0.5, 0, 0), (-0.5, 0, 0)])
     hit = Balance(solver, 0.12)
     assert hit.pairs > 0.02 * hit.first.kinetic and hit.material > 0.02 * hit.first.kinetic
     hit.nothing_but("elastic", "viscous", "pairs")
@@ -217,7 +217,7 @@ def test_objects_of_two_materials_collide():
 
 def test_prongs_that_clap_lose_energy_to_self_contact():
     fork = fill_solid(fork_at, (-0.1, -0.1, -0.1), (0.5, 0.3, 0.9), DX / 2)
-    solver = make([fork], boundaries=[Held(lower=(-1, -1, -1), upper=(1, 1, 0.28))])
+    solver = make_bodies([fork], boundaries=[Held(lower=(-1, -1, -1), upper=(1, 1, 0.28))])
     solver.carry_nodes(lambda x, v: (x, v - 6 * np.sign(x - [0.2, 0, 0]) * [1, 0, 0]))
     clap = Balance(solver, 0.03)
     assert solver.meetings.of_bodies[0].most > 0
@@ -230,7 +230,7 @@ def test_impulses_on_held_nodes_do_no_work():
     steel = FreeBody("ball", "sphere", (0.2,) * 3, (0.2, 0.15, 0.5), velocity=(0, 0, -3))
     path = Path(times=(0.0, 0.2), points=((0, 0, 0), (0.1, 0, -0.03)))
     walls = [Held(lower=(0.2, -1, -1), upper=(1, 1, 1), motion=path), HalfSpace(friction=0.4)]
-    both = Balance(make([block(CUBE)], DAMPED, free=[steel], boundaries=walls), 0.1)
+    both = Balance(make_bodies([block(CUBE)], DAMPED, free=[steel], boundaries=walls), 0.1)
     assert min(abs(both.solids), abs(both.held), both.friction) > 0.1
 
 
@@ -240,7 +240,7 @@ def test_clamps_that_overlap_and_part_explain_all_work(order):
     path = Path(times=(0.0, 0.2), points=((0, 0, 0), (0.02, 0, 0.02)))
     still = Held(lower=(-1, -1, -1), upper=(0.15, 1, 1))
     pulls = Held(lower=(-1, -1, 0.2), upper=(1, 1, 1), motion=path)
-    parted = Balance(make([block(CUBE)], DAMPED, boundaries=[still, pulls][::order]), 0.05)
+    parted = Balance(make_bodies([block(CUBE)], DAMPED, boundaries=[still, pulls][::order]), 0.05)
     assert parted.held > 0.1
     parted.nothing_but("held", "elastic", "viscous", "impacts")
 
@@ -249,13 +249,13 @@ def test_floor_that_moves_with_a_clamp_has_no_friction():
     path = Path(times=(0.0, 0.2), points=((0, 0, 0), (0.1, 0, 0.05)))
     walls = [Held(lower=(0.2, -1, -1), upper=(1, 1, 1), motion=path)]
     walls += [HalfSpace(friction=2.0, motion=path)]
-    both = Balance(make([block(CUBE)], DAMPED, forces=[Gravity()], boundaries=walls), 0.1)
+    both = Balance(make_bodies([block(CUBE)], DAMPED, forces=[Gravity()], boundaries=walls), 0.1)
     assert both.friction < 0.05 * both.walls
 
 
 def test_free_solid_works_on_a_body():
     steel = FreeBody("ball", "sphere", (0.2,) * 3, (0.65, 0.25, 0.2), velocity=(-1, 0, 0))
-    hit = Balance(make([block((0.4, 0.4, 0.4))], free=[steel]), 0.2)
+    hit = Balance(make_bodies([block((0.4, 0.4, 0.4))], free=[steel]), 0.2)
     assert hit.solids > 0.1
     assert hit.kinetic + hit.elastic == pytest.approx(hit.solids - hit.lost, rel=1e-12)
     hit.nothing_but("solids", "elastic", "viscous")
@@ -269,8 +269,8 @@ def test_frames_are_the_same_with_and_without_sums(vectors, threads):
     for on in (True, False):
         walls, forces = [HalfSpace(friction=0.3)], [Gravity(), Wind(v=(2, 0, 0), rate=3.0)]
         options = {"precision": "float32", "vectors": vectors, "v": [(1, 0, -9)]}
-        solver = make([block((0.375, 0.3, 0.3), low=(0, 0, 0.05), per=4)], DAMPED, forces=forces,
-                      boundaries=walls, threads=threads, **options)  # fmt: skip
+        options |= {"boundaries": walls, "forces": forces, "threads": threads}
+        solver = make_bodies([block((0.375, 0.3, 0.3), low=(0, 0, 0.05), per=4)], DAMPED, **options)
         if on:
             hit = Balance(solver, 0.03, rounding=3e-6)
             assert hit.impacts > 0 and hit.material > 0 and hit.shock > 0

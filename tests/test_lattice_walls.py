@@ -15,8 +15,7 @@ from phy124.materials import NeoHookean
 from phy124.monitor.lattice import LatticeTotals
 from phy124.mpm import FreeBody, Pair
 from phy124.studies.validation.experiments.pressed_block import stress
-from support.lattices import DX, SOFT, block, make
-from test_meetings import make as bodies
+from support.lattices import DX, SOFT, block, make, make_bodies
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.5])
@@ -151,7 +150,7 @@ def test_wrenches_and_works_on_held_points_balance():
 def test_clamp_takes_impulses_between_bodies():
     solids = [block((0.3, 0.3, 0.3)), block((0.2, 0.3, 0.3), low=(-0.1, 0.3, 0))]
     moving = [(0, 0, 0), (0, -0.3, 0)]
-    solver = bodies(solids, v=moving, boundaries=HOLD, pairs=[Pair(0, 1, 0.3)])
+    solver = make_bodies(solids, v=moving, boundaries=HOLD, pairs=[Pair(0, 1, 0.3)])
     totals = LatticeTotals(solver)
     before = totals.read(solver.clock).momentum
     solver.advance(0.02)

@@ -40,10 +40,9 @@ from phy124.generators.neural.orbit import orbit, to_opencv
 from phy124.generators.neural.splatting import View, project
 from phy124.io.ply import read_ply
 from reference import formula
+from reference.formula import TINY
 
 CLOSE = {"rtol": 1e-4, "atol": 2e-5}
-TINY = Option((32, 32, 64), (False, True, True), (64, 32), (True, False), 32, 16)
-"""The network of the golden file lgm_full."""
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,5 @@
 """Liquids by pressure projection: tanks, slopes and closed boxes with known results."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,79 +11,15 @@ from phy124.budget.remedies import find_speedups
 from phy124.errors import InputError
 from phy124.forces import Gravity, ZoneForce
 from phy124.liquid.solver import LiquidSolver
-from phy124.materials import Fluid
 from phy124.monitor.diagnostics import describe_substep
-from phy124.mpm import FreeBody, Model, State
+from phy124.mpm import FreeBody
 from phy124.mpm.tracks import Sine
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
+from support.liquids import DENSITY, FPS, TANK, G, block, field, heights, liquid, run
 from support.shapes import ball
-
-G, DENSITY, FPS = 9.81, 1000.0, 48
-TANK = Container(inside=Region(lower=(0, 0, 0), upper=(1, 1, 1e9)), contact="slip")
-
-
-def block(low, high, cells: int, per_axis: int = 2) -> np.ndarray:
-    """Particles on a lattice between two corners [m]."""
-    step = 1 / cells / per_axis
-    axes = [
-        np.arange(round((b - a) / step)) * step + a + step / 2
-        for a, b in zip(low, high, strict=True)
-    ]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-
-
-def liquid(
-    x,
-    cells: int,
-    walls=(),
-    *,
-    gravity=(0, 0, -G),
-    offset=0.0,
-    threads=1,
-    simd=True,
-    viscosity=0.0,
-    pushes=(),
-    **solids,
-) -> LiquidSolver:
-    """A liquid of particles, with 8 in each cell, in walls; the grid is off by some cells."""
-    dx = 1 / cells
-    volume = np.full(len(x), dx**3 / 8)
-    origin = (-offset * dx,) * 3
-    water = Fluid(density=DENSITY, viscosity=viscosity)
-    model = Model.of(x, volume, [water], dx=dx, origin=origin)
-    model = model if simd else replace(model, form="plain")
-    named = [(f"wall_{index}", wall) for index, wall in enumerate(walls)]
-    forces = [*pushes, *([Gravity(g=gravity)] if np.any(gravity) else [])]
-    options = {"forces": forces, "boundaries": named, "threads": threads, **solids}
-    return LiquidSolver(model, State.of(model), **options)
-
-
-def run(solver: LiquidSolver, steps: int) -> LiquidSolver:
-    start = solver.clock.time
-    for step in range(steps):
-        solver.advance(start + (step + 1) / FPS)
-    return solver
-
-
-def field(solver: LiquidSolver, name: str) -> np.ndarray:
-    values = getattr(solver.cells, name).numpy()
-    return values.reshape(*solver.cells.size, *values.shape[1:])
-
-
-def heights(solver: LiquidSolver) -> np.ndarray:
-    """Height of the surface in every column of cells with liquid [m]."""
-    dx, wet, phi = solver.model.dx, field(solver, "liquid"), field(solver, "phi")
-    results = []
-    for i, j in np.argwhere(wet.any(axis=2)):
-        k = np.flatnonzero(wet[i, j])[-1]
-        if phi[i, j, k + 1] <= 0:  # a wall
-            continue
-        part = phi[i, j, k] / (phi[i, j, k] - phi[i, j, k + 1])
-        results.append(solver.model.origin[2] + dx * (solver.cells.low[2] + k + 0.5 + part))
-    return np.array(results)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.37])

@@ -16,8 +16,8 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
+from support.liquids import DENSITY, TANK, G, block, liquid, run
 from support.shapes import ball
-from test_liquid import DENSITY, TANK, G, block, liquid, run
 
 
 def works(solver, steps):

@@ -14,7 +14,7 @@ from phy124.mpm import Model, State
 from phy124.scene import Scene
 from phy124.scene.liquids import refuse_unprojectable
 from phy124.schema.region import Region
-from test_liquid import DENSITY, TANK, G, block, field, heights, run
+from support.liquids import DENSITY, TANK, G, block, field, heights, run
 
 OIL = 0.8 * DENSITY
 NARROW = Container(inside=Region(lower=(0, 0, 0), upper=(1, 0.25, 1e9)), contact="slip")

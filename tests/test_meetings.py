@@ -9,36 +9,13 @@ from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.forces import Gravity
 from phy124.kernels.work import IMPULSE
 from phy124.lattice.partners import Partners
-from phy124.lattice.solver import LatticeSolver
-from phy124.materials import NeoHookean
 from phy124.monitor.lattice import LatticeTotals
-from phy124.mpm import FreeBody, Model, Pair, State
-from phy124.particles.lattice import lattice_of
+from phy124.mpm import FreeBody, Pair
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import fill_solid, surface_of_ball
-from support.lattices import DX, block, lattice_scene
-
-DAMPED = NeoHookean(E=1e5, nu=0.3, density=1000, damping=300.0)
-
-
-def make(solids, *materials, v=None, held=(), precision="float64", **options):
-    """Return a solver of several solids on their lattices, of one material or of one each."""
-    materials = materials or (DAMPED,)
-    points = [lattice_of(solid, density=DAMPED.density, dx=DX) for solid in solids]
-    surfaces = [each.surface + [0, 0, 0, 0, 0, 0, i] for i, each in enumerate(points)]
-    body = np.repeat(np.arange(len(points)), [len(each) for each in points])
-    x = np.concatenate([each.x for each in points]).astype(float)
-    volume = np.concatenate([each.volume for each in points])
-    chosen = {"material": body, "body": body, "held": held, "precision": precision}
-    if len(materials) == 1:
-        del chosen["material"]
-    model = Model.of(x, volume, materials, dx=DX, **chosen)
-    motion = None if v is None else np.asarray(v, float)[body]
-    state = State.of(model, motion)
-    options = {"threads": 1, **options}
-    return LatticeSolver(model, np.concatenate(surfaces), state, **options)
+from support.lattices import DAMPED, DX, block, fork_at, lattice_scene, make_bodies
 
 
 def test_the_most_viscous_body_limits_substeps():
@@ -46,7 +23,11 @@ def test_the_most_viscous_body_limits_substeps():
     soft, stiff = (
         DAMPED.model_copy(update={"E": E, "damping": d}) for E, d in ((1e4, 5e3), (4e4, 1))
     )
-    solvers = [make(solids[:1], soft), make(solids, soft, stiff), make(solids, stiff, soft)]
+    solvers = [
+        make_bodies(solids[:1], soft),
+        make_bodies(solids, soft, stiff),
+        make_bodies(solids, stiff, soft),
+    ]
     for solver in solvers:
         solver.measure_if_due()
     alone, *both = (solver.clock.stable().dt for solver in solvers)
@@ -80,7 +61,7 @@ def test_block_slides_on_a_block(friction):
     angle, g = math.radians(20), 0.5
     pull = Gravity(g=(g * math.sin(angle), 0, -g * math.cos(angle)))
     solids = [block((1.0, 0.5, 0.2)), block((0.375, 0.3, 0.3), low=(0.125, 0.125, 0.2), per=4)]
-    solver = make(solids, held=[0], pairs=[Pair(0, 1, friction)], forces=[pull])
+    solver = make_bodies(solids, held=[0], pairs=[Pair(0, 1, friction)], forces=[pull])
     solver.advance(0.7)
     before = momentum_of(solver, 1)[0]
     solver.advance(1.2)
@@ -95,7 +76,7 @@ def test_block_slides_on_a_block(friction):
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_balls_exchange_momentum_exactly(precision):
     balls = [ball(0, 0, 0), ball(0.72, 0.13, 0.05)]
-    solver = make(balls, v=[(0.5, 0, 0), (-0.5, 0, 0)], precision=precision)
+    solver = make_bodies(balls, v=[(0.5, 0, 0), (-0.5, 0, 0)], precision=precision)
     totals = LatticeTotals(solver)
     before, left = totals.read(solver.clock), momentum_of(solver, 0)
     solver.advance(1.0)
@@ -112,7 +93,7 @@ def test_balls_exchange_momentum_exactly(precision):
 def test_stack_of_three_stands():
     solids = [block((0.4, 0.4, 0.2), low=(0, 0, 0.2 * k)) for k in range(3)]
     pull = Gravity(g=(0, 0, -2.0))
-    solver = make(solids, held=[0], forces=[pull])
+    solver = make_bodies(solids, held=[0], forces=[pull])
     solver.advance(1.5)
     before = solver.meetings.snapshot()
     solver.bind(forces=[pull])
@@ -153,7 +134,7 @@ def test_pairs_resume_bit_for_bit_and_are_reported():
 
 def test_solid_ball_exchanges_momentum_exactly():
     ball_of_steel = FreeBody("ball", "sphere", (0.2,) * 3, (0.65, 0.25, 0.2), velocity=(-1, 0, 0))
-    solver = make([block((0.4, 0.4, 0.4))], free=[ball_of_steel])
+    solver = make_bodies([block((0.4, 0.4, 0.4))], free=[ball_of_steel])
     start = ball_of_steel.mass
     solver.advance(0.3)
     left = ball_of_steel.mass * solver.free.motions()[0, :3]
@@ -168,7 +149,7 @@ def test_solid_box_slides_on_a_block(friction):
     pull = Gravity(g=(g * math.sin(angle), 0, -g * math.cos(angle)))
     box = FreeBody("box", "box", (0.15,) * 3, (0.3, 0.25, 0.35), friction=friction)
     floor = HalfSpace(contact="sticky")
-    solver = make([block((1.0, 0.5, 0.2))], free=[box], forces=[pull], boundaries=[floor])
+    solver = make_bodies([block((1.0, 0.5, 0.2))], free=[box], forces=[pull], boundaries=[floor])
     solver.advance(0.7)
     before = solver.free.motions()[0, 0]
     solver.advance(1.2)
@@ -182,7 +163,7 @@ def test_block_stands_on_a_solid_box_on_the_ground():
     box = FreeBody("box", "box", (0.3, 0.3, 0.1), (0.2, 0.2, 0.1), density=300.0)
     solid, ground = block((0.4, 0.4, 0.4), low=(0, 0, 0.2)), Ground()
     pull = Gravity(g=(0, 0, -2.0))
-    solver = make([solid], free=[box], forces=[pull], boundaries=[ground], planes=[ground])
+    solver = make_bodies([solid], free=[box], forces=[pull], boundaries=[ground], planes=[ground])
     solver.advance(1.0)
     solver.free.begin()
     solver.advance(1.5)
@@ -195,7 +176,7 @@ def test_self_contact_next_to_a_clamp_keeps_its_momentum():
     """Two prongs of a fork, whose root a clamp holds, are slammed together."""
     fork = fill_solid(fork_at, (-0.1, -0.1, -0.1), (0.5, 0.3, 0.9), DX / 2)
     clamp = Held(lower=(-1, -1, -1), upper=(1, 1, 0.28))
-    solver = make([fork], boundaries=[clamp])
+    solver = make_bodies([fork], boundaries=[clamp])
     solver.carry_nodes(lambda x, v: (x, v - 6 * np.sign(x - [0.2, 0, 0]) * [1, 0, 0]))
     before = momentum_of(solver, 0)
     solver.advance(0.1)
@@ -204,15 +185,8 @@ def test_self_contact_next_to_a_clamp_keeps_its_momentum():
     assert solver.meetings.of_bodies[0].most > 0
 
 
-def fork_at(x):
-    """Return the distance from two prongs, 0.1 m thick and 0.2 m apart, on a root [m]."""
-    root = np.abs(x - [0.2, 0.1, 0.05]) - [0.2, 0.1, 0.05]
-    prongs = np.abs(np.abs(x - [0.2, 0.1, 0.4]) - [0.15, 0, 0]) - [0.05, 0.1, 0.4]
-    return np.minimum(root.max(axis=-1), prongs.max(axis=-1))
-
-
 def test_points_that_hardly_moved_are_not_compared_again(monkeypatch):
-    solver = make([ball(0, 0, 0)])
+    solver = make_bodies([ball(0, 0, 0)])
     solver.advance(1e-3)
     meetings, compared = solver.meetings, []
     monkeypatch.setattr(meetings.of_bodies[0], "follow", compared.append)
@@ -227,7 +201,7 @@ def test_outer_sides_of_thin_parts_do_not_meet():
     """Two sheets, half a cell thick, come to a tenth of a cell from each other."""
     solid = block((0.4, 0.4, 0.5), per=4)
     solid.fraction[:, :, 2:-2] = 0
-    solver = make([solid])
+    solver = make_bodies([solid])
     upper = solver.lattice.x[:, 2] > 0.25
     solver.nodes_state.u.assign(np.outer(upper, [0, 0, -0.39]))
     surface = solver.surface
@@ -242,7 +216,9 @@ def test_outer_sides_of_thin_parts_do_not_meet():
 def test_clamp_may_hold_two_bodies_that_touch():
     solids = [block((0.3, 0.3, 0.3)), block((0.3, 0.3, 0.3), low=(0, 0.3, 0))]
     clamp = Held(lower=(0.2, -1, -1), upper=(1, 1, 1))
-    solver = make(solids, v=[(0, 0, 0), (0, -0.3, 0)], boundaries=[clamp], pairs=[Pair(0, 1, 0.3)])
+    solver = make_bodies(
+        solids, v=[(0, 0, 0), (0, -0.3, 0)], boundaries=[clamp], pairs=[Pair(0, 1, 0.3)]
+    )
     solver.advance(0.02)
     assert solver.meetings.of_pairs[0].most
     assert np.abs(solver.state.v.numpy()).max() < 0.6

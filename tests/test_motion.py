@@ -14,9 +14,8 @@ from phy124.io.clip import Clip, read_shape, restate
 from phy124.motion import recorded
 from phy124.motion.packing import STEP_F, STEP_X, hilbert_order
 from phy124.simulation import Simulation, prepare
+from support.runs import SCENE, TORN, WITH, copied_at
 from support.shapes import ball
-from test_interior import TORN
-from test_recording import SCENE, WITH, copied_at
 
 ARRAYS = ("means", "quats", "scales")
 SCENES = {

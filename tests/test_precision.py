@@ -18,9 +18,9 @@ from phy124.particles.thickness import Proportions
 from phy124.pipeline.capture import capture
 from phy124.scene import Scene
 from support.captures import captured
+from support.glbs import edited
 from support.plys import ply_of
 from support.shapes import ball
-from test_formats_glb import edited
 
 EARTH = np.array([500_000, 0, 4.6e6])
 COUNT = 1500

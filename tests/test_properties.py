@@ -16,8 +16,8 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.simulation.materials import with_properties
 from phy124.studies.validation.bodies import lattice, make_solver
+from support.bars import AT, E, bar, length, pulled
 from support.shapes import ball
-from test_stiffness import AT, E, bar, length, pulled
 
 VOMP = [
     ("x", "<f4"),
@@ -147,7 +147,7 @@ def test_a_uniform_file_is_the_scalar_bit_for_bit(tmp_path):
 
 
 def test_layered_bar_stretches_by_its_compliances(tmp_path, monkeypatch):
-    """Three layers, of E, half and a quarter of it, against the closed form of test_stiffness."""
+    """Three layers, of E, half and a quarter of it, against the closed form of support.bars."""
     x = bar()
 
     def layers(z):
@@ -166,7 +166,7 @@ def test_layered_bar_stretches_by_its_compliances(tmp_path, monkeypatch):
         del law, options["stiffness"]
         return make_solver(x, volume, materials, material=made.material, **options)
 
-    monkeypatch.setattr("test_stiffness.make_solver", solver)
+    monkeypatch.setattr("support.bars.make_solver", solver)
     first, last = pulled(None)
     exact = length(layers) - (AT[1] - AT[0])
     assert last - first - (AT[1] - AT[0]) == pytest.approx(exact, rel=0.03)

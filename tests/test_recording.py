@@ -16,41 +16,11 @@ from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.pipeline import recording, run_folder
-from support.runs import RESULTS, SCENE, names, same
+from support.runs import RESULTS, SCENE, WITH, copied_at, names, same
 from support.shapes import ball
 from support.waiting import until
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no locks, so nothing is recorded")
-
-
-def copied_at(frame_number: int, out: Path, copy: Path):
-    """A function that copies the folder of a run at a frame: what a kill would leave there."""
-
-    def each(run, frame) -> None:
-        if frame.index == frame_number:
-            shutil.copytree(out, copy, ignore=lambda *_: [])
-
-    return each
-
-
-WITH = {
-    "plain": {},
-    "velocities and contacts": {"velocities": True, "contacts": True},
-    "free solid": {
-        "forces": [{"kind": "gravity"}],
-        "boundaries": [{"kind": "ground"}],
-        "objects": [
-            {
-                "name": "box",
-                "shape": "box",
-                "sides": [0.4, 0.4, 0.2],
-                "on": "object",
-                "motion": {"kind": "free", "density": 400},
-            },
-        ],
-    },
-    "at rest": {"boundaries": [{"kind": "ground"}], "time.frames": 9},
-}
 
 
 @pytest.mark.parametrize("changes", WITH.values(), ids=WITH)

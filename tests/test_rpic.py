@@ -21,7 +21,7 @@ from phy124.simulation.solver import kernels
 from phy124.studies.validation.accuracy.problems import angular_momentum
 from phy124.studies.validation.bodies import block, make_solver
 from reference.physgaussian import Original, Recording
-from test_golden_mpm import run, solver_of
+from support.golden_runs import run, solver_of
 
 RATE = 30.0
 PARTICLES = Scene.from_data({"accuracy": {"solver": "mpm"}})

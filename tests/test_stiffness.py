@@ -5,57 +5,14 @@ import pytest
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.forces import TotalForce, Wind
 from phy124.imaging.painted import WHOLE
 from phy124.materials import Fluid, NeoHookean, Plasticine, Rigid
 from phy124.properties.stiffness import Gradient, Picture
 from phy124.scene import Scene
-from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
-from phy124.studies.validation.bodies import lattice, make_solver
+from phy124.studies.validation.bodies import make_solver
+from support.bars import AT, DX, PULL, WIDTH, E, bar, length, pulled, stretch
 from support.shapes import ball
-
-DX = 1 / 16
-E = 1e5
-WIDTH = 4 * DX
-PULL = 0.01 * E * WIDTH**2
-"""What stretches the stiffest bar by 1 % [N]."""
-AT = np.array([0.25, 0.75])
-"""Marks on the bar between which it is measured, beyond what the ends see [m]."""
-
-
-def bar() -> np.ndarray:
-    """A bar of length 1 m along z, two particles per cell and axis."""
-    return lattice((8, 8, 32), DX / 2)
-
-
-def pulled(fraction: np.ndarray | None) -> np.ndarray:
-    """Where the marks are once both ends are pulled and all has come to rest [m]."""
-    x = bar()
-    ends = [Region(upper=(9, 9, 2 * DX)), Region(lower=(-9, -9, 1 - 2 * DX))]
-    pull = [TotalForce(f=(0, 0, f), region=at) for f, at in zip((-PULL, PULL), ends, strict=True)]
-    # First what damps: it would take its fraction of a kick that was just given.
-    forces = [Wind(v=(0, 0, 0), rate=15.0), *pull]
-    volume = np.full(len(x), (DX / 2) ** 3)
-    law = [NeoHookean(E=E, nu=0.0)]
-    s = make_solver(x, volume, law, dx=DX, forces=forces, stiffness=fraction, precision="float64")
-    s.advance(1.5)
-    assert np.abs(s.state.v.numpy()).max() < 1e-4
-    layer = x[:, 2].reshape(-1, 32).mean(axis=0)
-    return np.interp(AT, layer, s.state.x.numpy()[:, 2].reshape(-1, 32).mean(axis=0))
-
-
-def stretch(fraction: np.ndarray) -> np.ndarray:
-    """mu (s - 1/s) = force over area, with mu = share E / 2 as nu is 0."""
-    load = PULL / WIDTH**2 / (fraction * E)
-    return load + np.sqrt(load**2 + 1)
-
-
-def length(fraction) -> float:
-    """Distance of the marks in equilibrium: the integral of the stretch."""
-    z = np.linspace(*AT, 20_001)
-    s = stretch(fraction(z))
-    return float(((s[1:] + s[:-1]) / 2 * np.diff(z)).sum())
 
 
 def test_halves_in_series_add_their_compliances():

@@ -72,7 +72,7 @@ def test_networks_compute_in_half_precision(gpu):
     from phy124.generators.neural.lgm.generator import Lgm
     from phy124.generators.neural.lgm.model import LgmModel, load
     from reference import formula
-    from test_lgm import TINY
+    from reference.formula import TINY
 
     weights = formula.state_dict(LgmModel(TINY))
     views, made = formula.inputs("views", (4, 3, 64, 64), 0, 1), []

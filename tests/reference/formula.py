@@ -11,6 +11,11 @@ import zlib
 import numpy as np
 import torch
 
+from phy124.generators.neural.lgm.model import Option
+
+TINY = Option((32, 32, 64), (False, True, True), (64, 32), (True, False), 32, 16)
+"""The network of the golden file lgm_full."""
+
 
 def uniform(key: str, count: int) -> np.ndarray:
     """`count` numbers in [-1, 1), float64: a 32-bit finaliser over crc32(key) and the index."""

@@ -8,6 +8,21 @@ from support.shapes import ball
 
 AWAY = [(0, 0.2 * i, 0) for i in range(8)]
 """To the right of the front camera."""
+FIT = {
+    "target": "a<b.mp4", "cells": 24, "notes": [],
+    "found": {"material.E": {"value": 5e4, "interval": [4e4, 6e4],
+                             "limit": {"value": 5e4, "interval": [4e4, 6e4]}}},
+    "measured": {"silhouettes": {"unit": "of a pixel", "misfit": 0.01}},
+    "tried": [
+        {"level": 0, "values": {"material.E": 1e4}, "misfits": [0.1]},
+        {"level": 1, "values": {"material.E": 5e4}, "misfits": [0.02]},
+        {"level": 1, "values": {"material.E": 9e4}, "misfits": None},
+    ],
+    "declared": {"find": {"material.E": {"log_uniform": [1e4, 1e5]}}},
+    "pictures": {"fps": 10.0, "times": [0, 0.1], "was": {"material.E": 4e4},
+                 "before": [0.0, 0.1], "fitted": [0.0, 0.02]},
+}  # fmt: skip
+"""Report of a fit to a film."""
 
 
 def random_clip(

@@ -11,6 +11,7 @@ from phy124.scene import Scene
 
 DX = 0.1
 SOFT = NeoHookean(E=1e5, nu=0.3, density=1000)
+DAMPED = SOFT.model_copy(update={"damping": 300.0})
 
 
 def block(size, low=(0, 0, 0), per=2, dx=DX):
@@ -36,3 +37,28 @@ def lattice_scene(name="drop", frames=4, **accuracy):
     data["accuracy"] = {"cells": 8, "solver": "lattice", **accuracy}
     data["time"]["frames"] = frames
     return Scene.from_data(data)
+
+
+def make_bodies(solids, *materials, v=None, held=(), precision="float64", **options):
+    """Return a solver of several solids on their lattices, of one material or of one each."""
+    materials = materials or (DAMPED,)
+    points = [lattice_of(solid, density=DAMPED.density, dx=DX) for solid in solids]
+    surfaces = [each.surface + [0, 0, 0, 0, 0, 0, i] for i, each in enumerate(points)]
+    body = np.repeat(np.arange(len(points)), [len(each) for each in points])
+    x = np.concatenate([each.x for each in points]).astype(float)
+    volume = np.concatenate([each.volume for each in points])
+    chosen = {"material": body, "body": body, "held": held, "precision": precision}
+    if len(materials) == 1:
+        del chosen["material"]
+    model = Model.of(x, volume, materials, dx=DX, **chosen)
+    motion = None if v is None else np.asarray(v, float)[body]
+    state = State.of(model, motion)
+    options = {"threads": 1, **options}
+    return LatticeSolver(model, np.concatenate(surfaces), state, **options)
+
+
+def fork_at(x):
+    """Return the distance from two prongs, 0.1 m thick and 0.2 m apart, on a root [m]."""
+    root = np.abs(x - [0.2, 0.1, 0.05]) - [0.2, 0.1, 0.05]
+    prongs = np.abs(np.abs(x - [0.2, 0.1, 0.4]) - [0.15, 0, 0]) - [0.05, 0.1, 0.4]
+    return np.minimum(root.max(axis=-1), prongs.max(axis=-1))

@@ -1,5 +1,6 @@
 """Small runs, and what they leave."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,36 @@ from phy124.scene import Scene
 CHANGES = {"accuracy": {"cells": 8}, "time.frames": 6, "view.size": 32, "view.views": ["front"]}
 SCENE = Scene.named("press").replaced(CHANGES)
 RESULTS = {"clip.safetensors", "front.mp4", "gaussians.ply", "report.json", "scene.toml"}
+WITH = {
+    "plain": {},
+    "velocities and contacts": {"velocities": True, "contacts": True},
+    "free solid": {
+        "forces": [{"kind": "gravity"}],
+        "boundaries": [{"kind": "ground"}],
+        "objects": [
+            {
+                "name": "box",
+                "shape": "box",
+                "sides": [0.4, 0.4, 0.2],
+                "on": "object",
+                "motion": {"kind": "free", "density": 400},
+            },
+        ],
+    },
+    "at rest": {"boundaries": [{"kind": "ground"}], "time.frames": 9},
+}
+"""Changes of `SCENE` that a paused run must keep."""
+TORN = {
+    "accuracy": {"cells": 8, "solver": "mpm"},
+    "time.frames": 6,
+    "object.lift": 0.1,
+    "object.spin": (0, 0, 40.0),
+    "material.E": 1e4,
+    "forces": [],
+    "boundaries": [],
+    "checks.balance": False,
+}
+"""Changes of `drop` with which the object tears."""
 
 
 def names(folder: Path) -> set[str]:
@@ -25,3 +56,13 @@ def same(first: Path, other: Path) -> None:
     assert a.keys() == b.keys()
     for name in a:
         assert np.array_equal(a[name], b[name]), name
+
+
+def copied_at(frame_number: int, out: Path, copy: Path):
+    """A function that copies the folder of a run at a frame: what a kill would leave there."""
+
+    def each(run, frame) -> None:
+        if frame.index == frame_number:
+            shutil.copytree(out, copy, ignore=lambda *_: [])
+
+    return each
