@@ -261,6 +261,10 @@ class Particles:
     """Surface points [m], their outward normals and indices of objects [S,7], for bodies on their
     lattices at rest; None for other bodies.
     """
+    copies: NDArray[np.int8] | None = None
+    """Which copy of each of its 27 nodes a cell uses [C,27], for all cells of bodies on lattices in
+    the order of their points; None: no node has copies (phy124/particles/pieces.py).
+    """
 
     def __len__(self) -> int:
         return len(self.x)

@@ -1,54 +1,111 @@
-"""Pieces of a cloud of particles: who hangs together, and who came off."""
+"""Separate pieces of a body in one cell, or around one node (phy124/particles/pieces.py)."""
+
+import math
 
 import numpy as np
 import pytest
 
-from phy124.monitor.tearing import FAR, Pieces, labels
-from phy124.studies.validation.bodies import lattice
+from phy124.particles.lattice import cells_of, lattice_of, points_of
+from phy124.particles.solid import Solid
+from phy124.studies.validation.bodies import fill_solid
+from support.lattices import DX, block, fork
+from support.linear import E, Statics
+
+PLACES = [(0, 0, 0), (0.1, 0.7, 0.8), (0.5, 0.5, 0.3)]
 
 
-def block(corner, cells=4) -> np.ndarray:
-    """Eight particles in each of cells^3 cells of 1 m."""
-    return lattice([2 * cells] * 3, 0.5, corner)
+def points(solid):
+    return lattice_of(solid, density=1000, dx=DX)
 
 
-def test_touching_cells_hang_together_and_an_empty_layer_parts():
-    assert labels(np.array([[0.5, 0, 0], [1.5, 0, 0], [2.9, 0, 0]]), 1.0).max() == 0
-    assert labels(np.array([[0.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0]]), 1.0).tolist() == [0, 1, 1]
-    corner = np.array([[0.0, 0, 0], [1.1, 1.1, 1.1]])
-    assert labels(corner, 1.0).max() == 0, "cells that fraction a corner touch"
+def test_solid_bodies_have_no_copies():
+    ball = np.linalg.norm(np.indices((16, 16, 16)) - 7.5, axis=0) < 7
+    for solid in (block((0.8, 0.6, 0.4)), Solid(np.zeros(3, int), DX / 3, ball.astype(np.float32))):
+        assert points(solid).copies is None
 
 
-@pytest.mark.parametrize("away", [3.0, 1.5 * FAR, 1e9])
-def test_detached_pieces_are_counted_at_any_distance(away):
-    first, other = block((0, 0, 0)), block((0, 0, 4), cells=2)
-    rest = np.concatenate([first, other])
-    pieces = Pieces(rest, 1.0)
-    assert pieces.loose(rest) == 0
-    moved = np.concatenate([first, other + [0, 0, away]])
-    assert pieces.loose(moved) == len(other)
+def test_thin_slanted_sheet_stays_whole():
+    """Its voxels touch each other only along edges and at corners."""
+    x, _, z = np.indices((40, 12, 40))
+    sheet = Solid(np.zeros(3, int), DX / 4, (x == z).astype(np.float32))
+    assert points(sheet).copies is None
 
 
-def test_bodies_apart_at_rest_have_nothing_to_lose():
-    rest = np.concatenate([block((0, 0, 0)), block((9, 0, 0))])
-    pieces = Pieces(rest, 1.0)
-    assert pieces.loose(rest) == 0
-    assert pieces.loose(rest + np.repeat([[0.0, 0, 0], [50.0, 0, 0]], 512, axis=0)) == 0
-    together = rest - np.repeat([[0.0, 0, 0], [5.0, 0, 0]], 512, axis=0)
-    assert pieces.loose(together) == 0, "two that meet are still whole"
+def test_parts_that_nothing_connects_keep_common_nodes():
+    prongs = fork(root=0)
+    assert points(prongs).copies is None
+    assert points(fork(root=2)).copies.max() == 1
 
 
-def test_each_body_is_counted_by_itself():
-    rest = np.concatenate([block((0, 0, 0)), block((9, 0, 0))])
-    halves = rest + np.where(rest[:, 2:] > 2, [[0, 0, 3.0]], 0.0)
-    assert Pieces(rest, 1.0).loose(halves) == len(rest) / 2
+def test_cell_with_two_pieces_has_points_for_each():
+    solid = fork(thick=0.3, gap=0.3)
+    x, volume = points(solid).x.reshape(-1, 8, 3), points(solid).volume
+    prongs = x[:, :, 0].min(axis=1) > 2.2 * DX
+    assert volume.sum() == pytest.approx(solid.volume)
+    middle = 0.45 * DX
+    assert ((x[prongs, :, 2] < middle).all(axis=1) | (x[prongs, :, 2] > middle).all(axis=1)).all()
 
 
-def test_non_finite_and_scattered_objects_are_not_judged(rng):
-    rest = block((0, 0, 0))
-    broken = rest.copy()
-    broken[0, 0] = np.nan
-    assert labels(broken, 1.0) is None
-    assert Pieces(rest, 1.0).loose(broken) == 0
-    assert labels(np.zeros((0, 3)), 1.0) is None
-    assert labels(1e9 * rng.random((3000, 3)), 1.0) is None
+def test_copies_follow_their_cells():
+    every = points(fork())
+    cells = cells_of(every)
+    order = np.arange(len(cells.x))[::-1]
+    backwards = type(cells)(
+        cells.x[order], cells.volume[order], cells.density, cells.material, cells.gaussian
+    )
+    assert np.array_equal(points_of(backwards, every).copies, every.copies[::-1])
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize(("thick", "gap"), [(1.0, 0.4), (0.3, 0.3)])
+def test_joined_plates_bend_like_single_ones(place, thick, gap):
+    """They are joined at one end only; with common nodes they would bend like a thick one."""
+
+    def bend(solid, whole=False):
+        statics = Statics(solid, lambda x: x[:, 0] - place[0] < 2, whole=whole)
+        tip = statics.x[:, 0] - place[0] > 12
+        push = statics.push(tip, (0, 0, 1.0))
+        return statics.solve(push)[tip, 2].mean()
+
+    shape = {"thick": thick, "gap": gap, "root": 3, "low": place}
+    both, single = bend(fork(**shape)), bend(fork(**shape, prongs=1))
+    assert bend(fork(**shape), whole=True) < 0.3 * single / 2
+    assert 0.75 < both / (single / 2) < 1.05
+
+
+@pytest.mark.parametrize("place", PLACES[:2])
+def test_pushed_tooth_of_a_comb_leaves_the_others_at_rest(place):
+    comb = fork(prongs=3, thick=0.8, gap=0.4, low=place)
+    statics = Statics(comb, lambda x: x[:, 0] - place[0] < 1)
+    x = statics.x - np.array(place)
+    tooth = np.floor(x[:, 2] / 1.2)
+    tip = x[:, 0] > 11
+    u = statics.solve(statics.push(tip & (tooth == 1), (0, 0, 1.0)))[:, 2]
+    moved = [abs(u[tip & (tooth == k)].mean()) for k in range(3)]
+    assert moved[1] > 20 * max(moved[0], moved[2])
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_ring_with_a_narrow_gap_opens_like_a_slender_ring(place):
+    """A force P that opens a thin ring at its gap opens it by 3 pi P R^3 / E I."""
+    radius, thick, wide, gap = 6.0, 1.0, 2.0, 0.5
+    middle = np.array([7.5, 7.5, wide / 2]) + place
+
+    def distance(x):
+        x = x / DX - middle
+        away = np.abs(np.hypot(x[..., 0], x[..., 1]) - radius) - thick / 2
+        sides = np.abs(x[..., 2]) - wide / 2
+        slot = gap / 2 - np.where(x[..., 0] > 0, np.abs(x[..., 1]), math.inf)
+        return DX * np.maximum(np.maximum(away, sides), slot)
+
+    reach = radius + thick / 2
+    low, high = middle - (reach, reach, wide / 2), middle + (reach, reach, wide / 2)
+    ring = fill_solid(distance, low * DX, high * DX, DX / 6)
+    statics = Statics(ring, lambda x: np.zeros(len(x), bool))
+    x = statics.x - middle
+    ends = [(x[:, 0] > 0) & (x[:, 1] * side > 0) & (abs(x[:, 1]) < 1.0) for side in (1, -1)]
+    push = statics.push(ends[0], (0, 1.0, 0)) - statics.push(ends[1], (0, 1.0, 0))
+    u = statics.solve(push)[:, 1]
+    opening = u[ends[0]].mean() - u[ends[1]].mean()
+    exact = 3 * math.pi * (radius * DX) ** 3 / (E * wide * DX * (thick * DX) ** 3 / 12)
+    assert opening == pytest.approx(exact, rel=0.13)

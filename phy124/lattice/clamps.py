@@ -180,7 +180,7 @@ def pins(
     middle = np.flatnonzero((np.abs(far[:, 3] / across) <= HELD) & affected)
     step = np.zeros((len(middle), 3), np.int64)
     step[np.arange(len(middle)), axis[middle]] = np.sign(lean[middle]).astype(np.int64)
-    front = lattice.find(lattice.index[middle] + step, lattice.body[middle])
+    front = lattice.step_from(middle, step)
     # A node may be the front of one column only, so that no two threads write to it.
     present = np.flatnonzero(front >= 0)
     _, first = np.unique(front[present], return_index=True)

@@ -54,6 +54,7 @@ class CoupledSolver(Solver):
         uniform: Sequence[Attachable] = (),
         walls: Sequence[Any] = (),
         pairs: Sequence[Pair] = (),
+        copies: NDArray | None = None,
         still: Sequence[int] = (),
         ceiling: float = math.inf,
         **options: Any,
@@ -67,6 +68,7 @@ class CoupledSolver(Solver):
             uniform: The forces as they act on the lattices, which must be uniform.
             walls: The boundaries as they act on the lattices.
             pairs: Pairs of bodies whose contact differs from the default.
+            copies: Which copy of each of its 27 nodes a cell uses [C,27]; None: no node has copies.
             still: Bodies on lattices that never move.
             ceiling: Longest substep allowed [s].
             options: Further arguments of `Solver`.
@@ -96,6 +98,7 @@ class CoupledSolver(Solver):
             forces=uniform,
             boundaries=walls,
             pairs=between,
+            copies=copies,
             ceiling=ceiling,
             threads=1,
         )

@@ -104,8 +104,10 @@ class Meeting:
         """Whether pairs were listed near each sampled point."""
         self.slack = 0.0
         """Further relative displacement [m] after which the parts are compared again."""
-        self._away = self._between
-        """Whether the bodies are far from each other."""
+        self._away = self._between or bool(surface.side[sample].any())
+        """Whether pairs must be listed next time: bodies were far from each other, or pieces may be
+        near at rest.
+        """
 
     def _reserve(self, count: int) -> None:
         """Allocate arrays for pairs of points, and record the launches on them."""
@@ -237,13 +239,25 @@ class Meeting:
         pairs = {
             "nodes": np.concatenate([surface.nodes[a], surface.nodes[b]], axis=1),
             "weights": np.concatenate([surface.weights[a], -surface.weights[b]], axis=1),
-            "rest": surface.x[a] - surface.x[b],
+            "rest": surface.x[a] - surface.x[b] + self._overlap(a, b)[:, None] * partners["normal"],
             "shift": np.zeros((len(a), 3)),
             "slopes": surface.slopes[b],
             "sign": np.where(surface.body[a] == self.bodies[1], 1.0, -1.0),
             "force": forces[a],
         }
         self._fill(a, {**pairs, **partners})
+
+    def _overlap(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return by how much the surfaces of separate pieces overlap at rest at each pair [K], m.
+
+        Surfaces are only as exact as voxels. Contact does not push apart what overlaps at rest.
+        """
+        surface = self._surface
+        way = surface.x[a] - surface.x[b]
+        heights = [(way * n).sum(axis=1) for n in (surface.normal[b], -surface.normal[a])]
+        overlap: NDArray[np.float64] = np.maximum(-np.minimum(*heights), 0)
+        apart = (surface.side[a] != surface.side[b]) & (surface.body[a] == surface.body[b])
+        return np.where(apart, overlap, 0)
 
     def _fill(self, points: NDArray[np.int64], pairs: dict[str, NDArray]) -> None:
         """Copy pairs to the device."""

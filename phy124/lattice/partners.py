@@ -53,7 +53,7 @@ class Partners:
         flagged = self._zeros(int, len(x))
         inputs = [self._bucket(places, FAR), between, FAR * model.dx, model.dx]
         inputs += [self._numbers(sample), places]
-        inputs += [arrays[name] for name in ("rest", "normal", "body")]
+        inputs += [arrays[name] for name in ("rest", "normal", "body", "side")]
         self._launch(make_flag(model.real), len(x), inputs, [flagged])
         return np.asarray(flagged.numpy() > 0)
 
@@ -79,7 +79,11 @@ class Partners:
         expose = make_expose(model.real, self._nodes.rows)
         self._launch(expose, count, inputs, [x, normal, turned, J])
         inputs = [self._bucket(x, reach), between, reach * model.dx, model.dx, chosen]
-        inputs += [*(arrays[name] for name in ("flat", "body", "rest", "normal")), x, normal]
+        inputs += [
+            *(arrays[name] for name in ("flat", "body", "side", "rest", "normal")),
+            x,
+            normal,
+        ]
         self._launch(make_partner(model.real), count, inputs, [partner, direction])
         results = partner.numpy(), direction.numpy(), turned.numpy(), J.numpy()
         numbers, normals, cofactors, ratios = (np.asarray(values) for values in results)
@@ -100,6 +104,7 @@ class Partners:
             "rest": model.array(surface.x, t.vec3),
             "normal": model.array(surface.normal, t.vec3),
             "body": self._numbers(surface.body),
+            "side": self._numbers(surface.side),
             "flat": self._numbers(surface.flat),
         }
 

@@ -15,12 +15,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
 import scipy
+import scipy.sparse.csgraph
 from numpy.typing import NDArray
 
+from phy124.lattice.copies import lay_out
 from phy124.particles.lattice import PER_CELL
 
 LIGHTEST = 1e-3
@@ -70,6 +73,8 @@ class RestLattice:
     """
     body: NDArray[np.int64]
     """Index of the body of each node [N]."""
+    source: NDArray[np.int64]
+    """Index of the node that each node repeats; its own index if it repeats none [N]."""
 
     @classmethod
     def of(
@@ -79,6 +84,7 @@ class RestLattice:
         volume: NDArray,
         dx: float,
         spans: Sequence[slice] = (slice(None),),
+        copies: NDArray | None = None,
     ) -> RestLattice:
         """Return the lattices of all bodies' integration points; bodies share no node.
 
@@ -88,11 +94,16 @@ class RestLattice:
             volume: Volumes of the points [P], m^3.
             dx: Side of a cell [m].
             spans: Points of each body, in order.
+            copies: Which copy of each of its 27 nodes a cell uses [C,27]; None: nodes have no
+                copies.
 
         Raises:
             ValueError: The points do not form cells of eight.
         """
-        bodies = [cls._of_body(x[span], mass[span], volume[span], dx) for span in spans]
+        bodies = [
+            cls._of_body(x[span], mass[span], volume[span], dx, _copies_in(copies, span))
+            for span in spans
+        ]
         if len(bodies) == 1:
             return bodies[0]
         counts = [len(body) for body in bodies]
@@ -120,10 +131,13 @@ class RestLattice:
             ties,
             pushes,
             np.repeat(np.arange(len(bodies)), counts),
+            join("source", True),
         )
 
     @classmethod
-    def _of_body(cls, x: NDArray, mass: NDArray, volume: NDArray, dx: float) -> RestLattice:
+    def _of_body(
+        cls, x: NDArray, mass: NDArray, volume: NDArray, dx: float, copies: NDArray | None
+    ) -> RestLattice:
         """Return the lattice of one body; raises ValueError."""
         if len(x) % PER_CELL:
             raise ValueError("the number of points is not a multiple of eight; use lattice_of")
@@ -132,11 +146,15 @@ class RestLattice:
         cell = np.floor(middle).astype(np.int64)
         low, size = cell.min(axis=0) - 1, np.ptp(cell, axis=0) + 3
         touched = cell[:, None] - low + STEPS
-        keys = np.ravel_multi_index(tuple(np.moveaxis(touched, -1, 0)), tuple(size))
-        distinct = np.unique(np.asarray(keys).reshape(-1), return_inverse=True)
+        keys = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(touched, -1, 0)), tuple(size)))
+        room = 1
+        if copies is not None:
+            room = int(copies.max()) + 1
+            keys = keys * room + copies
+        distinct = np.unique(keys.reshape(-1), return_inverse=True)
         nodes, number = cast("tuple[NDArray[np.int64], NDArray[np.int64]]", distinct)
         number = number.reshape(len(cell), 27)
-        index = np.stack(np.unravel_index(nodes, tuple(size)), axis=1) + low
+        index = np.stack(np.unravel_index(nodes // room, tuple(size)), axis=1) + low
         offset = x - np.repeat(cell, PER_CELL, axis=0) + 0.5
         weights = _weights(offset)
         of_nodes = np.bincount(
@@ -152,9 +170,15 @@ class RestLattice:
         of_nodes, shares = _share(index, number, of_nodes, LIGHT * whole, GIVING * whole)
         carried = ties.T @ _rows(tied, len(index))
         pushes = scipy.sparse.csr_matrix(carried + shares + shares @ carried)
-        rows = number[:, ::3].astype(np.int32)
+        rows, source = number[:, ::3], np.arange(len(index))
+        if room > 1:
+            layout = lay_out(index, nodes % room, number)
+            tied, ties, pushes = layout.repeat(tied, ties, pushes)
+            index, rows, source = index[layout.node], layout.rows, layout.home[layout.node]
+            of_nodes = np.where(layout.repeats, 0, of_nodes[layout.node])
         body = np.zeros(len(index), np.int64)
-        return cls(float(dx), index, rows, offset, of_nodes, tied, ties, pushes, body)
+        rows = rows.astype(np.int32)
+        return cls(float(dx), index, rows, offset, of_nodes, tied, ties, pushes, body, source)
 
     def __len__(self) -> int:
         """Return the number of nodes."""
@@ -164,6 +188,71 @@ class RestLattice:
     def x(self) -> NDArray[np.float64]:
         """Positions of the nodes at rest [N,3], m."""
         return (self.index.astype(np.float64) + 0.5) * self.dx
+
+    @cached_property
+    def copied(self) -> NDArray[np.bool_]:
+        """Whether each node has copies, or is one [N]."""
+        mask = np.zeros(len(self), bool)
+        if (self.source == np.arange(len(self))).all():
+            return mask
+        homes = np.flatnonzero(self.source == np.arange(len(self)))
+        rows = np.column_stack([self.body, self.index])
+        _, which, count = np.unique(rows[homes], axis=0, return_inverse=True, return_counts=True)
+        mask[homes] = count[which.reshape(-1)] > 1
+        mask |= mask[self.source]
+        return mask
+
+    @property
+    def sides(self) -> NDArray[np.int64]:
+        """Number of each cell's separate piece [C]; 0 for a cell whose nodes have no copies.
+
+        Cells that use the same copy of a node belong to the same piece.
+        """
+        nodes = self.source[self.nodes_of()]
+        cell, place = np.nonzero(self.copied[nodes])
+        if not len(cell):
+            return np.zeros(len(nodes), np.int64)
+        ones, size = np.ones(len(cell), np.int8), len(nodes) + len(self)
+        pairs = scipy.sparse.coo_matrix(
+            (ones, (cell, len(nodes) + nodes[cell, place])), shape=(size, size)
+        )
+        _, group = scipy.sparse.csgraph.connected_components(pairs, directed=False)
+        touching = np.zeros(len(nodes), bool)
+        touching[cell] = True
+        sides: NDArray[np.int64] = np.where(touching, group[: len(nodes)] + 1, 0)
+        return sides
+
+    def step_from(self, nodes: NDArray, step: NDArray) -> NDArray[np.int64]:
+        """Return the nodes at a step from each node; -1 where there is none [K].
+
+        From a node with copies, or to such a node, the step leads to a node of the same piece: a
+        node that shares a cell with the first.
+
+        Args:
+            nodes: Indices of nodes [K].
+            step: Steps of one node along one axis [K,3].
+        """
+        target = self.find(self.index[nodes] + step, self.body[nodes])
+        doubtful = np.flatnonzero((target >= 0) & (self.copied[nodes] | self.copied[target]))
+        every = self.source[self.nodes_of()]
+        for k in doubtful:
+            cell, place = np.nonzero(every == self.source[nodes[k]])
+            way = STEPS[place] + step[k]
+            inside = (np.abs(way) <= 1).all(axis=1)
+            targets = every[cell[inside], (way[inside] + 1) @ [9, 3, 1]]
+            target[k] = targets.min(initial=len(self))
+        return np.where(target < len(self), target, -1)
+
+    def nodes_of(self, cells: NDArray | slice = slice(None)) -> NDArray[np.int64]:
+        """Return the 27 nodes of some cells [K,27]."""
+        rows = self.rows[cells].astype(np.int64)
+        return (rows[:, :, None] + np.arange(3)).reshape(-1, 27)
+
+    def points_of(self, cells: NDArray) -> NDArray[np.float64]:
+        """Return the positions of the points of some cells at rest [K,8,3], cells."""
+        first = self.index[self.rows[cells, 0]][:, None]
+        points: NDArray[np.float64] = first + self.offset.reshape(-1, PER_CELL, 3)[cells] + 0.5
+        return points
 
     @property
     def across(self) -> int:
@@ -193,6 +282,8 @@ class RestLattice:
     def find(self, index: NDArray, body: NDArray | int = 0) -> NDArray[np.int64]:
         """Return the indices of the nodes at these grid positions; -1 where there is no node.
 
+        Of a node with copies, the first copy is returned.
+
         Args:
             index: Indices of nodes [...,3].
             body: Indices of their bodies [...].
@@ -200,12 +291,28 @@ class RestLattice:
         low, size = self.index.min(axis=0), np.ptp(self.index, axis=0) + 1
         shape = (int(self.body[-1]) + 1, *size.tolist())
         keys: NDArray = np.asarray(np.ravel_multi_index((self.body, *(self.index - low).T), shape))
+        order = np.argsort(keys, kind="stable")  # The first copy of a node comes first.
+        keys = keys[order]
         inside = ((index >= low) & (index < low + size)).all(axis=-1)
         at = np.clip(index - low, 0, size - 1)
         bodies = np.broadcast_to(body, at.shape[:-1])
         wanted = np.ravel_multi_index((bodies, *np.moveaxis(at, -1, 0)), shape)
         place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        return np.where(inside & (keys[place] == wanted), place, -1)
+        return np.where(inside & (keys[place] == wanted), order[place], -1)
+
+
+def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
+    """Return which copies of nodes the cells of a body use; None if nodes have no copies.
+
+    Args:
+        copies: Copies of all bodies [C,27].
+        span: Points of the body.
+    """
+    if copies is None:
+        return None
+    start, stop = (end // PER_CELL if end is not None else None for end in (span.start, span.stop))
+    mine: NDArray[np.int64] = copies[start:stop].astype(np.int64)
+    return mine if mine.any() else None
 
 
 def splines(offset: NDArray) -> NDArray[np.float64]:
@@ -304,7 +411,10 @@ def _tie(
     donors, distance = _nearest_in_cells(index, cells, light, heavy)
     weight, complete = _extrapolate(index, light, donors, distance)
     alone = np.flatnonzero(~complete)
-    if len(alone):
+    if len(alone) and len(np.unique(index, axis=0)) < count:  # The nearest may be of another piece.
+        donors[alone], away = _nearest_in_cells(index, cells, light[alone], heavy, chained=True)
+        weight[alone], _ = _extrapolate(index, light[alone], donors[alone], away)
+    elif len(alone):
         tree = scipy.spatial.KDTree(index[heavy])
         ranks = np.arange(DONORS) + 1
         away, near = tree.query(index[light[alone]], k=ranks, distance_upper_bound=NEAR)
@@ -317,7 +427,12 @@ def _tie(
 
 
 def _nearest_in_cells(
-    index: NDArray[np.int64], cells: NDArray[np.int64], some: NDArray, heavy: NDArray
+    index: NDArray[np.int64],
+    cells: NDArray[np.int64],
+    some: NDArray,
+    heavy: NDArray,
+    *,
+    chained: bool = False,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the heavy nodes that share a cell with each node, the nearest first.
 
@@ -326,6 +441,7 @@ def _nearest_in_cells(
         cells: The nodes of each cell [C,27].
         some: The nodes whose neighbours are returned [T].
         heavy: The nodes that may be returned [H].
+        chained: Whether nodes also count that share a cell with a node of a node's cells.
 
     Returns:
         The neighbours [T,`DONORS`] and their distances [cells], infinite where there is none.
@@ -333,7 +449,8 @@ def _nearest_in_cells(
     of_cells = np.repeat(np.arange(len(cells)), cells.shape[1])
     entries = (np.ones(cells.size, np.float32), (cells.ravel(), of_cells))
     touches = scipy.sparse.csr_matrix(entries, shape=(len(index), len(cells)))
-    common = (touches[some] @ touches[heavy].T).tocoo()
+    near = touches[some] @ touches.T @ touches if chained else touches[some]
+    common = (near @ touches[heavy].T).tocoo()
     row, donor = common.row, heavy[common.col]
     far = np.linalg.norm(index[donor] - index[some[row]], axis=1)
     order = np.lexsort((donor, far, row))

@@ -78,6 +78,7 @@ class LatticeSolver:
         planes: Sequence[Any] = (),
         pairs: Sequence[Pair] = (),
         free: Sequence[FreeBody] = (),
+        copies: NDArray | None = None,
         ceiling: float = math.inf,
         threads: int | None = None,
         vectors: bool = True,
@@ -94,6 +95,7 @@ class LatticeSolver:
             planes: Flat walls with which free solids collide.
             pairs: Pairs of bodies whose contact differs from the default.
             free: Rigid solids that move freely.
+            copies: Which copy of each of its 27 nodes a cell uses [C,27]; None: no node has copies.
             ceiling: Longest substep allowed [s].
             threads: Number of CPU threads; None: chosen by the number of free cores and of points.
             vectors: Whether to use the vector units of a CPU where there are kernels for them.
@@ -111,7 +113,7 @@ class LatticeSolver:
         self.clock.cfl = math.sqrt(model.cfl)
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         spans = [model.particles(body) for body in range(model.bodies)]
-        self.lattice = RestLattice.of(model.rest, mass, volume, model.dx, spans)
+        self.lattice = RestLattice.of(model.rest, mass, volume, model.dx, spans, copies)
         self.model = model = replace(model, respond=self.lattice.respond)
         self.surface = make_surface(surface, self.lattice)
         self.nodes_state = make_nodes(model, self.lattice, self.state, vectors=vectors)

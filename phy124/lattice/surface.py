@@ -49,6 +49,10 @@ class Surface:
     """Outward normals at rest [S,3]; zero on sheets."""
     body: NDArray[np.int64]
     """Index of the body of each point [S]."""
+    side: NDArray[np.int64]
+    """Number of the separate piece of each point [S]; 0 where no node has copies. Points with two
+    different numbers above 0 belong to different pieces.
+    """
     nodes: NDArray[np.int32]
     """Nodes of each point [S,27]: nine groups of three nodes that are consecutive in memory."""
     weights: NDArray[np.float64]
@@ -116,10 +120,19 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     cell = np.floor(at).astype(np.int64)
     index = cell[:, None] + STEPS
     nodes = lattice.find(index, body[:, None])
+    side = np.zeros(len(x), np.int64)
+    near = (lattice.copied[nodes] & (nodes >= 0)).any(axis=1)
+    if near.any():
+        piece = _nearest_pieces(at[near], body[near], lattice)
+        nodes[near] = lattice.source[lattice.nodes_of(piece)]
+        cell[near] = lattice.index[lattice.rows[piece, 0]] + 1
+        at[near] = np.clip(at[near], cell[near] - INSIDE, cell[near] + 1 + INSIDE)
+        index, side[near] = cell[:, None] + STEPS, lattice.sides[piece]
     free = nodes >= 0
     free[free] = lattice.mass[nodes[free]] > 0
     a, b, c = np.moveaxis(splines(at - cell + 0.5), 1, 0)
     weights = np.einsum("pi,pj,pk->pijk", a, b, c).reshape(len(x), 27) * free
+    weights[near] = _within_rows(nodes[near], weights[near])
     supported = weights.sum(axis=1) > SUPPORTED
     x, normal, body, nodes, weights = (
         values[supported] for values in (x, normal, body, nodes, weights)
@@ -131,7 +144,44 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     weights = weights * (1 + np.einsum("pna,pa->pn", arm, slope))
     weights /= weights.sum(axis=1, keepdims=True)
     nodes, weights = _consecutive(nodes, weights, len(lattice))
-    return Surface(x, normal, body, nodes, weights, lattice.x, lattice.dx)
+    return Surface(x, normal, body, side[supported], nodes, weights, lattice.x, lattice.dx)
+
+
+def _nearest_pieces(
+    at: NDArray[np.float64], body: NDArray[np.int64], lattice: RestLattice
+) -> NDArray[np.int64]:
+    """Return the cells with the integration points that are nearest to some positions [K].
+
+    Args:
+        at: Positions [K,3], cells.
+        body: Indices of their bodies [K].
+        lattice: The lattices at rest.
+    """
+    nearest = np.zeros(len(at), np.int64)
+    of_cells = lattice.body[lattice.rows[:, 0]]
+    for number in np.unique(body):
+        cells, mine = np.flatnonzero(of_cells == number), body == number
+        _, point = KDTree(lattice.points_of(cells).reshape(-1, 3)).query(at[mine])
+        nearest[mine] = cells[point // PER_CELL]
+    return nearest
+
+
+def _within_rows(nodes: NDArray[np.int64], weights: NDArray) -> NDArray[np.float64]:
+    """Return weights [S,27] of which those outside three consecutive nodes are 0 in every group.
+
+    The nodes with the largest sum of weights remain. In a group, a copy of a node may be far in
+    memory from a node without copies.
+
+    Args:
+        nodes: Nodes of the points [S,27].
+        weights: Their weights [S,27].
+    """
+    nodes, weights = nodes.reshape(-1, 1, 3), weights.reshape(-1, 1, 3)
+    start = np.swapaxes(nodes, 1, 2)
+    fits = (nodes >= start) & (nodes < start + 3)
+    best = np.argmax((fits * weights).sum(axis=2), axis=1)
+    kept: NDArray[np.float64] = weights[:, 0] * fits[np.arange(len(best)), best]
+    return kept.reshape(-1, 27)
 
 
 def _points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.float64]:
@@ -144,14 +194,12 @@ def _points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.float64
         points: Positions [m], outward normals and indices of bodies [S,7].
         lattice: The lattices at rest.
     """
-    nodes = (lattice.rows[:, :, None] + np.arange(3)).reshape(-1, 27)
-    cells = np.flatnonzero(np.isin(nodes, lattice.tied).any(axis=1))
+    light = lattice.tied[lattice.source[lattice.tied] == lattice.tied]
+    cells = np.flatnonzero(np.isin(lattice.nodes_of(), light).any(axis=1))
     if not len(cells) or not len(points):
         return np.zeros((0, 7))
-    first = lattice.rows[cells, 0]
-    offset = lattice.offset.reshape(-1, PER_CELL, 3)[cells]
-    x = ((lattice.index[first][:, None] + offset + 0.5) * lattice.dx).reshape(-1, 3)
-    body = np.repeat(lattice.body[first], PER_CELL)
+    x = (lattice.points_of(cells) * lattice.dx).reshape(-1, 3)
+    body = np.repeat(lattice.body[lattice.rows[cells, 0]], PER_CELL)
     count = min(CLOSEST, len(points))
     distance, near = KDTree(points[:, :3]).query(x, k=count, distance_upper_bound=lattice.dx)
     distance, near = distance.reshape(len(x), count), near.reshape(len(x), count)

@@ -17,6 +17,7 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
+from phy124.particles.pieces import find_copies, find_pieces
 from phy124.particles.seeding import MAX_PARTICLES, Particles
 from phy124.particles.solid import Solid
 
@@ -58,7 +59,7 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
         limit = f"the object would need more than {MAX_PARTICLES:,} integration points."
         raise InputError("accuracy.cells", f"{dx:.3g} m per cell", limit, "Choose fewer cells.")
     solid = _subdivide(solid, dx)
-    x, volume = integration_points(solid, dx)
+    x, volume, copies = _points_of_pieces(solid, dx)
     count = len(x)
     points = Particles(
         x=x.astype(np.float32),
@@ -66,6 +67,7 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
         density=np.full(count, float(density)),
         material=np.zeros(count, np.int32),
         gaussian=np.full(count, -1, np.int32),
+        copies=copies,
     )
     rows = surface_points(solid, dx)
     return replace(points, surface=np.concatenate([rows, np.zeros((len(rows), 1))], axis=1))
@@ -106,6 +108,7 @@ def points_of(cells: Particles, points: Particles) -> Particles:
         gaussian=points.gaussian[index],
         body=None if cells.body is None else np.repeat(cells.body, PER_CELL),
         surface=points.surface,
+        copies=None if points.copies is None else points.copies[cell],
     )
 
 
@@ -116,18 +119,33 @@ def repeat_for_points(values: NDArray | None) -> NDArray | None:
 
 def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the points of all cells [8C,3], m, and their volumes [8C], m^3; x varies slowest."""
+    x, volume, _ = _points_of_pieces(solid, dx)
+    return x, volume
+
+
+def _points_of_pieces(
+    solid: Solid, dx: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int8] | None]:
+    """Return the points of all cells [8C,3], m, their volumes [8C], m^3, and copies of nodes.
+
+    A cell with several separate pieces occurs several times, once for each piece. The copies
+    [C,27] are those of `Particles.copies`.
+    """
     index, fraction, _, shift, spread = solid.voxels
     side = solid.voxel
     middle = (index + solid.first + 0.5 + shift) * side
     place = np.floor((index + solid.first) * (side / dx) + 1e-9).astype(np.int64)
-    place = _merge_slivers(place, fraction * (side / dx) ** 3)
-    cells, cell = _cells(place)
-    count = len(cells)
-    filled = np.bincount(cell, fraction, count)
-    centre = _sums(cell, fraction[:, None] * middle, count) / filled[:, None]
-    arm = middle - centre[cell]
+    part = fraction * (side / dx) ** 3
+    place = _merge_slivers(place, part)
+    _, cell = _cells(place)
+    pieces = find_pieces(index, cell, part, _clear(solid)[tuple(index.T)], SLIVER)
+    piece = pieces.of_voxel
+    count = int(piece.max()) + 1
+    filled = np.bincount(piece, fraction, count)
+    centre = _sums(piece, fraction[:, None] * middle, count) / filled[:, None]
+    arm = middle - centre[piece]
     second = arm[:, :, None] * arm[:, None, :] + spread * side**2
-    second = _sums(cell, (fraction[:, None, None] * second).reshape(-1, 9), count)
+    second = _sums(piece, (fraction[:, None, None] * second).reshape(-1, 9), count)
     second = second.reshape(-1, 3, 3) / filled[:, None, None]
     # Equal moments have no axes of their own: the points then lie along those of the lattice.
     _, axes = np.linalg.eigh(second + np.diag([0.0, 1.0, 2.0]) * ALIGNED * dx**2)
@@ -140,7 +158,22 @@ def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], ND
     volume = filled * side**3
     kept = volume >= min(SMALLEST * dx**3, FULLEST * volume.max())
     volume = volume[kept] * (solid.volume / volume[kept].sum())
-    return x[kept].reshape(-1, 3), np.repeat(volume / PER_CELL, PER_CELL)
+    x = x[kept]
+    links = (np.cumsum(kept) - 1)[pieces.links[kept[pieces.links].all(axis=1)]]
+    # As in RestLattice, so that both count the same nodes.
+    cells = np.floor((x.astype(np.float32).astype(np.float64) / dx).mean(axis=1)).astype(np.int64)
+    copies = find_copies(cells, links, volume)
+    return x.reshape(-1, 3), np.repeat(volume / PER_CELL, PER_CELL), copies
+
+
+def _clear(solid: Solid) -> NDArray[np.bool_]:
+    """Return the voxels with more than a trace of material [X,Y,Z].
+
+    Resampling leaves voxels of almost no material around the body.
+    """
+    fullest = scipy.ndimage.maximum_filter(solid.fraction, 3, mode="constant")
+    clear: NDArray[np.bool_] = solid.fraction >= np.clip(fullest / 2, SMALLEST, TRACE)
+    return clear
 
 
 def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
@@ -149,9 +182,7 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
     The normal is zero on sheets, which have no single outward side.
     """
     index, fraction, normal, _, _ = solid.voxels
-    # Resampling leaves voxels of almost no material around the body, which are not its surface.
-    fullest = scipy.ndimage.maximum_filter(solid.fraction, 3, mode="constant")
-    filled = solid.fraction >= np.clip(fullest / 2, SMALLEST, TRACE)
+    filled = _clear(solid)
     outside = (filled & ~scipy.ndimage.binary_erosion(filled))[tuple(index.T)]
     place = np.floor((index + solid.first) * (solid.voxel / dx) + 1e-9).astype(np.int64)
     part = fraction * (solid.voxel / dx) ** 3

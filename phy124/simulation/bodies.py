@@ -29,7 +29,13 @@ from phy124.materials.fluid import Fluid
 from phy124.motion.scenery import Scenery
 from phy124.mpm import FreeBody
 from phy124.particles import Cleaning, Particles, clean, make_particles
-from phy124.particles.lattice import cells_of, lattice_of, points_of, repeat_for_points
+from phy124.particles.lattice import (
+    PER_CELL,
+    cells_of,
+    lattice_of,
+    points_of,
+    repeat_for_points,
+)
 from phy124.particles.scatter import scatter
 from phy124.particles.solid import Solid, find_interior
 from phy124.particles.thickness import Proportions, measure_proportions
@@ -400,6 +406,11 @@ def _join_particles(
         for index, each in enumerate(objects)
         if each.surface is not None
     ]
+    copies = [
+        np.zeros((len(each) // PER_CELL, 27), np.int8) if each.copies is None else each.copies
+        for each in objects
+        if each.surface is not None
+    ]
     return Particles(
         x=join("x"),
         volume=join("volume"),
@@ -408,4 +419,5 @@ def _join_particles(
         gaussian=np.concatenate(gaussian).astype(np.int32),
         body=np.repeat(np.arange(len(objects), dtype=np.int32), counts),
         surface=np.concatenate(surfaces) if surfaces else None,
+        copies=np.concatenate(copies) if any(part.any() for part in copies) else None,
     )

@@ -122,6 +122,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
                 State.of(model, v, C),
                 **wrap(scene, observers),
                 pairs=list(_pairs(model.names, scene)),
+                copies=particles.copies,
                 still=still,
                 ceiling=ceiling,
                 threads=setup.threads,
@@ -135,6 +136,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
             **wrap(scene, observers),
             pairs=list(_pairs(model.names, scene)),
             free=setup.free,
+            copies=particles.copies,
             ceiling=ceiling,
             threads=setup.threads,
         )

@@ -21,13 +21,24 @@ def block(size, low=(0, 0, 0), per=2, dx=DX):
     return Solid(first, dx / per, np.ones(counts, np.float32))
 
 
+def fork(*, prongs=2, thick=1.0, gap=0.4, root=2, long=10, wide=2, low=(0, 0, 0), per=10):
+    """Return prongs along x, one above the other, joined by a root; all lengths in cells."""
+    count = [round(n * per) for n in (root + long, wide, 2 * thick + gap)]
+    thick, step, start = round(thick * per), round((thick + gap) * per), round(root * per)
+    count[2] = max(count[2], (prongs - 1) * step + thick)
+    fraction = np.ones(count, np.float32)
+    height = np.arange(count[2])
+    fraction[start:, :, (height % step >= thick) | (height >= prongs * step)] = 0
+    return Solid(np.array([round(x * per) for x in low]), DX / per, fraction)
+
+
 def make(solid, material=SOFT, *, v=None, C=None, precision="float64", **options):
     """Return a solver of a solid's lattice."""
     points = lattice_of(solid, density=material.density, dx=DX)
     x = points.x.astype(np.float64)
     model = Model.of(x, points.volume, [material], dx=DX, precision=precision)
     motion = None if v is None else np.tile(np.asarray(v, float), (len(x), 1))
-    options = {"threads": 1, **options}
+    options = {"threads": 1, "copies": points.copies, **options}
     return LatticeSolver(model, points.surface, State.of(model, motion, C), **options)
 
 

@@ -31,18 +31,27 @@ which creates energy.
 
 
 @wp.func
+def apart(side: wp.array(dtype=int), a: int, b: int):
+    """Return whether two points belong to separate pieces whose nodes are copies."""
+    return side[a] > 0 and side[b] > 0 and side[a] != side[b]
+
+
+@wp.func
 def may_meet(
     between: bool,
     dx: Any,
     rest: wp.array(dtype=Any),
     normal: wp.array(dtype=Any),
     body: wp.array(dtype=int),
+    side: wp.array(dtype=int),
     a: int,
     b: int,
 ):
     """Return whether two points may touch: they are on different bodies or separate parts."""
     if between:
         return body[a] != body[b]
+    if apart(side, a, b):
+        return True
     way = (rest[b] - rest[a]) / dx
     square = wp.dot(way, way)
     if square > type(dx)(APART) * type(dx)(APART):
@@ -71,6 +80,7 @@ def make_flag(real: Any):
         rest: t.vec3s,
         normal: t.vec3s,
         body: Ints,
+        side: Ints,
         flagged_out: Ints,
     ):
         i = wp.tid()
@@ -86,8 +96,8 @@ def make_flag(real: Any):
                 b = sample[j]
                 still = rest[b] - rest[a]
                 closer = square < real(NEARER) * real(NEARER) * wp.dot(still, still)
-                if between or closer:
-                    if may_meet(between, dx, rest, normal, body, a, b):
+                if between or closer or apart(side, a, b):
+                    if may_meet(between, dx, rest, normal, body, side, a, b):
                         near = 1
         flagged_out[i] = near
 
@@ -147,6 +157,7 @@ def make_partner(real: Any):
         chosen: Ints,
         flat: Ints,
         body: Ints,
+        side: Ints,
         rest: t.vec3s,
         normal: t.vec3s,
         x: t.vec3s,
@@ -166,7 +177,7 @@ def make_partner(real: Any):
             b = chosen[j]
             way = here - x[j]
             distance = wp.max(wp.length(way), real(1.0e-12) * dx)
-            if distance <= least and may_meet(between, dx, rest, normal, body, a, b):
+            if distance <= least and may_meet(between, dx, rest, normal, body, side, a, b):
                 n = way / distance
                 plain = wp.dot(turned[j], turned[j]) > zero
                 if plain:

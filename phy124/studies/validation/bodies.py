@@ -159,6 +159,7 @@ def make_lattice_solver(
     model = Model.of(x, points.volume, [material], dx=dx, **of_model)
     motion = None if v is None else np.tile(np.asarray(v, float), (len(x), 1))
     assert points.surface is not None
+    options = {"copies": points.copies, **options}
     return LatticeSolver(model, points.surface, State.of(model, motion), **options)
 
 

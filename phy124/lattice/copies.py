@@ -1,0 +1,115 @@
+"""Arranges the copies of nodes in memory so that cells still touch rows of three nodes along z.
+
+A node has copies where separate pieces of a body lie in its support
+(phy124/particles/pieces.py). In a row of three nodes, a copy may follow a node that several copies
+share. Each such row is stored on its own, and repeats the shared node. A repeated node is
+tied with weight 1 to the node that it repeats, so nothing else has to distinguish it from other
+tied nodes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+
+class Layout(NamedTuple):
+    """Places in memory of D distinct nodes, of which some are repeated."""
+
+    node: NDArray[np.int64]
+    """Index of the distinct node at each place [N]."""
+    home: NDArray[np.int64]
+    """Place of each distinct node [D]; its other places repeat it."""
+    rows: NDArray[np.int64]
+    """First place of each cell's nine rows of three nodes along z [C,9]."""
+
+    @property
+    def repeats(self) -> NDArray[np.bool_]:
+        """Whether each place repeats a node that has its home elsewhere [N]."""
+        mask: NDArray[np.bool_] = self.home[self.node] != np.arange(len(self.node))
+        return mask
+
+    def repeat(
+        self,
+        tied: NDArray[np.int64],
+        ties: scipy.sparse.csr_matrix,
+        pushes: scipy.sparse.csr_matrix,
+    ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
+        """Return tied places, their ties [T,N] and the pushes [N,N]; repeated nodes are tied.
+
+        Args:
+            tied: Indices of the distinct nodes that are tied.
+            ties: Their ties [T,D].
+            pushes: Weights of pushes on distinct nodes [D,D], as in `RestLattice.pushes`.
+        """
+        count, distinct = len(self.node), len(self.home)
+        follows = np.zeros(distinct, bool)
+        follows[tied] = True
+        at_home = _ones(np.arange(distinct), self.home, (distinct, count))
+        gathered = _ones(self.node, np.arange(count), (distinct, count))
+        still = scipy.sparse.diags_array((~follows).astype(float))
+        motion = still + _ones(tied, np.arange(len(tied)), (distinct, len(tied))) @ ties
+        moved = np.flatnonzero(self.repeats | follows[self.node])
+        pushed = at_home.T @ (scipy.sparse.eye_array(distinct) + pushes) @ gathered
+        pushed = scipy.sparse.csr_matrix(pushed - at_home.T @ at_home)
+        pushed.eliminate_zeros()
+        return moved, scipy.sparse.csr_matrix((motion.tocsr() @ at_home)[self.node[moved]]), pushed
+
+
+def lay_out(index: NDArray[np.int64], copy: NDArray, cells: NDArray[np.int64]) -> Layout:
+    """Return the places in memory of nodes with copies.
+
+    Args:
+        index: Indices of the distinct nodes, sorted by x, y, z and copy [D,3].
+        copy: Number of each node's copy [D]; a node without copies has the number 0.
+        cells: The distinct nodes of each cell [C,27].
+    """
+    rows, which = np.unique(cells.reshape(-1, 3), axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    apart = copy[rows].any(axis=1)
+    chains = _chain(rows[apart])
+    first = np.flatnonzero(copy == 0)
+    lengths = np.array([len(chain) for chain in chains], np.int64)
+    node = np.concatenate([first, *chains]).astype(np.int64)
+    run = np.concatenate(
+        [np.zeros(len(first), np.int64), np.repeat(np.arange(len(chains)) + 1, lengths)]
+    )
+    order = np.lexsort((index[node, 2], run, index[node, 1], index[node, 0]))
+    place = np.empty(len(node), np.int64)
+    place[order] = np.arange(len(node))
+    # The first copies are at home in the rows of whole nodes, all others in their first chain.
+    home = np.full(len(index), len(node))
+    np.minimum.at(home, node[len(first) :], place[len(first) :])
+    home[first] = place[: len(first)]
+    start = np.empty(len(rows), np.int64)
+    start[~apart] = home[rows[~apart, 0]]
+    begin = len(first)
+    known = {}
+    for chain in chains:
+        for k in range(len(chain) - 2):
+            known[chain[k], chain[k + 1], chain[k + 2]] = place[begin + k]
+        begin += len(chain)
+    start[apart] = [known[row] for row in map(tuple, rows[apart].tolist())]
+    return Layout(node[order], home, start[which].reshape(-1, 9))
+
+
+def _chain(rows: NDArray[np.int64]) -> list[list[int]]:
+    """Join rows of three nodes that overlap by two nodes, and return lists of nodes."""
+    chains: list[list[int]] = []
+    open_ends: dict[tuple[int, int], list[int]] = {}
+    for a, b, c in rows.tolist():
+        chain = open_ends.pop((a, b), None)
+        if chain is None:
+            chain = [a, b]
+            chains.append(chain)
+        chain.append(c)
+        open_ends[b, c] = chain
+    return chains
+
+
+def _ones(rows: NDArray, columns: NDArray, shape: tuple[int, int]) -> scipy.sparse.csr_matrix:
+    """Return a matrix that is 1 at some places, and 0 elsewhere."""
+    return scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=shape)

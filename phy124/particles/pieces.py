@@ -1,0 +1,226 @@
+"""Finds the pieces of a body that share a cell or a node of its lattice without being connected.
+
+Two prongs, or a leaf and a stem, may lie in one cell, or in the support of one node, although
+they are connected only far from there. Each piece of a cell then gets integration points, and each
+connected piece in the support of a node gets a copy of the node, so that the pieces move
+independently (phantom nodes of Hansbo and Hansbo 2004, doi 10.1016/j.cma.2003.12.041; Nesme, Kry,
+Jerabkova and Faure 2009, doi 10.1145/1531326.1531358).
+
+Voxels are connected by faces, edges and corners, so that a thin slanted sheet stays whole. Parts
+that nothing connects at all, such as specks around a body, keep common nodes and move together.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+AHEAD = np.array([step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]) - 1
+"""Steps to half of the 26 neighbours; the others are the opposite steps."""
+AROUND = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+"""Steps to a cell or a node itself and to its 26 neighbours."""
+TOUCH = np.abs(AROUND[:, None] - AROUND[None]).max(axis=2) <= 1
+"""Whether two of these 27 places are neighbours, or the same [27,27]."""
+
+
+class Pieces(NamedTuple):
+    """Pieces of the cells of a body, sorted by cell."""
+
+    of_voxel: NDArray[np.int64]
+    """Index of the piece that contains each voxel [V]."""
+    links: NDArray[np.int64]
+    """Pairs of pieces that are connected [L,2]."""
+
+
+def find_pieces(
+    index: NDArray, cell: NDArray, part: NDArray, clear: NDArray[np.bool_], sliver: float
+) -> Pieces:
+    """Return the connected pieces of each cell.
+
+    Args:
+        index: Indices of the voxels that are not empty [V,3].
+        cell: Number of each voxel's cell, whose order is that of the pieces [V].
+        part: Volume of each voxel, relative to a cell [V].
+        clear: Whether a voxel connects its neighbours; voxels of a trace of material do not [V].
+        sliver: A smaller piece in a cell of several joins a piece of a neighbouring cell to which
+            it is connected, as a fraction of a cell.
+    """
+    pairs = _neighbours(index, clear)
+    same = cell[pairs[:, 0]] == cell[pairs[:, 1]]
+    count, piece = _components(pairs[same], len(index))
+    size = np.bincount(piece, part, count)
+    of = np.zeros(count, np.int64)
+    of[piece] = cell
+    joined = np.zeros(count, bool)
+    joined[piece[clear]] = True
+    order = np.lexsort((-size, ~joined, of))
+    largest = order[np.flatnonzero(np.diff(of[order], prepend=-1))]
+    target = np.arange(count)
+    if len(largest) < count:
+        links = _distinct(piece[pairs[~same]], count)
+        _, island = _components(links, count)
+        main = np.zeros(of.max() + 1, np.int64)
+        main[of[largest]] = largest
+        main = main[of]
+        alone = ~joined | (island != island[main])
+        target[alone] = main[alone]
+        several = np.bincount(of[target == np.arange(count)], minlength=of.max() + 1)[of] > 1
+        small = several & (size < sliver) & ~alone
+        a, b = np.concatenate([links, links[:, ::-1]]).T
+        fits = small[a] & (size[b] >= sliver) & ~alone[b]
+        a, b = a[fits], b[fits]
+        fullest = np.lexsort((size[b], a))
+        target[a[fullest]] = b[fullest]  # The last one, which is the fullest, remains.
+    order = np.lexsort((np.arange(count), of))
+    kept = order[(target == np.arange(count))[order]]
+    number = np.zeros(count, np.int64)
+    number[kept] = np.arange(len(kept))
+    of_voxel = number[target[piece]]
+    return Pieces(of_voxel, _distinct(of_voxel[pairs[~same]], len(kept)))
+
+
+def find_copies(cell: NDArray, links: NDArray, volume: NDArray) -> NDArray[np.int8] | None:
+    """Return which copy of each of its 27 nodes a piece uses [E,27]; None: no node has copies.
+
+    Args:
+        cell: Indices of the pieces' cells [E,3].
+        links: Pairs of pieces that are connected [L,2].
+        volume: Volumes of the pieces [E]. The largest piece in the support of a node uses the
+            node's first copy.
+    """
+    low, shape = cell.min(axis=0) - 2, np.ptp(cell, axis=0) + 5
+    keys = np.asarray(np.ravel_multi_index((cell - low).T, shape))
+    strides = np.array([shape[1] * shape[2], shape[2], 1])
+    near = np.abs(cell[links[:, 0]] - cell[links[:, 1]]).max(axis=1) <= 1
+    doubtful = _doubtful_nodes(keys, keys[links[near]], strides, int(shape.prod()))
+    nodes = keys[:, None] + AROUND @ strides
+    chosen: NDArray[np.bool_] = doubtful[nodes]
+    if not chosen.any():
+        return None
+    entry = np.full(nodes.shape, -1)
+    entry[chosen] = np.arange(chosen.sum())
+    piece = np.nonzero(chosen)[0]
+    a, b = links[chosen.any(axis=1)[links].all(axis=1)].T
+    way = cell[a][:, None] + AROUND - cell[b][:, None]
+    common = (np.abs(way) <= 1).all(axis=2) & (entry[a] >= 0)
+    link, place = np.nonzero(common)
+    pairs = np.stack(
+        [entry[a[link], place], entry[b[link], (way[link, place] + 1) @ [9, 3, 1]]], axis=1
+    )
+    count, group = _components(pairs, len(piece))
+    _, island = _components(links, len(cell))
+    rank = _rank(group, nodes[chosen], island[piece], volume[piece], count)
+    if not rank.any():
+        return None
+    copies = np.zeros(nodes.shape, np.int8)
+    copies[chosen] = rank
+    return copies
+
+
+def _doubtful_nodes(
+    keys: NDArray, linked: NDArray, strides: NDArray, count: int
+) -> NDArray[np.bool_]:
+    """Return the nodes in whose support two pieces may be separate [K].
+
+    Args:
+        keys: Flat indices of the pieces' cells [E].
+        linked: The same for pairs of linked pieces in neighbouring cells [L,2].
+        strides: Strides of the flat indices.
+        count: Number of flat indices.
+    """
+    number = np.bincount(keys, minlength=count)
+    filled = number > 0
+    odd = number > 1
+    cells = np.flatnonzero(filled)
+    first, step = np.minimum(*linked.T), np.abs(linked[:, 0] - linked[:, 1])
+    for jump in AHEAD @ strides:
+        ahead = filled[cells + jump]
+        joined = np.zeros(count, bool)
+        joined[first[step == jump]] = True
+        missing = cells[ahead & ~joined[cells]]
+        odd[missing] = odd[missing + jump] = True
+    around = AROUND @ strides
+    doubtful = np.zeros(count, bool)
+    doubtful[(np.flatnonzero(odd)[:, None] + around).ravel()] = True
+    touched = np.zeros(count, bool)
+    touched[(cells[:, None] + around).ravel()] = True
+    nodes = np.flatnonzero(touched & ~doubtful)
+    inside = (nodes[:, None] + around >= 0) & (nodes[:, None] + around < count)
+    support = filled[np.clip(nodes[:, None] + around, 0, count - 1)] & inside
+    codes, which = np.unique(support @ (1 << np.arange(27)), return_inverse=True)
+    masks = (codes[:, None] >> np.arange(27)) & 1 > 0
+    reached = np.zeros_like(masks)
+    reached[np.arange(len(masks)), masks.argmax(axis=1)] = True
+    touch = TOUCH.astype(np.float32)
+    for _ in range(len(AROUND)):
+        wider = (reached.astype(np.float32) @ touch > 0) & masks
+        if np.array_equal(wider, reached):
+            break
+        reached = wider
+    doubtful[nodes[(reached != masks).any(axis=1)[which.reshape(-1)]]] = True
+    return doubtful
+
+
+def _rank(
+    group: NDArray, node: NDArray, island: NDArray, volume: NDArray, count: int
+) -> NDArray[np.int64]:
+    """Return the copy of the node for each use of a node by a piece [K].
+
+    Args:
+        group: Connected group of each use [K]; all uses of a group are of one node.
+        node: Node of each use [K].
+        island: Connected part of the body of each use [K]; other parts than the largest in a
+            node's support use the first copy.
+        volume: Volume of the piece of each use [K].
+        count: Number of groups.
+    """
+    size = np.bincount(group, volume, count)
+    of_node, of_island = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    of_node[group], of_island[group] = node, island
+    order = np.lexsort((-size, of_node))
+    first = np.flatnonzero(np.diff(of_node[order], prepend=-1))
+    lengths = np.diff(np.append(first, count))
+    joined = of_island[order] == np.repeat(of_island[order[first]], lengths)
+    before = np.cumsum(joined)
+    rank = np.zeros(count, np.int64)
+    rank[order] = np.where(joined, before - np.repeat(before[first], lengths), 0)
+    return np.minimum(rank, np.iinfo(np.int8).max)[group]
+
+
+def _neighbours(index: NDArray, clear: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return pairs of neighbouring clear voxels [M,2], neighbours by a face, an edge or a corner.
+
+    Args:
+        index: Indices of the voxels [V,3].
+        clear: Whether a voxel may be in a pair [V].
+    """
+    low, shape = index.min(axis=0) - 1, np.ptp(index, axis=0) + 3
+    flat = np.asarray(np.ravel_multi_index((index - low).T, shape))[clear]
+    number = np.full(int(shape.prod()), -1, np.int32)
+    number[flat] = np.flatnonzero(clear)
+    pairs = []
+    for jump in AHEAD @ np.array([shape[1] * shape[2], shape[2], 1]):
+        other = number[flat + jump]
+        present = other >= 0
+        pairs.append(np.stack([number[flat[present]], other[present]], axis=1))
+    return np.concatenate(pairs).astype(np.int64)
+
+
+def _distinct(pairs: NDArray, count: int) -> NDArray[np.int64]:
+    """Return the distinct pairs [L,2] of different items among `count`, the smaller item first."""
+    low, high = np.minimum(*pairs.T), np.maximum(*pairs.T)
+    low, high = low[low < high], high[low < high]
+    graph = scipy.sparse.coo_matrix((np.ones(len(low), bool), (low, high)), shape=(count, count))
+    return np.stack(graph.tocsr().nonzero(), axis=1).astype(np.int64)
+
+
+def _components(pairs: NDArray, count: int) -> tuple[int, NDArray[np.int64]]:
+    """Return the number of connected groups of `count` items, and the group of each item."""
+    ones = np.ones(len(pairs), np.int8)
+    graph = scipy.sparse.coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    number, group = connected_components(graph, directed=False)
+    return int(number), group.astype(np.int64)
