@@ -91,13 +91,14 @@ def test_immersed_box_is_lifted_by_the_water_that_it_displaces():
     assert force == pytest.approx(DENSITY * G * 0.3**2 * depth, rel=0.05)
 
 
-def floating(density: float, bottom: float, threads: int = 1) -> LiquidSolver:
+def floating(density: float, bottom: float, threads: int = 1, **options) -> LiquidSolver:
     """A flat block of some density in a tank whose water is 0.4 m deep, 16 cells per metre."""
     half, cells = (0.15, 0.15, 0.075), 16
     body = FreeBody("block", "box", half, (0.5, 0.5, bottom + half[2]), density=density)
     x = block((0, 0, 0), (1, 1, 0.4), cells)
     x = x[(np.abs(x - body.place) >= half).any(axis=1)]
-    return liquid(x, cells, [TANK], free=[body], planes=TANK.sides(), threads=threads)
+    options |= {"free": [body], "planes": TANK.sides(), "threads": threads}
+    return liquid(x, cells, [TANK], **options)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -108,6 +109,15 @@ def test_block_of_half_the_density_stays_at_half_its_height(threads):
     assert depth == pytest.approx(0.075, abs=0.05 * 0.15)
     other = run(floating(0.5 * DENSITY, 0.325, threads), 12)
     np.testing.assert_array_equal(other.free.poses(), solver.free.poses())
+
+
+def test_block_floats_where_a_zone_adds_to_the_weight_of_water():
+    """The zone acts on the water only, so the water seems twice as dense."""
+    zone = ZoneForce(place=Region(lower=(-1, -1, -1), upper=(2, 2, 2)), a=(0, 0, -G / 2))
+    solver = floating(DENSITY, 0.325, gravity=(0, 0, -G / 2), pushes=[zone])
+    level = (solver.model.total_mass + 0.5 * solver.free.all[0].mass) / DENSITY
+    heights = [run(solver, 2).free.poses()[0, 2] - 0.075 for _ in range(12)]
+    assert level - np.mean(heights) == pytest.approx(0.075, abs=0.05 * 0.15)
 
 
 def test_momentum_of_liquid_and_solid_is_conserved():

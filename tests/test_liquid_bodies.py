@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.boundaries import Container
-from phy124.forces import Gravity
+from phy124.forces import Gravity, ZoneForce
 from phy124.liquid.mixed import MixedSolver
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Model, State
@@ -19,7 +19,9 @@ CELLS, LEVEL = 16, 6.5 / 16
 DX = 1 / CELLS
 
 
-def mixed(water, body, density, *, gravity=G, held=(), walls=(TANK,), E=1e5) -> MixedSolver:
+def mixed(
+    water, body, density, *, gravity=G, held=(), walls=(TANK,), E=1e5, pushes=()
+) -> MixedSolver:
     """Particles of water and of an elastic body, with 8 in each cell."""
     x = np.concatenate([water, body])
     number = np.repeat([0, 1], [len(water), len(body)])
@@ -29,7 +31,8 @@ def mixed(water, body, density, *, gravity=G, held=(), walls=(TANK,), E=1e5) -> 
     model = Model.of(x, volume, materials, dx=DX, material=number, body=number, **named)
     pull = [Gravity(g=(0, 0, -gravity))] if gravity else []
     tanks = [(f"tank_{index}", wall) for index, wall in enumerate(walls)]
-    options = {"forces": pull, "uniform": pull, "boundaries": list(walls), "walls": tanks}
+    options = {"uniform": pull, "boundaries": list(walls), "walls": tanks, "pushed": bool(pushes)}
+    options["forces"] = [*pull, *pushes]
     return MixedSolver(model, State.of(model), **options, threads=1)
 
 
@@ -86,6 +89,16 @@ def test_held_block_is_lifted_by_the_water_it_displaces():
     level = (level - 36 * DX**2 * 0.1875) / (1 - 36 * DX**2)
     lift = solver.pairs.wrenches(6 / 24)[0, 1].force[2]
     assert lift == pytest.approx(DENSITY * G * 36 * DX**2 * (level - 0.1875), rel=0.05)
+
+
+def test_force_on_particles_presses_the_floor_beside_bodies():
+    zone = ZoneForce(place=Region(lower=(-1, -1, -1), upper=(2, 2, 2)), a=(0, 0, -G / 2))
+    solver = with_block(DENSITY, 0.125, cells=(4, 4, 4), held=[1], gravity=G / 2, pushes=[zone])
+    run(solver, 12)
+    before = solver.impulses.wrench("tank_0_z_low").numpy()[2]
+    press = (run(solver, 24).impulses.wrench("tank_0_z_low").numpy()[2] - before) / 1.0
+    volume = solver.model.volume.numpy().sum()
+    assert press == pytest.approx(DENSITY * G * volume, rel=0.01)
 
 
 def test_momentum_of_liquid_and_body_is_conserved():
@@ -176,12 +189,14 @@ def test_steps_resolve_the_vibration_of_a_body_below_a_liquid():
 
 @pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_mixed_run_repeats_and_resumes_bit_for_bit(threads):
-    whole = Simulation(prepare(ball(), pool(), RunContext(threads=threads)))
+    zone = {"kind": "zone", "a": (2, 0, 0), "place": {"lower": (-2, -2, -2), "upper": (2, 2, 2)}}
+    scene = pool(forces=[{"kind": "gravity"}, zone])
+    whole = Simulation(prepare(ball(), scene, RunContext(threads=threads)))
     for frame in range(4):
         whole.solver.advance((frame + 1) / 24)
         if frame == 1:
             kept = whole.solver.snapshot()
-    other = Simulation(prepare(ball(), pool(), RunContext(threads=threads))).solver
+    other = Simulation(prepare(ball(), scene, RunContext(threads=threads))).solver
     other.restore(kept)
     for frame in range(2, 4):
         other.advance((frame + 1) / 24)

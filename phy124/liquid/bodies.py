@@ -86,6 +86,8 @@ class Bodies:
         self._shifts = np.full(model.bodies, np.nan)
         """Distance by which the surface of each body is shifted outwards [cells]."""
         self._limit, self._kick, self._pull = 0.0, 0.0, np.zeros(3)
+        self.pushed = False
+        """Whether forces act on particles in the substeps."""
         self.period = math.inf
         """Shortest period of vibration of the bodies that close the space below a liquid [s]."""
         stiff = np.array([_stiffness(model, body) for body in self.numbers])
@@ -130,6 +132,10 @@ class Bodies:
             return self._limit
 
         return [Stage(STAGE, record, by_run=True, limit=limit)]
+
+    def finish(self) -> None:
+        """End the substeps, after which the last pressure no longer bounds any acceleration."""
+        self._limit = 0.0
 
     def fit(self, cells: Cells) -> None:
         """Allocate the arrays of a new window."""

@@ -59,6 +59,7 @@ class MixedSolver(Solver):
         uniform: Sequence[Attachable] = (),
         boundaries: Sequence[Attachable] = (),
         walls: Sequence[tuple[str, Boundary]] = (),
+        pushed: bool = False,
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Plane] = (),
         threads: int | None = None,
@@ -73,6 +74,7 @@ class MixedSolver(Solver):
             uniform: The uniform forces among them.
             boundaries: Boundaries for the bodies.
             walls: The same boundaries, with their names, for the liquid.
+            pushed: Whether any force acts on particles.
             accumulators: Sums that are updated in every substep.
             planes: Flat walls with which free solids collide.
             threads: Number of CPU threads; None: as many as save time.
@@ -90,6 +92,7 @@ class MixedSolver(Solver):
             planes=planes, threads=threads, graph=False, **options,
         )  # fmt: skip
         self._bodies = Bodies(model, state, self.grids)
+        self._bodies.pushed = pushed
         self._liquid = LiquidSolver(
             part, _liquid_state(state, span), forces=uniform, boundaries=walls,
             ceiling=self.clock.ceiling, threads=threads, bodies=self._bodies,
@@ -101,6 +104,7 @@ class MixedSolver(Solver):
         self._after: Callable[[], None] | None = None
         self._each = False
         super().bind([*forces, self._bodies], boundaries, accumulators, planes)
+        self._liquid.bounds = self.rejection
 
     @property
     def liquid(self) -> LiquidSolver:
@@ -132,6 +136,7 @@ class MixedSolver(Solver):
         *,
         uniform: Sequence[Attachable] = (),
         walls: Sequence[tuple[str, Boundary]] = (),
+        pushed: bool = False,
     ) -> None:
         """Replace forces, boundaries and sums, from the next step on.
 
@@ -142,14 +147,18 @@ class MixedSolver(Solver):
             planes: Flat walls with which free solids collide.
             uniform: The uniform forces among the forces.
             walls: The same boundaries with their names, as the liquid meets them.
+            pushed: Whether any force acts on particles.
 
         Raises:
             InputError: As in `__init__`.
         """
         if self._liquid is not None and self._bodies is not None:
+            self._bodies.pushed = pushed
             self._liquid.bind(uniform, walls)
             forces = [*forces, self._bodies]
         super().bind(forces, boundaries, accumulators, planes)
+        if self._liquid is not None:
+            self._liquid.bounds = self.rejection
 
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
@@ -165,6 +174,7 @@ class MixedSolver(Solver):
             Unstable: A particle left the grid's window or is no longer finite.
         """
         self._after, self._each = after, each
+        self.rejection.begin(self.clock.time, until)
         self._measure_if_due()
         self.liquid.clock.time, self.liquid.clock.bodies = (
             self.clock.time,
@@ -182,6 +192,7 @@ class MixedSolver(Solver):
         ):
             self.pairs.add(wet, body, impulse, moment)
         super().advance(until, after=self._after, each=self._each)
+        self._bodies.finish()
         self.liquid.clock.bodies = self.clock.extremes.speed
 
     def renew(self) -> None:

@@ -130,7 +130,8 @@ class Phases:
         self._tracks, self._walls, self._impulses_of_walls = tracks, walls, impulses_of_walls
         self._mixture.fit(self._cells.count)
         in_cells = bool(walls.all) or self.energies.on
-        self.pushes.fit(len(self._workers), pushes, in_cells=in_cells)
+        between = self._bodies is not None and self._bodies.pushed
+        self.pushes.fit(len(self._workers), pushes, in_cells=in_cells, between=between)
         self.energies.fit(walls, tracks, impulses_of_walls, self.pushes.gains)
         names: list[str] = []
         for index, worker in enumerate(self._workers):
@@ -163,7 +164,8 @@ class Phases:
             yield "walls", launches(phase)
         for phase in self._walls.describe(cells, worker, len(self._workers), move=True):
             yield "move", launches(phase)
-        yield "scatter", self.pushes.keep(self._run(worker))
+        keep = self.pushes.keep(self._run(worker))
+        yield "scatter", [] if self._bodies else keep
         yield "scatter", self._push(pushes, worker, grid)
         yield "scatter", launches(self._solids.kick(self._tracks) if worker == 0 else [])
         yield "scatter", [*self._scatter(worker), *self.pushes.add(worker, self._run(worker))]
@@ -173,7 +175,8 @@ class Phases:
         for records in self._follow(worker):
             yield "gather", launches(records)
         if solids:
-            yield "drift", launches(self._solids.bodies.drift() if worker == 0 else [])
+            drift = launches(self._solids.bodies.drift() if worker == 0 else [])
+            yield "drift", [*keep, *drift] if self._bodies else drift
             yield "fill", launches(self._push_out(worker, stops=False))
         yield "fill", self._fill(worker, self._model.volume)
         for records in self._density_equation(worker):
@@ -376,8 +379,8 @@ class Phases:
     def _couple(self, worker: int) -> list[list[Recorded]]:
         if not self._solids.present:
             return []
-        densities = self._mixture.densities
-        return self._solids.couple(self._cells, densities, self._walls, self._tracks, worker)
+        weights = self._mixture.densities, self.pushes.gains
+        return self._solids.couple(self._cells, weights, self._walls, self._tracks, worker)
 
     def _yields(self, worker: int) -> list[Recorded]:
         if self._bodies is None:
@@ -411,7 +414,7 @@ class Phases:
         inputs = [part, self._mixture.density, self._projection.counts, cells.listed, cells.lattice]
         inputs += [cells.window, tracks.clock, tracks.values, walls.motions]
         inputs += [cells.open, cells.distances, cells.owners, self._mixture.densities]
-        inputs += [cells.phi, cells.pressure, self.pushes.gains, self._solids.first(walls)]
+        inputs += [cells.phi, cells.pressure, self.pushes.gains]
         outputs = [self._impulses_of_walls.rows(worker)]
         if self._bodies is None:
             inputs.append(len(walls.all))

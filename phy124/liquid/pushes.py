@@ -4,6 +4,9 @@ Between the centre of a cell and a wall, the pressure changes by the weight of t
 on particles acts like a weight, but it may differ between cells. The pressure resists a force in
 the same step, so the work of an impulse is its product with the mean of the velocities before the
 force and at the end of the step.
+
+In a scene with only liquids, forces act at the start of a step. In a scene with other materials,
+they act in the substeps of these materials, between two steps of the liquid.
 """
 
 from __future__ import annotations
@@ -41,21 +44,31 @@ class Pushes:
         self._model, self._state, self._cells = model, state, cells
         self.sums: wp.array | None = None
         """Sums of impulse and work of each worker [W,16]; None: they are not summed."""
+        self._v: list[wp.array] = []
         self.fit(0, (), in_cells=False)
 
-    def fit(self, workers: int, stages: Sequence[Stage], *, in_cells: bool) -> None:
+    def fit(
+        self, workers: int, stages: Sequence[Stage], *, in_cells: bool, between: bool = False
+    ) -> None:
         """Allocate the arrays for a window.
 
         Args:
             workers: Number of workers.
             stages: Stages of forces on particles.
             in_cells: Whether the velocity changes in the cells are needed.
+            between: Whether forces act on the particles between two steps.
         """
         model, t = self._model, types(self._model.real)
-        self._in_cells, self._works = bool(stages) and in_cells, bool(stages) and bool(self.sums)
+        self._between = between and in_cells
+        self._in_cells = self._between or (bool(stages) and in_cells)
+        self._works = bool(stages) and bool(self.sums)
         keeps = [self._in_cells or self._works, self._works]
         turns = self._works and not all(stage.keeps_C for stage in stages)
+        before = self._v
         self._v = [self._empty(t.vec3, keep) for keep in keeps]
+        if self._between:
+            kept = before[0] if len(before[0]) else wp.clone(self._state.v)
+            self._v[0] = kept
         self._C = [self._empty(t.mat33, turns) for _ in keeps]
         """Velocities and their gradients before and after the forces."""
         count = workers * self._cells.count if self._in_cells else 0
@@ -68,6 +81,20 @@ class Pushes:
     def keep(self, run: slice) -> list[Named]:
         """Return the launches that store velocities before forces act on a worker's particles."""
         return self._copy(0, run)
+
+    def renew(self) -> None:
+        """Forget what forces did between two steps; call this after setting velocities."""
+        if self._between:
+            wp.copy(self._v[0], self._state.v)
+
+    def snapshot(self) -> dict[str, wp.array]:
+        """Return the velocities before forces acted between two steps."""
+        return {"v": wp.clone(self._v[0])} if self._between else {}
+
+    def restore(self, snapshot: dict[str, wp.array]) -> None:
+        """Restore a snapshot."""
+        if self._between and "v" in snapshot:
+            wp.copy(self._v[0], snapshot["v"])
 
     def _copy(self, index: int, run: slice) -> list[Named]:
         """Return the launches that copy v, and C if forces change it, of a worker's particles."""

@@ -66,13 +66,18 @@ class Solids:
         return records
 
     def couple(
-        self, cells: Cells, densities: wp.array, walls: Walls, tracks: Tracks, worker: int
+        self,
+        cells: Cells,
+        weights: tuple[wp.array, wp.array],
+        walls: Walls,
+        tracks: Tracks,
+        worker: int,
     ) -> list[list[Recorded]]:
         """Return a worker's launches that come before the velocities' divergence is computed.
 
         Args:
             cells: The cells.
-            densities: Relative densities of the liquid in the cells.
+            weights: Relative densities of the liquid in the cells, and what forces add (`Pushes`).
             walls: The walls.
             tracks: Quantities that change over time.
             worker: Index of the worker.
@@ -83,8 +88,8 @@ class Solids:
         model, projection = self._model, self._projection
         part, parts = projection.part(worker)
         inputs = [part, projection.counts, cells.listed, cells.lattice, cells.window, tracks.clock]
-        inputs += [tracks.values, densities, cells.distances, cells.which, cells.jumps]
-        inputs.append(self.centres)
+        inputs += [tracks.values, weights[0], cells.distances, cells.which, cells.jumps]
+        inputs += [self.centres, weights[1]]
         lift = model.launch(kernels.make_lift(model.real), parts, inputs, [projection.sums])
         if worker > 0:
             return [[(STAGE, lift)], []]

@@ -120,6 +120,8 @@ class LiquidSolver:
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
         self.cells = Cells(model, count)
         self._bodies, self._advance_bodies = bodies, advance_bodies
+        self.bounds: StepRejection | None = None
+        """Bounds of the forces on particles in the bodies' substeps."""
         solids = len(free) + (len(bodies.numbers) if bodies else 0)
         self.projection = Projection(model, count, solids)
         self._phases = Phases(
@@ -287,6 +289,7 @@ class LiquidSolver:
     def renew(self) -> None:
         """Measure everything again; call this after setting the state from outside."""
         self._fit()
+        self._phases.pushes.renew()
         self._measure()
 
     def snapshot(self) -> dict[str, Any]:
@@ -300,6 +303,7 @@ class LiquidSolver:
             "crowding": [self.crowding, self._excess],
             **({"free": self.free.snapshot()} if self.free.all else {}),
             **({"bodies": self._bodies.snapshot()} if self._bodies else {}),
+            "pushes": self._phases.pushes.snapshot(),
             "impulses": self.impulses.snapshot(),
         }
 
@@ -321,6 +325,7 @@ class LiquidSolver:
         self._fitted = self.cells.count > 0
         if self._fitted:
             self._record()
+        self._phases.pushes.restore(snapshot["pushes"])
 
     def _seconds(self) -> float:
         """Return the total time of all stages so far [s]."""
@@ -330,8 +335,12 @@ class LiquidSolver:
         """Compute bounds of forces and of walls' speeds up to a time [s]."""
         clock, rejection = self.clock, self.rejection
         rejection.begin(clock.time, until)
-        clock.acceleration = rejection.acceleration
-        clock.wall = max(rejection.wall, self.free.fastest())
+        clock.acceleration, clock.wall = rejection.acceleration, rejection.wall
+        if self.bounds is not None:
+            self.bounds.begin(clock.time, until)
+            clock.acceleration = max(clock.acceleration, self.bounds.acceleration)
+            clock.wall = max(clock.wall, self.bounds.wall)
+        clock.wall = max(clock.wall, self.free.fastest())
 
     def _stable_step(self, until: float) -> None:
         """Take one step; its stable length divides the remaining time evenly."""

@@ -171,7 +171,8 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
     of_liquid = [(name, wall) for name, wall in named if not wall.holds and wall.object is None]
     if scene.mixes:
         uniform = [force for force in scene.acting if force.uniform]
-        return {**options, "boundaries": walls, "uniform": uniform, "walls": of_liquid}
+        acting = {"uniform": uniform, "pushed": len(uniform) < len(scene.acting)}
+        return {**options, **acting, "boundaries": walls, "walls": of_liquid}
     if scene.couples:
         return {**options, "boundaries": walls, "uniform": scene.acting, "walls": scene.boundaries}
     return {**options, "boundaries": of_liquid if scene.projects else walls}
@@ -193,7 +194,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
         from phy124.liquid.kernels import kernels as liquid_kernels
 
         solids = [body.shape or "" for body in scene.objects if body.free]
-        pushed = not scene.mixes and any(not force.uniform for force in scene.acting)
+        pushed = any(not force.uniform for force in scene.acting)
         options = {"mixed": scene.mixes, "pushed": pushed}
         yield from liquid_kernels(scene.boundaries, solids, real, form, **options)
         yield from free.kernels_of(solids, real)

@@ -3,7 +3,7 @@
 The area vector of the solid surface inside a cell is minus the sum of the open faces' area vectors,
 since the area vectors of a closed surface add up to zero. The pressure on that solid surface is the
 pressure at the cell's centre, plus the weight of the liquid between centre and wall. Forces on
-particles count as weight at fixed walls.
+particles count as weight.
 """
 
 from typing import Any
@@ -79,6 +79,25 @@ def gain_in(gains: wp.array(dtype=Any), n: int, count: int):
     return gain
 
 
+@wp.func
+def head_along(
+    way: Any,
+    axis: int,
+    kick: Any,
+    a: Any,
+    gains: wp.array(dtype=Any),
+    n: int,
+    dense: wp.array(dtype=Any),
+    dx: Any,
+):
+    """Return q at a distance `way` [m] along an axis from a cell's centre, less q at the centre."""
+    change = kick * way * a[axis] / dx * dense[n][CENTRE]
+    if gains.shape[0] > 0:
+        gain = gain_in(gains, n, dense.shape[0])
+        change += way * gain[axis] / dx * dense[n][CENTRE]
+    return change
+
+
 @build_once
 def make_gains(real: Any):
     """Kernel: adds masses, and the momenta gained since `v_kept`, to the eight nearest cells."""
@@ -112,9 +131,7 @@ def make_gains(real: Any):
 def make_wall_impulses(real: Any):
     """Kernel over parts of the listed cells: adds the impulses of pressure to `sums_out`.
 
-    `pressed_out` gets the opposite impulses, those on bodies, for walls from index `bodies` on. The
-    first `fixed` walls do not move freely; the `gains` by forces on particles count only at these
-    walls.
+    `pressed_out` gets the opposite impulses, those on bodies, for walls from index `bodies` on.
     """
     t = types(real)
 
@@ -136,7 +153,6 @@ def make_wall_impulses(real: Any):
         phi: t.reals,
         pressure: Doubles,
         gains: t.vec4s,
-        fixed: int,
         bodies: int,
         sums_out: wp.array2d(dtype=wp.float64),
         pressed_out: t.vec3s,
@@ -159,11 +175,8 @@ def make_wall_impulses(real: Any):
                     if owner >= 0:
                         way = way_to_wall(cell, axis, jump, size, distances, dx)
                         # p dt / (density dx) at the wall.
-                        head = clock[0] * way * a[axis] / dx * densities[n][CENTRE]
-                        if owner < fixed and gains.shape[0] > 0:
-                            gain = gain_in(gains, n, phi.shape[0])
-                            head += way * gain[axis] / dx * densities[n][CENTRE]
-                        here = real(pressure[n]) + head
+                        here = real(pressure[n])
+                        here += head_along(way, axis, clock[0], a, gains, n, densities, dx)
                         if phi[n] > real(0.0):
                             # The surface of a thin layer is between the wall and the centre.
                             centre = wp.abs(way) / dx

@@ -43,8 +43,7 @@ from phy124.kernels.liquid.conjugate import (
     share,
 )
 from phy124.kernels.liquid.faces import cell_of, entry, stride
-from phy124.kernels.liquid.impulses import Sums, take_row, way_to_wall
-from phy124.kernels.liquid.mixture import CENTRE
+from phy124.kernels.liquid.impulses import Sums, head_along, take_row, way_to_wall
 from phy124.kernels.liquid.walls import centre_of, wall_across
 
 
@@ -159,11 +158,13 @@ def make_lift(real: Any):
         which: Ints,
         jumps: Vectors,
         centres: Vectors,
+        gains: t.vec4s,
         sums_out: Table,
     ):
         p = part + wp.tid()
         size = window[1]
         dx = lattice[3]
+        a = wp.vector(values[0][0], values[0][1], values[0][2])
         span = share(count_of(counts), p, counts.shape[0])
         clear_rigid(sums_out, centres.shape[0], p)
         for k in range(span[0], span[1]):
@@ -175,7 +176,7 @@ def make_lift(real: Any):
                 for axis in range(3):
                     if j[axis] != wp.float64(0.0):
                         way = way_to_wall(cell, axis, -real(j[axis]), size, distances, dx)
-                        head = clock[0] * way * values[0][axis] / dx * densities[n][CENTRE]
+                        head = head_along(way, axis, clock[0], a, gains, n, densities, dx)
                         f[axis] = j[axis] * wp.float64(head)
                 arm = wide(centre_of(cell, lattice, window[0])) - centres[which[n]]
                 add_rigid(sums_out, which[n], p, f, wp.cross(arm, f))
