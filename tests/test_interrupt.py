@@ -301,7 +301,7 @@ def test_exception_between_barriers_ends_all_threads(reports, threads):
 
     run = Simulation(prepare(ball(800), SCENE, RunContext(threads=threads)))
     before = len(solving())
-    team = run.solver.team
+    team = run.solver.runner.team
     hand_over, calls = team._hand_over, 0
 
     def interrupted(task):

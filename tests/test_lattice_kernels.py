@@ -10,8 +10,9 @@ from phy124.kernels.lattice import points, work
 from phy124.kernels.lattice.stress import CLOSING, GRADIENT, SPEED
 from phy124.lattice import impulses, material, solids, workers
 from phy124.lattice import walls as lattice_walls
-from phy124.lattice.phases import MEASURE, TRIAL
+from phy124.lattice.workers import MEASURE, TRIAL
 from phy124.materials import Hencky, NeoHookean
+from phy124.mpm.workers import run_launches
 from phy124.schema.region import Region
 from support.lattices import SOFT, block, make
 
@@ -28,10 +29,10 @@ def test_simd_and_plain_stress_agree(damping):
         solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
         solver.nodes_state.lagging.assign(solver.nodes_state.v)
         solver.crew.trial_u.assign(solver.nodes_state.u)
-        solver.phases.run_task(TRIAL)
+        solver.runner.complete(TRIAL)
         solver.crew.accelerate(trial=True)
         forces.append(solver.crew.trial_a.numpy().copy())
-        solver.phases.run_task(MEASURE)
+        solver.runner.complete(MEASURE)
         limits.append(solver.crew.take_maxima())
     assert np.abs(forces[0] - forces[1]).max() < 2e-6 * np.abs(forces[1]).max()
     for which in (GRADIENT, CLOSING):
@@ -50,7 +51,7 @@ def test_simd_and_plain_points_agree():
         solver.nodes_state.u.assign(0.02 * rng.normal(size=(solver.nodes, 3)))
         solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
         for worker in solver.workers:
-            worker.run(solver.crew.locate(worker))
+            run_launches({}, solver.crew.locate(worker))
         assert (solver.state.v.numpy() == solver.crew._kept.numpy()).all()
         located = solver.state.x.numpy().copy(), solver.state.v.numpy().copy()
         solver.follow()

@@ -10,7 +10,7 @@ from support.lattices import DX, SOFT, block, make
 
 def test_all_threads_look_for_the_frequency_at_rest():
     solver = make(block((0.2, 0.2, 0.2)), threads=2)
-    assert solver.team.seconds[1] > 0
+    assert solver.runner.team.seconds[1] > 0
 
 
 def test_frequency_without_a_trial_stays():
@@ -27,7 +27,7 @@ def test_frequency_follows_a_squeezed_body():
     solver.nodes_state.u.assign((squeezed - 1) * solver.lattice.x)
     at_rest = solver.spectrum.square
     for _ in range(30):
-        solver.workers[0].run(solver.workers[0].phases[0])
+        solver.workers[0].run(0)
         solver._measure_frequency()
     # dP/ds of mu (s - 1/s) + lam log(J) / s along each axis, with J = s^3.
     lam, mu = 0.3 / (1.3 * 0.4), 1 / 2.6

@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 from phy124.lattice.energies import Energies
 from phy124.lattice.meetings import Meetings
 from phy124.lattice.motion import make_nodes
-from phy124.lattice.phases import MEASURE, TRIAL, Phases
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.shock import COLLAPSED, STALLED, LatticeClock, in_shock_only, largest_calm_rate
 from phy124.lattice.solids import Solids
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
 from phy124.lattice.walls import Boundary, Walls
-from phy124.lattice.workers import Crew
+from phy124.lattice.workers import MEASURE, TRIAL, Crew
 from phy124.mpm.free import FreeBody
 from phy124.mpm.grid import Grid, Unstable
 from phy124.mpm.model import Model, State
@@ -35,11 +34,11 @@ from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pair, Pairs
 from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
+from phy124.mpm.runner import Runner
 from phy124.mpm.stage import Accumulator, Attachable, Named, Stage, launches
-from phy124.mpm.threads import Team
 from phy124.mpm.timestep import MEASURE_EVERY, STRAIN_PER_STEP
 from phy124.mpm.tracks import Tracks
-from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_workers
+from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_launches, run_timed, usable_workers
 
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
@@ -120,7 +119,7 @@ class LatticeSolver:
         count = usable_workers(len(model), model.device, threads)
         self.crew = Crew(model, self.state, self.lattice, self.nodes_state, count, vectors=vectors)
         self.workers = self.crew.workers
-        self.phases, self.energies = Phases(self.workers), Energies(self)
+        self.runner, self.energies = Runner(count, self._run_task, self.timings), Energies(self)
         self.grid = Grid(model.origin, model.dx, real=model.real, device=model.device)
         self.grid.size = np.ptp(self.lattice.index, axis=0) + 1
         self.pairs = Pairs(model, pairs, 1)
@@ -131,9 +130,9 @@ class LatticeSolver:
         """Further contact, with launches like those of walls."""
         self.softened = 1.0
         """Factor by which all stiffnesses are currently scaled."""
-        nodes, lattice, run_task = self.nodes_state, self.lattice, self.phases.run_task
-        with self.phases.on_threads():
-            self.spectrum = Spectrum(model, self.crew, nodes, lattice, lambda: run_task(TRIAL))
+        nodes, lattice, complete = self.nodes_state, self.lattice, self.runner.complete
+        with self.runner.on_threads():
+            self.spectrum = Spectrum(model, self.crew, nodes, lattice, lambda: complete(TRIAL))
         """The largest frequency of the bodies, which limits the substep."""
         self.substep_at_rest = self.clock.cfl * self.spectrum.substep_at_rest
         """Length of a substep of the undeformed bodies [s]."""
@@ -248,11 +247,6 @@ class LatticeSolver:
         return ()
 
     @property
-    def team(self) -> Team[int]:
-        """The threads of the workers."""
-        return self.phases.team
-
-    @property
     def timings(self) -> Timings:
         """Seconds and launches of each stage, in the first thread."""
         return self.workers[0].timings
@@ -273,7 +267,10 @@ class LatticeSolver:
         del each
         self.rejection.begin(self.clock.time, until)
         self.clock.interval = min(self.clock.interval, self._interval())
-        with self._threads():
+        if len(self.workers) > 1:
+            # Loading kernels is not thread-safe: this loads those of the measurement.
+            self.measure_if_due()
+        with self.runner.on_threads():
             while self.clock.time < until:
                 self._stable_step(until)
                 if after is not None:
@@ -282,7 +279,7 @@ class LatticeSolver:
 
     def follow(self) -> None:
         """Compute x, v, C and F of the points from the nodes."""
-        self.workers[0].run(self.crew.follow())
+        run_launches(self.timings, self.crew.follow())
 
     def carry_nodes(
         self, carry: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]], body: int = 0
@@ -340,8 +337,8 @@ class LatticeSolver:
 
     def _shorten(self, drift: float) -> float:
         """Return a time of at most `drift` [s] in which no point is squeezed too much."""
-        self.phases.join()
-        self.phases.run_task(MEASURE)
+        self.runner.join()
+        self.runner.complete(MEASURE)
         # They are not reset: where the stress measures, the end of the substep reads them, too.
         speed, gradient, self.clock.closing = self.crew.maxima()
         self.clock.extremes = self.clock.extremes._replace(speed=speed, gradient=gradient)
@@ -360,24 +357,32 @@ class LatticeSolver:
         if self.tracks.vary:
             run_timed(self.timings, "tracks", self._sample.launch)
         for phase in range(len(self.workers[0].phases) - 1):
-            self.phases.run(phase)
+            self.runner.run(phase)
             if self._probing and phase == self._summed:
                 self._measure_frequency()
 
     def end_step(self, drift: float) -> None:
         """Move the nodes over `drift` [s]."""
-        self.phases.run(len(self.workers[0].phases) - 1)
-        self.phases.join()
+        self.runner.run(len(self.workers[0].phases) - 1)
+        self.runner.join()
         self.clock.finish(drift)
         if self.crew.measuring:
             self._read(drift)
+
+    def _run_task(self, member: int, task: int) -> None:
+        """Run a phase or another task of a worker."""
+        self.workers[member].run(task)
+
+    def _run_task(self, member: int, task: int) -> None:
+        """Run a phase or another task of a worker."""
+        self.workers[member].run(task)
 
     def _threads(self) -> AbstractContextManager[None]:
         """Return a context within which each worker runs on its own thread."""
         if len(self.workers) > 1:
             # Loading kernels is not thread-safe: this loads those of the measurement.
             self.measure_if_due()
-        return self.phases.on_threads()
+        return self.runner.on_threads()
 
     def measure_if_due(self) -> bool:
         """Measure the limits of the substep if necessary; return whether they were measured."""
@@ -389,7 +394,7 @@ class LatticeSolver:
     def _measure(self) -> None:
         """Measure the limits of the substep; raises Unstable."""
         if not self.crew.measuring or not self.clock.substeps:
-            self.phases.run_task(MEASURE)
+            self.runner.complete(MEASURE)
             self._read(self.clock.time - self._measured)
             self._measured = self.clock.time
         clock = self.clock
@@ -446,7 +451,7 @@ class LatticeSolver:
     def _measure_frequency(self) -> None:
         """Measure the largest frequency; call this after forces are summed and before they act."""
         self._probing, self._strain, self._probed = False, 0.0, self.clock.substeps
-        self.phases.join()
+        self.runner.join()
         run_timed(self.timings, "frequency", self.spectrum.follow)
         extremes = self.clock.extremes
         stiffness = max(self.spectrum.stiffness, extremes.stiffness)

@@ -8,7 +8,6 @@ order of the workers, so that a run repeats bit for bit with the same number of 
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
@@ -28,9 +27,11 @@ from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Group, Model, State
 from phy124.mpm.stage import Named, Recorded, launches
 from phy124.mpm.tracks import Tracks
-from phy124.mpm.workers import Timings
+from phy124.mpm.workers import Timings, run_launches
 from phy124.particles.lattice import PER_CELL
 
+MEASURE, TRIAL = -1, -2
+"""Two tasks in addition to the phases: measure the motion, and compute the forces of a trial."""
 LINE = 16
 """Numbers per cache line; no two workers write to the same line."""
 
@@ -65,16 +66,13 @@ class Worker:
     """Launches that update the state of its points."""
     timings: Timings = field(default_factory=dict)
 
-    def run(self, named: Sequence[Named]) -> None:
-        """Run launches; the time between two launches counts towards the later launch."""
-        before = time.perf_counter()
-        for name, launch in named:
-            launch()
-            after = time.perf_counter()
-            entry = self.timings.setdefault(name, [0.0, 0])
-            entry[0] += after - before
-            entry[1] += 1
-            before = after
+    def run(self, task: int) -> None:
+        """Run a phase, `MEASURE` or `TRIAL`."""
+        if task == TRIAL:  # The stage `frequency` includes the time of trials.
+            for _, launch in self.trials:
+                launch()
+        else:
+            run_launches(self.timings, self.measures if task == MEASURE else self.phases[task])
 
 
 class Crew:

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, ClassVar
 
@@ -42,8 +41,8 @@ from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pairs
 from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
+from phy124.mpm.runner import Runner
 from phy124.mpm.stage import Named, launches
-from phy124.mpm.threads import Team
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import (
     FOLLOW,
@@ -134,7 +133,7 @@ class LiquidSolver:
             self.free,
             bodies,
         )
-        self.team = Team[int](count, self._run_member)
+        self.runner = Runner(count, self._run_task, self.timings)
         self.clock.diffuse(self._phases.fastest_diffusion)
         self._kick = 0.0
         """Duration over which the current pressure acted [s]."""
@@ -232,7 +231,7 @@ class LiquidSolver:
         self._fit()
         started, named = time.perf_counter(), self._seconds()
         self._begin(until)
-        with self._threads():
+        with self.runner.on_threads():
             while self.clock.time < until:
                 self._stable_step(until)
                 if after is not None:
@@ -257,7 +256,7 @@ class LiquidSolver:
             self._move_walls(ahead=drift / 2)
         self._group("scatter")
         if self._bodies is not None:
-            self._join()
+            self.runner.join()
             pull = np.asarray(self.tracks.values.numpy()[0, :3], np.float64)
             self._bodies.plan(kick, pull)
         if self._phases.viscosity > 0:
@@ -268,7 +267,7 @@ class LiquidSolver:
         self._group("gather")
         if self.projection.solids:
             self._group("drift")
-            self._join()
+            self.runner.join()
             if self._bodies is not None and self._advance_bodies is not None:
                 rows = self.impulses.rows(0)
                 densities = self._phases.densities
@@ -278,7 +277,7 @@ class LiquidSolver:
         self._group("fill")
         self._solve("packing", LOOSE)
         self._group("displace")
-        self._join()
+        self.runner.join()
         for name, launch in self._ending:
             run_timed(self.timings, name, launch)
         run_timed(self.timings, REPAIR, lambda: self.repair.substep(clock))
@@ -367,7 +366,7 @@ class LiquidSolver:
         self._kick = kick
 
     def _solve(self, name: str, tolerance: float) -> None:
-        self.projection.solve(self._run, self._phases.group(name)[0], tolerance)
+        self.projection.solve(self.runner.run, self._phases.group(name)[0], tolerance)
 
     def _move_walls(self, ahead: float = 0.0) -> None:
         """Update the walls' geometry in the cells, after walls have moved.
@@ -375,52 +374,27 @@ class LiquidSolver:
         Args:
             ahead: Time for which bodies of other materials move on before [s].
         """
-        self._join()
+        self.runner.join()
         run_timed(self.timings, "walls", self.cells.restore_walls)
         self.walls.centre(self.cells)
         _launch_all(self._following)
         self._group("move")
         if (bodies := self._bodies) is not None:
-            self._join()
+            self.runner.join()
             describe = partial(bodies.describe, self.cells, self.walls, ahead)
             run_timed(self.timings, "bodies", describe)
 
     def _group(self, name: str) -> None:
         """Run all phases of a group."""
         for phase in self._phases.group(name):
-            self._run(phase)
+            self.runner.run(phase)
 
-    def _run(self, phase: int) -> None:
-        """Run a phase after all threads have reached it."""
-        if self.team.alive:
-            run_timed(self.timings, "wait", lambda: self.team.put(phase))
-            self.workers[0].run(phase)
-        else:
-            for worker in self.workers:
-                worker.run(phase)
-
-    def _join(self) -> None:
-        """Wait until the other threads have finished."""
-        if self.team.alive:
-            run_timed(self.timings, "wait", self.team.join)
-
-    def _run_member(self, member: int, phase: int) -> None:
-        """Run a phase in one of the other threads."""
-        if phase == EXTENT:
+    def _run_task(self, member: int, task: int) -> None:
+        """Run a phase of a worker, or measure the extent of its particles."""
+        if task == EXTENT:
             _launch_all(self._extents[member])
         else:
-            self.workers[member].run(phase)
-
-    @contextmanager
-    def _threads(self) -> Iterator[None]:
-        """Run each worker on its own thread within this context."""
-        if len(self.workers) == 1:
-            yield
-            return
-        # Recording loads every kernel, which is not thread-safe later.
-        self._fit()
-        with self.team.running():
-            yield
+            self.workers[member].run(task)
 
     def _fit(self) -> None:
         """Measure the particles before the first step, and fit the window to them."""
@@ -435,7 +409,7 @@ class LiquidSolver:
         Raises:
             Unstable: A particle is not finite, or too far away.
         """
-        run_timed(self.timings, "measure", self._measure_extents)
+        run_timed(self.timings, "measure", lambda: self.runner.complete(EXTENT))
         rows = np.asarray(self._phases.extents.numpy(), np.float64).max(axis=0)
         lost = int(self._phases.stray.numpy()[0])
         if lost:
@@ -443,15 +417,6 @@ class LiquidSolver:
         self.clock.set_speed(math.sqrt(max(rows[6], 0.0)))
         if self.cells.fit(*self._bound(-rows[:3], rows[3:6])):
             run_timed(self.timings, WINDOW, self._record)
-
-    def _measure_extents(self) -> None:
-        if self.team.alive:
-            self.team.put(EXTENT)
-            _launch_all(self._extents[0])
-            self.team.join()
-        else:
-            for extent in self._extents:
-                _launch_all(extent)
 
     def _bound(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
         """Return the corners of all particles [m], or of most of them if a few are too far away."""

@@ -10,8 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -29,9 +28,9 @@ from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pair, Pairs
 from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
+from phy124.mpm.runner import Runner
 from phy124.mpm.stage import Accumulator, Attachable
 from phy124.mpm.substep import Gathered, Recorder
-from phy124.mpm.threads import Team
 from phy124.mpm.timestep import Maxima
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import (
@@ -133,7 +132,7 @@ class Solver:
         """Whether a window has moved since the launches were recorded."""
         self.softened = 1.0
         """Factor by which all stiffnesses are currently scaled."""
-        self.team = Team[int](count, self._run_member)
+        self.runner = Runner(count, self._run_task, self.timings)
         self._graph = Graph(model, self.clock, self.grids[0], self.workers[0], self._stray)
         self.bind(forces, boundaries, accumulators, planes)
         self._record_measures()
@@ -211,7 +210,10 @@ class Solver:
         # The forces and walls of this frame may require more frequent measurements.
         if not self.clock.due:
             self.clock.interval = min(self.clock.interval, self._safe_interval())
-        with self._threads():
+        if len(self.workers) > 1:
+            # The measurement loads every kernel, which is not thread-safe later.
+            self._measure_if_due()
+        with self.runner.on_threads():
             while self.clock.time < until:
                 if each or not self._run_graph(until):
                     self._stable_step(until)
@@ -232,8 +234,8 @@ class Solver:
         """Take one substep: velocities change over `kick` [s], positions and F over `drift` [s]."""
         self._measure_if_due()
         self._scatter(kick, drift)
-        self._run(GATHER)
-        self._join()
+        self.runner.run(GATHER)
+        self.runner.join()
         self.clock.finish(drift)
 
     def renew(self) -> None:
@@ -307,11 +309,11 @@ class Solver:
                 # A rejected trial has scattered, and no gather has cleared the momenta.
                 self.grid.momenta.zero_()
             self._scatter((self.clock.last_dt + dt) / 2, dt)
-            self._join()
+            self.runner.join()
 
         dt, violent = self.rejection.attempt(dt, scatter, self.grids)
-        self._run(GATHER)
-        self._join()
+        self.runner.run(GATHER)
+        self.runner.join()
         self.clock.finish(dt, violent=violent)
         return dt
 
@@ -321,42 +323,17 @@ class Solver:
         if self.tracks.vary:
             run_timed(self.timings, "tracks", self._sample.launch)
         for phase in range(len(self.workers[0].phases) - 1):
-            self._run(phase)
+            self.runner.run(phase)
 
-    def _run(self, phase: int) -> None:
-        """Run a phase after all threads have reached it."""
-        if self.team.alive:
-            run_timed(self.timings, "wait", lambda: self.team.put(phase))
-            self.workers[0].run(phase)
-        else:
-            for worker in self.workers:
-                worker.run(phase)
-
-    def _join(self) -> None:
-        """Wait until the other threads have finished."""
-        if self.team.alive:
-            run_timed(self.timings, "wait", self.team.join)
-
-    def _run_member(self, member: int, phase: int) -> None:
-        """Run a phase in one of the other threads."""
+    def _run_task(self, member: int, task: int) -> None:
+        """Run a phase of a worker, or one of its measurements."""
         worker = self.workers[member]
-        if phase == MEASURE:
-            run_timed(worker.timings, "measure", worker.measure)
-        elif phase == GLANCE:
-            run_timed(worker.timings, "measure", worker.glance)
+        if task == MEASURE:
+            worker.measure()
+        elif task == GLANCE:
+            worker.glance()
         else:
-            worker.run(phase)
-
-    @contextmanager
-    def _threads(self) -> Iterator[None]:
-        """Run each worker on its own thread within this context."""
-        if len(self.workers) == 1:
-            yield
-            return
-        # The measurement loads every kernel, which is not thread-safe later.
-        self._measure_if_due()
-        with self.team.running():
-            yield
+            worker.run(task)
 
     def _run_graph(self, until: float) -> bool:
         """Take substeps on the device; return False if the host must take the next substep."""
@@ -465,12 +442,7 @@ class Solver:
 
     def _each_worker(self, task: int) -> None:
         """Let all workers measure; raises Unstable if a particle is not finite."""
-        if self.team.alive:
-            self.team.put(task)
-        for worker in self.workers[:1] if self.team.alive else self.workers:
-            (worker.measure if task == MEASURE else worker.glance)()
-        if self.team.alive:
-            self.team.join()
+        self.runner.complete(task)
         lost = int(self._stray.numpy()[0])
         if lost:
             raise Unstable(f"{lost} particles are NaN or infinite")

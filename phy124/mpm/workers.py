@@ -105,15 +105,8 @@ class Worker:
     timings: Timings = field(default_factory=dict)
 
     def run(self, phase: int) -> None:
-        """Run one phase of a substep; time between two launches counts towards the later launch."""
-        before = time.perf_counter()
-        for name, launch in self.phases[phase]:
-            launch()
-            after = time.perf_counter()
-            entry = self.timings.setdefault(name, [0.0, 0])
-            entry[0] += after - before
-            entry[1] += 1
-            before = after
+        """Run one phase of a substep."""
+        run_launches(self.timings, self.phases[phase])
 
     def measure(self) -> None:
         """Measure the limits of the substep and the extent of the worker's particles."""
@@ -320,6 +313,18 @@ def run_timed(timings: Timings, name: str, work: Callable[[], Result]) -> Result
     entry[0] += time.perf_counter() - start
     entry[1] += 1
     return result
+
+
+def run_launches(timings: Timings, named: Sequence[Named]) -> None:
+    """Run launches; the time between two launches counts towards the later launch."""
+    before = time.perf_counter()
+    for name, launch in named:
+        launch()
+        after = time.perf_counter()
+        entry = timings.setdefault(name, [0.0, 0])
+        entry[0] += after - before
+        entry[1] += 1
+        before = after
 
 
 def layers(x: NDArray, axis: int, dx: float) -> NDArray[np.int16]:

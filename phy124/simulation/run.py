@@ -77,7 +77,7 @@ class Simulation:
             self.solver = make_solver(setup, self.observers)
             for observer in self.observers:
                 observer.bind(self.solver, self.observers)
-            self.spent = Spent(self.solver.team, self.device)
+            self.spent = Spent(self.solver.runner.team, self.device)
         self.count = 0
         """Number of frames computed so far."""
         self.frames: list[Frame] = []

@@ -37,7 +37,7 @@ def seconds(solver: Solver) -> tuple[float, float]:
     """Processor time and duration of a number of substeps [s]."""
     start, begun = time.process_time(), time.perf_counter()
     dt = 0.4 * DX / 12
-    with solver._threads():
+    with solver.runner.on_threads():
         for _ in range(SUBSTEPS):
             solver.step(dt, dt)
     return time.process_time() - start, time.perf_counter() - begun
