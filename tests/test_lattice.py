@@ -49,6 +49,15 @@ def test_short_substeps_do_not_hide_an_impact():
     assert np.linalg.det(solver.state.F.numpy()).min() > 0.05
 
 
+def test_damped_body_in_flight_is_measured_by_its_stress():
+    damped = SOFT.model_copy(update={"damping": 50.0})
+    solver = make(block((0.2, 0.2, 0.2)), damped, v=(0, 0, 4.0), precision="float32")
+    solver.advance(0.1)
+    name = f"stress {damped.device_law.name}"
+    assert solver.clock.substeps > 10
+    assert solver.timings[name][1] == solver.clock.substeps + 1
+
+
 def test_free_swing_keeps_its_energy():
     solver = make(block((1.0, 0.2, 0.2)))
     lattice, nodes = solver.lattice, solver.nodes_state

@@ -30,8 +30,8 @@ the speed of sound.
 IMPACT = 0.3
 """A point that moves farther than this in a substep may be squeezed too much at a wall [cells]."""
 UNSEEN = 0.6
-"""Longest way of a point between two measurements [cells]: at a wall, short substeps together
-squeeze it as much as a long one.
+"""Longest way of a point since the velocities that were last measured [cells]: at a wall, short
+substeps together squeeze it as much as a long one.
 """
 COLLAPSED = 1e-6
 """The motion is no longer sound if substeps are shorter than this fraction of the undeformed body's
@@ -41,6 +41,8 @@ STALLED = 1000
 """Number of substeps that must together last at least as long as one substep of the undeformed
 body.
 """
+KEPT = ("closing", "lasting", "seen")
+"""Further numbers of the clock's state."""
 
 
 class LatticeClock(Clock):
@@ -54,6 +56,8 @@ class LatticeClock(Clock):
     """Largest closing rate in the last measurement, and largest recent one, which decays slowly
     [1/s].
     """
+    seen = 0.0
+    """Time at which all points had the velocities that were last measured [s]."""
     _marked = (0, 0.0)
     """Number of substeps and time [s] at which the progress was last examined."""
 
@@ -90,7 +94,7 @@ class LatticeClock(Clock):
             speed: Largest speed relative to a wall [m/s].
             drift: Length of the substep [s].
         """
-        way = speed * (self.time + drift - self._last_measured)
+        way = speed * (self.time + drift - self.seen)
         return self.in_shock or speed * drift > IMPACT * self.dx or way > UNSEEN * self.dx
 
     def stalls(self, usual: float) -> bool:
@@ -107,12 +111,13 @@ class LatticeClock(Clock):
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state from which to continue, as plain data."""
-        return {**super().snapshot(), "closing": self.closing, "lasting": self.lasting}
+        return {**super().snapshot(), **{name: getattr(self, name) for name in KEPT}}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
         super().restore(snapshot)
-        self.closing, self.lasting = (snapshot.get(name, 0.0) for name in ("closing", "lasting"))
+        for name in KEPT:
+            setattr(self, name, snapshot.get(name, 0.0))
 
 
 def largest_calm_rate(materials: Sequence[Material], dx: float) -> float:

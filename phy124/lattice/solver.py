@@ -342,8 +342,12 @@ class LatticeSolver:
         # They are not reset: where the stress measures, the end of the substep reads them, too.
         speed, gradient, self.clock.closing = self.crew.maxima()
         self.clock.extremes = self.clock.extremes._replace(speed=speed, gradient=gradient)
-        self.clock.expire()
-        return min(drift, STRAIN_PER_STEP / max(gradient, 1e-30))
+        self.clock.seen = self.clock.time
+        longest = STRAIN_PER_STEP / max(gradient, 1e-30)
+        # If the stress measures, it also sees what the next substeps do.
+        if longest < drift or self.clock.in_shock or not self.crew.measuring:
+            self.clock.expire()
+        return min(drift, longest)
 
     def _fastest(self) -> float:
         """Return the largest speed of a point, a wall or a free solid [m/s]."""
@@ -368,6 +372,8 @@ class LatticeSolver:
         self.clock.finish(drift)
         if self.crew.measuring:
             self._read(drift)
+            # The stress was computed before the nodes moved.
+            self.clock.seen = max(self.clock.seen, self.clock.time - drift)
 
     def _run_task(self, member: int, task: int) -> None:
         """Run a phase or another task of a worker."""
@@ -396,7 +402,7 @@ class LatticeSolver:
         if not self.crew.measuring or not self.clock.substeps:
             self.runner.complete(MEASURE)
             self._read(self.clock.time - self._measured)
-            self._measured = self.clock.time
+            self._measured = self.clock.seen = self.clock.time
         clock = self.clock
         measured = clock.extremes._replace(stiffness=self.spectrum.stiffen(self.softened))
         passed = FORGET * clock.since_complete
