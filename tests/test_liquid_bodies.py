@@ -5,6 +5,7 @@ import pytest
 
 from phy124.boundaries import Container
 from phy124.forces import Gravity, ZoneForce
+from phy124.liquid.clock import LiquidClock
 from phy124.liquid.mixed import MixedSolver
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Model, State
@@ -182,9 +183,26 @@ def test_steps_resolve_the_vibration_of_a_body_below_a_liquid():
     run(solver, 2)
     clock = solver.liquid.clock
     assert 0.02 < clock.period < 0.1
-    steps = {1: clock.divide(1 / 24)[0], 0.1: clock.divide(0.1 * clock.period)[0]}
-    assert steps[1] <= clock.period / 4
-    assert steps[0.1] == 0.1 * clock.period
+    assert solver.liquid.clock.last_dt <= clock.period / 4
+
+
+@pytest.mark.parametrize(
+    ("period", "rest", "steps", "limiter"),
+    [
+        (0.01, 1 / 24, 1, "wave"),
+        (0.03, 1 / 24, 6, "elastic"),
+        (0.1, 1 / 24, 2, "elastic"),
+        (0.2, 1 / 24, 1, "wave"),
+        (np.inf, 0.1, 2, "wave"),
+    ],
+)
+def test_equal_steps_resolve_a_vibration_or_average_it(period, rest, steps, limiter):
+    model = Model.of(np.full((1, 3), 0.5), [DX**3], [Fluid(density=DENSITY)], dx=DX)
+    clock = LiquidClock(model)
+    clock.acceleration, clock.period = G, period
+    dt, limit = clock.divide(rest)
+    assert dt == pytest.approx(rest / steps)
+    assert limit.limiter == limiter
 
 
 @pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])
