@@ -392,6 +392,26 @@ def test_flat_top_has_one_shade():
     assert near == pytest.approx(far, abs=0.02)
 
 
+@pytest.mark.parametrize("upright", [True, False])
+def test_arcs_tell_a_drum_from_a_log(upright):
+    """A drum has arcs above and below, and stripes that go round; a log has arcs at its sides."""
+    x, y = (X - 96) / 80, Y - 96
+    if not upright:
+        x, y = y / 40, (X - 96) / 2
+    arc = (20 if upright else 8) * np.sqrt(np.clip(1 - x**2, 0, 1))
+    mask = (abs(x) < 1) & (abs(y) < 35 + arc)
+    light = (0.4 + 0.5 * np.sqrt(np.clip(1 - x**2, 0, 1)))[..., None]
+    band = np.where(((Y < 96) if upright else (X < 96))[..., None], [240, 60, 60], [60, 60, 240])
+    gaussians = relief(picture(mask, (light * band).astype(np.uint8)), count=8000)
+    depth, width, height = np.ptp(gaussians.means, axis=0)
+    assert depth == pytest.approx(width if upright else height, rel=0.15)
+    if upright:
+        behind = gaussians.select(rotation_matrices(gaussians.quats)[:, 0, 2] < -0.7)
+        upper, lower = behind.means[:, 2] > 0.1, behind.means[:, 2] < -0.1
+        assert (behind.rgb[upper, 0] > 2 * behind.rgb[upper, 2]).mean() > 0.9
+        assert (behind.rgb[lower, 2] > 2 * behind.rgb[lower, 0]).mean() > 0.9
+
+
 def test_front_of_a_rounded_block_is_its_picture(renderer):
     """Flat ends neither rise above the picture, nor is there a groove below them."""
     x, y = (X - 96) / 70, (Y - 96) / 70

@@ -105,7 +105,11 @@ def _alike(rgba: Field, axis: int) -> float:
 
 
 def plain_back(
-    picture: Field, inside: NDArray[np.bool_], size: int, rng: np.random.Generator
+    picture: Field,
+    inside: NDArray[np.bool_],
+    size: int,
+    rng: np.random.Generator,
+    turned: bool = False,
 ) -> Field:
     """Return colours of the back [H,W,3] without the features of the front.
 
@@ -114,8 +118,9 @@ def plain_back(
         inside: Mask of the silhouette [H,W].
         size: Size of the object, pixels.
         rng: Random number generator that chooses patches of texture.
+        turned: Whether the object is a solid of revolution with a vertical axis.
     """
-    smooth = smooth_back(picture, inside, size)
+    smooth = smooth_back(picture, inside, size, turned)
     return np.clip(smooth + _texture(picture, smooth, inside, rng), 0, 1)
 
 
@@ -182,11 +187,19 @@ def card_back(picture: Field, inside: NDArray[np.bool_]) -> Field:
     )
 
 
-def smooth_back(picture: Field, inside: NDArray[np.bool_], size: int) -> Field:
+def smooth_back(
+    picture: Field, inside: NDArray[np.bool_], size: int, turned: bool = False
+) -> Field:
     """Interpolate the back [H,W,3] along rows and columns between colours near the rim.
 
     Stripes therefore continue around the object, and features inside the silhouette (eyes, a beak)
     do not appear again on the back.
+
+    Args:
+        picture: Colours of the front [H,W,3], continued beyond the silhouette.
+        inside: Mask of the silhouette [H,W].
+        size: Size of the object, pixels.
+        turned: Whether the object is a solid of revolution: only rows are interpolated.
     """
     depth, _ = nearest_of(~inside)
     ridge = scipy.ndimage.maximum_filter(depth, size=2 * int(INSET * size) + 1)
@@ -195,9 +208,11 @@ def smooth_back(picture: Field, inside: NDArray[np.bool_], size: int) -> Field:
     rim = np.asarray(cv2.GaussianBlur(picture, (0, 0), 1.5), np.float64)[nearest]
     thick = _thickness(depth)
     rows, wide = _between_ends(inside, rim, thick)
-    columns, high = _between_ends(inside.T, rim.swapaxes(0, 1), thick.T)
-    across = 1 / (1 + (wide / np.maximum(high.T, 1.0)) ** SHORTER)[..., None]
-    mixed = across * rows + (1 - across) * columns.swapaxes(0, 1)
+    mixed = rows
+    if not turned:
+        columns, high = _between_ends(inside.T, rim.swapaxes(0, 1), thick.T)
+        across = 1 / (1 + (wide / np.maximum(high.T, 1.0)) ** SHORTER)[..., None]
+        mixed = across * rows + (1 - across) * columns.swapaxes(0, 1)
     smooth = cv2.GaussianBlur(np.where(inside[..., None], mixed, rim), (0, 0), 6.0)
     return np.asarray(smooth, np.float64)
 

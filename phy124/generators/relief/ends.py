@@ -22,6 +22,8 @@ FLAT = 0.2
 """Smallest width of a flat end, as a fraction of the object's width."""
 ARC = 0.15
 """Largest height of an end's arc, as a fraction of its width."""
+CURVED, STRAIGHT = 4, 2
+"""Smallest height of an arc, and largest height of a line [pixels]."""
 CORNERED = 0.92
 """Smallest ratio of the width at the start of the arc to the width twice as high above the end; a
 ball has 0.74."""
@@ -73,10 +75,11 @@ class Continued:
 def continue_silhouette(rgba: Field, padding: int) -> Continued:
     """Extend the silhouette of an image [H,W,4] that has a border of `padding` pixels."""
     alpha, ends = rgba[..., 3], []
+    standing = stands(alpha > 0.5)
     for sign in (1, -1):
         upright = alpha[::sign]
         rows = _arc(upright > 0.5)
-        if not rows or not _rises(upright > 0.5, rows):
+        if not rows or not (standing or _rises(upright > 0.5, rows)):
             continue
         if sign < 0 and _is_parted(upright > 0.5, rows):
             continue  # for example a gap between two ears
@@ -96,6 +99,15 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
         inner, outer = (row + 0.5 if sign > 0 else len(rgba) - row - 1.5 for row in (corner, last))
         ends.append(End(inner, outer, sign, _divides(upright > 0.5, rows)))
     return Continued(rgba, alpha, tuple(ends))
+
+
+def stands(solid: NDArray[np.bool_]) -> bool:
+    """Whether the outline is that of an upright cylinder: arcs at the top and the bottom, and
+    straight lines at the sides. (A cylinder that lies has arcs at its sides.)
+    """
+    arcs = _arc(solid), _arc(solid[::-1])
+    sides = _arc(solid.T), _arc(solid.T[::-1])
+    return min(arcs) >= CURVED and min(sides) > 0 and max(sides) <= STRAIGHT
 
 
 def _arc(solid: NDArray[np.bool_]) -> int:

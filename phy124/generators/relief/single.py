@@ -28,7 +28,13 @@ from phy124.generators.relief.light import fit_light, unlight
 from phy124.generators.relief.picture import PADDING, WORK, opaque_size, work_picture
 from phy124.generators.relief.shell import DRAWN_IN, Shell
 from phy124.generators.relief.sides import Box, check_back
-from phy124.generators.relief.solids import apply_depth, half_thickness, inflate, make_slab
+from phy124.generators.relief.solids import (
+    apply_depth,
+    half_thickness,
+    inflate,
+    is_turned,
+    make_slab,
+)
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
 
 CARD = 0.12
@@ -92,7 +98,10 @@ def from_front(
         if look == "plain":
             reach = _reach_behind(surface, slab=half is None)
             inside = work.alpha > 0.5
-            imagined = plain_back(unlit, inside, WORK, rng) if reach else card_back(unlit, inside)
+            lathed = half is not None and is_turned(work.object_mask)
+            imagined = (
+                plain_back(unlit, inside, WORK, rng, lathed) if reach else card_back(unlit, inside)
+            )
         walls = len(points) - sum(len(cap.points) for cap in caps)
         sides = points[:walls], normals[:walls]
         rgb = np.concatenate(

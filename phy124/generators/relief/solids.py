@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.generators.relief.ends import Continued
+from phy124.generators.relief.ends import Continued, End, stands
 from phy124.generators.relief.height import Silhouette, nearest_of
 from phy124.generators.relief.surface import Surface, View, smooth
 
@@ -31,7 +31,7 @@ WAISTED = 0.97
 """A silhouette has a waist if its area, divided by that of its convex hull, is at most this."""
 COMPACT = 1.25
 """Largest ratio of the longer to the shorter side of a convex shape that looks like a solid of
-revolution; longer shapes may lie on their side."""
+revolution; longer shapes may lie on their side, unless `stands`."""
 OVERHANG = 3.0
 """Largest ratio of depth to height of a brim; limits the depth of thin features such as wings."""
 STRAIGHT = 0.98
@@ -66,9 +66,28 @@ def inflate(
         thickness: Factor on the guessed depth.
     """
     surface = Surface.seen(silhouette.extend(thickness**2 * half), view.middle, view.distance)
-    if any(end.divided for end in picture.ends):
-        return Surface.of(_with_feet(surface.w, picture), surface.m)
-    return surface
+    if not picture.ends:
+        return surface
+    divided = any(end.divided for end in picture.ends)
+    w = _with_feet(surface.w, picture) if divided else surface.w
+    return Surface.of(w, _straighten(surface, picture.ends))
+
+
+def _straighten(surface: Surface, ends: tuple[End, ...]) -> Field:
+    """Return the midsurface [H,W] without a ridge at flat ends.
+
+    The silhouette is narrower in an end's arc, but the object is not; a ball that becomes narrower
+    has its midsurface nearer to the camera.
+    """
+    rows, widths = np.arange(len(surface.m)), np.count_nonzero(surface.w > 0, axis=1)
+    m = surface.m
+    for end in ends:
+        shoulder = round(2 * end.corner - end.outermost)
+        above = round(shoulder + end.corner - end.outermost)
+        if widths[shoulder] <= widths[above]:
+            near = (rows - shoulder) * end.sign > 0
+            m = np.where(near[:, None], np.minimum(m, np.maximum(m[shoulder], 0)), m)
+    return m
 
 
 def _with_feet(w: Field, picture: Continued) -> Field:
@@ -101,8 +120,8 @@ def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Fie
     round_ = _within(silhouette, _balls(silhouette), 0.3, 1.2, size)
     if _polygonal(picture.object_mask) and not _is_shaded(picture, round_):
         return None
-    if (lathe := _lathe(silhouette, picture)) is not None:
-        lathe = np.maximum(lathe, round_)
+    if is_turned(picture.object_mask):
+        lathe = np.maximum(_lathe(silhouette), round_)
         limit = smooth(lathe, silhouette.inside, 2.0)
         round_ = np.minimum(_within(silhouette, lathe, 0.3, 30, size), limit)
     return round_
@@ -143,9 +162,8 @@ def _balls(silhouette: Silhouette) -> Field:
     return np.where(silhouette.inside, squares, 0.0)
 
 
-def _lathe(silhouette: Silhouette, picture: Continued) -> Field | None:
-    """Return squared half thicknesses if the object looks like a vertical solid of revolution."""
-    object_mask = picture.object_mask
+def is_turned(object_mask: NDArray[np.bool_]) -> bool:
+    """Whether a silhouette [H,W] looks like a solid of revolution with a vertical axis."""
     rows = np.flatnonzero(object_mask.any(axis=1))
     low, high = (
         object_mask[rows].argmax(axis=1),
@@ -155,10 +173,15 @@ def _lathe(silhouette: Silhouette, picture: Continued) -> Field | None:
     axis = np.average(middle, weights=half)
     single = np.count_nonzero(object_mask[rows], axis=1) == high - low
     good = single & (np.abs(middle - axis) < CENTRED * half.max())
+    if good.mean() < EVERY:
+        return False
     tall = len(rows) / (2 * half.max())
-    upright = 1 / COMPACT < tall < COMPACT or _solidity(object_mask) <= WAISTED
-    if good.mean() < EVERY or not upright:
-        return None
+    compact = 1 / COMPACT < tall < COMPACT
+    return compact or _solidity(object_mask) <= WAISTED or (tall < 1 and stands(object_mask))
+
+
+def _lathe(silhouette: Silhouette) -> Field:
+    """Return squared half thicknesses of a vertical solid of revolution."""
     inside = silhouette.inside
     left, right = silhouette.sides()
     x = np.arange(inside.shape[1])
