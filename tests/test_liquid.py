@@ -120,6 +120,33 @@ def test_block_floats_where_a_zone_adds_to_the_weight_of_water():
     assert level - np.mean(heights) == pytest.approx(0.075, abs=0.05 * 0.15)
 
 
+@pytest.mark.parametrize("tilt", [0.1, 0.3])
+def test_tilted_plank_is_lifted_and_turned_back_by_the_water(tilt):
+    """The righting arm of a plank whose sides are vertical at rest is known exactly."""
+    cells, half, level, tank = 16, np.array((0.25, 0.125, 0.125)), 0.4, (1, 0.5)
+    place, turn = (0.5, 0.25, level), (np.cos(tilt / 2), 0, np.sin(tilt / 2), 0)
+    body = FreeBody("plank", "box", tuple(half), place, turn, density=1e9)
+    walls = Container(inside=Region(lower=(0, 0, 0), upper=(*tank, 9)), contact="slip")
+    x = block((0, 0, 0), (*tank, level), cells)
+    solver = liquid(x[body.measure_depth(x) < 0], cells, [walls], free=[body])
+    sums = []
+    for step in range(12):
+        # The plank is so heavy that only its own weight moves it.
+        rise = G / FPS / (2 if step == 0 else 1)
+        solver.free.put(0, (place, turn, (0, 0, rise), (0, 0, 0)))
+        sums.append(np.array(run(solver, 1).free.total(0).numpy()[:6]))
+    push = (sums[5] - sums[-1]) * FPS / 6
+    torque = push[3:] - np.cross(place, push[:3])
+    across, area, c = 2 * half[0], 4 * half[0] * half[1], np.cos(tilt)
+    volume = solver.model.total_mass / DENSITY
+    height = (volume + area * (half[2] - level / c)) / (np.prod(tank) - area / c)
+    draught = (height - level) / c + half[2]
+    assert push[2] == pytest.approx(DENSITY * G * area * draught, rel=0.05)
+    metacentre = across**2 / (12 * draught) * (1 + np.tan(tilt) ** 2 / 2)
+    arm = np.sin(tilt) * (metacentre + draught / 2 - half[2])
+    assert -torque[1] / push[2] == pytest.approx(arm, abs=0.15 / cells)
+
+
 def test_momentum_of_liquid_and_solid_is_conserved():
     """Without walls and gravity, a solid that hits a blob moves it."""
     x = block((0, 0, 0), (0.5, 0.5, 0.5), 16)
