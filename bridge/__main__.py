@@ -54,11 +54,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         sys.stderr.write(STOPPED)
         return 130
-    except MemoryError as problem:
+    except (MemoryError, ValueError) as problem:
         from phy124.runtime.failures import failure
 
-        print(f"bridge: {failure(problem).sentence}", file=sys.stderr)
-        return 1
+        cause = failure(problem)
+        print(f"bridge: {cause.sentence}", file=sys.stderr)
+        return cause.status
 
 
 if __name__ == "__main__":

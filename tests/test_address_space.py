@@ -11,9 +11,11 @@ resource = pytest.importorskip("resource")
 from phy124.runtime.memory import NEEDED, THREADS, refuse_narrow  # noqa: E402
 
 
-def limited(kilobytes: int, words: str, **options) -> subprocess.CompletedProcess[str]:
+def limited(
+    kilobytes: int, words: str, which: str = "v", **options
+) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        ["bash", "-c", f"ulimit -v {kilobytes}; exec {sys.executable} {words}"],
+        ["bash", "-c", f"ulimit -{which} {kilobytes}; exec {sys.executable} {words}"],
         check=False,
         capture_output=True,
         text=True,
@@ -29,6 +31,15 @@ def test_too_small_address_space_is_refused_in_a_sentence(program):
     assert run.returncode == 1
     (line,) = run.stderr.splitlines()
     assert "there is not enough memory (`ulimit -v` allows 0.7 GB" in line
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems have other limits")
+@pytest.mark.parametrize("program", ["-m phy124 scenes", "-m bridge info none", "app.py"])
+def test_too_small_stack_is_refused_in_a_sentence(program):
+    run = limited(256, program, "s")
+    assert run.returncode == 2
+    (line,) = run.stderr.splitlines()
+    assert "ulimit -s = 256: a run needs a stack of at least 512 kB. Start a new shell" in line
 
 
 def test_any_limit_saves_addresses(monkeypatch):

@@ -300,3 +300,5 @@ def test_help_states_values_and_no_python(capsys):
     text = capsys.readouterr().out
     assert "--frames INT" in text and "{draft,standard,fine}" in text
     assert "None" not in text
+    assert "(default: press)" in text
+    assert all(default not in text for default in ("False)", "absent)", "default: )"))

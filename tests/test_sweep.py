@@ -2,6 +2,7 @@
 
 import heapq
 import json
+import sys
 import tarfile
 import tracemalloc
 from collections import Counter
@@ -259,6 +260,12 @@ def test_the_clips_are_read_one_by_one(made):
         data[6]
     with pytest.raises(InputError, match="no results of a sweep"):
         Dataset(str(made / "clips"))
+
+
+def test_a_missing_folder_is_refused_even_without_pyarrow(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(InputError, match="no results of a sweep"):
+        read_manifest(Storage(str(tmp_path / "none")))
 
 
 def test_results_may_be_anywhere_that_fsspec_knows(balls, made):

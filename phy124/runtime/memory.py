@@ -1,4 +1,4 @@
-"""Measures the memory available to this process, and refuses a `ulimit -v` that is too small."""
+"""Measures the memory available to this process, and refuses limits that are too small."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from phy124.errors import InputError
 from phy124.runtime.cgroups import memory_left
 
 try:
@@ -88,6 +89,8 @@ def _of_process() -> float:
 
 NEEDED = 1.2e9
 """Address space that the libraries, the kernels and a small object take, as measured [bytes]."""
+STACK = 512 << 10
+"""Stack that runs and the compilation of kernels need [bytes]; a run crashes with half of it."""
 THREADS = "OPENBLAS_NUM_THREADS"
 
 
@@ -105,15 +108,22 @@ def share_heap() -> None:
 
 
 def refuse_narrow() -> None:
-    """Refuse an address-space limit that is too small; this must be called before importing NumPy.
+    """Refuse limits of stack or address space that are too small, before NumPy is imported.
 
-    Under any larger limit, OpenBLAS gets a single thread, because each thread allocates buffers.
+    Under any other limit of the address space, OpenBLAS gets a single thread, because each thread
+    allocates buffers.
 
     Raises:
-        MemoryError: The limit is too small.
+        InputError: The limit of the stack is too small; native code would crash.
+        MemoryError: The limit of the address space is too small.
     """
     if resource is None:
         return
+    stack, _ = resource.getrlimit(resource.RLIMIT_STACK)
+    if stack != resource.RLIM_INFINITY and stack < STACK:
+        limit = f"a run needs a stack of at least {STACK >> 10} kB."
+        remedy = "Start a new shell, or run `ulimit -s 8192`."
+        raise InputError("ulimit -s", stack >> 10, limit, remedy)
     most, _ = resource.getrlimit(resource.RLIMIT_AS)
     if most == resource.RLIM_INFINITY:
         return

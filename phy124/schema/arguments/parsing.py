@@ -13,6 +13,7 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from functools import reduce
+from importlib import import_module
 from operator import or_
 from types import NoneType, UnionType
 from typing import Any, Union, get_args
@@ -31,8 +32,6 @@ NARROWEST = 40
 SIMILAR = 0.75
 """Minimum similarity, 0 to 1, at which a known option is suggested for an unknown one."""
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
-ABSENT = "absent"
-"""Default of an option without a value, in help texts."""
 Commands = Mapping[str, type]
 
 
@@ -69,7 +68,8 @@ def parse(
     name = arguments[0]
 
     def parse_once() -> Any:
-        with _translate_errors(arguments, commands, program), _ensure_width():
+        translate = _translate_errors(arguments, commands, program)
+        with translate, _ensure_width(), _no_empty_defaults():
             return tyro.extras.subcommand_cli_from_dict(
                 {name: commands[name]} if name in commands else dict(commands),
                 prog=program,
@@ -108,7 +108,7 @@ def _registry() -> Any:
         return replace(
             spec,
             is_instance=lambda value: value is None or known(value),
-            str_from_instance=lambda value: [ABSENT] if value is None else text(value),
+            str_from_instance=lambda value: [] if value is None else text(value),
         )
 
     return registry
@@ -142,20 +142,54 @@ def _translate_errors(arguments: Sequence[str], commands: Commands, program: str
 @contextmanager
 def _no_help_texts() -> Iterator[None]:
     """Keep the parser from searching the source code for help texts, since this is slow."""
+    wrappers = {
+        "get_field_docstring": lambda _: lambda *_: None,
+        "get_callable_description": lambda _: lambda _: "",
+    }
+    with _wrap_functions("_docstrings", wrappers):
+        yield
+
+
+@contextmanager
+def _no_empty_defaults() -> Iterator[None]:
+    """Leave defaults that say nothing out of help texts: False of flags, None, and empty lists."""
+
+    def wrap(describe: Callable[..., Any]) -> Callable[..., Any]:
+        def describe_briefly(argument: Any, *rest: Any, **options: Any) -> Any:
+            field = argument.field
+            empty = field.default is False or field.default is None or field.default == ()
+            if empty and field.argconf.help_behavior_hint is None:
+                brief = replace(field.argconf, help_behavior_hint="")
+                argument = replace(argument, field=replace(field, argconf=brief))
+            return describe(argument, *rest, **options)
+
+        return describe_briefly
+
+    with _wrap_functions("_arguments", {"generate_argument_helptext": wrap}):
+        yield
+
+
+@contextmanager
+def _wrap_functions(module: str, wrappers: Mapping[str, Callable[[Any], Any]]) -> Iterator[None]:
+    """Replace functions of a module of tyro within this context, if this version has them.
+
+    Args:
+        module: The module's name.
+        wrappers: Name of a function -> returns the replacement of the function.
+    """
     try:
-        from tyro import _docstrings
-    except ImportError:  # another version of tyro
+        place = import_module(f"tyro.{module}")
+    except ImportError:
         yield
         return
-    empty = {"get_field_docstring": lambda *_: None, "get_callable_description": lambda _: ""}
-    usual = {name: getattr(_docstrings, name) for name in empty if hasattr(_docstrings, name)}
+    usual = {name: getattr(place, name) for name in wrappers if hasattr(place, name)}
     try:
-        for name in usual:
-            setattr(_docstrings, name, empty[name])
+        for name, function in usual.items():
+            setattr(place, name, wrappers[name](function))
         yield
     finally:
-        for name, text in usual.items():
-            setattr(_docstrings, name, text)
+        for name, function in usual.items():
+            setattr(place, name, function)
 
 
 @contextmanager

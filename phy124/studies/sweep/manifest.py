@@ -143,11 +143,12 @@ def _key(name: str) -> str:
 
 def _read(storage: Storage) -> Any:
     """Read the existing table; return None if there is none."""
-    _, parquet = _arrow()
     try:
-        return parquet.read_table(io.BytesIO(storage.read(MANIFEST)))
+        written = storage.read(MANIFEST)
     except FileNotFoundError:
         return None
+    _, parquet = _arrow()
+    return parquet.read_table(io.BytesIO(written))
 
 
 def _cell(value: object) -> object:
