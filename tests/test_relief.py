@@ -488,6 +488,14 @@ def test_back_of_a_profile_is_the_mirrored_front():
     assert eyes_behind(relief(face(), count=5000, back_look="mirror")) > 5
 
 
+def test_a_handle_does_not_make_a_profile():
+    """The print of a mug does not show mirrored behind."""
+    mask = np.asarray(mug())[..., 3] > 0
+    printed = (abs(X - 75) < 20) & (abs(Y - 96) < 10) & (X % 10 < 5)
+    rgb = np.where(printed[..., None], 10, np.array([60, 90, 200])).astype(np.uint8)
+    assert eyes_behind(relief(picture(mask, rgb), count=5000)) == 0
+
+
 def test_plain_back_has_the_fronts_texture():
     """A rough front has a back of the same roughness, not a blur."""
     rough = np.random.default_rng(0).normal(150, 25, (SIZE, SIZE, 1)).repeat(3, axis=2)

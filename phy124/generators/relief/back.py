@@ -1,9 +1,9 @@
 """Imagines the unseen back of an object, from the image of its front.
 
-An object seen from its side has no symmetric silhouette, and is assumed to look alike from the
-other side: the back is the mirrored front. An object seen from its front has a back of the same
-materials without the features: colours are interpolated between those near the rim, and get the
-fine texture of parts of the front that have similar colours and no strong edges.
+An object seen from its side has no symmetric silhouette, even without thin parts, and is assumed to
+look alike from the other side: the back is the mirrored front. An object seen from its front has a
+back of the same materials without the features: colours are interpolated between those near the
+rim, and get the fine texture of parts of the front that have similar colours and no strong edges.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ BackLook = Literal["auto", "mirror", "plain"]
 SYMMETRIC = 0.86
 """A silhouette counts as a front if it overlaps with its mirror image by at least this much
 (IoU)."""
+HANDLE, BODY = 0.4, 0.75
+"""Largest thickness of thin parts relative to the thickest part, and smallest area of an object
+without them."""
 UPPER, OUTLINE, FACE = 0.4, 0.65, 0.75
 """Upper fraction of the height that may contain a face; and the overlap of outlines and the
 correlation of brightness that this part must have with its mirror image to count as a face."""
@@ -52,14 +55,14 @@ ALIKE = 6
 def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
     """Choose the look of the back for an image [H,W,4]: plain if it shows a front, else mirrored.
 
-    An image shows a front if its silhouette is symmetric, or if the upper part is symmetric in
-    outline and in colour, such as a face above an outstretched arm.
+    An image shows a front if its silhouette is symmetric, apart from thin parts, or if the upper
+    part is symmetric in outline and in colour, such as a face above an outstretched arm.
     """
     solid = rgba[..., 3] > 0.5
     rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
     box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     rgba, solid = rgba[box], solid[box]
-    if _fold(solid)[0] >= SYMMETRIC:
+    if max(_fold(solid)[0], _fold(_body(solid))[0]) >= SYMMETRIC:
         return "plain"
     upper = solid[: max(1, round(UPPER * len(solid)))]
     columns = np.flatnonzero(upper.any(axis=0))
@@ -67,6 +70,19 @@ def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
     overlap, axis = _fold(upper[:, box[1]])
     alike = overlap >= OUTLINE and _alike(rgba[box], axis) >= FACE
     return "plain" if alike else "mirror"
+
+
+def _body(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a silhouette [H,W] without thin parts such as a handle, cropped to its columns; or
+    unchanged if they are large.
+    """
+    depth = nearest_of(~np.pad(solid, 1))[0][1:-1, 1:-1]
+    radius = HANDLE * float(depth.max())
+    body = nearest_of(depth >= radius)[0] <= radius
+    if np.count_nonzero(body) < BODY * np.count_nonzero(solid):
+        return solid
+    columns = np.flatnonzero(body.any(axis=0))
+    return body[:, columns[0] : columns[-1] + 1]
 
 
 def _fold(solid: NDArray[np.bool_]) -> tuple[float, int]:
