@@ -25,16 +25,14 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
+from phy124.kernels.columns import xyz
 from phy124.kernels.contacts import MOMENT as PAIR_MOMENT
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.distance import SHAPES
+from phy124.kernels.lattice.responses import LIMITS, RELAXED, correct, there_and_back
 from phy124.kernels.lattice.rows import Rows
 from phy124.kernels.work import EXCHANGE, add_exchange
 
-RELAXED = wp.constant(0.6)
-"""Fraction of each point's correction that is applied. Neighbouring points share most of their
-nodes, so full corrections would overshoot together.
-"""
 LOOSE = wp.constant(0.5)
 """Walls act on a point only if clamps leave it at least this fraction of its mobility. Bodies touch
 each other at a pair of points only if clamps leave it to one of the two.
@@ -45,60 +43,6 @@ MOMENT, DRIVEN, SUMS = EXCHANGE, EXCHANGE + 3, 16
 """Index of the moment of all impulses about the origin [N m s]; index of the work by a clamp's
 motion [J]; length of each wall's sums. The first `EXCHANGE` sums are those of
 phy124/kernels/work.py.
-"""
-
-
-@wp.func
-def largest_approach(gap: Any, pressed: Any, restore: Any, clock: wp.array(dtype=Any)):
-    """Return the largest speed at which a point may approach a surface [m/s].
-
-    Args:
-        gap: Distance of the point [m], negative inside.
-        pressed: Normal part of its last impulse [N s].
-        restore: Gain by which points come out [1/s].
-        clock: Kick and drift [s]; a very short drift must not make a point leave fast.
-    """
-    longest = wp.max(clock[0], clock[1])
-    speed = gap / longest
-    if gap < type(gap)(0.0) or pressed != type(gap)(0.0):
-        speed = restore * gap
-    return speed
-
-
-@wp.func
-def press_and_rub(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that only presses, with friction in Coulomb's cone [N s]."""
-    press = wp.max(press, type(gap)(0.0))
-    most = friction * press
-    size = wp.length(drag)
-    if size > most:
-        drag = drag * (most / size)
-    return press * n + drag
-
-
-@wp.func
-def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that holds points once they touch it, but lets them slide."""
-    if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
-        press = wp.max(press, type(gap)(0.0))
-    return press * n
-
-
-@wp.func
-def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that holds points once they touch it [N s]."""
-    if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
-        press = wp.max(press, type(gap)(0.0))
-    if press == type(gap)(0.0):
-        drag = drag - drag
-    return press * n + drag
-
-
-LIMITS = {"separate": press_and_rub, "slip": hold_across, "sticky": hold}
-"""Maps a surface's response to the function that limits a corrected impulse.
-
-The arguments are its normal part and that of the last impulse, its part along the surface, the
-normal, the distance of the point and the friction coefficient.
 """
 
 
@@ -239,22 +183,14 @@ def make_resist(response: str, moving: bool, real: Any, rows: Rows):
             wall = wp.vector(rates[slot][0], rates[slot][1], rates[slot][2])
         zero = real(0.0)
         for b in range(2 * count):
-            a = b
-            if b >= count:
-                a = 2 * count - 1 - b
-            s = near[a]
+            s = near[there_and_back(b, count)]
             g = gap[s]
             if not wp.isinf(g[3]) and yields[s] > zero and clock[0] > zero:
-                n = wp.vector(g[0], g[1], g[2])
                 relative = moved_by(v_out, nodes, weights, s) - wall
                 last = clock[0] * force_out[s]
-                speed = wp.dot(relative, n)
-                along = relative - speed * n
-                pressed = wp.dot(last, n)
                 part = real(RELAXED) / yields[s]
-                press = pressed - part * (speed + largest_approach(g[3], pressed, restore, clock))
-                drag = last - pressed * n - part * along
-                impulse = limit(press, pressed, drag, n, g[3], friction)
+                press, pressed, drag = correct(relative, last, g, part, restore, clock)
+                impulse = limit(press, pressed, drag, xyz(g), g[3], friction)
                 change = impulse - last
                 force_out[s] = impulse / clock[0]
                 if wp.dot(change, change) > zero:

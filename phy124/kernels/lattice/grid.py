@@ -17,7 +17,7 @@ from phy124.kernels.columns import xyz
 from phy124.kernels.contacts import MOMENT as PAIR_MOMENT
 from phy124.kernels.contacts import SUMS as PAIR_SUMS
 from phy124.kernels.diagnostics import add3, wide
-from phy124.kernels.lattice.contact import LIMITS, RELAXED, largest_approach
+from phy124.kernels.lattice.responses import LIMITS, RELAXED, correct, there_and_back
 from phy124.kernels.lattice.rows import Rows
 from phy124.kernels.pairs import mass_at
 from phy124.kernels.transfer import slope, spline
@@ -225,24 +225,16 @@ def make_grid_resist(sticky: bool, real: Any, rows: Rows):
     ):
         zero = real(0.0)
         for b in range(2 * count):
-            a = b
-            if b >= count:
-                a = 2 * count - 1 - b
-            s = near[a]
+            s = near[there_and_back(b, count)]
             g = gap[s]
             if not wp.isinf(g[3]) and clock[0] > zero:
-                n = xyz(g)
                 relative = moved_by(v_out, nodes, weights, s)
                 if moves == 1:
                     relative -= mean_velocity(grid, window, on[s])
                 last = clock[0] * force_out[s]
-                speed = wp.dot(relative, n)
-                along = relative - speed * n
-                pressed = wp.dot(last, n)
                 part = real(RELAXED) / yields[s]
-                press = pressed - part * (speed + largest_approach(g[3], pressed, restore, clock))
-                drag = last - pressed * n - part * along
-                impulse = limit(press, pressed, drag, n, g[3], friction)
+                press, pressed, drag = correct(relative, last, g, part, restore, clock)
+                impulse = limit(press, pressed, drag, xyz(g), g[3], friction)
                 change = impulse - last
                 force_out[s] = impulse / clock[0]
                 if wp.dot(change, change) > zero:

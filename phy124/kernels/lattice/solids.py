@@ -31,7 +31,7 @@ from phy124.kernels.free.numbers import (
     spin_of,
 )
 from phy124.kernels.free.walls import arm_to
-from phy124.kernels.lattice.contact import LIMITS, RELAXED, largest_approach
+from phy124.kernels.lattice.responses import LIMITS, RELAXED, largest_approach, there_and_back
 from phy124.kernels.lattice.rows import Rows
 
 ALIGNED = wp.constant(0.9)
@@ -262,10 +262,7 @@ def make_solid_resist(sticky: bool, real: Any, rows: Rows):
         turning = turning_of(body, moments)
         zero = real(0.0)
         for b in range(2 * count):
-            a = b
-            if b >= count:
-                a = 2 * count - 1 - b
-            s = near[a]
+            s = near[there_and_back(b, count)]
             g = gap[s]
             if not wp.isinf(g[3]) and clock[0] > zero:
                 n = xyz(g)
