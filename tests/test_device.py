@@ -11,7 +11,7 @@ import warp as wp
 from phy124.errors import InputError
 from phy124.rendering.render import Renderer
 from phy124.runtime import startup
-from phy124.runtime.device import Driver, one_at_a_time, pick_device
+from phy124.runtime.device import Driver, lock_gpu, pick_device
 from phy124.simulation import Simulation
 
 
@@ -55,7 +55,7 @@ def test_freed_memory_of_a_gpu_is_kept(monkeypatch):
     assert kept == {"cuda:1": 2**30}
 
 
-@one_at_a_time
+@lock_gpu
 def enter(place, other) -> bool:
     """Whether another thread can enter while this one is inside."""
     if other is None:

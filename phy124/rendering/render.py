@@ -26,7 +26,7 @@ from phy124.rendering.projection import FILTERS, make_view
 from phy124.rendering.stage.draw import Surroundings
 from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.compiling import compile_missing
-from phy124.runtime.device import one_at_a_time
+from phy124.runtime.device import lock_gpu
 
 Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
@@ -95,7 +95,7 @@ class Renderer:
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
 
-    @one_at_a_time
+    @lock_gpu
     def __call__(
         self,
         gaussians: Gaussians,
@@ -127,7 +127,7 @@ class Renderer:
         joined = np.concatenate(channels, axis=1, dtype=np.float32)
         return joined.reshape(camera.height, camera.width, -1)
 
-    @one_at_a_time
+    @lock_gpu
     def picture(
         self,
         gaussians: Gaussians,
@@ -149,7 +149,7 @@ class Renderer:
         """
         return self.start_picture(gaussians, camera, background, stage=stage)()
 
-    @one_at_a_time
+    @lock_gpu
     def start_picture(
         self,
         gaussians: Gaussians,
@@ -223,7 +223,7 @@ class Renderer:
         room = draw()
         return lambda: self._finish(copies, draw, room)
 
-    @one_at_a_time
+    @lock_gpu
     def _finish(
         self, copies: HostCopies, draw: Callable[[], int], room: int
     ) -> dict[str, NDArray[Any]]:

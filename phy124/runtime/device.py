@@ -52,7 +52,7 @@ def pick_device(name: str) -> str:
     return name
 
 
-def one_at_a_time(
+def lock_gpu(
     method: Callable[Concatenate[Owner, P], Made],
 ) -> Callable[Concatenate[Owner, P], Made]:
     """Decorate methods so that, on a GPU, only one thread at a time runs any of them.

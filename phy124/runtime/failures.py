@@ -16,8 +16,8 @@ from types import TracebackType
 
 from phy124.errors import DISK_CODES, DISK_WORDS, Cancelled, Incomplete, InputError
 
-OWN = "phy124"
-OURS = (OWN, "phy124_demo", "phy124_bridge", "demo", "bridge", "__main__")
+PROJECT = "phy124"
+OURS = (PROJECT, "phy124_demo", "phy124_bridge", "demo", "bridge", "__main__")
 """Packages of this project, under all names by which they are imported."""
 LONGEST = 300
 """Largest number of characters of a library's message that an error message repeats."""
@@ -116,7 +116,7 @@ def _kind(problem: BaseException) -> Kind:
         return Kind.DISK
     if code is not None or isinstance(problem, UnicodeError):
         return Kind.MACHINE
-    plain = isinstance(problem, OSError) and _package(problem) == OWN
+    plain = isinstance(problem, OSError) and _package(problem) == PROJECT
     return Kind.MACHINE if plain else Kind.FAULT
 
 
@@ -138,7 +138,7 @@ def _sentence(kind: Kind, problem: BaseException) -> str:
     if isinstance(problem, SystemExit):
         return f"a library aborted the program (exit status {said or 0})."
     name = _package(problem)
-    where = "an error of phy124 itself" if name == OWN else f"{NAMES.get(name, name)} failed"
+    where = "an error of phy124 itself" if name == PROJECT else f"{NAMES.get(name, name)} failed"
     return f"{where}: {type(problem).__name__}: {said} ({_place(problem)})."
 
 
@@ -168,10 +168,10 @@ def _package(problem: BaseException) -> str:
     Modules of Python's standard library are skipped: an error in `pathlib` is attributed to its
     caller.
     """
-    modules = [OWN, *_modules(problem.__traceback__), type(problem).__module__]
+    modules = [PROJECT, *_modules(problem.__traceback__), type(problem).__module__]
     packages = [module.partition(".")[0] for module in modules]
     packages = [package for package in packages if package not in sys.stdlib_module_names]
-    return OWN if packages[-1] in OURS else packages[-1]
+    return PROJECT if packages[-1] in OURS else packages[-1]
 
 
 def _place(problem: BaseException) -> str:
@@ -188,5 +188,5 @@ def _place(problem: BaseException) -> str:
 def _modules(trace: TracebackType | None) -> Iterator[str]:
     """Yield the names of the modules in a traceback, the innermost last."""
     while trace is not None:
-        yield str(trace.tb_frame.f_globals.get("__name__", OWN))
+        yield str(trace.tb_frame.f_globals.get("__name__", PROJECT))
         trace = trace.tb_next

@@ -13,7 +13,7 @@ PACKAGE = "phy124"
 MADE = ("bridge", "dds", "foxglove")
 """Optional extras that `make bridge` installs into the .venv of a clone."""
 _EXTRA = re.compile(r"""extra\s*==\s*['"]([\w-]+)['"]""")
-_OWN = re.compile(rf"{PACKAGE}\[([\w,\s-]+)\]")
+_EXTRAS = re.compile(rf"{PACKAGE}\[([\w,\s-]+)\]")
 
 
 def install_command(extra: str) -> str:
@@ -65,7 +65,7 @@ def packages(extra: str) -> list[str]:
     for requirement in stated:
         needed, _, condition = requirement.partition(";")
         if extra in _EXTRA.findall(condition):
-            nested = _OWN.match(needed)
+            nested = _EXTRAS.match(needed)
             parts = nested[1].split(",") if nested else []
             needed_packages += [p for part in parts for p in packages(part.strip())] or [
                 needed.strip()

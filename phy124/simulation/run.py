@@ -27,7 +27,7 @@ from phy124.motion.recorded import Motion, Recorded, make_arrays
 from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.workers import HOST, REPAIR, run_timed
 from phy124.runtime.compiling import compile_missing
-from phy124.runtime.device import one_at_a_time
+from phy124.runtime.device import lock_gpu
 from phy124.scene import Scene
 from phy124.scene.lattices import keep_lattice
 from phy124.scene.liquids import keep_solver, refuse_unprojectable
@@ -277,7 +277,7 @@ class Simulation:
         restore_all(self.observers, snapshot["observers"])
         self.poses = list(snapshot.get("poses", []))
 
-    @one_at_a_time
+    @lock_gpu
     def _make_frame(self, index: int, time: float) -> Frame:
         """Return a frame: deform the Gaussians, then add the results of observers and scenery."""
         state, scenery, stage = (
@@ -371,7 +371,7 @@ class Simulation:
             self.rotations.append(self.rotations[-1])
         return replace(self.frames[-1], index=index, time=time)
 
-    @one_at_a_time
+    @lock_gpu
     def _advance(self, index: int, until: float) -> None:
         """Take substeps up to the time of a frame; after a failure, repeat the frame once with half
         the substep.

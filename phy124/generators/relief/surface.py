@@ -60,11 +60,6 @@ class View:
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)
         return np.concatenate([flat * k, z], axis=1), turned
 
-    def unproject(self, points: Field) -> Field:
-        """Return the pixel coordinates [N,3] of projected points [N,3]."""
-        flat, z = points[:, :2], points[:, 2:]
-        return np.concatenate([flat / self.k(z), z], axis=1) + self.middle
-
 
 Field = NDArray[np.float64]
 Neighbours = NDArray[np.int32]

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Array, Gaussians
 from phy124.kernels.splat.shadow import cover, cover_simd
-from phy124.runtime.device import one_at_a_time
+from phy124.runtime.device import lock_gpu
 
 CELLS = 128
 """Number of cells along a side of the shadow map."""
@@ -126,7 +126,7 @@ class Caster:
         shade[shade < UNSEEN] = 0
         return shade
 
-    @one_at_a_time
+    @lock_gpu
     def _depth(self, gaussians: Gaussians, floor: float) -> Array:
         """Return the optical depth of the Gaussians in each layer."""
         step = max(1, math.ceil(len(gaussians) / SAMPLE))
