@@ -8,7 +8,10 @@ BIN := .venv/bin
 export PYTHONDONTWRITEBYTECODE :=
 INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo paper app bridge test test-default test-page test-slow test-browser bench cuda-report gpu accuracy docs gallery dist lint kernels clean chromium
+# Importing the libraries of networks takes every process 15 s, so one process tests all that need them.
+NETWORKS := $(shell grep -lE "^(from|import) (torch|safetensors.torch|reference.*formula|phy124.generators.neural)" tests/test_*.py)
+
+.PHONY: demo paper app bridge test test-default test-networks test-page test-slow test-browser bench cuda-report gpu accuracy docs gallery dist lint kernels clean chromium
 
 demo: .venv/base
 	$(BIN)/phy124 generate demo/examples/duck.png --scene press --stage studio --out out/duck-press
@@ -25,12 +28,15 @@ bridge: .venv/bridge
 
 # Side by side, since tests of the page wait more than they compute.
 test:
-	+$(MAKE) $(if $(findstring jobserver,$(MAKEFLAGS)),,--jobs 2 --output-sync=target) test-default test-page
+	+$(MAKE) $(if $(findstring jobserver,$(MAKEFLAGS)),,--jobs 3 --output-sync=target) test-default test-networks test-page
 
 # Three on two cores: tests of servers wait more than they compute. In order, since a file of one long
 # test must not be the last.
 test-default: .venv/bytecode
-	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m "not slow and not browser"
+	$(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m "not slow and not browser" $(NETWORKS:%=--ignore=%)
+
+test-networks: .venv/test
+	$(BIN)/pytest -m "not slow" $(NETWORKS)
 
 test-page: .venv/test
 	if command -v chromium-headless-shell || command -v chromium; then $(BIN)/pytest -m "browser and not slow" tests/e2e; fi
@@ -103,7 +109,7 @@ clean:
 
 # Imports everything once: otherwise each of the test processes, which start together, would compile it.
 .venv/bytecode: .venv/test
-	$(BIN)/pytest --collect-only --quiet --quiet > $@ || { cat $@; rm $@; exit 1; }
+	$(BIN)/pytest --collect-only --quiet --quiet $(NETWORKS:%=--ignore=%) > $@ || { cat $@; rm $@; exit 1; }
 
 .venv/docs: .venv/python pyproject.toml
 	$(INSTALL) --editable ".[docs]"
