@@ -8,7 +8,7 @@ from phy124.forces import Gravity, ZoneForce
 from phy124.liquid.clock import LiquidClock
 from phy124.liquid.mixed import MixedSolver
 from phy124.materials import Fluid, NeoHookean
-from phy124.mpm import Model, State
+from phy124.mpm import FreeBody, Model, State
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Region
@@ -21,9 +21,11 @@ DX = 1 / CELLS
 
 
 def mixed(
-    water, body, density, *, gravity=G, held=(), walls=(TANK,), E=1e5, pushes=()
+    water, body, density, *, gravity=G, held=(), walls=(TANK,), E=1e5, pushes=(), free=(), threads=1
 ) -> MixedSolver:
     """Particles of water and of an elastic body, with 8 in each cell."""
+    for solid in free:
+        water = water[solid.measure_depth(water) < 0]
     x = np.concatenate([water, body])
     number = np.repeat([0, 1], [len(water), len(body)])
     materials = [Fluid(density=DENSITY), NeoHookean(density=density, E=E, nu=0.3)]
@@ -33,8 +35,9 @@ def mixed(
     pull = [Gravity(g=(0, 0, -gravity))] if gravity else []
     tanks = [(f"tank_{index}", wall) for index, wall in enumerate(walls)]
     options = {"uniform": pull, "boundaries": list(walls), "walls": tanks, "pushed": bool(pushes)}
-    options["forces"] = [*pull, *pushes]
-    return MixedSolver(model, State.of(model), **options, threads=1)
+    options |= {"forces": [*pull, *pushes], "free": free, "threads": threads}
+    options["planes"] = [side for wall in walls for side in wall.sides()] if free else []
+    return MixedSolver(model, State.of(model), **options)
 
 
 def box(middle, cells) -> tuple[np.ndarray, np.ndarray]:
@@ -73,6 +76,31 @@ def test_elastic_block_floats_at_its_depth():
     assert depth(solver) == pytest.approx(1.5, abs=0.2)
 
 
+def floating(ratio: float, **options) -> MixedSolver:
+    """A free block of some density that floats next to an elastic one."""
+    half = np.array((2.4, 2.4, 1.5)) * DX
+    place = (0.7, 0.7, LEVEL + (0.5 - ratio) * 2 * half[2])
+    solid = FreeBody("solid", "box", tuple(half), place, density=ratio * DENSITY)
+    lower, upper = box((0.2, 0.2, LEVEL), (4, 4, 3))
+    water = block((0, 0, 0), (1, 1, LEVEL), CELLS)
+    water = water[((water < lower) | (water > upper)).any(axis=1)]
+    return mixed(water, block(lower, upper, CELLS), DENSITY / 2, free=[solid], **options)
+
+
+def test_free_solid_floats_next_to_an_elastic_block():
+    solver = floating(0.5)
+    solid = solver.free.all[0]
+    heights = [run(solver, 1).free.poses()[0, 2] - solid.half[2] for _ in range(24)]
+    level = (solver.model.total_mass + solid.mass) / DENSITY
+    side = 2 * solid.half[2]
+    assert level - np.mean(heights[6:]) == pytest.approx(side / 2, abs=0.05 * side)
+    solver.free.begin()
+    frames = 18
+    lift = run(solver, frames).free.wrenches(frames / 24)[0].force[2]
+    assert solver.free.names[0] == "water_on_solid"
+    assert lift == pytest.approx(solid.mass * G, rel=0.1)
+
+
 def test_light_and_heavy_blocks_rise_and_sink():
     for density, sign in ((0.1 * DENSITY, 1), (2.5 * DENSITY, -1)):
         solver = with_block(density, 0.125)
@@ -100,6 +128,21 @@ def test_force_on_particles_presses_the_floor_beside_bodies():
     press = (run(solver, 24).impulses.wrench("tank_0_z_low").numpy()[2] - before) / 1.0
     volume = solver.model.volume.numpy().sum()
     assert press == pytest.approx(DENSITY * G * volume, rel=0.01)
+
+
+def test_momentum_of_solid_liquid_and_body_is_conserved():
+    """A solid falls on a blob of water that floats in space, next to an elastic block."""
+    solid = FreeBody("solid", "sphere", (0.1,) * 3, (0.25, 0.25, 0.62), velocity=(0.5, 0, -2))
+    lower, upper = box((0.75, 0.25, 0.25), (4, 4, 4))
+    water = block((0, 0, 0), (0.5, 0.5, 0.5), CELLS)
+    body = block(lower, upper, CELLS)
+    solver = mixed(water, body, 1000.0, gravity=0, walls=(), free=[solid])
+    run(solver, 12, fps=48)
+    momentum = solver.model.mass.numpy().astype(float) @ solver.state.v.numpy()
+    start = solid.mass * np.array(solid.velocity)
+    assert momentum[2] < 0.3 * start[2]
+    momentum += solid.mass * solver.free.motions()[0, :3]
+    np.testing.assert_allclose(momentum, start, atol=0.08 * abs(start[2]))
 
 
 def test_momentum_of_liquid_and_body_is_conserved():
@@ -208,7 +251,9 @@ def test_equal_steps_resolve_a_vibration_or_average_it(period, rest, steps, limi
 @pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_mixed_run_repeats_and_resumes_bit_for_bit(threads):
     zone = {"kind": "zone", "a": (2, 0, 0), "place": {"lower": (-2, -2, -2), "upper": (2, 2, 2)}}
+    stone = {"name": "stone", "shape": "sphere", "size": 0.4, "lift": 0.4, "place": (0.4, 0.4)}
     scene = pool(forces=[{"kind": "gravity"}, zone])
+    scene = scene.replaced({"objects": [scene.objects[0], {**stone, "motion": {"kind": "free"}}]})
     whole = Simulation(prepare(ball(), scene, RunContext(threads=threads)))
     for frame in range(4):
         whole.solver.advance((frame + 1) / 24)
@@ -219,6 +264,7 @@ def test_mixed_run_repeats_and_resumes_bit_for_bit(threads):
     for frame in range(2, 4):
         other.advance((frame + 1) / 24)
     np.testing.assert_array_equal(other.state.x.numpy(), whole.solver.state.x.numpy())
+    np.testing.assert_array_equal(other.free.poses(), whole.solver.free.poses())
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 import warp as wp
@@ -20,9 +20,10 @@ from phy124.kernels.liquid import films, shapes
 from phy124.kernels.liquid.active import EMPTY
 from phy124.kernels.reduction import shared_out
 from phy124.liquid.cells import Cells, Region
+from phy124.liquid.rigid import FreeSolids, Motion
 from phy124.liquid.solids import Solids
 from phy124.liquid.walls import Walls
-from phy124.mpm import Grid, Model, Stage, State
+from phy124.mpm import FreeBodies, Grid, Model, Stage, State
 from phy124.mpm.model import part_of
 from phy124.mpm.tracks import Tracks
 
@@ -34,48 +35,24 @@ FIRST, MOST = 8, 0.7
 """
 
 
-class Motion(NamedTuple):
-    """The rigid motion of a body."""
-
-    mass: float
-    """Mass [kg]."""
-    centre: NDArray[np.float64]
-    """Centre of mass [3], m."""
-    momentum: NDArray[np.float64]
-    """Momentum [3], kg m/s."""
-    angular: NDArray[np.float64]
-    """Angular momentum about the centre [3], kg m^2/s."""
-    inverse: NDArray[np.float64]
-    """Inverse of the inertia about the centre [3,3], 1/(kg m^2)."""
-
-    @classmethod
-    def of(cls, row: NDArray[np.float64], dx: float) -> Motion:
-        """Return the motion that has the given sums of `phy124.kernels.liquid.bodies`."""
-        mass, first, momentum, angular, second = np.split(row, [1, 4, 7, 10])
-        m = float(mass[0])
-        x = first / m
-        xx, yy, zz, xy, xz, yz = second
-        moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * np.outer(x, x)
-        # The second term belongs to the particles' C.
-        inertia = (np.trace(moments) + m * dx**2 / 2) * np.eye(3) - moments
-        return cls(m, x, momentum, angular - np.cross(x, momentum), np.linalg.inv(inertia))
-
-
 class Bodies:
     """The bodies of a run, each of which is a wall of the liquid."""
 
-    def __init__(self, model: Model, state: State, grids: Sequence[Grid]) -> None:
+    def __init__(self, model: Model, state: State, grids: Sequence[Grid], free: FreeBodies) -> None:
         """Allocate the arrays of the particles.
 
         Args:
             model: All particles of the run, with the liquid's.
             state: Their state.
             grids: Grid of each body, whose window covers the body.
+            free: Free solids, which come before the bodies.
         """
         self._model, self._state, self._grids = model, state, grids
         self.numbers = [body for body in range(model.bodies) if body not in model.wet]
         """Indices of the bodies."""
         t, device, count = types(model.real), model.device, len(self.numbers)
+        self.free, self.first = FreeSolids(model, free), len(free.all)
+        """Free solids, and their number."""
         shape = (count, kernels.MOMENTS)
         self._rows = wp.zeros(shape, dtype=wp.float64, device=device)
         self._pushes = wp.zeros(len(model), dtype=t.vec3, device=device)
@@ -93,14 +70,17 @@ class Bodies:
         stiff = np.array([_stiffness(model, body) for body in self.numbers])
         self._stiffness = wp.array(stiff, dtype=wp.float64, device=device)
         self._before: list[tuple[NDArray, NDArray]] = []
-        self._films = np.zeros((count, 2, 3))
+        every = self.first + count
+        self._films = np.zeros((every, 2, 3))
         """Impulses and moments of films in the last step; `impulses` includes them."""
-        self._centres, self._forces = np.zeros((count, 3)), np.zeros((count, 2, 3))
-        """Centre of mass of each body [m]; force [N] and torque [N m] exerted on it in the last
-        step by anything but the liquid and the weight.
+        self._centres, self._forces = np.zeros((every, 3)), np.zeros((every, 2, 3))
+        """Centre of mass of each solid and body [m]; force [N] and torque [N m] that acted on it in
+        the last step, except those of the liquid and the weight.
         """
-        self.impulses = np.zeros((count, 2, 3))
-        """Impulse of the liquid on each body in the last step, and its moment about the origin."""
+        self._impulses = np.zeros((every, 2, 3))
+        """Impulse of the liquid on each solid and body in the last step, and its moment about the
+        origin.
+        """
 
     @property
     def names(self) -> list[str]:
@@ -108,17 +88,23 @@ class Bodies:
         called = self._model.names or tuple(map(str, range(self._model.bodies)))
         return [called[body] for body in self.numbers]
 
+    @property
+    def impulses(self) -> NDArray[np.float64]:
+        """Impulse of the liquid on each body in the last step, and its moment [B,2,3], N s, N m s.
+
+        Moments are about the origin.
+        """
+        return self._impulses[self.first :]
+
     def join(self, solids: Solids, mobility: wp.array) -> None:
         """Connect the bodies with the arrays of all solids, in which the bodies come last."""
         self._solids, self._mobility = solids, mobility
-        self.first = len(mobility) - len(self.numbers)
-        """Number of free solids; they come before the bodies."""
         device, shape = self._model.device, (len(mobility), 2)
         self._present = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self._exchanged = wp.zeros(shape, dtype=wp.vec3d, device=device)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stage that applies the pressure in each substep."""
+        """Return the stages that apply the pressure in each substep."""
         kernel = kernels.make_body_push(model.real)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -131,7 +117,7 @@ class Bodies:
             del start, end
             return self._limit
 
-        return [Stage(STAGE, record, by_run=True, limit=limit)]
+        return [Stage(STAGE, record, by_run=True, limit=limit), *self.free.attach(tracks)]
 
     def finish(self) -> None:
         """End the substeps, after which the last pressure no longer bounds any acceleration."""
@@ -203,7 +189,7 @@ class Bodies:
             self._shifts[body] = min(max(shift, -MOST), MOST)
 
     def plan(self, kick: float, pull: NDArray[np.float64]) -> None:
-        """Predict each body's motion in a step as if there were no liquid.
+        """Predict the motion of each solid and body in a step as if there were no liquid.
 
         Args:
             kick: Duration of the step [s].
@@ -218,16 +204,15 @@ class Bodies:
             kernel = kernels.make_moments(self._model.real)
             self._launch(kernel, threads, inputs, [cast("wp.array", self._rows[index])])
         rows = np.array(self._rows.numpy(), np.float64)
-        motions = [Motion.of(row, self._model.dx) for row in rows]
+        motions = [*self.free.motions(), *(Motion.of(row, self._model.dx) for row in rows)]
         others = [self._other(index, motion, kick, pull) for index, motion in enumerate(motions)]
         plans, present, centres, mobility = (
             np.array(a.numpy())
             for a in (self._solids.plans, self._present, self._solids.centres, self._mobility)
         )
-        for index, (motion, other) in enumerate(zip(motions, others, strict=True)):
-            place = self.first + index
+        for place, (motion, other) in enumerate(zip(motions, others, strict=True)):
             centres[place] = motion.centre + self._ahead * motion.momentum / motion.mass
-            if self.numbers[index] in self._model.held:
+            if place >= self.first and self.numbers[place - self.first] in self._model.held:
                 mobility[place], plans[place], present[place] = 0.0, 0.0, 0.0
                 continue
             present[place] = motion.momentum / motion.mass, motion.inverse @ motion.angular
@@ -242,7 +227,7 @@ class Bodies:
         self._exchanged.zero_()
         self.pressed.zero_()
         self._before = [(motion.momentum, motion.angular) for motion in motions]
-        self._centres = centres[self.first :]
+        self._centres = centres
         self._kick, self._pull = kick, pull
 
     def _other(
@@ -256,7 +241,7 @@ class Bodies:
         weight = np.stack([motion.mass * pull, np.zeros(3)])
         if not self._before or self._kick == 0:
             return kick * weight[0], kick * weight[1]
-        impulse, moment = self.impulses[index]
+        impulse, moment = self._impulses[index]
         moment = moment - np.cross(self._centres[index], impulse)
         before, angular = self._before[index]
         change = np.stack([motion.momentum - before - impulse, motion.angular - angular - moment])
@@ -288,11 +273,11 @@ class Bodies:
         return model.launch(kernel, count, inputs, [cells.diagonal, cells.right])
 
     def answer(self, walls: Walls, step: wp.array, model: Model) -> wp.Launch | None:
-        """Return the launch that writes the bodies' motions after the pressure has acted."""
-        inputs = [self._solids.first(walls), self.first, self._solids.scale, self._solids.plans]
+        """Return the launch that writes the motions after the pressure has acted."""
+        inputs = [self._solids.first(walls), self._solids.scale, self._solids.plans]
         inputs += [self._solids.centres, self._mobility]
         outputs = [step, walls.motions, self._exchanged]
-        return model.launch(kernels.make_answer(model.real), len(self.numbers), inputs, outputs)
+        return model.launch(kernels.make_answer(model.real), len(self._mobility), inputs, outputs)
 
     def receive(
         self, cells: Cells, tracks: Tracks, sums: wp.array, densities: wp.array | None, drift: float
@@ -307,15 +292,16 @@ class Bodies:
             drift: Duration over which the pressure acts on the bodies [s].
         """
         model, real = self._model, self._model.real
-        before = np.array(self._exchanged.numpy(), np.float64)[self.first :]
+        before = np.array(self._exchanged.numpy(), np.float64)
         self.period = math.inf
         for index in range(len(self.numbers)):
             self._press_film(cells, tracks, sums, densities, index)
             self.period = min(self.period, self._vibration(index))
         # Velocities of bodies are not half a step behind, so the first impulse is not halved.
-        total = np.asarray(self._exchanged.numpy(), np.float64)[self.first :] * drift / self._kick
-        self._films = total - before * drift / self._kick
-        self.impulses = total
+        exchanged, lasts = np.array(self._exchanged.numpy(), np.float64), drift / self._kick
+        self._films, self._impulses = (exchanged - before) * lasts, exchanged * lasts
+        solids = slice(self.first)
+        self.free.receive(exchanged[solids], self._centres[solids], self._kick, drift)
         self._change.zero_()
         self._most.zero_()
         moving = [body for body in self.numbers if body not in model.held]
@@ -422,7 +408,7 @@ class Bodies:
     def snapshot(self) -> dict[str, Any]:
         """Return the impulses and motions of the last step."""
         before = [[momentum.tolist(), angular.tolist()] for momentum, angular in self._before]
-        impulses, shifts = self.impulses.tolist(), self._shifts.tolist()
+        impulses, shifts = self._impulses.tolist(), self._shifts.tolist()
         centres = self._centres.tolist()
         return {
             "before": before,
@@ -438,7 +424,7 @@ class Bodies:
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
         self._before = [(np.array(p), np.array(L)) for p, L in snapshot["before"]]
-        self.impulses, self._kick = np.array(snapshot["impulses"]), snapshot["kick"]
+        self._impulses, self._kick = np.array(snapshot["impulses"]), snapshot["kick"]
         self._shifts, self._centres = np.array(snapshot["shifts"]), np.array(snapshot["centres"])
         self._forces, self._films = (np.array(snapshot[name]) for name in ("forces", "films"))
         self.period = snapshot["period"]

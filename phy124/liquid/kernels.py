@@ -22,6 +22,7 @@ from phy124.kernels.liquid import (
     transfer,
     viscous,
 )
+from phy124.kernels.liquid.solids import make_push
 from phy124.liquid import projection
 from phy124.liquid.solids import solid_kernels
 from phy124.liquid.walls import wall_kernels
@@ -53,6 +54,8 @@ def kernels(
     yield from wall_kernels(boundaries, solids, real)
     if mixed:
         yield from _of_bodies(real)
+    if mixed and solids:
+        yield make_push(real)
     if solids or mixed:
         yield from solid_kernels(real)
     yield from _of_phases(real, form)

@@ -91,10 +91,10 @@ class MixedSolver(Solver):
             model, state, forces=forces, boundaries=boundaries, accumulators=accumulators,
             planes=planes, threads=threads, graph=False, **options,
         )  # fmt: skip
-        self._bodies = Bodies(model, state, self.grids)
+        self._bodies = Bodies(model, state, self.grids, self.free)
         self._bodies.pushed = pushed
         self._liquid = LiquidSolver(
-            part, _liquid_state(state, span), forces=uniform, boundaries=walls,
+            part, _liquid_state(state, span), forces=uniform, boundaries=walls, free=self.free.all,
             ceiling=self.clock.ceiling, threads=threads, bodies=self._bodies,
             advance_bodies=self._advance_bodies,
         )  # fmt: skip

@@ -164,10 +164,10 @@ class Phases:
             yield "walls", launches(phase)
         for phase in self._walls.describe(cells, worker, len(self._workers), move=True):
             yield "move", launches(phase)
-        keep = self.pushes.keep(self._run(worker))
+        alone, keep = worker == 0 and self._bodies is None, self.pushes.keep(self._run(worker))
         yield "scatter", [] if self._bodies else keep
         yield "scatter", self._push(pushes, worker, grid)
-        yield "scatter", launches(self._solids.kick(self._tracks) if worker == 0 else [])
+        yield "scatter", launches(self._solids.kick(self._tracks) if alone else [])
         yield "scatter", [*self._scatter(worker), *self.pushes.add(worker, self._run(worker))]
         yield from self._before_pressure(worker)
         for phase in solve.phases(cells, cells.pressure, worker, rigid=solids):
@@ -175,8 +175,8 @@ class Phases:
         for records in self._follow(worker):
             yield "gather", launches(records)
         if solids:
-            drift = launches(self._solids.bodies.drift() if worker == 0 else [])
-            yield "drift", [*keep, *drift] if self._bodies else drift
+            drift = self._solids.bodies.drift() if alone else []
+            yield "drift", keep if self._bodies else launches(drift)
             yield "fill", launches(self._push_out(worker, stops=False))
         yield "fill", self._fill(worker, self._model.volume)
         for records in self._density_equation(worker):
@@ -339,8 +339,7 @@ class Phases:
     def _anticipate(self, worker: int, factor: float) -> Recorded:
         cells = self._cells
         inputs = [factor, cells.window, cells.open, self._mixture.densities]
-        inputs += [cells.phi, cells.liquid]
-        inputs += [self.carry, cells.pressure]
+        inputs += [cells.phi, cells.liquid, self.carry, cells.pressure]
         kernel = pressure.make_anticipate(self._model.real)
         return self._over_cells(worker, "viscosity", kernel, inputs, [cells.velocity])
 
@@ -391,11 +390,10 @@ class Phases:
     def _respond(self, worker: int) -> list[Recorded]:
         if worker > 0 or not self._solids.present:
             return []
-        records = self._solids.respond(self._walls, self._impulses_of_walls)
-        if self._bodies is not None:
-            step = self._impulses_of_walls.step
-            records.append((BODIES, self._bodies.answer(self._walls, step, self._model)))
-        return records
+        if self._bodies is None:
+            return self._solids.respond(self._walls, self._impulses_of_walls)
+        step = self._impulses_of_walls.step
+        return [(BODIES, self._bodies.answer(self._walls, step, self._model))]
 
     def _gradient(self, solution: wp.array, worker: int, *, shifts: float = 0.0) -> Recorded:
         cells = self._cells

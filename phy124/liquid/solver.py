@@ -376,6 +376,8 @@ class LiquidSolver:
         """
         self.runner.join()
         run_timed(self.timings, "walls", self.cells.restore_walls)
+        if self._bodies is not None:
+            self._bodies.free.lead(self.free, ahead)
         self.walls.centre(self.cells)
         _launch_all(self._following)
         self._group("move")

@@ -260,6 +260,17 @@ class FreeBodies:
         kernel = kernels.make_walls(drifts, self._model.real)
         return self._model.launch(kernel, 1, inputs, [*outputs, self._bodies[index]])
 
+    def add(self, index: int, body: int, row: NDArray) -> None:
+        """Add to the sums of impulse and work of a solid on a body of particles.
+
+        Args:
+            index: Index of the solid.
+            body: Index of the body.
+            row: What is added [EXCHANGE], in the layout of phy124/kernels/free/numbers.py.
+        """
+        sums = self._totals[index][body]
+        sums.assign(np.asarray(sums.numpy(), np.float64) + row)
+
     def begin(self) -> None:
         """Start summing the impulses between solids and particles."""
         self._begun = self._total()
@@ -276,7 +287,9 @@ class FreeBodies:
     @property
     def _met(self) -> list[int]:
         """Indices of the particle bodies that solids can touch."""
-        still = self._model.held | self._model.wet
+        wet = sorted(self._model.wet)
+        # The first liquid has the sums of all liquids.
+        still = self._model.held | set(wet[1:])
         return [body for body in range(self._model.bodies) if body not in still]
 
     @property

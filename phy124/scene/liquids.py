@@ -13,11 +13,6 @@ from phy124.scene.accuracies import USUAL
 
 REMEDY = Remedy("accuracy.liquid = compressible", {"accuracy.liquid": "compressible"})
 """Remedy that is always possible: the compressible solver supports all scenes."""
-FREE = (
-    "free solids next to other materials, which move in shorter substeps than the solid; without "
-    "motion = free, the object floats or sinks as an elastic body"
-)
-"""Description of a free solid in a liquid with other materials."""
 
 
 def reason_for_compressible(scene: Any) -> str:
@@ -73,7 +68,7 @@ def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
         scene: The scene.
         mixes: Whether some materials are not liquid.
     """
-    yield from _of_objects(scene, mixes=mixes)
+    yield from _of_objects(scene)
     for wall in () if mixes else scene.boundaries:
         if wall.holds:
             yield "boundaries", wall.kind, "boundaries that hold material"
@@ -87,14 +82,12 @@ def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
     yield from ((field, "set", limit) for field, (wanted, limit) in asked.items() if wanted)
 
 
-def _of_objects(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
+def _of_objects(scene: Any) -> Iterator[tuple[str, object, str]]:
     """Yield the unsupported features of the objects."""
     wet = [_is_liquid(item) for item in (scene, *scene.objects)]
     for body, holds_liquid in zip(scene.every_object, wet, strict=True):
         if body.held and holds_liquid:
             yield "object.held", body.name, "liquids that are held"
-        if getattr(body, "free", False) and mixes:
-            yield "object.free", body.name, FREE
         if holds_liquid is None:
             yield "material.law", body.name, "objects that are partly liquid"
     moving = [w for w, body in zip(wet, scene.every_object, strict=True) if not _is_scenery(body)]

@@ -135,16 +135,15 @@ def make_yield(real: Any):
 
 @build_once
 def make_answer(real: Any):
-    """Kernel over bodies: writes the rigid motions that pressure causes, and sums its impulses.
+    """Kernel over solids and bodies: writes their rigid motions, and sums the pressure's impulses.
 
-    `impulses_out` has the impulse on each body and its moment about the origin.
+    `impulses_out` has the impulse on each of them and its moment about the origin.
     """
     t = types(real)
 
     @kernel(f"phy124_liquid_answer_{real.__name__}", real, seconds=0.3)
     def answer(
         wall: int,
-        free: int,
         scale: wp.float64,
         plans: Motions,
         centres: Vectors,
@@ -153,7 +152,7 @@ def make_answer(real: Any):
         motions_out: wp.array2d(dtype=t.vec3),
         impulses_out: Motions,
     ):
-        solid = free + wp.tid()
+        solid = wp.tid()
         row = take_row(sums_out, wall + solid)
         J = wp.vec3d(row[0], row[1], row[2])
         moment = wp.vec3d(row[3], row[4], row[5])

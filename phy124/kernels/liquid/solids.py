@@ -222,6 +222,19 @@ def make_kick(real: Any):
 
 
 @build_once
+def make_push(real: Any):
+    """Kernel of one thread: accelerates a free solid by the pressure of the liquid."""
+
+    @kernel(f"phy124_liquid_push_{real.__name__}", real, seconds=0.2)
+    def push(clock, rates: Vectors, body_out):
+        dt = wp.float64(clock[0])
+        put3(body_out, VELOCITY, at3(body_out, VELOCITY) + dt * rates[0])
+        put3(body_out, ANGULAR, at3(body_out, ANGULAR) + dt * rates[1])
+
+    return push
+
+
+@build_once
 def make_predict(real: Any):
     """Kernel over solids: writes each solid's motion before the solved pressure acts.
 

@@ -1,0 +1,126 @@
+"""Free solids in a liquid with other materials, whose substeps also move the solids.
+
+The solver of the materials owns the solids. The liquid sees copies of them, which move ahead by
+half a step. In each substep, a solid is accelerated by its share of the impulse of the pressure, so
+that it touches the materials with a velocity that changes gradually.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.gaussians import rotation_matrices
+from phy124.kernels.liquid.solids import make_push
+from phy124.mpm import FreeBodies, Grid, Model, Stage
+from phy124.mpm.tracks import Tracks
+
+STAGE = "free"
+"""Name of the stages in reports."""
+
+
+class Motion(NamedTuple):
+    """The rigid motion of a body."""
+
+    mass: float
+    """Mass [kg]."""
+    centre: NDArray[np.float64]
+    """Centre of mass [3], m."""
+    momentum: NDArray[np.float64]
+    """Momentum [3], kg m/s."""
+    angular: NDArray[np.float64]
+    """Angular momentum about the centre [3], kg m^2/s."""
+    inverse: NDArray[np.float64]
+    """Inverse of the inertia about the centre [3,3], 1/(kg m^2)."""
+
+    @classmethod
+    def of(cls, row: NDArray[np.float64], dx: float) -> Motion:
+        """Return the motion that has the given sums of `phy124.kernels.liquid.bodies`."""
+        mass, first, momentum, angular, second = np.split(row, [1, 4, 7, 10])
+        m = float(mass[0])
+        x = first / m
+        xx, yy, zz, xy, xz, yz = second
+        moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * np.outer(x, x)
+        # The second term belongs to the particles' C.
+        inertia = (np.trace(moments) + m * dx**2 / 2) * np.eye(3) - moments
+        return cls(m, x, momentum, angular - np.cross(x, momentum), np.linalg.inv(inertia))
+
+
+class FreeSolids:
+    """The free solids of a run, between the liquid and the other materials."""
+
+    def __init__(self, model: Model, solids: FreeBodies) -> None:
+        """Store the solids.
+
+        Args:
+            model: All particles of the run.
+            solids: The solids, which the solver of the other materials moves.
+        """
+        self._model, self._solids = model, solids
+        shape = (len(solids.all), 2)
+        self._rates = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
+        """Acceleration [m/s^2] of each solid by the liquid, and torque [N m] on it."""
+
+    def attach(self, tracks: Tracks) -> list[Stage]:
+        """Return the stages that accelerate the solids in each substep."""
+        kernel, rates = make_push(self._model.real), self._rates
+
+        def make(index: int, body: wp.array) -> Stage:
+            def record(grid: Grid) -> wp.Launch | None:
+                if grid.run(len(self._model)).start > 0:
+                    return None
+                inputs = [tracks.clock, cast("wp.array", rates[index])]
+                return self._model.launch(kernel, 1, inputs, [body])
+
+            return Stage(STAGE, record, keeps_C=True, by_run=True, limit=lambda *_: 0.0)
+
+        return [make(*item) for item in enumerate(self._solids.numbers)]
+
+    def lead(self, copies: FreeBodies, ahead: float) -> None:
+        """Move copies of the solids to where the solids will be after a time [s]."""
+        poses, motions = self._solids.poses(), self._solids.motions()
+        for index, (pose, motion) in enumerate(zip(poses, motions, strict=True)):
+            place, turn = pose[:3] + ahead * motion[:3], _turn(pose[3:], ahead * motion[3:])
+            copies.put(index, (place, turn, motion[:3], motion[3:]))
+
+    def motions(self) -> list[Motion]:
+        """Return the motion of each solid."""
+        rows = zip(self._solids.all, self._solids.poses(), self._solids.motions(), strict=True)
+        return [self._motion(*row) for row in rows]
+
+    def _motion(self, solid: Any, pose: NDArray, motion: NDArray) -> Motion:
+        axes = rotation_matrices(pose[None, 3:])[0]
+        angular = axes @ (solid.moments * (axes.T @ motion[3:]))
+        inverse = axes @ np.diag(1 / solid.moments) @ axes.T
+        return Motion(solid.mass, pose[:3], solid.mass * motion[:3], angular, inverse)
+
+    def receive(self, impulses: NDArray, centres: NDArray, kick: float, drift: float) -> None:
+        """Compute the solids' accelerations by the pressure of a step.
+
+        Args:
+            impulses: Impulse on each solid and its moment about the origin [F,2,3].
+            centres: Centre of each solid [F,3], m.
+            kick: Duration in which the pressure has caused the impulses [s].
+            drift: Duration in which the pressure acts on the solids [s].
+        """
+        rates = np.zeros((len(impulses), 2, 3))
+        motions = self._solids.motions()
+        for index, (impulse, moment) in enumerate(impulses):
+            turn = moment - np.cross(centres[index], impulse)
+            rates[index] = impulse / self._solids.all[index].mass / kick, turn / kick
+            work = float(impulse @ motions[index, :3] + turn @ motions[index, 3:])
+            row = [*-impulse, *-moment, -work, np.linalg.norm(impulse), abs(work)]
+            self._solids.add(index, min(self._model.wet), np.array(row) * drift / kick)
+        self._rates.assign(rates)
+
+
+def _turn(quat: NDArray, angle: NDArray) -> NDArray[np.float64]:
+    """Return a quaternion (wxyz) after a further rotation by a vector [rad]."""
+    size = float(np.linalg.norm(angle))
+    w, axis = np.cos(size / 2), angle * (np.sinc(size / 2 / np.pi) / 2)
+    turned = [w * quat[0] - axis @ quat[1:]]
+    turned += (w * quat[1:] + quat[0] * axis + np.cross(axis, quat[1:])).tolist()
+    return np.array(turned) / np.linalg.norm(turned)
