@@ -91,3 +91,20 @@ def test_words():
     assert advise(find_remedies(["softer", "cells"], Scene.named("press"))).startswith(
         "Use material.E"
     )
+
+
+def test_a_remedy_that_changes_nothing_is_left_out():
+    scene = Scene.named("press").replaced({"material.E": 1.0})
+    assert find_remedies(["softer"], scene) == ()
+
+
+def test_remedy_of_a_lasting_prescribed_motion_is_its_end():
+    """Whatever else changes, the object is moved on into the ground."""
+    fall = {"kind": "set_velocity", "v": [0, 0, -3], "start": 0.1}
+    scene = Scene.named("drop").replaced({"forces": [fall]})
+    (ending,) = find_remedies(["damping", "push", "cells"], scene, 0.3)
+    assert ending.words == "forces.0.end = 0.2"
+    ended = scene.replaced(ending.changes)
+    assert ended.forces[0].end == 0.2
+    assert ending not in find_remedies(["push"], ended, 0.3)
+    assert ending not in find_remedies(["push"], scene)

@@ -235,8 +235,12 @@
         h('i', {}, moving(`phy124/${item.picture}`, {}, true)), h('b', {}, item.title));
       this.ready.replaceChildren(h('h2', {}, 'Ready to see'), h('div', { class: 'tiles' }, ...ready.map(tile)));
       this.place();
-      if (!this.url && !this.cut && !this.growing) this.play(ready[0], false);
+      this.first = ready[0];
+      this.greet();
     }
+
+    /** Without an object of the visitor, the first finished result is shown. */
+    greet() { if (this.first && !this.url && !this.cut && !this.growing) this.play(this.first, false); }
 
     /** Show a finished result; when clicked, its picture and card are chosen as well. */
     async play(item, chosen) {
@@ -255,7 +259,9 @@
 
     /** The visitor's cut-out: on the stage at once, unless a ready result or an earlier one is shown. */
     own({ url, fresh }) {
+      const gone = this.cut && !url && !this.shown;
       this.cut = url;
+      if (gone) this.greet();
       if (this.growing || !url || (!fresh && (this.url || this.shown))) return;
       if (fresh) this.url = null;
       if (!this.url) this.standing();

@@ -5,10 +5,12 @@ Each remedy is sufficient by itself. `phy124 stress` tests the remedies that run
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from phy124.errors import Remedy
+from phy124.forces import SetVelocity
 from phy124.scene import Scene
 
 DAMPING = 0.04
@@ -19,10 +21,25 @@ SOFTER = 16.0
 """Factor by which E is divided; the longest stable substep then becomes four times as long."""
 
 
-def find_remedies(causes: Sequence[str], scene: Scene) -> tuple[Remedy, ...]:
-    """Return the remedies for some causes, if they are possible in this scene."""
+def find_remedies(
+    causes: Sequence[str], scene: Scene, time: float = math.inf
+) -> tuple[Remedy, ...]:
+    """Return the remedies for some causes that change this scene.
+
+    Args:
+        causes: Keys of `REMEDIES`, the likeliest first.
+        scene: The scene.
+        time: Time of the frame in which the run stopped [s].
+    """
+    if "push" in causes and (motion := _end_motion(scene, time)):
+        return (motion,)  # whatever else changes, the object is still moved into the obstacle
     remedies = (REMEDIES[cause](scene) for cause in causes)
-    return tuple(remedy for remedy in remedies if remedy is not None)
+    return tuple(remedy for remedy in remedies if remedy and _changes(remedy, scene))
+
+
+def _changes(remedy: Remedy, scene: Scene) -> bool:
+    """Return whether a remedy changes a scene; a value at its bound stays."""
+    return scene.replaced(remedy.changes) != scene
 
 
 def advise(remedies: Sequence[Remedy]) -> str:
@@ -63,6 +80,21 @@ def _halve_push(scene: Scene) -> Remedy | None:
     for index, wall in enumerate(scene.boundaries):
         changes |= {f"boundaries.{index}.{name}": value for name, value in wall.gentler().items()}
     return Remedy("a gentler push (half the speeds and forces)", changes) if changes else None
+
+
+def _end_motion(scene: Scene, time: float) -> Remedy | None:
+    """End the prescribed motions of the whole object that lasted until a run stopped at `time`.
+
+    Half of the time until then was enough for a ball that was moved into the ground.
+    """
+    changes: dict[str, Any] = {}
+    for index, force in enumerate(scene.forces):
+        lasts = force.start < time < (math.inf if force.end is None else force.end)
+        if isinstance(force, SetVelocity) and force.region is None and lasts:
+            end = force.start + (time - force.start) / 2
+            changes[f"forces.{index}.end"] = float(f"{end:.2g}")
+    words = ", ".join(f"{field} = {_format(value)}" for field, value in changes.items())
+    return Remedy(words, changes) if changes else None
 
 
 def _damp(scene: Scene) -> Remedy | None:

@@ -385,7 +385,7 @@ class Simulation:
                 with self._half_substep():
                     problem = self._try(index, until, closely=True)
             if problem is not None:
-                helpful = find_remedies(problem.causes, self.scene)
+                helpful = find_remedies(problem.causes, self.scene, until)
                 raise Stopped(f"frame {index} is not valid: {problem.what}.", helpful)
 
     @contextmanager

@@ -277,7 +277,7 @@ def test_a_fit_that_is_cancelled_before_it_began_stops(visit, tmp_path):
     page.locator(".fit-status", has_text="Stopped. Nothing was changed.").wait_for()
 
 
-def test_only_a_cut_out_is_corrected(visit, tmp_path):
+def test_only_a_cut_out_is_corrected_and_shown(visit, tmp_path):
     from PIL import Image
 
     page, brush = visit.page, visit.page.locator("#correct")
@@ -292,3 +292,7 @@ def test_only_a_cut_out_is_corrected(visit, tmp_path):
     assert brush.inner_text() == "Mark the object"
     visit.upload()
     assert brush.inner_text() == "Correct the cut-out"
+    page.locator("#viewer .own img").wait_for()
+    chooser.set_input_files(tmp_path / "half.png")
+    page.locator("#viewer .hero").wait_for()
+    assert page.locator("#viewer .own").count() == 0, "the object that was replaced is gone"
