@@ -10,6 +10,7 @@ from phy124.budget.effects import Effects
 from phy124.budget.remedies import find_speedups
 from phy124.errors import InputError
 from phy124.forces import Gravity, ZoneForce
+from phy124.kernels.liquid.active import make_forget
 from phy124.liquid.solver import LiquidSolver
 from phy124.monitor.diagnostics import describe_substep
 from phy124.mpm import FreeBody
@@ -243,6 +244,16 @@ def test_only_cells_near_particles_are_active():
     assert len(active) <= 14**3 < cells.count
     at = np.floor((x - np.array(solver.model.origin)) * 8).astype(int) - cells.low
     assert np.isin(np.ravel_multi_index(at.T, cells.size), active).all()
+
+
+def test_launch_over_cells_has_a_thread_for_each_active_cell():
+    solver = run(liquid(block((0, 0, 0), (0.5, 0.5, 0.5), 8), 8), 2)
+    cells = solver.cells
+    outputs = [cells.phi, cells.known, cells.also, cells.liquid]
+    launch = cells.record(0, make_forget(solver.model.real), [], outputs)
+    launch.launch()
+    assert launch.recorded.bounds.size == cells.ends.numpy()[-1] < cells.count
+    assert not cells.liquid.numpy().any()
 
 
 def test_vortex_in_a_box_decays_by_viscosity():

@@ -25,6 +25,7 @@ from phy124.liquid.solids import Solids
 from phy124.liquid.walls import Walls
 from phy124.mpm import FreeBodies, Grid, Model, Stage, State
 from phy124.mpm.model import part_of
+from phy124.mpm.stage import Repeatable
 from phy124.mpm.tracks import Tracks
 
 STAGE = "bodies"
@@ -253,24 +254,21 @@ class Bodies:
         turn = turn - np.cross(self._centres[index], film[0])
         return other, turn
 
-    def yields(
-        self, cells: Cells, clock: wp.array, worker: int, workers: int, model: Model
-    ) -> wp.Launch | None:
+    def yields(self, cells: Cells, clock: wp.array, worker: int, real: Any) -> Repeatable | None:
         """Return a worker's launch that adds the bodies' surfaces to the pressure equation.
 
         Args:
             cells: The cells.
             clock: Length of the step.
             worker: Index of the worker.
-            workers: Number of workers.
-            model: The particles of the liquid.
+            real: Precision of the liquid.
         """
-        inputs = [worker, cells.active, cells.ends, self.first, self._solids.scale, cells.lattice]
+        inputs = [self.first, self._solids.scale, cells.lattice]
         inputs += [cells.window, clock, self._stiffness, cells.which, cells.jumps, self._sheet]
         inputs.append(self._present)
         inputs += [self._solids.centres, cells.pressure]
-        kernel, count = kernels.make_yield(model.real), -(-cells.count // workers)
-        return model.launch(kernel, count, inputs, [cells.diagonal, cells.right])
+        outputs = [cells.diagonal, cells.right]
+        return cells.record(worker, kernels.make_yield(real), inputs, outputs)
 
     def answer(self, walls: Walls, step: wp.array, model: Model) -> wp.Launch | None:
         """Return the launch that writes the motions after the pressure has acted."""

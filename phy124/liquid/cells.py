@@ -15,6 +15,7 @@ from phy124.kernels.liquid.active import EMPTY
 from phy124.kernels.liquid.faces import sums
 from phy124.mpm import Model, Unstable
 from phy124.mpm.grid import FARTHEST
+from phy124.mpm.stage import Repeatable
 
 MARGIN = 10
 """Number of cells between the particles and the border of a new window."""
@@ -50,6 +51,25 @@ class Region:
     def place(self, low: NDArray) -> None:
         """Move the box so that `low` [3] is its first cell."""
         self.box.assign(np.stack([low, self.size]).astype(np.int32))
+
+
+class OverActive:
+    """A launch on the CPU with as many threads as a worker has active cells at that time.
+
+    A thread without a cell would take as long as a cheap kernel takes for a cell.
+    """
+
+    def __init__(self, launch: wp.Launch, ends: NDArray[np.int32]) -> None:
+        """Store the launch, and a view of the worker's first active cell and their end [2]."""
+        self.recorded, self._ends = launch, ends
+
+    def launch(self) -> None:
+        """Repeat the launch for the active cells."""
+        count = int(self._ends[1] - self._ends[0])
+        if count != self.recorded.bounds.size:
+            self.recorded.set_dim(count)
+        if count:
+            self.recorded.launch()
 
 
 class Cells:
@@ -164,6 +184,24 @@ class Cells:
         """Lowest and highest cell of the particles in each column, in a copy for each worker."""
         self.begins, self.tops = (self._zeros(columns, int) for _ in range(2))
         """First active cell of each column, and the end of its active cells."""
+
+    def record(
+        self, worker: int, kernel: Any, inputs: list[Any], outputs: list[Any]
+    ) -> Repeatable | None:
+        """Record a launch over a worker's active cells.
+
+        Args:
+            worker: Index of the worker.
+            kernel: A kernel whose first arguments are the worker and the list of active cells.
+            inputs: Further arguments that the kernel reads.
+            outputs: Arguments that the kernel writes.
+        """
+        most = -(-self.count // self._copies)
+        inputs = [worker, self.active, self.ends, *inputs]
+        launch = self._model.launch(kernel, most, inputs, outputs)
+        if launch is None or self._model.device != "cpu":
+            return launch
+        return OverActive(launch, self.ends.numpy()[worker : worker + 2])
 
     def region(self, reach: float, wall: int) -> Region:
         """Return the region of all cells up to `reach` [m] around the centre of a wall."""

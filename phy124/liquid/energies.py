@@ -82,8 +82,7 @@ class Energies:
         if not self.on:
             return []
         cells, keep = self._cells, kernels.make_keep(self._model.real)
-        inputs = [worker, cells.active, cells.ends, cells.velocity]
-        copy = self._model.launch(keep, self._count, inputs, [self._before])
+        copy = cells.record(worker, keep, [cells.velocity], [self._before])
         return [(STAGE, copy), *self.of_walls(kernels.AT_DRAG, worker)]
 
     def of_walls(self, at: int, worker: int) -> list[Recorded]:
@@ -99,11 +98,11 @@ class Energies:
         if not self.on:
             return []
         cells, tracks = self._cells, self._tracks
-        inputs = [worker, cells.active, cells.ends, cells.window, tracks.clock, tracks.values]
+        inputs = [cells.window, tracks.clock, tracks.values]
         inputs += [cells.open, cells.liquid, part_of(cells.sums, slice(0, cells.count))]
         inputs += [self._gains, self._before, cells.velocity, cells.other]
         kernel = kernels.make_face_work(self._model.real)
-        return [(STAGE, self._model.launch(kernel, self._count, inputs, [self._row(worker)]))]
+        return [(STAGE, cells.record(worker, kernel, inputs, [self._row(worker)]))]
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
         """Return a worker's launch for the work of displacements: sign -1 before, 1 after them."""
@@ -145,11 +144,6 @@ class Energies:
         else:
             rows[0] = np.sum(snapshot, axis=0)
         self._sums.assign(rows)
-
-    @property
-    def _count(self) -> int:
-        """Largest number of cells of a worker."""
-        return -(-self._cells.count // len(self._sums))
 
     def _row(self, worker: int) -> wp.array:
         return cast("wp.array", self._sums[worker])

@@ -257,11 +257,8 @@ class Phases:
         return slice(first, first + count)
 
     def _over_cells(self, worker: int, name: str, kernel: Any, inputs: list, outputs: list) -> Any:
-        """Record a worker's launch over its active cells; their list precedes the inputs."""
-        cells = self._cells
-        count = -(-cells.count // len(self._workers))
-        inputs = [worker, cells.active, cells.ends, *inputs]
-        return name, self._model.launch(kernel, count, inputs, outputs)
+        """Record a named launch over a worker's active cells."""
+        return name, self._cells.record(worker, kernel, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
         """Return a worker's pushes; the first worker has all pushes if one cannot be divided."""
@@ -373,7 +370,7 @@ class Phases:
     def _jumps(self, worker: int) -> list[Recorded]:
         if not self._solids.present:
             return []
-        return [self._solids.jumps(self._cells, self._walls, worker, len(self._workers))]
+        return [self._solids.jumps(self._cells, self._walls, worker)]
 
     def _couple(self, worker: int) -> list[list[Recorded]]:
         if not self._solids.present:
@@ -384,7 +381,7 @@ class Phases:
     def _yields(self, worker: int) -> list[Recorded]:
         if self._bodies is None:
             return []
-        known = self._cells, self._tracks.clock, worker, len(self._workers), self._model
+        known = self._cells, self._tracks.clock, worker, self._model.real
         return [(BODIES, self._bodies.yields(*known))]
 
     def _respond(self, worker: int) -> list[Recorded]:

@@ -98,21 +98,18 @@ class Solids:
         predict = model.launch(kernel, projection.solids, inputs, [walls.motions])
         return [[(STAGE, lift)], [(STAGE, predict)]]
 
-    def jumps(self, cells: Cells, walls: Walls, worker: int, workers: int) -> Recorded:
+    def jumps(self, cells: Cells, walls: Walls, worker: int) -> Recorded:
         """Return a worker's launch that writes the rows of J.
 
         Args:
             cells: The cells.
             walls: The walls.
             worker: Index of the worker.
-            workers: Number of workers.
         """
-        model, count = self._model, -(-cells.count // workers)
-        inputs = [worker, cells.active, cells.ends, self.first(walls)]
-        inputs += [cells.lattice, cells.window, cells.open]
+        inputs = [self.first(walls), cells.lattice, cells.window, cells.open]
         inputs += [cells.distances, cells.owners, cells.liquid, self.centres]
         outputs = [cells.which, cells.jumps, cells.turns]
-        return STAGE, model.launch(kernels.make_jumps(model.real), count, inputs, outputs)
+        return STAGE, cells.record(worker, kernels.make_jumps(self._model.real), inputs, outputs)
 
     def respond(self, walls: Walls, impulses: WallImpulses) -> list[Recorded]:
         """Return the launches that apply the liquid's opposite impulses to free solids."""

@@ -75,7 +75,17 @@ class Accumulator(Attachable, Sums, Protocol):
 
 Named = tuple[str, Callable[[], Any]]
 """A name, and a function that repeats a launch."""
-Recorded = tuple[str, wp.Launch | None]
+
+
+class Repeatable(Protocol):
+    """A recorded launch."""
+
+    def launch(self) -> None:
+        """Repeat the launch."""
+        ...
+
+
+Recorded = tuple[str, Repeatable | None]
 """A name, and a recorded launch; None if there is nothing to launch."""
 
 
