@@ -11,7 +11,7 @@ from phy124.particles.lattice import integration_points, surface_points
 from phy124.particles.solid import Solid
 from phy124.particles.voxels import HALVINGS, find_levels
 from phy124.studies.validation.bodies import fill_solid
-from support.lattices import DX, block, make
+from support.lattices import DX, block, make, rod
 
 
 def test_full_cells_have_gauss_points():
@@ -80,6 +80,21 @@ def test_turned_plates_keep_their_moments(thick, degrees):
     inner = np.abs(place[:, 0]) < 0.4
     second = volume[inner] @ place[inner, 2] ** 2 / volume[inner].sum()
     assert second == pytest.approx((thick * DX) ** 2 / 12, rel=0.08)
+
+
+@pytest.mark.parametrize("along", [(1, 0, 0), (1, 0.5, 0.3), (1, 1, 1)])
+@pytest.mark.parametrize("thick", [0.4, 0.6, 1.0])
+def test_thin_rods_keep_their_moments(thick, along):
+    """They are one or two voxels of half a cell thick, as stems are in the pipeline."""
+    start, along = np.array([0.37, 0.11, 0.62]), np.array(along) / np.linalg.norm(along)
+    x, volume = integration_points(rod(thick, along, start), DX)
+    arm = x / DX - start
+    inner = (arm @ along > 1) & (arm @ along < 11)
+    arm, share = arm[inner], volume[inner] / volume[inner].sum()
+    across = arm - np.outer(arm @ along, along)
+    across -= share @ across
+    second = np.linalg.eigvalsh(np.einsum("p,pi,pj->ij", share, across, across))
+    assert second[1:] == pytest.approx(np.full(2, thick**2 / 16), rel=0.25 if thick < 0.5 else 0.1)
 
 
 def test_surface_points_lie_on_a_box():

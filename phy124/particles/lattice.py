@@ -35,6 +35,9 @@ TRACE = 0.1
 least twice as much."""
 SLIVER = 0.15
 """Filled fraction of a cell below which the cell is merged with a neighbour."""
+EVEN = 3.0
+"""A sliver stays a cell if no cell around it is filled more than this many times as much. In a rod
+or plate that is thinner than a cell, all cells around may be slivers."""
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 """Steps from a cell to its 26 neighbours."""
 APART = 0.5
@@ -136,8 +139,7 @@ def _points_of_pieces(
     middle = (index + solid.first + 0.5 + shift) * side
     place = np.floor((index + solid.first) * (side / dx) + 1e-9).astype(np.int64)
     part = fraction * (side / dx) ** 3
-    place = _merge_slivers(place, part)
-    _, cell = _cells(place)
+    _, cell = _cells(_merge_slivers(place, part))
     pieces = find_pieces(index, cell, part, _clear(solid)[tuple(index.T)], SLIVER)
     piece = pieces.of_voxel
     count = int(piece.max()) + 1
@@ -156,14 +158,13 @@ def _points_of_pieces(
     reach = np.sqrt(np.maximum(squares, 0))
     x = centre[:, None] + np.einsum("qk,ck,cik->cqi", CORNERS, reach, axes)
     volume = filled * side**3
-    kept = volume >= min(SMALLEST * dx**3, FULLEST * volume.max())
-    volume = volume[kept] * (solid.volume / volume[kept].sum())
-    x = x[kept]
-    links = (np.cumsum(kept) - 1)[pieces.links[kept[pieces.links].all(axis=1)]]
     # As in RestLattice, so that both count the same nodes.
     cells = np.floor((x.astype(np.float32).astype(np.float64) / dx).mean(axis=1)).astype(np.int64)
-    copies = find_copies(cells, links, volume)
-    return x.reshape(-1, 3), np.repeat(volume / PER_CELL, PER_CELL), copies
+    copies = find_copies(pieces, cells, place, part)
+    kept = volume >= min(SMALLEST * dx**3, FULLEST * volume.max())
+    volume = volume[kept] * (solid.volume / volume[kept].sum())
+    x = x[kept].reshape(-1, 3)
+    return x, np.repeat(volume / PER_CELL, PER_CELL), None if copies is None else copies[kept]
 
 
 def _clear(solid: Solid) -> NDArray[np.bool_]:
@@ -215,11 +216,15 @@ def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]
     np.add.at(filled, tuple((place - low).T), part)
     sliver = np.argwhere((filled > 0) & (filled < SLIVER))
     fullest, target = np.zeros(len(sliver)), sliver.copy()
+    most = np.zeros(len(sliver))
     for step in AROUND:
         fill = filled[tuple((sliver + step).T)]
+        most = np.maximum(most, fill)
         near = fill / np.abs(step).sum()
         fuller = (fill >= SLIVER) & (near > fullest)
         fullest[fuller], target[fuller] = near[fuller], (sliver + step)[fuller]
+    merged = most > EVEN * filled[tuple(sliver.T)]
+    sliver, target = sliver[merged], target[merged]
     moved = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1)
     moved[tuple(sliver.T)] = target
     return moved[tuple((place - low).T)] + low

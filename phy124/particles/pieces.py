@@ -32,8 +32,8 @@ class Pieces(NamedTuple):
 
     of_voxel: NDArray[np.int64]
     """Index of the piece that contains each voxel [V]."""
-    links: NDArray[np.int64]
-    """Pairs of pieces that are connected [L,2]."""
+    pairs: NDArray[np.int64]
+    """Pairs of neighbouring voxels, except those with only a trace of material [M,2]."""
 
 
 def find_pieces(
@@ -80,18 +80,59 @@ def find_pieces(
     number = np.zeros(count, np.int64)
     number[kept] = np.arange(len(kept))
     of_voxel = number[target[piece]]
-    return Pieces(of_voxel, _distinct(of_voxel[pairs[~same]], len(kept)))
+    return Pieces(of_voxel, pairs)
 
 
-def find_copies(cell: NDArray, links: NDArray, volume: NDArray) -> NDArray[np.int8] | None:
+def find_copies(
+    pieces: Pieces, cell: NDArray, place: NDArray, volume: NDArray
+) -> NDArray[np.int8] | None:
     """Return which copy of each of its 27 nodes a piece uses [E,27]; None: no node has copies.
 
     Args:
-        cell: Indices of the pieces' cells [E,3].
-        links: Pairs of pieces that are connected [L,2].
-        volume: Volumes of the pieces [E]. The largest piece in the support of a node uses the
-            node's first copy.
+        pieces: The E pieces.
+        cell: Indices of the cells whose nodes they use [E,3].
+        place: Indices of the cells in which the voxels lie [V,3]. They differ from those of their
+            pieces for slivers that were merged with another cell.
+        volume: Volumes of the voxels [V]. The largest connected piece in the support of a node
+            uses the node's first copy.
     """
+    low, shape = place.min(axis=0), np.ptp(place, axis=0) + 1
+    keys = np.asarray(np.ravel_multi_index((place - low).T, shape)) * len(cell) + pieces.of_voxel
+    _, first, part = np.unique(keys, return_index=True, return_inverse=True)
+    places, piece = place[first], pieces.of_voxel[first]
+    size = np.bincount(part, volume)
+    copies = _copies_of_parts(places, piece, part[pieces.pairs], size)
+    if copies is None:
+        return None
+    # A node of a piece is that of the largest part of the piece in the node's support.
+    result = np.zeros((len(cell), 27), np.int8)
+    order = np.argsort(size, kind="stable")
+    copies, piece, places = copies[order], piece[order], places[order]
+    for k, step in enumerate(AROUND):
+        way = cell[piece] + step - places
+        near = np.flatnonzero((np.abs(way) <= 1).all(axis=1))
+        result[piece[near], k] = copies[near, (way[near] + 1) @ [9, 3, 1]]
+    return result if result.any() else None
+
+
+def _copies_of_parts(
+    cell: NDArray, piece: NDArray, pairs: NDArray, volume: NDArray
+) -> NDArray[np.int8] | None:
+    """Return which copy of each of its 27 nodes a part would use [A,27]; None: no copies.
+
+    A part lies in a single cell. Parts of one piece are connected, because they use the same nodes.
+
+    Args:
+        cell: Indices of the cells in which the parts lie [A,3].
+        piece: Index of the piece of each part [A].
+        pairs: Pairs of parts whose voxels touch [M,2].
+        volume: Volumes of the parts [A].
+    """
+    count = len(cell)
+    ones = np.ones(count, np.float32)
+    of_piece = scipy.sparse.csr_matrix((ones, (np.arange(count), piece)))
+    within = np.stack((of_piece @ of_piece.T).nonzero(), axis=1)
+    links = _distinct(np.concatenate([pairs, within]), count)
     low, shape = cell.min(axis=0) - 2, np.ptp(cell, axis=0) + 5
     keys = np.asarray(np.ravel_multi_index((cell - low).T, shape))
     strides = np.array([shape[1] * shape[2], shape[2], 1])
@@ -103,17 +144,14 @@ def find_copies(cell: NDArray, links: NDArray, volume: NDArray) -> NDArray[np.in
         return None
     entry = np.full(nodes.shape, -1)
     entry[chosen] = np.arange(chosen.sum())
-    piece = np.nonzero(chosen)[0]
+    user = np.nonzero(chosen)[0]
     a, b = links[chosen.any(axis=1)[links].all(axis=1)].T
     way = cell[a][:, None] + AROUND - cell[b][:, None]
-    common = (np.abs(way) <= 1).all(axis=2) & (entry[a] >= 0)
-    link, place = np.nonzero(common)
-    pairs = np.stack(
-        [entry[a[link], place], entry[b[link], (way[link, place] + 1) @ [9, 3, 1]]], axis=1
-    )
-    count, group = _components(pairs, len(piece))
-    _, island = _components(links, len(cell))
-    rank = _rank(group, nodes[chosen], island[piece], volume[piece], count)
+    link, at = np.nonzero((np.abs(way) <= 1).all(axis=2) & (entry[a] >= 0))
+    uses = np.stack([entry[a[link], at], entry[b[link], (way[link, at] + 1) @ [9, 3, 1]]], axis=1)
+    number, group = _components(uses, len(user))
+    _, island = _components(links, count)
+    rank = _rank(group, nodes[chosen], island[user], volume[user], number)
     if not rank.any():
         return None
     copies = np.zeros(nodes.shape, np.int8)

@@ -1,12 +1,13 @@
 """Describes the filled part of each voxel of a body: outward normal, centre and second moments.
 
-A voxel that is filled in part is cut by a plane with the voxel's normal, or, in a sheet thinner
-than a voxel, by two parallel planes.
+A voxel that is filled in part is cut by a plane with the voxel's normal. In a sheet thinner than a
+voxel it is cut by two parallel planes, and in a rod without full voxels by a cylinder.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -22,9 +23,18 @@ and has no single outward normal.
 THIN = 1.2
 """Thickness below which a part counts as a sheet, which has two surfaces in a voxel [voxels]."""
 FULL = 0.999
-"""Filled fraction of a voxel that is too large to occur in a sheet."""
-SAMPLES = 6
-"""Number of sample points along each axis of a voxel that is partly filled."""
+"""Filled fraction of a voxel that is too large to occur in a sheet or a rod."""
+ROUND, WIDE, LONG = 3.5, 0.45, 2.5
+"""`ROUND`: largest cross-section of a rod [voxels^2]. `WIDE`: largest second moment across a rod of
+the filled fractions of the surrounding 125 voxels [voxels^2]. `LONG`: smallest ratio of the second
+moment along the rod to the one across it.
+"""
+SINGLE = math.pi / 4
+"""Cross-section of the thickest rod that lies in two neighbouring columns of voxels [voxels^2]."""
+SAMPLES, FINER = 6, 10
+"""Number of sample points along each axis of a voxel that is partly filled: in general, and in
+rods, whose cross-section is small.
+"""
 HALVINGS = 12
 """Number of halvings with which the position of the surface in a voxel is found."""
 ROUNDING = 1e-5
@@ -75,7 +85,23 @@ def find_voxels(filled: NDArray) -> Voxels:
     )
     normals, offsets, sheet = normal[cut], np.zeros(len(cut)), np.zeros(len(cut), bool)
     normals[number], offsets[number], sheet[number] = across, offset, True
-    shift[cut], spread[cut] = _part_moments(normals, offsets, sheet, fraction[cut])
+
+    def from_planes(some: NDArray[np.int64], points: NDArray) -> tuple[NDArray, NDArray]:
+        height, thin = normals[some] @ points.T, sheet[some]
+        height[thin] = np.abs(height[thin] - offsets[some][thin, None])
+        return height, np.abs(normals[some]).sum(axis=1)[:, None]
+
+    shift[cut], spread[cut] = _part_moments(from_planes, fraction[cut], SAMPLES)
+    number, axis, middle = _find_rods(padded, index[cut], around[cut])
+
+    def from_axes(some: NDArray[np.int64], points: NDArray) -> tuple[NDArray, NDArray]:
+        arm = points - middle[some][:, None]
+        along = np.einsum("vsi,vi->vs", arm, axis[some])
+        square = (arm**2).sum(axis=2) - along**2
+        return np.sqrt(np.maximum(square, 0)), np.ones((len(some), 1))
+
+    rods = cut[number]
+    shift[rods], spread[rods] = _part_moments(from_axes, fraction[rods], FINER)
     return Voxels(index, fraction, normal, shift, spread)
 
 
@@ -117,40 +143,73 @@ def _find_sheets(
     return near, normal, np.einsum("vi,vi->v", centre, normal)
 
 
+def _find_rods(
+    padded: NDArray, index: NDArray, around: NDArray
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Find the voxels of rods, such as stems, that are too thin to have full voxels.
+
+    Args:
+        padded: Filled fractions, padded by 2 voxels.
+        index: Indices of the voxels [V,3].
+        around: Filled fractions of the 27 voxels around [V,27].
+
+    Returns:
+        Numbers of the K voxels [K]; directions of the rods [K,3]; and positions on the rods' axes,
+        relative to the voxels' middles [K,3].
+    """
+    total = around.sum(axis=1)
+    # A rod crosses three layers of voxels, or more if it is slanted.
+    near = np.flatnonzero((around.max(axis=1) < FULL) & (total < 3 * math.sqrt(3) * ROUND))
+    weight = _gather(padded, index[near], FAR)
+    weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
+    middle = weight @ FAR
+    second = weight @ (FAR[:, :, None] * FAR[:, None, :]).reshape(-1, 9)
+    moment, axes = np.linalg.eigh(
+        second.reshape(-1, 3, 3) - middle[:, :, None] * middle[:, None, :]
+    )
+    axis = axes[:, :, 2]
+    area = total[near] * np.abs(axis).max(axis=1) / 3
+    narrow = (moment[:, 1] < WIDE) & (moment[:, 2] > LONG * moment[:, 1]) & (area < ROUND)
+    strip = (area > SINGLE) & (moment[:, 1] > 0.1) & (moment[:, 0] < 0.03)
+    chosen = narrow & ~strip & (moment[:, 2] > WIDE)
+    return near[chosen], axis[chosen], middle[chosen]
+
+
 def _part_moments(
-    normal: NDArray, offset: NDArray, sheet: NDArray[np.bool_], fraction: NDArray
+    measure: Callable[[NDArray[np.int64], NDArray], tuple[NDArray, NDArray]],
+    fraction: NDArray,
+    samples: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return centres [V,3] and second moments [V,3,3] of the filled parts of voxels.
 
-    The centres and moments are computed from `SAMPLES` points per axis; a point at the surface
-    counts in part.
+    A sample point at the surface counts in part.
 
     Args:
-        normal: Outward normals [V,3].
-        offset: Distances of sheets from the middles of the voxels [V].
-        sheet: Whether the part is a sheet between two planes [V].
+        measure: Returns heights of points [S,3] in K voxels [K,S], and the extent of a voxel across
+            its surface [K,1], for the numbers of the voxels [K]. Each voxel is filled below one
+            height.
         fraction: Filled fractions [V].
+        samples: Number of sample points along each axis.
     """
-    centre, spread = np.zeros((len(normal), 3)), np.zeros((len(normal), 3, 3))
-    line = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    centre, spread = np.zeros((len(fraction), 3)), np.zeros((len(fraction), 3, 3))
+    line = (np.arange(samples) + 0.5) / samples - 0.5
     points = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
     products = (points[:, :, None] * points[:, None, :]).reshape(-1, 9)
 
-    def measure(some: NDArray[np.int64]) -> None:
-        height, thin = normal[some] @ points.T, sheet[some]
-        height[thin] = np.abs(height[thin] - offset[some][thin, None])
-        width = np.abs(normal[some]).sum(axis=1)[:, None] / SAMPLES
+    def fill(some: NDArray[np.int64]) -> None:
+        height, width = measure(some, points)
+        width = width / samples
         level = find_levels(height, width, fraction[some, None])
         share = _share_below(level, height, width)
         share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-9)
         centre[some] = share @ points
         middle = centre[some][:, :, None] * centre[some][:, None, :]
-        of_sample = np.eye(3) / (12 * SAMPLES**2)
+        of_sample = np.eye(3) / (12 * samples**2)
         spread[some] = (share @ products).reshape(-1, 3, 3) - middle + of_sample
 
-    blocks = np.array_split(np.arange(len(normal)), max(1, len(normal) // BLOCK))
+    blocks = np.array_split(np.arange(len(fraction)), max(1, len(fraction) // BLOCK))
     with ThreadPoolExecutor(min(cores(), len(blocks)), "voxels") as pool:
-        list(pool.map(measure, blocks))
+        list(pool.map(fill, blocks))
     return centre, spread
 
 

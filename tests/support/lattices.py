@@ -8,6 +8,7 @@ from phy124.mpm import Model, State
 from phy124.particles.lattice import lattice_of
 from phy124.particles.solid import Solid
 from phy124.scene import Scene
+from phy124.studies.validation.bodies import fill_solid
 
 DX = 0.1
 SOFT = NeoHookean(E=1e5, nu=0.3, density=1000)
@@ -30,6 +31,21 @@ def fork(*, prongs=2, thick=1.0, gap=0.4, root=2, long=10, wide=2, low=(0, 0, 0)
     height = np.arange(count[2])
     fraction[start:, :, (height % step >= thick) | (height >= prongs * step)] = 0
     return Solid(np.array([round(x * per) for x in low]), DX / per, fraction)
+
+
+def rod(thick, along, start, *, long=12, per=2):
+    """Return a round rod from two cells before `start` to `long` cells after it; all in cells."""
+    along = np.array(along) / np.linalg.norm(along)
+
+    def distance(x):
+        arm = x / DX - start
+        s = arm @ along
+        away = np.linalg.norm(arm - s[..., None] * along, axis=-1) - thick / 2
+        return DX * np.maximum(away, np.maximum(-s - 2, s - long))
+
+    ends = np.array([start - 2 * along, start + long * along])
+    low, high = (ends.min(axis=0) - thick) * DX, (ends.max(axis=0) + thick) * DX
+    return fill_solid(distance, low, high, DX / per)
 
 
 def make(solid, material=SOFT, *, v=None, C=None, precision="float64", **options):
