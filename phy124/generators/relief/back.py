@@ -193,14 +193,16 @@ def card_back(picture: Field, inside: NDArray[np.bool_]) -> Field:
         picture: Colours of the front [H,W,3].
         inside: Mask of the silhouette [H,W].
     """
-    colours = picture[inside]
+    return np.broadcast_to(most_common(picture[inside]), picture.shape)
+
+
+def most_common(colours: Field) -> Field:
+    """Return the most common colour [3] of colours [N,3]."""
     count = np.histogramdd(colours, BINS, [(0.0, 1.0)] * 3)[0]
     count = scipy.ndimage.gaussian_filter(count, 0.7)
     most = (np.array(np.unravel_index(count.argmax(), count.shape)) + 0.5) / BINS
     far = np.abs(colours - most).max(axis=1)
-    return np.broadcast_to(
-        np.median(colours[far <= max(1 / BINS, far.min())], axis=0), picture.shape
-    )
+    return np.median(colours[far <= max(1 / BINS, far.min())], axis=0)
 
 
 def smooth_back(

@@ -14,6 +14,7 @@ from phy124.generators.relief.back import (
     choose_look,
     plain_back,
 )
+from phy124.generators.relief.boxes import Cuboid, find_box
 from phy124.generators.relief.caps import Cap, colour_cap, make_cap
 from phy124.generators.relief.colours import (
     REACH,
@@ -73,8 +74,12 @@ def from_front(
         thickness: Factor on the depth guessed from the silhouette.
     """
     work = continue_silhouette(work_picture(picture, depth=depth), PADDING)
-    silhouette = Silhouette.of(work.alpha)
     view = View.of(work.object_mask, VIEW_DISTANCE * WORK)
+    guessed = depth is None and back is None and thickness == 1
+    if guessed and (box := find_box(work.object_mask, view)):
+        step(1)
+        return _box_shell(box, clean_picture(work.rgba[..., :4]), count)
+    silhouette = Silhouette.of(work.alpha)
     half = half_thickness(silhouette, work, WORK)
     if half is None:
         work = work.shorten()
@@ -117,6 +122,15 @@ def from_front(
         rgb = blend_pictures(drawn, turned, shown, view.distance)
     step(3)
     return Shell(drawn, turned, spacing, rgb)
+
+
+def _box_shell(box: Cuboid, front: Field, count: int) -> Shell:
+    """Return the shell of a box with the colours of the image [H,W,3]."""
+    points, normals, pitch = box.spread(count)
+    middle = float(box.view.middle[0]), float(box.view.middle[1])
+    seen = Shown(front, middle, FRONT, ACROSS).colours(points, box.view.distance)
+    spacing = np.full(len(points), pitch)
+    return Shell(points, normals, spacing, box.colours(points, normals, seen))
 
 
 def _reach_behind(surface: Surface, slab: bool) -> float:

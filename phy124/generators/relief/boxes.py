@@ -1,0 +1,153 @@
+"""Fits a box to an outline of six corners, as a cuboid has that is seen from one of its edges.
+
+The picture determines the box: twelve coordinates for a rotation, three sizes and a position.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from phy124.generators.relief.back import most_common
+from phy124.generators.relief.shell import DRAWN_IN
+from phy124.generators.relief.surface import View
+
+Field = NDArray[np.float64]
+TOLERANCES, OVERLAP = (0.01, 0.007, 0.004), 0.98
+"""Largest distances of the outline from the hexagon that are tried, relative to the outline's
+length; and smallest overlap (IoU) of the silhouette and the hexagon."""
+YAWS, PITCHES = (20.0, 45.0, 70.0), (-2.0, -25.0, -50.0)
+"""Directions from which the fit begins [degrees]; boxes are assumed to be seen from above."""
+MISFIT = 7.0
+"""Largest root mean square distance of the corners of box and hexagon [pixels]."""
+LONGEST = 12.0
+"""Largest ratio of the box's sizes."""
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Cuboid:
+    """A box in projected coordinates."""
+
+    turn: Field
+    """Rotation from the box's axes to those of the camera [3,3]."""
+    half: Field
+    """Half of the sizes [3], pixels."""
+    centre: Field
+    """Centre [3], pixels."""
+    view: View
+    """The front camera."""
+
+    def spread(self, count: int) -> tuple[Field, Field, float]:
+        """Distribute about `count` points evenly over the faces.
+
+        Returns:
+            Points in projected coordinates [N,3], outward unit normals [N,3], and the spacing.
+        """
+        half = np.maximum(self.half - DRAWN_IN, self.half / 2)
+        area = 8 * (half.prod() / half).sum()
+        pitch = float(np.sqrt(area / count))
+        edge = pitch * (4 / 3) ** 0.25  # of the triangles, whose points have the area pitch^2 each
+        points, normals = [], []
+        for axis in range(3):
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            rows, columns = (
+                np.linspace(-reach, reach, max(2, round(2 * reach / step)))
+                for reach, step in ((half[v], edge * 3**0.5 / 2), (half[u], edge))
+            )
+            for side in (-1, 1):
+                face = np.zeros((len(rows), len(columns), 3))
+                face[..., axis] = side * half[axis]
+                face[..., v] = rows[:, None]
+                # A triangular lattice: every second row is shifted by half a spacing.
+                shift = np.where(np.arange(len(rows)) % 2, edge / 2, 0.0)[:, None]
+                face[..., u] = np.minimum(columns + shift, half[u])
+                points.append(face.reshape(-1, 3))
+                normals.append(np.tile(side * np.eye(3)[axis], (points[-1].shape[0], 1)))
+        placed = np.concatenate(points) @ self.turn.T + self.centre
+        return placed, np.concatenate(normals) @ self.turn.T, pitch
+
+    def colours(self, points: Field, normals: Field, seen: Field) -> Field:
+        """Colour points [N,3]: a hidden face has the most common colour of the opposite face.
+
+        Args:
+            points: Projected points [N,3].
+            normals: Unit normals [N,3].
+            seen: Colours of these points in the image [N,3].
+        """
+        eye = np.array([0.0, 0.0, self.view.distance])
+        visible = ((eye - points) * normals).sum(axis=1) > 0
+        colours = np.where(visible[:, None], seen, most_common(seen[visible]))
+        axis = np.abs(normals @ self.turn).argmax(axis=1)
+        for number in range(3):
+            face = axis == number
+            if (face & visible).any():
+                colours[face & ~visible] = most_common(seen[face & visible])
+        return colours
+
+
+def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
+    """Return the box whose outline is a silhouette [H,W]; None if it is not that of a box."""
+    corners = _hexagon(object_mask)
+    if corners is None:
+        return None
+    corners = corners - view.middle[:2]
+    fits = [_fit(corners, yaw, pitch, view.distance) for yaw in YAWS for pitch in PITCHES]
+    fits = [fit for fit in fits if fit is not None]
+    if not fits:
+        return None
+    values, misfit = min(fits, key=lambda fit: fit[1])
+    half = np.exp(values[3:6])
+    if misfit > MISFIT or half.max() > LONGEST * half.min():
+        return None
+    turn = Rotation.from_rotvec(values[:3]).as_matrix()
+    return Cuboid(turn, half, np.array([*values[6:], 0.0]), view)
+
+
+def _hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
+    """Return the corners of a hexagonal silhouette [6,2], pixels; None for other silhouettes."""
+    outlines, _ = cv2.findContours(
+        object_mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
+    hull = cv2.convexHull(max(outlines, key=len))
+    length = cv2.arcLength(hull, closed=True)
+    for tolerance in TOLERANCES:
+        corners = cv2.approxPolyDP(hull, tolerance * length, closed=True)
+        drawn = cv2.fillPoly(np.zeros(object_mask.shape, np.uint8), [corners], 1) > 0
+        overlap = np.count_nonzero(drawn & object_mask) / np.count_nonzero(drawn | object_mask)
+        if len(corners) == 6 and overlap > OVERLAP:
+            return corners[:, 0].astype(np.float64)
+    return None
+
+
+def _project(values: Field, distance: float) -> Field:
+    """Return the corners of a box [8,2] in the image; values: rotation, log sizes, x and y."""
+    turn = Rotation.from_rotvec(values[:3]).as_matrix()
+    points = (CORNERS * np.exp(values[3:6])) @ turn.T + [*values[6:], 0.0]
+    return points[:, :2] / (1 - points[:, 2:] / distance)
+
+
+def _fit(corners: Field, yaw: float, pitch: float, distance: float) -> tuple[Field, float] | None:
+    """Fit a box to corners [6,2] from one direction; return its values and the misfit [pixels]."""
+    turn = Rotation.from_euler("yx", [yaw, pitch], degrees=True)
+    size = np.ptp(corners, axis=0)
+    values = np.array([*turn.as_rotvec(), *[np.log(size.mean() / 3.5)] * 3, *corners.mean(axis=0)])
+    drawn = _project(values, distance)
+    hull = cv2.convexHull(drawn.astype(np.float32), returnPoints=False)[:, 0].astype(np.intp)
+    wanted = cv2.convexHull(corners.astype(np.float32))[:, 0].astype(np.float64)
+    if len(hull) != len(wanted):
+        return None
+    scaled = (drawn - drawn[hull].mean(axis=0)) / np.ptp(drawn[hull], axis=0) * size
+    shifts = [np.roll(hull, shift) for shift in range(len(hull))]
+    order = min(
+        shifts, key=lambda o: float(((scaled[o] - (wanted - wanted.mean(axis=0))) ** 2).sum())
+    )
+    fit = scipy.optimize.least_squares(
+        lambda v: (_project(v, distance)[order] - wanted).ravel(), values, max_nfev=60
+    )
+    return fit.x, float(np.sqrt(2 * fit.cost / len(wanted)))

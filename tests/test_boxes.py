@@ -1,0 +1,70 @@
+"""Boxes seen from an edge: sizes from six corners, faces in their places, nothing else is a box."""
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from phy124.gaussians import rotation_matrices
+from phy124.generators.relief import relief
+from phy124.generators.relief.boxes import CORNERS, find_box
+from phy124.generators.relief.surface import View
+
+HALF = np.array([70.0, 60.0, 80.0])
+DISTANCE = 496.0
+FACES = {
+    (2, 1): (200, 60, 50),
+    (0, 1): (60, 60, 200),
+    (0, -1): (60, 60, 200),
+    (1, -1): (60, 200, 60),
+}
+
+
+def draw_box(yaw, pitch):
+    """Return a picture [400,400,4] of a box whose front is red, sides blue and top green."""
+    turn = Rotation.from_euler("yx", [yaw, pitch], degrees=True).as_matrix()
+    points = (CORNERS * HALF) @ turn.T
+    flat = points[:, :2] / (1 - points[:, 2:] / DISTANCE)
+    middle = 199.5 - (flat.min(axis=0) + flat.max(axis=0)) / 2
+    rgba = np.zeros((400, 400, 4), np.uint8)
+    for (axis, side), colour in FACES.items():
+        normal = side * turn[:, axis]
+        if normal @ (np.array([0, 0, DISTANCE]) - side * HALF[axis] * turn[:, axis]) > 0:
+            corners = flat[CORNERS[:, axis] == side][[0, 1, 3, 2]] + middle
+            cv2.fillPoly(rgba, [np.round(corners).astype(np.int32)], (*colour, 255))
+    return rgba
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(-35, -25), (30, 0), (50, -40)])
+def test_sizes_of_a_box_follow_from_its_corners(yaw, pitch):
+    mask = draw_box(yaw, pitch)[..., 3] > 0
+    box = find_box(mask, View.of(mask, DISTANCE))
+    assert box is not None
+    ratios = np.sort(box.half) / np.sort(HALF)
+    np.testing.assert_allclose(ratios / ratios.mean(), 1, atol=0.08)
+
+
+def test_hidden_faces_have_the_colours_of_opposite_faces():
+    """The bottom is green like the top, and the box is closed and flat."""
+    gaussians = relief(Image.fromarray(draw_box(-35, -25)), count=5000)
+    normals = rotation_matrices(gaussians.quats)[:, :, 2]
+    channel = gaussians.rgb.argmax(axis=1)
+    for sign in (1, -1):
+        level = (normals[:, 2] * sign) > 0.8
+        assert level.sum() > 500
+        assert (channel[level] == 1).mean() > 0.95
+    directions = np.unique(np.round(normals, 2), axis=0)
+    assert len(directions) == 6
+
+
+def test_other_shapes_are_not_boxes():
+    y, x = np.mgrid[:300, :300]
+    disc = np.hypot(x - 150, y - 150) < 100
+    square = np.maximum(abs(x - 150), abs(y - 150)) < 100
+    star = np.hypot(x - 150, y - 150) < 80 + 30 * np.cos(6 * np.arctan2(y - 150, x - 150))
+    lopsided = np.zeros((300, 300), np.uint8)
+    corners = [[20, 150], [60, 40], [250, 20], [280, 100], [150, 280], [90, 260]]
+    cv2.fillPoly(lopsided, [np.array(corners)], 1)
+    for mask in (disc, square, star, lopsided > 0):
+        assert find_box(mask, View.of(mask, DISTANCE)) is None
