@@ -208,7 +208,7 @@ def test_objects_rub_with_friction_times_weight_times_way():
 
 def test_objects_of_two_materials_collide():
     solids = [block(CUBE), block(CUBE, low=(0.32, 0.05, 0.05), per=4)]
-    laws = DAMPED, Hencky(E=5e4, nu=0.2, density=1000)
+    laws = DAMPED, Hencky(E=5e4, nu=0.2, density=1000, damping=20.0)
     solver = make_bodies(solids, *laws, v=[(0.5, 0, 0), (-0.5, 0, 0)])
     hit = Balance(solver, 0.12)
     assert hit.pairs > 0.02 * hit.first.kinetic and hit.material > 0.02 * hit.first.kinetic

@@ -48,6 +48,7 @@ def test_solver_against_a_straightforward_program(start, twin, simd):
         dx=2 / CELLS,
         forces=[Gravity()],
         boundaries=[AtNodes(lower=(-9, -9, -9), upper=(9, 9, 0.52))],
+        precision="float32" if simd else "float64",
         simd=simd,
         ceiling=DT,
     )
