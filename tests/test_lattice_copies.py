@@ -43,6 +43,13 @@ def test_lattice_with_copies_keeps_mass_centre_and_linear_motions():
     assert np.allclose(lattice.respond(1000 * volume), 1)
 
 
+def test_nodes_that_only_their_repetitions_serve_move_with_the_body():
+    solver = make(fork(), v=(1, 2, 3))
+    lattice = solver.lattice
+    assert len(np.unique(lattice.nodes_of())) < len(lattice)
+    assert np.allclose(solver.nodes_state.v.numpy(), (1, 2, 3))
+
+
 def test_whole_bodies_repeat_no_node():
     lattice = make(block((0.4, 0.3, 0.3))).lattice
     assert np.array_equal(lattice.source, np.arange(len(lattice)))

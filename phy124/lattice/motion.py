@@ -44,12 +44,13 @@ def _motion(model: Model, lattice: RestLattice, state: State) -> NDArray[np.floa
     v, C = (np.asarray(a.numpy(), np.float64) for a in (state.v, state.C))
     if not v.any() and not C.any():
         return np.zeros((len(lattice), 3))
-    points = (lattice.rows[:, :, None] + np.arange(3)).reshape(len(lattice.rows), 27)
-    nodes = np.repeat(points, 8, axis=0)
+    # Cells may use only the repetitions of a node with copies, so all count for that node.
+    nodes = np.repeat(lattice.source[lattice.nodes_of()], 8, axis=0)
     total, number = np.zeros((len(lattice), 3)), np.zeros(len(lattice))
     for k in range(27):
         n = nodes[:, k]
         there = v + np.einsum("pij,pj->pi", C, lattice.x[n] - model.rest)
         np.add.at(total, n, there)
         np.add.at(number, n, 1)
-    return total / number[:, None]
+    home = lattice.source
+    return total[home] / number[home, None]
