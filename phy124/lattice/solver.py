@@ -379,10 +379,6 @@ class LatticeSolver:
         """Run a phase or another task of a worker."""
         self.workers[member].run(task)
 
-    def _run_task(self, member: int, task: int) -> None:
-        """Run a phase or another task of a worker."""
-        self.workers[member].run(task)
-
     def _threads(self) -> AbstractContextManager[None]:
         """Return a context within which each worker runs on its own thread."""
         if len(self.workers) > 1:

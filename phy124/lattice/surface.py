@@ -134,9 +134,8 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     weights = np.einsum("pi,pj,pk->pijk", a, b, c).reshape(len(x), 27) * free
     weights[near] = _within_rows(nodes[near], weights[near])
     supported = weights.sum(axis=1) > SUPPORTED
-    x, normal, body, nodes, weights = (
-        values[supported] for values in (x, normal, body, nodes, weights)
-    )
+    x, normal, weights = (values[supported] for values in (x, normal, weights))
+    body, side, nodes = (values[supported] for values in (body, side, nodes))
     arm = index[supported] + 0.5 - (x / lattice.dx)[:, None]
     first = np.einsum("pn,pna->pa", weights, arm)
     second = np.einsum("pn,pna,pnb->pab", weights, arm, arm)
@@ -144,7 +143,7 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     weights = weights * (1 + np.einsum("pna,pa->pn", arm, slope))
     weights /= weights.sum(axis=1, keepdims=True)
     nodes, weights = _consecutive(nodes, weights, len(lattice))
-    return Surface(x, normal, body, side[supported], nodes, weights, lattice.x, lattice.dx)
+    return Surface(x, normal, body, side, nodes, weights, lattice.x, lattice.dx)
 
 
 def _nearest_pieces(

@@ -139,13 +139,14 @@ def _copies_of_parts(
     near = np.abs(cell[links[:, 0]] - cell[links[:, 1]]).max(axis=1) <= 1
     doubtful = _doubtful_nodes(keys, keys[links[near]], strides, int(shape.prod()))
     nodes = keys[:, None] + AROUND @ strides
-    chosen: NDArray[np.bool_] = doubtful[nodes]
+    chosen = np.asarray(doubtful[nodes])
     if not chosen.any():
         return None
     entry = np.full(nodes.shape, -1)
     entry[chosen] = np.arange(chosen.sum())
     user = np.nonzero(chosen)[0]
-    a, b = links[chosen.any(axis=1)[links].all(axis=1)].T
+    using = np.asarray(chosen.any(axis=1))
+    a, b = links[using[links].all(axis=1)].T
     way = cell[a][:, None] + AROUND - cell[b][:, None]
     link, at = np.nonzero((np.abs(way) <= 1).all(axis=2) & (entry[a] >= 0))
     uses = np.stack([entry[a[link], at], entry[b[link], (way[link, at] + 1) @ [9, 3, 1]]], axis=1)
