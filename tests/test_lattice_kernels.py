@@ -8,7 +8,7 @@ from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.forces import Acceleration
 from phy124.kernels.lattice import points, work
 from phy124.kernels.lattice.stress import CLOSING, GRADIENT, SPEED
-from phy124.lattice import impulses, material, solids, workers
+from phy124.lattice import impulses, kernels, material, solids
 from phy124.lattice import walls as lattice_walls
 from phy124.lattice.workers import MEASURE, TRIAL
 from phy124.materials import Hencky, NeoHookean
@@ -90,7 +90,7 @@ def test_lattice_compiles_for_cuda(arch, tmp_path):
     walls = [Ground(), Held()]
     laws = [(SOFT.device_law, False), (Hencky(damping=1.0).device_law, True)]
     kind = wp.float32, "cuda"
-    made = *workers.kernels(laws, *kind), *lattice_walls.kernels(walls, *kind, several=True)
+    made = *kernels.of_workers(laws, *kind), *lattice_walls.kernels(walls, *kind, several=True)
     made += *solids.kernels_of(["box", "sphere"], *kind), *material.kernels_of(*kind)
     made += (
         *impulses.kernels(wp.float32),

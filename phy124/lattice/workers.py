@@ -8,7 +8,7 @@ order of the workers, so that a run repeats bit for bit with the same number of 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
@@ -473,26 +473,6 @@ def is_viscous(group: Group, model: Model) -> bool:
 def _sections(group: Group, model: Model) -> list[Any]:
     """Return the materials with a group's law."""
     return [section for section in model.materials if section.device_law.name == group.law.name]
-
-
-def kernels(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -> Iterator[Any]:
-    """Yield the kernels of a run; `model_laws` has pairs of a law and whether it is viscous."""
-    vectors = simd.usable(real, device)
-    if vectors:
-        yield from (simd.make_kick_simd(), simd.make_drift_simd(), simd.make_follow_simd())
-    else:
-        yield from (node_kernels.make_kick(real), node_kernels.make_drift(real))
-        yield point_kernels.make_follow(real)
-    yield node_kernels.make_node_totals(real)
-    yield make_shock(real)
-    yield from (node_kernels.make_try(real), node_kernels.make_compare(real))
-    for law, viscous in model_laws:
-        if vectors and simd.has_stress(law):
-            yield simd.make_stress_simd(law, viscous)
-            if not viscous:
-                yield simd.make_measure_simd()
-            continue
-        yield from (make_stress(law, real, viscous), make_lattice_measure(real))
 
 
 def _span_of_cells(lattice: RestLattice, first: int, last: int) -> slice:

@@ -206,16 +206,19 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     if scene.projects and not scene.mixes:
         return
     if scene.on_lattice:
-        from phy124.lattice import material, solids, walls, workers
+        from phy124.lattice import kernels, material
 
         elastic = [section for section in scene.materials if is_elastic(section)]
-        viscous = [math.isfinite(section.viscous_limit(scene.dx)) for section in elastic]
-        named = zip(elastic, viscous, strict=True)
-        laws = {section.device_law.name: (section.device_law, damped) for section, damped in named}
-        yield from workers.kernels(list(laws.values()), real, device)
-        yield from walls.kernels(scene.boundaries, real, device, several=bool(scene.objects))
-        shapes = (body.shape or "" for body in scene.objects if body.free)
-        yield from solids.kernels_of(shapes, real, device)
+        shapes = [body.shape or "" for body in scene.objects if body.free]
+        yield from kernels.of_bodies(
+            elastic,
+            scene.boundaries,
+            shapes,
+            real,
+            device,
+            dx=scene.dx,
+            several=bool(scene.objects),
+        )
         if not scene.couples:
             return
         yield from material.kernels_of(real, device)
