@@ -157,5 +157,6 @@ def _draw(gaussians: Gaussians, folder: Path) -> None:
     for up in candidates(None):
         for reading in candidates(up.up):
             assert reading.up is not None and reading.front is not None
-            picture = Image.fromarray(draw_oriented(renderer, gaussians, reading, SIZE))
+            drawn = draw_oriented(renderer, gaussians, reading, SIZE, alpha=True)
+            picture = Image.fromarray(drawn)
             picture.save(folder / way(reading.up, reading.front), "WEBP", quality=85)

@@ -82,6 +82,9 @@ def test_file_is_thinned_drawn_in_24_poses_and_simulated(studio):
     assert file.count <= 1000 and "1,200 Gaussians were reduced to 1,000" in file.notes[0]
     with Image.open(file.picture) as picture:
         assert picture.size == (module.SIZE,) * 2
+        alpha = picture.getchannel("A")
+        assert alpha.getpixel((0, 0)) == 0, "it stands on the stage without a white card"
+        assert alpha.getextrema()[1] > 250
     made = {path.stem for path in file.pictures.glob("*.webp")}
     assert len(made) == 24 and {name.split("_")[0] for name in made} == set(UPS)
     visitor, scene = studio.visitors.get("a"), Scene.named("press")

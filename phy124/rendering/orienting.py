@@ -10,7 +10,7 @@ from phy124.gaussians import Gaussians
 from phy124.generators.ply_file import PlyFile, Reading, normalise_size
 from phy124.io.axes import FRONTS, orientation, rotate_gaussians
 from phy124.particles.thinning import thin
-from phy124.rendering.render import Renderer
+from phy124.rendering.render import BLACK, WHITE, Renderer
 
 ENOUGH = 30_000
 """Number of Gaussians that suffices for these pictures."""
@@ -43,7 +43,7 @@ def samples(path: str) -> tuple[Gaussians, tuple[str, ...]]:
 
 
 def draw_oriented(
-    renderer: Renderer, gaussians: Gaussians, reading: Reading, size: int
+    renderer: Renderer, gaussians: Gaussians, reading: Reading, size: int, *, alpha: bool = False
 ) -> NDArray[np.uint8]:
     """Render the object [size,size,3] from its front, slightly from the left and from above.
 
@@ -52,10 +52,15 @@ def draw_oriented(
         gaussians: The object in the axes of its file, of any size.
         reading: The file's axes that point up and to the front.
         size: Width and height of the picture [pixels].
+        alpha: Whether the background is transparent, with the coverage as fourth channel; otherwise
+            it is white.
 
     Raises:
         InputError: All centres coincide.
     """
     standing = normalise_size(rotate_gaussians(gaussians, orientation(reading.up, reading.front)))
-    image = renderer(standing, Camera.orbit(20.0, 15.0, 1.6, size))[..., :3]
+    camera = Camera.orbit(20.0, 15.0, 1.6, size)
+    image = renderer(standing, camera, BLACK if alpha else WHITE, alpha=alpha)
+    if alpha:
+        image[..., :3] /= np.maximum(image[..., 3:], 1e-3)
     return (np.clip(image, 0, 1) * 255).round().astype(np.uint8)
