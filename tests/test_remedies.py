@@ -93,9 +93,9 @@ def test_words():
     )
 
 
-def test_a_remedy_that_changes_nothing_is_left_out():
-    scene = Scene.named("press").replaced({"material.E": 1.0})
-    assert find_remedies(["softer"], scene) == ()
+def test_a_remedy_beyond_a_bound_is_left_out():
+    scene = Scene.named("press").replaced({"material.E": 1.0, "time.substep": 1.0})
+    assert find_remedies(["softer", "ceiling"], scene) == ()
 
 
 def test_remedy_of_a_lasting_prescribed_motion_is_its_end():

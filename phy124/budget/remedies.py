@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from phy124.errors import Remedy
+from phy124.errors import InputError, Remedy
 from phy124.forces import SetVelocity
 from phy124.scene import Scene
 
@@ -38,8 +38,11 @@ def find_remedies(
 
 
 def _changes(remedy: Remedy, scene: Scene) -> bool:
-    """Return whether a remedy changes a scene; a value at its bound stays."""
-    return scene.replaced(remedy.changes) != scene
+    """Return whether a scene accepts a remedy and changes; a value at its bound stays."""
+    try:
+        return scene.replaced(remedy.changes) != scene
+    except InputError:
+        return False
 
 
 def advise(remedies: Sequence[Remedy]) -> str:
