@@ -5,6 +5,7 @@ import pytest
 
 from phy124.boundaries import Held
 from phy124.forces import TotalForce
+from phy124.lattice.rest import RestLattice
 from phy124.materials import NeoHookean
 from phy124.monitor.lattice import LatticeTotals
 from phy124.schema.region import Region
@@ -48,6 +49,15 @@ def test_nodes_that_only_their_repetitions_serve_move_with_the_body():
     lattice = solver.lattice
     assert len(np.unique(lattice.nodes_of())) < len(lattice)
     assert np.allclose(solver.nodes_state.v.numpy(), (1, 2, 3))
+
+
+def test_nodes_of_which_cells_use_one_copy_have_no_copies():
+    whole = make(block((0.4, 0.3, 0.3)))
+    x, mass, volume = whole.model.rest, whole.model.mass.numpy(), whole.model.volume.numpy()
+    copies = np.ones((len(whole.lattice.rows), 27), np.int64)
+    lattice = RestLattice.of(x, mass, volume, DX, copies=copies)
+    assert np.array_equal(lattice.rows, whole.lattice.rows)
+    assert np.array_equal(lattice.source, np.arange(len(whole.lattice)))
 
 
 def test_whole_bodies_repeat_no_node():

@@ -171,8 +171,10 @@ class RestLattice:
         carried = ties.T @ _rows(tied, len(index))
         pushes = scipy.sparse.csr_matrix(carried + shares + shares @ carried)
         rows, source = number[:, ::3], np.arange(len(index))
-        if room > 1:
-            layout = lay_out(index, nodes % room, number)
+        # Cells may use only later copies of a node; the first that they use is its first copy.
+        copy = np.arange(len(nodes)) - np.searchsorted(nodes // room, nodes // room)
+        if copy.any():
+            layout = lay_out(index, copy, number)
             tied, ties, pushes = layout.repeat(tied, ties, pushes)
             index, rows, source = index[layout.node], layout.rows, layout.home[layout.node]
             of_nodes = np.where(layout.repeats, 0, of_nodes[layout.node])
