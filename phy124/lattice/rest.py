@@ -389,7 +389,8 @@ def _share(
 
 def _rows(chosen: NDArray[np.int64], count: int) -> scipy.sparse.csr_matrix:
     """Return the chosen rows of the identity matrix of the given size."""
-    return scipy.sparse.csr_matrix(scipy.sparse.eye_array(count, format="csr")[chosen])
+    shape, ones = (len(chosen), count), np.ones(len(chosen))
+    return scipy.sparse.csr_matrix((ones, (np.arange(len(chosen)), chosen)), shape=shape)
 
 
 def _tie(

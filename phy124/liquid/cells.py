@@ -201,7 +201,8 @@ class Cells:
         launch = self._model.launch(kernel, most, inputs, outputs)
         if launch is None or self._model.device != "cpu":
             return launch
-        return OverActive(launch, self.ends.numpy()[worker : worker + 2])
+        ends = np.asarray(self.ends.numpy(), np.int32)
+        return OverActive(launch, ends[worker : worker + 2])
 
     def region(self, reach: float, wall: int) -> Region:
         """Return the region of all cells up to `reach` [m] around the centre of a wall."""

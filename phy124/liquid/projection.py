@@ -89,7 +89,7 @@ class Projection:
             cells.directions[1],
             self.sums,
         ]
-        phases = [[(STAGE, launch(conjugate.begin, parts, inputs, outputs))]]
+        phases: list[list[Recorded]] = [[(STAGE, launch(conjugate.begin, parts, inputs, outputs))]]
         for begun, turn in ((0, 0), (1, 1), (1, 0)):
             before, after = cells.directions[1 - turn], cells.directions[turn]
             inputs = [
