@@ -217,7 +217,7 @@ def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
 
 
 def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
-    """Return the error of the finest level without tears, and the order for extrapolation."""
+    """Return the error at the finest level at which nothing tears, and the order of convergence."""
     if result.error is not None:
         order = result.order or GUESSED_ORDER
         return result.error, min(max(order, TRUSTED[0]), TRUSTED[1])

@@ -226,7 +226,7 @@ def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
 
 
 def _of_pictures(scene: Scene) -> Iterator[Effect]:
-    """Yield the effects of rendering."""
+    """Yield the effects that change the films."""
     stage = scene.view.stage
     why = f"view.stage is {stage}: pictures show the object alone"
     yield Effect("floor, its shadow, boundaries in pictures", stage == "studio", why)

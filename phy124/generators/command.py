@@ -138,7 +138,7 @@ def _fill(word: str, names: dict[str, str]) -> str:
 
 
 def _start(words: list[str], output: Any) -> subprocess.Popen[bytes]:
-    """Start a process in a new process group, which is killed together with its children."""
+    """Start a process in a new process group, so that its children can be killed with it."""
     return subprocess.Popen(
         words, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
     )

@@ -76,7 +76,7 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
 
 
 def read_mesh(path: Path, *, seed: int = 0) -> Content:
-    """Make Gaussians of a mesh that is an object by itself, in the axes and unit of the file.
+    """Convert a mesh that is a whole object to Gaussians, in the axes and unit of the file.
 
     Args:
         path: A .glb, .gltf, .obj, .stl or .ply file.
@@ -140,7 +140,7 @@ class _About(NamedTuple):
 
 
 def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[Gaussians, _About]:
-    """Cover a mesh with about `count` Gaussians, in the axes of phy124, with longest side 1."""
+    """Cover a mesh with about `count` Gaussians in phy124's axes, scaled to a longest side of 1."""
     _refuse(path)
     kind = _kind(path)
     drawn, coarse = _read_apart(path, _read, str(path), kind, seed, count)

@@ -161,7 +161,7 @@ def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: An
 
 @wp.func
 def has_mass(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
-    """Return whether the node next to the surface of a holding region has mass."""
+    """Return whether the node next to the surface of a clamp's region has mass."""
     return not m[1] <= type(above)(0.0)
 
 

@@ -30,13 +30,16 @@ SMALLEST_STRETCH = wp.constant(1.0e-4)
 
 @wp.func
 def series_range(s: wp.float32):
-    """Return the largest |Z|^2 for the series in float32; the first omitted term is Z^13 / 13."""
+    """Return the largest |Z|^2 for which the series is used in float32.
+
+    The first omitted term is Z^13 / 13.
+    """
     return wp.float32(0.1)
 
 
 @wp.func
 def series_range(s: wp.float64):  # noqa: F811
-    """Return the largest |Z|^2 for the series in float64."""
+    """Return the largest |Z|^2 for which the series is used in float64."""
     return wp.float64(0.008)
 
 

@@ -355,7 +355,7 @@ class Bodies:
     def _weigh_layers(
         self, cells: Cells, region: Region, densities: wp.array | None
     ) -> tuple[float, wp.array]:
-        """Return the height of the lowest liquid layer around a body, and the layers' weights.
+        """Return the height of the lowest liquid layer around a body, and the weight of each layer.
 
         Heights are in cells. Weights are relative to the mean density; for a single liquid there
         are none.

@@ -40,7 +40,7 @@ class MixedClock(Clock):
         return super().lag(power, momentum) + self.liquid.lag(0.0, self.share * momentum)
 
     def uniform_work(self, momentum: NDArray) -> float:
-        """Return the work on the liquid [J] since the last kick of the bodies."""
+        """Return the work done on the liquid [J] since the bodies were last accelerated."""
         return self.last_dt / 2 * self.share * float(self.liquid.pull @ momentum)
 
 

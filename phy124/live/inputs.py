@@ -32,7 +32,7 @@ class GrabRecord:
     """Time of release [s]; None: not released yet."""
 
     def force(self, since: float) -> Grab:
-        """Return the grab as a force of a scene, without targets that ended before `since` [s]."""
+        """Return the user's grab as a force, without targets that ended before `since` [s]."""
         before = bisect_right(self.times, since - self.start) - 1
         first = max(min(before, len(self.times) - 2), 0)
         return Grab(

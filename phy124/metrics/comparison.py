@@ -109,7 +109,7 @@ def check_comparable(a: Clip, b: Clip) -> None:
         InputError: The clips do not show the same object at the same times.
     """
     if not len(a) or not a.opacities.size:
-        raise _refusal("the first clip is empty.", "Give clips with frames and Gaussians.")
+        raise _refusal("the first clip is empty.", "Give clips that contain frames and Gaussians.")
     a, b = a.surface, b.surface
     first, second = len(a.opacities), len(b.opacities)
     if first != second:

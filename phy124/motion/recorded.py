@@ -345,7 +345,7 @@ class Computed(NDArrayOperatorsMixin):
         return getattr(np.asarray(self), name)
 
     def first(self, columns: slice) -> Computed:
-        """Return the array of the Gaussians in a slice."""
+        """Return the part of the Gaussians' array that a slice selects."""
         return Computed(self.recorded, self.name, columns=columns)
 
 

@@ -49,7 +49,7 @@ def colour_points(
     light: Field,
     reach: float,
 ) -> Field:
-    """Colour surface points [N,3] from the front image, and continue it around the rim.
+    """Colour surface points [N,3] from the front image, and extend its colours around the rim.
 
     Behind the rim, the mirrored image fades into the back, so that there is no seam at the rim.
     Colours behind the rim are lit as the normals require.

@@ -273,7 +273,7 @@ def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
 
 
 def _columns(w: Field, pitch: float) -> tuple[Field, Field, Field]:
-    """Return the square columns that meet the surface: corners [M,2], smallest and largest |z|."""
+    """Return corners [M,2] of the square columns that meet the surface, and their range of |z|."""
     height, width = w.shape
     x, y = np.arange(0, width - 1 - pitch, pitch), np.arange(0, height - 1 - pitch, pitch)
     # Sample w at the corners of all squares, and halfway between them.

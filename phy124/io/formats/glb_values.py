@@ -159,7 +159,7 @@ def kind_of_scales(
     if generator.startswith("phy124"):
         return False, []
     if _too_small(*max(parts, key=lambda part: len(part[0]))):
-        return True, [NOTE.format("as lengths they would leave holes in the object")]
+        return True, [NOTE.format("read as lengths, they would leave holes in the object")]
     return False, []
 
 

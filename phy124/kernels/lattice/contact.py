@@ -352,7 +352,7 @@ def make_account(real: Any, rows: Rows):
 
     The work is the impulse times the mean of the velocities before the kick and after the substep.
     With this mean velocity, the work of all impulses is exactly the change of the kinetic energy.
-    With the mean of the velocities before and after the contact, the sum would include work of the
+    If velocities before and after the contact were averaged, the sum would include work of the
     stress.
     """
     t = types(real)

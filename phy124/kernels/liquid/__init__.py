@@ -1,7 +1,7 @@
 """Liquids by pressure projection: incompressible flow on a staggered grid, with particles.
 
 The x component of the velocity is stored at the centre of each cell's low x face; y and z likewise.
-Pressure, surface and density are stored at the centres of cells. A step is
+Pressure, density and distance from the surface are stored at cell centres. A step is
 
     particles to faces (`faces`) - surface (`surface`) - pressure (`pressure`, `conjugate`)
     - velocities outside the liquid (`spread`) - faces to particles - out of walls (`walls`)

@@ -78,7 +78,7 @@ def _draw(groups: Groups, kinds: Sequence[Kind], count: int, random: np.random.G
 def extrapolate(
     grids: Sequence[int], places: Sequence[Values], cells: float
 ) -> tuple[Values, Values]:
-    """Extrapolate the fitted point to another grid (Richardson).
+    """Extrapolate the fitted values to another grid (Richardson).
 
     The error of a surface's position is a fraction of a cell. The extrapolation therefore assumes
     first order in the spacing. With only one grid, the result is the point on this grid.

@@ -287,7 +287,7 @@ SPLINE_ELASTICA = replace(
     ELASTICA,
     name="elastica-spline",
     title="Elastica with strain from the gradients of the weights",
-    measured='The loads of `elastica` again, with accuracy.gradient = "spline", not "affine".',
+    measured='The loads of `elastica`, with accuracy.gradient = "spline" instead of "affine".',
     run=partial(measure_drops, loads=TIP_LOADS, bending=load_tip, gradient="spline"),
     control=partial(
         measure_drops, loads=TIP_LOADS, bending=load_tip, stiffer=1.2, gradient="spline"
@@ -303,7 +303,7 @@ LATTICE_ELASTICA = replace(
     ELASTICA,
     name="elastica-lattice",
     title="Elastica on the lattice solver",
-    measured='The loads of `elastica` again, with accuracy.solver = "lattice".',
+    measured='The loads of `elastica`, with accuracy.solver = "lattice".',
     published=partial(make_band, TIP_LOADS, elastica_drop, "PL²/EI", 1.0),
     band="as for `elastica`, with the upper end raised by the stretch of a hanging beam",
     run=_on_tip,

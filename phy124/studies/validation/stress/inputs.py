@@ -42,7 +42,11 @@ def broken_numbers(setting: Setting) -> list[Check]:
     gaussians, _ = _read(table, together)
     clip = Simulation(prepare(gaussians, quick(setting), RunContext(device=setting.device))).run()
     return [
-        at_most("files with one bad number that are read as invalid Gaussians", unsound, 0),
+        at_most(
+            "files with one corrupt number that are read as invalid Gaussians",
+            unsound,
+            0,
+        ),
         equal("all rows with NaN were dropped and counted", dropped == len(names)),
         equal("complete clip from a file with many bad numbers", clip.report["complete"]),
         equal("its numbers finite", bool(np.isfinite(clip.means).all())),
