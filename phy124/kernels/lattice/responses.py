@@ -84,6 +84,9 @@ def correct(
 ):
     """Correct the impulse of a surface on a point, before its response limits it.
 
+    The results are the normal part of the impulse, the normal part of the last impulse, and the
+    part along the surface.
+
     Args:
         relative: Velocity of the point relative to the surface [m/s].
         last: Last impulse [N s].
@@ -91,9 +94,6 @@ def correct(
         part: Impulse per change of velocity, after relaxation [kg].
         restore: Gain by which points come out [1/s].
         clock: Kick and drift [s].
-
-    Returns:
-        The normal part of the impulse and that of the last impulse, and the part along the surface.
     """
     n = xyz(gap)
     speed = wp.dot(relative, n)
