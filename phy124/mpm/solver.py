@@ -328,12 +328,13 @@ class Solver:
     def _run_task(self, member: int, task: int) -> None:
         """Run a phase of a worker, or one of its measurements."""
         worker = self.workers[member]
-        if task == MEASURE:
-            worker.measure()
-        elif task == GLANCE:
-            worker.glance()
-        else:
+        measure = {MEASURE: worker.measure, GLANCE: worker.glance}.get(task)
+        if measure is None:
             worker.run(task)
+        elif member == 0:  # The caller adds the time of the first worker to its own.
+            measure()
+        else:
+            run_timed(worker.timings, "measure", measure)
 
     def _run_graph(self, until: float) -> bool:
         """Take substeps on the device; return False if the host must take the next substep."""

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 AHEAD = np.array([step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]) - 1
 """Steps to half of the 26 neighbours; the others are the opposite steps."""
@@ -261,5 +260,5 @@ def _components(pairs: NDArray, count: int) -> tuple[int, NDArray[np.int64]]:
     """Return the number of connected groups of `count` items, and the group of each item."""
     ones = np.ones(len(pairs), np.int8)
     graph = scipy.sparse.coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    number, group = connected_components(graph, directed=False)
+    number, group = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return int(number), group.astype(np.int64)

@@ -98,7 +98,7 @@ class Attacker:
 
     def shown(self, run: str, scene: Any) -> dict[str, Any]:
         """What the viewer shows of a run that has ended."""
-        panels = self.press("progress", "finished", [None, scene, None, None], job=run)
+        panels = self.press("progress", "finished", [None, scene, None, None, 1], job=run)
         assert isinstance(panels, list), panels
         return panels[4]
 

@@ -113,7 +113,7 @@ def test_no_file_of_the_server_is_read_as_a_picture(server, attacker, path, meta
 def test_pictures_are_private_to_their_visitor(server, attacker):
     theirs = Attacker(server).uploaded(DUCK)
     assert attacker.choose(theirs) == NOT_HERE
-    shown = attacker.press("scene", "change", [None, _scene(), {"side": theirs}])[0]
+    shown = str(attacker.press("scene", "change", [None, _scene(), {"side": theirs}, 1])[0])
     assert theirs not in shown
     assert NOT_HERE in attacker.generate({"path": theirs})
 
@@ -309,7 +309,7 @@ SCRIPT = "<img src=x onerror=alert(1)>"
 
 def test_nothing_that_is_pasted_becomes_a_script(attacker):
     for scene in ({SCRIPT: 1}, {"material": {"law": SCRIPT}}, {"description": SCRIPT, SCRIPT: 1}):
-        shown = attacker.press("scene", "change", [None, scene, None])[0]
+        shown = str(attacker.press("scene", "change", [None, scene, None, 1])[0])
         assert SCRIPT not in shown, shown
 
 

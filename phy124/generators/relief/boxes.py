@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import scipy.optimize
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from phy124.generators.relief.back import most_common
 from phy124.generators.relief.shell import DRAWN_IN
@@ -105,7 +104,7 @@ def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
     half = np.exp(values[3:6])
     if misfit > MISFIT or half.max() > LONGEST * half.min():
         return None
-    turn = Rotation.from_rotvec(values[:3]).as_matrix()
+    turn = scipy.spatial.transform.Rotation.from_rotvec(values[:3]).as_matrix()
     return Cuboid(turn, half, np.array([*values[6:], 0.0]), view)
 
 
@@ -127,14 +126,14 @@ def _hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
 
 def _project(values: Field, distance: float) -> Field:
     """Return the corners of a box [8,2] in the image; values: rotation, log sizes, x and y."""
-    turn = Rotation.from_rotvec(values[:3]).as_matrix()
+    turn = scipy.spatial.transform.Rotation.from_rotvec(values[:3]).as_matrix()
     points = (CORNERS * np.exp(values[3:6])) @ turn.T + [*values[6:], 0.0]
     return points[:, :2] / (1 - points[:, 2:] / distance)
 
 
 def _fit(corners: Field, yaw: float, pitch: float, distance: float) -> tuple[Field, float] | None:
     """Fit a box to corners [6,2] from one direction; return its values and the misfit [pixels]."""
-    turn = Rotation.from_euler("yx", [yaw, pitch], degrees=True)
+    turn = scipy.spatial.transform.Rotation.from_euler("yx", [yaw, pitch], degrees=True)
     size = np.ptp(corners, axis=0)
     values = np.array([*turn.as_rotvec(), *[np.log(size.mean() / 3.5)] * 3, *corners.mean(axis=0)])
     drawn = _project(values, distance)
