@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -122,9 +123,11 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
     out = capsys.readouterr().out
     assert "Publishing through dds. Discovery range LOCALHOST, domain " in out
     assert "export ROS_DOMAIN_ID=" in out
-    assert "6 frames shown, 0 dropped because late" in out
+    # A loaded machine may drop late frames; the bag holds those that were shown, and the header.
+    shown, dropped = map(int, re.search(r"(\d+) frames shown, (\d+) dropped", out).groups())
+    assert shown + dropped == 6
     with Reader(bag) as reader:
-        assert reader.message_count == 7
+        assert reader.message_count == 1 + shown
 
 
 @pytest.mark.parametrize(
