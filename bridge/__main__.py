@@ -21,7 +21,7 @@ SIGINT."""
 def importing(status: int, text: str = "") -> Iterator[None]:
     """Within this context, Ctrl-C or SIGTERM ends the process at once, with a status and a text.
 
-    A KeyboardInterrupt could get lost, because some libraries catch it during their import.
+    A KeyboardInterrupt could be lost, because some libraries catch it while they are imported.
     """
     try:
         from phy124.runtime.signals import ending, handling

@@ -84,7 +84,7 @@ def open_sink(
     ros_args: Sequence[str] = (),
     controls: Controls | None = None,
 ) -> LiveSink:
-    """Create the live sink of a backend; the caller enters it.
+    """Create the live sink of a backend; the caller enters its context.
 
     Args:
         backend: rclpy, dds, foxglove, or the name of a registered sink.

@@ -112,7 +112,7 @@ def register(writer: Writer, topic: Topic) -> int:
 
 
 def write_metadata(folder: Path, file: str, counts: Counts) -> None:
-    """Write metadata.yaml atomically; with this file the folder is a bag."""
+    """Write metadata.yaml atomically; this file makes the folder a bag."""
     with replacing(folder / METADATA) as temporary, temporary.open("w", encoding="utf-8") as stream:
         stream.write(metadata_yaml(file, counts))
         stream.flush()
@@ -160,7 +160,7 @@ def _topic_entry(topic: Topic, count: int) -> str:
 
 
 def _qos(topic: Topic, *, numbers: bool) -> str:
-    """Return a YAML list with one profile: in numbers for channels, in words for metadata.yaml."""
+    """Return a YAML list of one profile, in numbers for channels or in words for metadata.yaml."""
     form = 0 if numbers else 1
     reliability = (1, "reliable") if topic.reliable else (2, "best_effort")
     durability = (1, "transient_local") if topic.transient_local else (2, "volatile")

@@ -35,7 +35,7 @@ QUALITY = 90
 
 
 class Picture(NamedTuple):
-    """What a camera sees in a frame."""
+    """The pictures of one camera in a frame."""
 
     name: str
     """Name of the camera in topics and frames."""
@@ -55,7 +55,7 @@ class SeenFrame(Frame):
 
 
 class Cameras:
-    """Adds the pictures of all chosen cameras to frames; without cameras it changes nothing."""
+    """Adds the pictures of all chosen cameras to frames; without cameras, frames are unchanged."""
 
     def __init__(
         self, options: Options, scene: Mapping[str, Any], clip: Clip | None = None
@@ -260,7 +260,7 @@ def compress(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def _standing_clip(frame: Frame, scene: Scene) -> Clip:
-    """Return a clip of the scene's length; in all its frames the object has the same state."""
+    """Return a clip of the scene's length in which the object has the same state in all frames."""
     clip = Clip.from_frames([Frame(0, 0.0, frame.gaussians)])
     count = scene.time.frames
     still = {

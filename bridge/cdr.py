@@ -60,7 +60,9 @@ def time(nanoseconds: int) -> dict[str, int]:
 
 
 class _Body:
-    """The payload so far, as a list of parts; joining them copies bulk data only once."""
+    """The payload so far, as a list of parts, so that bulk data is copied only once, when the parts
+    are joined.
+    """
 
     def __init__(self) -> None:
         self.parts: list[Any] = []

@@ -43,7 +43,8 @@ def _command(arguments: list[str], description: str | None) -> Any:
 
 
 def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """Separate the arguments from `--ros-args` up to `--` or the end; return the others first.
+    """Separate the arguments from `--ros-args` up to `--` or the end; return first the other
+    arguments, then these.
 
     A `--` that does not close `--ros-args` ends the options: after it, `--ros-args` is an ordinary
     word.

@@ -96,7 +96,7 @@ class Record:
         say(f"{sink.frames} frames in {sink.path}")
 
     def _sink(self, **about: Any) -> McapSink:
-        """Create the sink, with metadata."""
+        """Create the sink of a recording, with metadata."""
         return McapSink(
             self.output or self.source.with_name(f"{self.source.stem}-bag"),
             self.messages,
@@ -185,7 +185,9 @@ class Play:
     def _outlets(
         self, say: Say, duration: float | None, **about: Any
     ) -> Iterator[tuple[LiveSink, list[Sink]]]:
-        """Provide the opened live sink and recordings; a recording stores `about`."""
+        """Open the live sink and the recordings within this context; a recording stores the
+        metadata `about`.
+        """
         backend = choose(self.backend)
         with ExitStack() as stack:
             records: list[Sink] = []
@@ -208,7 +210,9 @@ class Play:
 
 @dataclass(frozen=True)
 class Steer:
-    """Simulate an object that other programs push, hold, pause and step over ROS 2."""
+    """Simulate an object in a live run that other programs can push, hold, pause and step over ROS
+    2.
+    """
 
     source: tyro.conf.Positional[Path]
     """A picture, a file of Gaussians, or a clip.safetensors, whose object starts at rest."""

@@ -45,7 +45,7 @@ class Delivery:
         *,
         patient: bool = True,
     ) -> None:
-        """Start without sent frames.
+        """Prepare the count; no frame has been sent yet.
 
         Args:
             acknowledged: Waits for up to this number of seconds; returns whether all frames are

@@ -86,7 +86,7 @@ class Discovery:
         return cls(reach, peers, domain_id(), network)
 
     def configurations(self) -> tuple[str, ...]:
-        """Return Cyclone's XML, and another XML for machines with no network but loopback."""
+        """Return Cyclone's XML, and a second XML for machines whose only network is loopback."""
         if self.range == "SYSTEM_DEFAULT":
             return (_xml(FAST_DDS),)
         if self.range == "OFF":

@@ -66,7 +66,7 @@ class FrameEncoder:
         return self.epoch + round(seconds * cdr.NANO)
 
     def limit(self, points: int | None) -> None:
-        """Limit the points per frame from now on; None: no limit."""
+        """Limit the points per frame from now on; None removes the limit."""
         self.options = self.options.model_copy(update={"max_points": points})
 
     def static(self) -> list[Message]:

@@ -120,7 +120,7 @@ def describe_recording(path: Path) -> list[str]:
 
 
 def diagnose() -> list[str]:
-    """List this machine's capabilities, and the requirements of those that are missing."""
+    """List the capabilities of this machine, and the requirements of missing capabilities."""
     lines = [f"python: {sys.version.split()[0]} on {sys.platform}"]
     for outlet in dict.fromkeys([*REQUIREMENTS, *sink_names()]):
         error = missing(outlet)

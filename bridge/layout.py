@@ -171,7 +171,7 @@ def packed_rgb(gaussians: Gaussians) -> NDArray[np.uint32]:
 
 
 def evenly(count: int, limit: int | None) -> NDArray[np.intp] | None:
-    """Return the indices of at most `limit` of `count` Gaussians; None: keep all.
+    """Return the indices of at most `limit` of `count` Gaussians; None keeps all.
 
     The indices are evenly spaced, which gives the same choice in every frame and every run.
     """

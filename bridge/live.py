@@ -205,7 +205,7 @@ class Pacer:
 
 
 class _DropAnnouncer:
-    """Logs dropped frames: a line at intervals, not a line per frame."""
+    """Logs dropped frames, with one line at intervals instead of one line per frame."""
 
     def __init__(self, player: Player, clock: Clock) -> None:
         self._player, self._clock = player, clock
@@ -229,7 +229,7 @@ def _attempt(action: Callable[[], None]) -> str | None:
 
 
 def number(text: str, values: list[str], known: str = KNOWN) -> float:
-    """Return the number that follows a command.
+    """Return the number that follows the name of a command.
 
     Args:
         text: The command.
@@ -271,7 +271,7 @@ class Listener:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop listening; raise the error that ended the listening, if nothing else failed."""
+        """Stop listening; if nothing else failed, raise the error that ended the listening."""
         self._over.set()
         self._thread.join()
         if error is None:

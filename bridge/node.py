@@ -136,7 +136,7 @@ def live_through(
 
 
 def _attempt(node: Any, work: Callable[[Any], None]) -> str | None:
-    """Do the work; if it fails, log and return the reason, else return None."""
+    """Do the work; if it fails, log and return the reason, otherwise return None."""
     try:
         work(node)
     except Exception as error:

@@ -162,7 +162,9 @@ class Options(Section):
         return tuple(map(camera_name, sides))
 
     def live(self) -> Options:
-        """Return the options with live defaults: as many points as arrive at 30 Hz."""
+        """Return the options with the defaults of live sinks, which limit points to the number that
+        arrives at 30 Hz.
+        """
         chosen = {
             "max_points": live_points(self.profile, self.max_points),
             "profile": self.profile or LIVE_PROFILE,
@@ -188,8 +190,8 @@ def camera_name(side: str) -> str:
 
 
 def live_points(profile: Profile | None, asked: int | None) -> int:
-    """Return a live profile's Gaussians per frame: the number `asked`; if it is 0 or None, the
-    default.
+    """Return the Gaussians per frame of a live profile: the number `asked` or, if it is 0 or None,
+    the default.
     """
     if profile == "splats":
         return min(asked or LIVE_SPLATS, LIVE_SPLATS)

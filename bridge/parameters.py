@@ -1,8 +1,8 @@
 """The options as ROS parameters of a node; four of them can be changed while the node runs.
 
 All parameters are declared with dynamic typing, because `-p speed:=2` is an integer for ROS but a
-float for the bridge; the node then stores the float. A wrong value is refused with a sentence, both
-at the start and by `ros2 param set`.
+float for the bridge; the node then stores the float. A wrong value is refused with an error
+message, both at the start and by `ros2 param set`.
 """
 
 # rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.

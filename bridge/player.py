@@ -152,7 +152,7 @@ class Player:
         self.seek(float(self.times[0]), now)
 
     def seek(self, time: float, now: float) -> None:
-        """Go to the first frame at or after `time` [s] in the clip.
+        """Go to the first frame whose time in the clip is `time` [s] or later.
 
         Raises:
             InputError: The time is outside the clip.
@@ -175,7 +175,7 @@ class Player:
         self.speed = speed
 
     def set_rate(self, rate: float | None) -> None:
-        """Limit the frames shown per second; None: no limit.
+        """Limit the frames shown per second; None removes the limit.
 
         Raises:
             InputError: The rate is not positive.
@@ -240,9 +240,7 @@ class Player:
         self._rebase(first, again + missed * period / self.speed)
 
     def _splice(self, time: float) -> None:
-        """After a jump of the clip's time, let the next time stamp follow the last by one
-        interval.
-        """
+        """After a jump of the clip's time, set the next time stamp one interval after the last."""
         if self._stamp is not None:
             self._offset = self._stamp + self.interval - time
         self._shown_at = -math.inf

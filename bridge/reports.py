@@ -91,7 +91,7 @@ class Reports:
         return max(min(self._due.values()) - self._now(), 0.0)
 
     def send_due(self) -> None:
-        """Publish the reports that are due; to be called often, from any thread."""
+        """Publish the reports that are due; call this often, from any thread."""
         with self._lock:
             self._send_due(self._now())
 

@@ -173,7 +173,7 @@ def _offer_action(node: Any, steps: Callable[[int], Any]) -> None:
 
 
 class _Others:
-    """Awaitable that lets the executor serve other callbacks first."""
+    """An awaitable that lets the executor run other callbacks first."""
 
     def __await__(self) -> Generator[None, None, None]:
         yield

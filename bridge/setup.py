@@ -38,7 +38,8 @@ except KeyboardInterrupt:
 def quick(command):
     """Return a setuptools command that writes `SCRIPT` for our executables.
 
-    The scripts of setuptools first look up the package, and Ctrl-C meanwhile shows a traceback.
+    The scripts of setuptools first look up the package; Ctrl-C during this time would show a
+    traceback.
     """
 
     class Quick(command):

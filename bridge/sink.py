@@ -42,7 +42,7 @@ class Sink(Protocol):
         """Close the sink."""
 
     def write(self, frame: Frame) -> None:
-        """Receive a frame; subscribers see its `time` [s] as the time since the start."""
+        """Receive a frame; its `time` [s] is sent as the time since the start."""
 
 
 class Recorder(Sink, Protocol):
@@ -61,8 +61,8 @@ class LiveSink(Sink, Protocol):
     def listen(self, seconds: float, obey: Obey) -> bool | None:
         """Wait for a command for up to `seconds`, and pass it to `obey`.
 
-        May run in another thread than `write`; the other methods may not. Returns True if a command
-        was read and more may be waiting.
+        This method may run in another thread than `write`; the other methods may not. Returns True
+        if a command was read and more may be waiting.
         """
         del obey
         time.sleep(seconds)

@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """Options of a simulation with `--live`."""
+    """Options of a running simulation (`--live`)."""
 
     live: bool = False
     """Simulate the source, a picture or a file of Gaussians, while it is shown."""
@@ -68,7 +68,7 @@ class LiveOptions:
 
 
 class LiveRun:
-    """A simulation that does not keep its frames, because together they may exceed the memory."""
+    """A simulation that does not keep its frames, since together they may exceed the memory."""
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
         """Check the source and the scene.

@@ -81,7 +81,8 @@ class BodyLimit:
 
 
 def is_plain(body: bytes) -> bool:
-    """Return whether JSON has at most `VALUES` values, nested at most `DEEPEST` deep; runs quickly.
+    """Return whether JSON has at most `VALUES` values, nested at most `DEEPEST` deep; the check is
+    fast.
 
     Commas and brackets inside texts are counted, too.
     """
@@ -100,7 +101,7 @@ def is_plain(body: bytes) -> bool:
 
 
 def _limit(receive: Receive, most: int) -> Receive:
-    """Limit the bytes received; above the limit, the application sees a lost connection."""
+    """Limit the bytes received; above the limit, the application gets a lost connection."""
     read = 0
 
     async def counted() -> Message:

@@ -43,10 +43,10 @@ def allow_connections() -> int:
 def limit_connections(most: int) -> Iterator[None]:
     """Within this context, servers start with a limited number of connections.
 
-    Gradio starts uvicorn without options. If the protocol were replaced after the start,
-    connections made before would have neither a deadline nor a limit. Up to three batches of new
-    connections are accepted before the excess connections of the first batch are closed. If a batch
-    were as large as the limit, a burst could use up all open files, and Gradio's start would fail.
+    Gradio starts uvicorn without options. If the protocol were replaced after the start, earlier
+    connections would have neither a deadline nor a limit. Up to three batches of new connections
+    are accepted before the excess connections of the first batch are closed. If a batch were as
+    large as the limit, a burst could use up all open files, and Gradio's start would fail.
 
     Args:
         most: Largest number of connections.

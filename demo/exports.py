@@ -62,7 +62,8 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
 
 
 def check_size(kinds: Sequence[str], frames: int, gaussians: int, most: float) -> None:
-    """Refuse formats whose files would exceed a visitor's disk space; called before the run.
+    """Refuse formats whose files would exceed a visitor's disk space; this is checked before the
+    run.
 
     Args:
         kinds: Names of the formats.
@@ -116,7 +117,7 @@ def _ply(done: Done, path: Path) -> None:
 
 
 def _mcap(done: Done, path: Path) -> None:
-    """Record with the bridge's command line, because the page must not import the bridge."""
+    """Record a bag by the bridge's command line, because the page must not import the bridge."""
     clip = (done.clip / "clip.safetensors").resolve()
     command = [sys.executable, "-m", BRIDGE, "record", str(clip), str(path.resolve())]
     root = Path(__file__).parents[1]
@@ -136,7 +137,7 @@ def _bridge() -> bool:
 
 
 def _write_format(format: Format, done: Done, path: Path) -> None:
-    """Write the clip if the format holds motion, else the clip's first frame."""
+    """Write the clip if the format stores motion, otherwise the clip's first frame."""
     clip = Clip.load(done.clip / "clip.safetensors")
     if format.write_clip is not None:
         format.write_clip(path, clip)

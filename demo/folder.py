@@ -1,9 +1,9 @@
 """The folder for visitors' files while the page runs.
 
-The folder is removed when the page ends. If the page is killed, the next page removes its folder: a
+The folder is removed when the page ends. If the page is killed, the next page removes its folder. A
 file lock, which ends with its process, shows which folders are in use. Windows has no locks that
-end with a process: there the folders of killed pages stay, and nothing prevents two pages from
-using one folder.
+end with a process. There the folders of killed pages remain, and two pages can use the same folder
+by mistake.
 """
 
 from __future__ import annotations

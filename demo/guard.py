@@ -83,7 +83,8 @@ class Doorkeeper:
         return _without_port(place) in self.origins or _usual(place) == _usual(host.lower())
 
     def _has_own_host(self, headers: Headers) -> bool:
-        """Return whether all host names in the request, proxies' included, are names of the page.
+        """Return whether all host names in the request, including those from proxies, are names of
+        the page.
 
         Gradio writes the names from proxies into the page; they are therefore checked, too.
         """
@@ -112,12 +113,12 @@ def _without_port(place: str) -> str:
 
 
 def _usual(place: str) -> str:
-    """Remove the default port, which browsers omit."""
+    """Remove the default port from host names, since browsers omit it."""
     return re.sub(r":(80|443)$", "", place)
 
 
 def split_names(more: str, space: str = "") -> frozenset[str]:
-    """Split comma-separated names."""
+    """Split a text of comma-separated names."""
     return frozenset(filter(None, (name.strip().lower() for name in f"{more},{space}".split(","))))
 
 
@@ -128,7 +129,7 @@ def own_names(more: str, space: str = "") -> frozenset[str]:
 
 
 def is_own_name(host: str, names: frozenset[str]) -> bool:
-    """Return whether a Host header names this page.
+    """Return whether the name in a Host header belongs to this page.
 
     IP addresses are always accepted, because DNS rebinding attacks need a name.
     """

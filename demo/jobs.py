@@ -1,7 +1,7 @@
 """Jobs behind the page's buttons, and their limits; a job survives a lost connection.
 
-This module does not depend on the page's layout. All slow work is a job in a queue (demo.line):
-there is a queue for the device, and a queue for cutting out pictures.
+This module does not depend on the page's layout. All slow work is a job in a queue (demo.line).
+There is one queue for the device, and one for cutting out pictures.
 """
 
 from __future__ import annotations
@@ -193,7 +193,8 @@ class Studio:
     def refine(
         self, name: str, source: Source | None, data: Any, extras: Any = None
     ) -> Estimate | None:
-        """Return a forecast by a probe; None unless the Gaussians exist and the device is free.
+        """Return a forecast that a probe measured; None unless the Gaussians exist and the device
+        is free.
 
         Args:
             name: The visitor's name.
@@ -376,7 +377,7 @@ class Studio:
         return scene_of(data, limits or self.settings, visitor and visitor.folder / "uploads")
 
     def _ready(self, name: str, source: Source | None, scene: Scene, extras: Any) -> dict[str, Any]:
-        """Return the stages already done for this visitor, as arguments of the forecast."""
+        """Return the stages that are done for this visitor, as arguments of the forecast."""
         visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
             return {}
@@ -402,7 +403,7 @@ class Studio:
         check_time(self.forecaster.minimum(scene, gaussians=count), self.settings)
 
     def order(self, asked: tuple[Visitor, Source, Scene], extras: ExtraInputs) -> Order:
-        """Create an order that has no stop file yet; raises InputError for unsuitable inputs."""
+        """Create an order, which has no stop file yet; raises InputError for unsuitable inputs."""
         return order_of(*asked, extras, self.settings)
 
     def _submit(self, visitor: Visitor, job: Job, line: Line, work: Callable[[Job], None]) -> Job:

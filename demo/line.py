@@ -1,4 +1,4 @@
-"""A queue of jobs in order of arrival, and the messages that end the jobs.
+"""A queue of jobs in order of arrival, and the messages with which jobs end.
 
 Jobs continue when their visitor disconnects. A job is identified by a name that cannot be guessed.
 """
@@ -65,7 +65,7 @@ class Job:
         return self.progress.state not in ("waiting", "running")
 
     def tell(self, event: object) -> None:
-        """Process an event of the job."""
+        """Update the job's progress from an event."""
         with self._changed:
             self.progress.take(event)
             self._changed.notify_all()
@@ -161,8 +161,8 @@ class Line:
     def seconds_to_start(self, job: Job) -> float:
         """Forecast the time until a job starts [s]; 0 once it has started.
 
-        For each job before it, the forecast without other load is multiplied by the slowdown of the
-        last jobs.
+        The forecast of each earlier job, made for an idle machine, is multiplied by the slowdown of
+        recent jobs.
         """
         with self._changed:
             jobs = [waiting for waiting, _ in self._waiting]

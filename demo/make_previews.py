@@ -127,9 +127,7 @@ def _simulate(scene: Scene, example: str) -> Clip:
 
 
 def _thin(clip: Clip, step: int) -> Clip:
-    """Keep every `step`-th frame, and some of the Gaussians, which are enlarged to cover the same
-    area.
-    """
+    """Keep every `step`-th frame and some of the Gaussians, enlarged to cover the same area."""
     count = clip.means.shape[1]
     chosen = np.sort(np.random.default_rng(0).permutation(count)[:SPLATS])
     frames = []
@@ -187,7 +185,9 @@ def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
 
 
 def _telling(images: list[Image.Image]) -> list[Image.Image]:
-    """Let the loop start with the frame that differs most from the clip's first frame."""
+    """Rotate the frames of the loop so that it starts with the frame that differs most from the
+    clip's first frame.
+    """
     pixels = np.array([np.asarray(image, np.int16) for image in images])
     changed = np.abs(pixels - pixels[0]).sum(axis=(1, 2, 3))
     start = int(changed.argmax())

@@ -82,7 +82,7 @@ def others() -> gr.HTML:
 
 
 def progress() -> gr.HTML:
-    """Create the panel of progress; "finished" and "again" report the end."""
+    """Create the progress panel; its events "finished" and "again" report the end."""
     return _panel("progress", HEAD, events="'finished' 'again'")
 
 
@@ -102,7 +102,8 @@ def touch() -> gr.HTML:
 def forecast() -> gr.HTML:
     """Create the forecast; the event "measure" asks to measure the scene's error.
 
-    Its value holds the forecast as HTML, and the number of the change of the scene that it answers.
+    The value contains the forecast as HTML, and the number of the scene change for which it was
+    made.
     """
     return _panel("forecast", HEAD, events="'measure'")
 
@@ -149,8 +150,8 @@ def mark_answers(page: Any) -> None:
     """Wrap the handlers of a `gr.Blocks`, so that all answers to the same panel differ.
 
     Gradio does not send a panel a value that equals the previous value. Each answer therefore gets
-    a mark. Without the mark, a panel would wait forever if a request is refused twice with the same
-    message. Handlers do not see the marks.
+    a mark. Without the mark, a panel would wait forever if a request were refused twice with the
+    same message. Handlers receive values without marks.
     """
     for event in page.fns.values():
         panels = [isinstance(block, gr.HTML) for block in event.outputs]

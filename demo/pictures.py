@@ -147,8 +147,8 @@ def correct_cutout(
 ) -> None:
     """Write a cut-out that is corrected by brush strokes.
 
-    Pixels under a stroke are kept or removed as the stroke says; near the strokes, the outline
-    follows the edges of the picture.
+    Pixels under a stroke are kept or removed, depending on the stroke; near the strokes, the
+    outline follows the edges of the picture.
 
     Args:
         picture: The picture.

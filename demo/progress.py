@@ -1,4 +1,4 @@
-"""Events of a job, and the job's progress as the page shows it."""
+"""Events of a job, and the job's progress in the form that the page shows."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 A substep, a frame and a video each have a fixed cost and a cost per particle or pixel. All costs
 are measured before the first visitor comes; finished runs then correct the costs per particle and
-pixel. No visitor can distort the costs: runs that are too small to show a cost are ignored, and the
-median of the last runs is used, limited to a factor of the first measurement.
+pixel. No visitor can distort the costs: runs too small to show a cost are ignored. The median of
+the last runs is used, limited to a factor of the first measurement.
 """
 
 from __future__ import annotations
@@ -62,7 +62,8 @@ class Learned:
             self._seen = {name: deque([value] * 2, WINDOW) for name, value in costs.items()}
 
     def assume(self, rates: Rates, work: Work) -> None:
-        """Use these rates in a process that cannot measure any; finished runs correct them.
+        """Use these rates in a process that cannot measure rates itself; finished runs correct
+        them.
 
         Args:
             rates: The rates.

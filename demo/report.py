@@ -1,4 +1,4 @@
-"""Format a run's report as HTML: stage times, effects that ran or were left out, stability."""
+"""Format a run's report as HTML: stage times, effects that were computed or left out, stability."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def _scale(values: Sequence[float], start: float, end: float) -> Any:
 
 
 def _anchor(x: float) -> str:
-    """Return the text anchor that keeps a label at `x` inside the plot."""
+    """Return the SVG text anchor with which a label at `x` stays inside the plot."""
     return "start" if x < WIDTH / 3 else "end" if x > 2 * WIDTH / 3 else "middle"
 
 
@@ -198,7 +198,7 @@ def _motion(report: dict[str, Any]) -> str:
 
 
 def _effects(report: dict[str, Any]) -> str:
-    """Format the effects that ran, with the time of each stage of a substep."""
+    """Format the effects that were computed, with the time of each stage of a substep."""
     rows = [
         (stage["name"], f"{stage['seconds']:.2f} s in {stage['launches']:,}")
         for stage in report.get("substep_stages", [])

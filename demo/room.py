@@ -82,7 +82,7 @@ def _sizes(folder: Path) -> Iterator[int]:
 
 
 def newest_first(folder: Path) -> list[Path]:
-    """List a folder, the last changed entry first."""
+    """List the entries of a folder, the most recently changed first."""
     try:
         return sorted(folder.iterdir(), key=change_time, reverse=True)
     except OSError:

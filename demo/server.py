@@ -253,10 +253,11 @@ def tool_routes(page: Any, studio: Studio) -> list[BaseRoute]:
 
 @contextmanager
 def without_cors() -> Iterator[None]:
-    """Within this context, apps lack Gradio's middleware that lets other sites read answers.
+    """Within this context, apps are created without Gradio's middleware that lets other sites read
+    answers.
 
     If that middleware were removed after the start, all middleware would be built a second time,
-    and would no longer count the streams and requests from before.
+    and would forget the streams and requests counted before.
     """
     from gradio import routes
 

@@ -96,7 +96,7 @@ class Sessions(StateHolder):
     def _make_room(self, address: str) -> None:
         """If an address has too many sessions, remove one, preferably of an absent visitor.
 
-        If no visitor is absent, the visitor with the most sessions loses one session.
+        If no visitor is absent, one session of the visitor with the most sessions is removed.
         """
         origins = {k: origin for k, origin in self._origins.items() if origin.address == address}
         if len(origins) < ADDRESS:

@@ -83,7 +83,7 @@ Source = Cutout | GaussianFile
 
 
 def is_there(source: Source | None) -> bool:
-    """Return whether there is a source whose file still exists."""
+    """Return whether a source is set and its file still exists."""
     return source is not None and Path(source.path).exists()
 
 

@@ -1,6 +1,6 @@
 """Limit the traffic of each address: requests that compute, uploads, and open streams.
 
-A single request may take tenths of a second; therefore only a few are processed in parallel.
+A single request may take tenths of a second, so only a few requests are processed in parallel.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Lays out the page: a rail with picture, scene and bar, next to the stage and the results."""
+"""Lays out the page: picture, scene and buttons on one side, stage and results on the other."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ class Visitor:
             job.cancel()
 
     def touch(self) -> None:
-        """Note that the visitor is still there."""
+        """Record that the visitor is still present."""
         self.seen = time.time()
 
     def share(self, path: Path) -> str:
@@ -113,7 +113,7 @@ class Visitor:
         return self.used
 
     def trim(self, room: Room) -> None:
-        """Remove all but the latest results of each stage, and more if disk space is short."""
+        """Remove all but the latest results of each stage; if disk space is short, remove more."""
         for stage in ("uploads", *STAGES):
             entries = newest_first(self.folder / stage)
             # A clip may have films of several views; cut-outs and uploads are small.

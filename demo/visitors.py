@@ -86,7 +86,7 @@ class Visitors:
         return visitor is not None and visitor.silence < AWAY
 
     def job(self, name: str) -> Job | None:
-        """Return the job of a name that cannot be guessed; counts as a request of its visitor."""
+        """Return the job with a secret name; the call counts as a request of its visitor."""
         with self._lock:
             visitor = next((v for v in self._known.values() if name in v.jobs), None)
             if visitor is None:
@@ -95,7 +95,7 @@ class Visitors:
             return visitor.jobs[name]
 
     def find_shared(self, token: str) -> Path | None:
-        """Return the file of a link, or None; does not count as a request of the visitor."""
+        """Return the file of a link, or None; the call does not count as a visitor's request."""
         with self._lock:
             paths = (v.shared[token] for v in self._known.values() if token in v.shared)
             path = next(paths, None)
@@ -271,7 +271,8 @@ class Visitors:
         remove(self.root)
 
     def _admit(self, address: str) -> None:
-        """Check that there is a place for a new visitor; if necessary, remove an idle visitor.
+        """Make a place for a new visitor, if necessary by removing an idle visitor; raise an error
+        if none is idle.
 
         Raises:
             InputError: All places are occupied, in total or for this address.

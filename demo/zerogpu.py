@@ -47,7 +47,7 @@ class Durations:
 
 
 def work_on_gpu(longest: float) -> Work:
-    """Return the function that carries out orders: `steps`, on ZeroGPU with a GPU.
+    """Return the function that carries out orders: `steps` or, on ZeroGPU, `steps` with a GPU.
 
     Args:
         longest: Longest time of a job [s].

@@ -1,4 +1,4 @@
-"""Turns one photograph into a 3D object that moves physically.
+"""Turns one photograph into a 3D object that moves by simulated physics.
 
     import phy124
 

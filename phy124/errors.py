@@ -1,6 +1,4 @@
-"""Declares exceptions that end a run early but are not bugs: bad input, cancellation, partial
-results.
-"""
+"""Declares exceptions that are not bugs: bad input, cancellation, partial results."""
 
 from __future__ import annotations
 

@@ -134,9 +134,7 @@ class Gaussians:
         )
 
     def of_object(self, index: int) -> Gaussians:
-        """Return the Gaussians of the object with this index, without `object_id`; there may be
-        none.
-        """
+        """Return the Gaussians of the object with this index, perhaps none, without `object_id`."""
         if self.object_id is None:
             return self if index == 0 else self.select(np.zeros(0, int))
         return replace(self.select(self.object_id == index), object_id=None)
@@ -340,8 +338,8 @@ def sh_basis(directions: NDArray, count: int) -> NDArray[np.float64]:
 def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
     """Rotate each Gaussian's colour as a function of direction with the Gaussian: c'(d) = c(R^T d).
 
-    A rotation mixes only harmonics of equal degree. The matrix of each degree follows from
-    requiring equality in fixed, well-spread directions; this is exact.
+    A rotation mixes only harmonics of equal degree. The matrix of each degree is computed from the
+    harmonics' values in fixed, well-spread directions; this is exact.
 
     Args:
         sh: Coefficients [N,K,3].

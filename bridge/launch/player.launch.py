@@ -91,7 +91,7 @@ def _nodes(context):
 
 
 def _end(event, context):
-    """Also end RViz; launch has a nonzero exit status if the node has one."""
+    """End RViz, too; the exit status of launch is nonzero if that of the node is."""
     del context
     if event.returncode:
         raise RuntimeError(f"The {PACKAGE} node has ended with exit status {event.returncode}.")

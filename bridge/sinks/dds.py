@@ -264,9 +264,7 @@ def require_cyclonedds() -> None:
 
 
 def _domain(domain: int, discovery: Discovery) -> Any:
-    """Create a DDS domain with the first configuration that works; the last has the fewest
-    demands.
-    """
+    """Create a DDS domain with the first configuration that works; the last requires the least."""
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain
 

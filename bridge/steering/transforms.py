@@ -1,4 +1,4 @@
-"""Store the transforms from /tf and /tf_static, and compute poses of coordinate frames.
+"""Stores the transforms from /tf and /tf_static, and computes poses of coordinate frames.
 
 Only the latest transform of each frame is stored; there is no interpolation in time.
 """

@@ -1,4 +1,4 @@
-"""The installed package records a clip and lists what the bag contains; needs no ROS 2."""
+"""The installed package records a clip and lists the contents of the bag; needs no ROS 2."""
 
 import subprocess
 import sys

@@ -76,7 +76,7 @@ def softness(scene: Scene) -> float:
 
 
 def outlook(scene: Scene, rates: Rates) -> Outlook:
-    """Estimate the cost of a fit from the measured rates of this machine."""
+    """Estimate the cost of a fit from the speed that was measured on this machine."""
     works = [Work.of(on_grid(scene, cells), GAUSSIANS) for cells in GRIDS]
     costs = [rates.seconds(work) for work in works]
     each = tuple(cost["simulate"] + cost["deform"] for cost in costs)

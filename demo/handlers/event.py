@@ -22,7 +22,7 @@ def data_of(event: gr.EventData) -> dict[str, Any]:
 
 
 def job_of(studio: Studio, request: gr.Request, event: gr.EventData) -> Job | None:
-    """Return the visitor's job that an event names."""
+    """Return the visitor's job whose name is in an event."""
     visitor = studio.visitors.find(visitor_of(request))
     return visitor.jobs.get(str(data_of(event).get("job"))) if visitor else None
 

@@ -1,4 +1,4 @@
-"""Handles the events of a fit to a video: offer, start, stop and end."""
+"""Handles the events of the fit panel: offering, starting, stopping and ending a fit to a video."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def _is_of(job: Job, done: Done) -> bool:
 
 
 def _show_result(result: FitResult) -> dict[str, Any]:
-    """Return a finished fit: sentences, figure, film, and the fitted material."""
+    """Return a finished fit for the panel: summary, figure, film, and the fitted material."""
     report = result.report
     return {
         "sentences": summarise(report),

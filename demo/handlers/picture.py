@@ -94,7 +94,7 @@ def show_source(made: Source) -> dict[str, Any]:
 
 
 def _doubts(made: Cutout) -> dict[str, str]:
-    """Return the warning about a cut-out, and the reasons, which the page shows only on request."""
+    """Return the warning about a cut-out, and its reasons, which the page shows on request."""
     return {"warning": "".join(made.doubts[:1]), "doubts": " ".join(made.doubts[1:])}
 
 

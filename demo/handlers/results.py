@@ -154,7 +154,7 @@ def _restore_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
 
 
 def results(studio: Studio, name: str, job: Job) -> list[Any]:
-    """Return the values of viewer, report, download panel and history."""
+    """Return the values of the viewer, the report panel, the download panel and the history."""
     done: Done = job.progress.result
     return [
         {
@@ -187,7 +187,7 @@ def report_of(studio: Studio, job: Job) -> dict[str, Any]:
 
 
 def _describe_finer(job: Job, stops: list[Stop]) -> str:
-    """Describe time and error of the next accuracy; empty if there is none."""
+    """Describe time and error of the next finer accuracy; return an empty text if there is none."""
     name = next_accuracy(job.asked[1]) if job.asked[1] else None
     stop = next((each for each in stops if each.name == name), None)
     if stop is None:
@@ -259,7 +259,7 @@ def on_prepare(studio: Studio) -> Handler:
 def takeaway_of(done: Done) -> dict[str, Any]:
     """Return the download panel's value: files of a result, and formats made on demand.
 
-    Handlers add the request as "asked"; the panel ignores answers for another result.
+    Handlers store the request under the key "asked"; the panel ignores answers for another result.
     """
     files, offers = [], []
     frames, gaussians = read_shape(done.clip / "clip.safetensors")

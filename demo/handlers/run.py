@@ -150,7 +150,7 @@ def _error_line(
 
 
 def on_refine(studio: Studio) -> Handler:
-    """Handle the end of a series of changes: return a forecast by a probe if possible."""
+    """Handle the end of a series of changes: if possible, return a forecast from a probe."""
 
     def refine(
         source: Source | None, scene: Any, extras: Any, change: Any, request: gr.Request

@@ -1,4 +1,4 @@
-"""The process of a live run; it is started by its path, and ends when its pipe is closed.
+"""The process of a live run, which is started by this file's path and ends when its pipe is closed.
 
 Standard input carries two pickles, `sys.path` and (function, arguments), then lines of text. The
 function reads the lines from a `Line`, and answers by messages: a letter, the length (uint32,

@@ -71,7 +71,7 @@ class Lattice:
 def _bound(
     gaussians: Gaussians, rest: NDArray, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
-    """Return the particles that carry Gaussians, and for each Gaussian eight of them with
+    """Return the particles that carry Gaussians, and for each Gaussian eight particles and
     weights.
     """
     nodes = np.arange(len(rest))

@@ -99,7 +99,7 @@ class Player:
         self._clock.wait()
 
     def _do(self, message: dict[str, Any]) -> None:
-        """Carry out a message, or send the reason of a refusal."""
+        """Carry out a message, or send the reason why it is refused."""
         seq, value = message.get("seq"), message.get("value")
         self._heard = seq % 2**32 if isinstance(seq, int) else self._heard
         try:

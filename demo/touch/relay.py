@@ -1,7 +1,7 @@
 """Relay messages between a browser and the process of its live run, within limits.
 
 A browser acknowledges each rendered frame. Up to two frames are in transit. Of the frames that
-arrive meanwhile only the newest is kept: a slow browser skips frames.
+arrive meanwhile, only the newest is kept, so a slow browser skips frames.
 """
 
 from __future__ import annotations
@@ -226,7 +226,9 @@ class Relay:
                 process.stdin.write(json.dumps(message).encode() + b"\n")
 
     def _acknowledge(self, count: Any) -> None:
-        """Note that the browser has rendered frame `count`; it may have skipped earlier frames."""
+        """Record that the browser has rendered frame `count`; the browser may have skipped earlier
+        frames.
+        """
         if isinstance(count, int):
             self._seen = min(max(count, self._seen), self._sent)
         self._news.set()
@@ -245,7 +247,7 @@ class Relay:
 
 
 class Refused(Exception):
-    """A browser's message is refused."""
+    """Raised if a browser's message is refused."""
 
     def __init__(self, text: str = "") -> None:
         super().__init__(text)

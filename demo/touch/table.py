@@ -1,6 +1,7 @@
 """Tickets, which limit the number of live runs per visitor and in total; limits of saved sessions.
 
-A ticket takes a place as soon as a page shows it; a ticket that is never shown takes no place.
+A ticket occupies a place as soon as a page presents it; a ticket that is never presented occupies
+no place.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class Ticket:
 
     @property
     def lost(self) -> bool:
-        """Whether the ticket has expired, because no page has shown it in time."""
+        """Whether the ticket has expired, because no page has presented it in time."""
         return not self.taken and time.monotonic() - self.created > WAITS
 
 
@@ -88,7 +89,8 @@ class Table:
         return ticket
 
     def take(self, visitor: str | None, name: str) -> Ticket | None:
-        """Occupy a place for a visitor's ticket; return None if it is unknown or was already shown.
+        """Occupy a place for a visitor's ticket; return None if the ticket is unknown or was
+        already presented.
 
         Raises:
             InputError: All places have been occupied since the ticket was made.

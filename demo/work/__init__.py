@@ -51,7 +51,7 @@ __all__ = [
 
 
 def steps(order: Order) -> Iterator[Event | None]:
-    """Carry out an order; yield its events, and None after `BEAT` seconds without an event.
+    """Carry out an order; yield its events, and None whenever `BEAT` seconds pass without an event.
 
     Raises:
         Cancelled: The stop file appeared.

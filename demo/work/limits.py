@@ -49,8 +49,8 @@ class Limits:
         self.put(event)
 
     def tell_simulating(self, event: Event) -> None:
-        """Pass a simulation's event on; after the time limit raise Stopped, to keep the frames so
-        far.
+        """Pass on an event of a simulation; after the time limit, raise Stopped, so that the frames
+        so far are kept.
         """
         self.tell(event)
         if self.spent > SIMULATING:

@@ -1,4 +1,4 @@
-"""An order, which a click on the page creates, and the files that the order's job writes."""
+"""An order, which a click on the page creates, and the files that the job of the order writes."""
 
 from __future__ import annotations
 

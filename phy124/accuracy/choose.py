@@ -200,7 +200,7 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
 
 
 def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
-    """Run the next level and return ""; if there is no next level, return the reason."""
+    """Run the next level; return the reason if there is no next level, otherwise an empty text."""
     if not result.errors and len(runs.done) >= len(FIRST) + ATTEMPTS:
         return result.why_not
     finest, (error, order) = max(runs.done), _guess(goal, runs, result)
@@ -428,9 +428,9 @@ def _choose_next(
 ) -> int:
     """Return the next grid to forecast; 0 if there is none.
 
-    The result is the finest grid that is expected to fit into the maximum time, including its
-    preparation, after which the best grid so far must still fit. If no grid is expected to fit, and
-    none has fitted so far, the result is the coarsest grid.
+    The result is the finest grid whose preparation and run are expected to fit into the maximum
+    time. After the preparation, enough time must remain to run the best grid so far. If no grid is
+    expected to fit, and none has fitted so far, the result is the coarsest grid.
 
     Args:
         cells: Cells across the object of the last grid.

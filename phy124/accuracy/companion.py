@@ -1,10 +1,9 @@
 """Estimates the error of a finished run from a companion: a run of the same scene on a coarser
 grid.
 
-The distance between the motions of the run and of its companion is measured on a sample of the
-Gaussians. The error of the run is about the distance between the motions times a factor, and at
-most that distance times a larger factor. The factors were measured on many objects
-(docs/lab/own-error.md).
+A sample of the Gaussians is compared: how far apart are their positions in the two runs? The
+estimated error is this distance times a factor; the error bound is the distance times a larger
+factor. The factors were measured on many objects (docs/lab/own-error.md).
 
 The companion runs after the run, so it changes neither the run nor its result. Whether the
 companion runs depends only on numbers counted in the run, not on measured times, so that equal runs
@@ -141,7 +140,7 @@ class Lost(Exception):
 def with_own_error(
     run: Simulation, clip: Clip, *, omit: str = "", goal: Mapping[str, Any] | None = None
 ) -> Clip:
-    """Return the clip of a run; its report contains the run's own error.
+    """Return the clip of a run, with the run's own error in its report.
 
     Args:
         run: The run.
@@ -180,7 +179,7 @@ def _measured_for(goal: Mapping[str, Any]) -> OwnError:
 
 
 def measure_error(run: Simulation, clip: Clip) -> OwnError:
-    """Return the error of a finished run; its companion is run only if that is cheap enough.
+    """Return the error of a finished run; the companion is run only if it is cheap enough.
 
     Args:
         run: The run.
@@ -220,7 +219,7 @@ def affordable(run: Simulation) -> float:
 
 
 def forecast(run: Simulation, substeps: int, particles: int | None = None) -> float:
-    """Return the CPU time of the companion as a fraction of the CPU time of the run's dynamics.
+    """Return the companion's CPU time divided by that of the run's dynamics.
 
     Args:
         run: The run.
@@ -263,7 +262,7 @@ def factors_of(scene: Scene, cells: int) -> Factors:
 def estimate(
     distances: NDArray, times: NDArray, factors: Factors, expected: float | None = None
 ) -> tuple[float | None, float | None, float | None]:
-    """Return the error, its bound, and the time until which they hold, as in `OwnError`.
+    """Return the error, its bound, and how long both hold, as in `OwnError`.
 
     Args:
         distances: RMS distance of the run and its companion in each frame [T], in object sizes.

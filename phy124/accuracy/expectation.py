@@ -98,7 +98,9 @@ def groups(scene: Scene) -> list[str]:
 
 
 def name_features(scene: Scene) -> list[str]:
-    """Return a scene's features together with its solver; each pair must have been measured."""
+    """Return pairs of a feature of the scene and its solver; a prediction needs measurements of
+    each pair.
+    """
     names = features(scene)
     return [f"{name}{ON_LATTICE}" for name in names] if scene.on_lattice else names
 
@@ -230,7 +232,7 @@ def _describe_outside(
 ) -> str:
     """Describe a property of the scene that is outside the measured range; empty if there is none.
 
-    Only values that make the error larger count, since others are replaced by the nearest
+    Values that make the error smaller are not reported, since they are replaced by the nearest
     measured value.
     """
     for name, words in HARDER.items():

@@ -98,7 +98,8 @@ class Forecast:
         return replace(self, stages={name: seconds, **self.stages}, measured=(*self.measured, name))
 
     def with_predicted(self, name: str, seconds: float, caveat: str) -> Forecast:
-        """Return the forecast with one more stage, which comes first; its time is only a guess.
+        """Return the forecast with another stage before all others; the new stage's time is only a
+        guess.
 
         Args:
             name: Name of the stage.
@@ -172,7 +173,7 @@ class Forecast:
 
 @dataclass(frozen=True)
 class Stop:
-    """A position of the accuracy slider."""
+    """The predicted time and error at one position of the accuracy slider."""
 
     name: str
     seconds: float

@@ -99,7 +99,7 @@ def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
 def explain_time(
     goal: Goal, scene: Scene, cells: int, forecast: Forecast, ready: float
 ) -> InputError:
-    """Return the error for a maximum time that is too short even for the coarsest grid.
+    """Return the `InputError` for a maximum time that is too short even for the coarsest grid.
 
     The message names the longest stage.
 

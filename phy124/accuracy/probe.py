@@ -133,7 +133,7 @@ def _seconds_per_substep(
 
 
 def _seconds_in_graph(solver: AnySolver, after: Callable[[], None] | None) -> float:
-    """Measure the time of a substep in a GPU's graph [s]; the fixed cost of a frame is left out."""
+    """Measure the time of a substep in a GPU's graph [s], without the fixed cost of a frame."""
     few, more = GRAPH_PROBE
     _advance(solver, few, after)  # captures the graph
     taken, seconds = [], []
@@ -317,14 +317,14 @@ class Pilot:
     """Duration of the pilot run, including its preparation [s]."""
 
     def finer(self, dx: float) -> float:
-        """Return the number of cells along the object, divided by that of the pilot run.
+        """Return the ratio of the cells along the object in the run and in the pilot run.
 
         The side of a cell is `dx` [m].
         """
         return self.dx / dx
 
     def substeps(self, cells: int, rest: float | None = None) -> tuple[int, dict[str, float]]:
-        """Predict the number of substeps on another grid, and the fraction of them that each limit
+        """Predict the number of substeps on another grid, and which fraction of them each limit
         determines.
 
         The number of substeps in a frame is rounded up.

@@ -95,7 +95,7 @@ class Promise:
 
     @property
     def missing(self) -> str:
-        """A few words that state which measurement is missing; empty if none is."""
+        """A few words that name the missing measurement; empty if none is missing."""
         if self.seconds is not None:
             return f"error after {self.seconds:.2f} s not measured"
         return UNMEASURED if self.unmeasured else ""
@@ -126,8 +126,8 @@ class Promise:
 
 
 def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
-    """Return the error, or the reason for its absence, from a run's report; None if neither is
-    there.
+    """Return the error, or the reason why it is missing, from a run's report; None if the report
+    has neither.
     """
     broken = why_broken(report)
     if broken:
@@ -265,8 +265,8 @@ def check_promise(
 
 
 def _describe_stated(entry: Mapping[str, Any]) -> str:
-    """Describe the bound in the entry `error` of a report, and how long it holds; empty without a
-    bound.
+    """Describe the bound in the entry `error` of a report, and how long it holds; return an empty
+    text if there is no bound.
     """
     if entry.get("at_most") is None:
         return ""

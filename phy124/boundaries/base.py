@@ -1,4 +1,4 @@
-"""Base class of boundaries: each has a shape, and responds to material that touches the shape."""
+"""Base class of boundaries. A boundary has a shape, and responds to material that touches it."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class Boundary(Section):
 
     @property
     def tracked(self) -> bool:
-        """Whether the boundary has a track; it has one if it moves or ends."""
+        """Whether the boundary has a track, that is, moves or ends."""
         return self.moves
 
     def kernels(self, real: Any, dx: float) -> list[Any]:
@@ -174,7 +174,8 @@ class Boundary(Section):
         return np.full(len(x), -np.inf)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the boundary's stages: its collider, and settling of nodes in crossing columns.
+        """Return the boundary's stages: its collider, and a second one for nodes where columns
+        cross.
 
         Args:
             model: The constants of the run.
@@ -233,7 +234,9 @@ class Boundary(Section):
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return the recorder for settling columns; columns reach two cells beyond the bounds."""
+        """Return the recorder of the stage for crossing columns; columns reach two cells beyond the
+        bounds.
+        """
         low, high = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -296,7 +299,9 @@ class Boundary(Section):
 
 
 def _columns(model: Model, grid: Grid) -> list[Any]:
-    """Return a kernel's inputs for contact in columns: layers, and the contact threshold."""
+    """Return the kernel inputs for contact in columns of nodes: the number of layers, and the
+    contact threshold.
+    """
     layers = wp.vec2i(*(grid.layers or (0, int(grid.size[0]))))
     return [layers, lightest(model), contact_mass_fraction(model), seep_distance(model)]
 

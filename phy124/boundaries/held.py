@@ -1,4 +1,4 @@
-"""Regions in which material is held; a region's surface may lie between nodes."""
+"""Regions in which material is held; the surface of a region may lie between grid nodes."""
 
 from __future__ import annotations
 
@@ -43,15 +43,17 @@ class Clamp(Movable):
         return self.moves or self.end is not None
 
     def at_surface(self, dx: float) -> bool:
-        """Return True for sticky clamps, which act up to their surface; others act node by node."""
+        """Return whether the clamp acts up to its surface, not node by node; sticky clamps do."""
         return self.contact == "sticky"
 
     def response(self) -> str:
-        """Return "held" for sticky clamps, which act up to their surface; otherwise `contact`."""
+        """Return "held" for sticky clamps, which act up to their surface; otherwise return
+        `contact`.
+        """
         return "held" if self.contact == "sticky" else self.contact
 
     def reach(self, dx: float) -> float | None:
-        """Return zero: all nodes inside the region respond."""
+        """Return 0 m, because exactly the nodes inside the region respond."""
         return 0.0
 
 

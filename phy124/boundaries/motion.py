@@ -30,7 +30,7 @@ class Motion(Section):
 
 
 class Path(Motion):
-    """A displacement that goes from point to point."""
+    """A displacement along a path through several points."""
 
     kind: Literal["path"] = "path"
     times: tuple[Instant, ...] = Field(
@@ -68,7 +68,7 @@ class Swing(Motion):
     frequency: float = Field(default=2.0, ge=1e-5, le=1e4, description="Swings per second [Hz].")
 
     def track(self) -> Track:
-        """Return one period, repeated; it begins at zero displacement and the largest speed."""
+        """Return a repeated period, which begins at zero displacement and the largest speed."""
         sine = Sine(frequency=self.frequency)
         times, factors = sine.table()
         return Track(
@@ -96,7 +96,7 @@ def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
 
 
 def ease(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and points with each leg in `EASE` pieces; the motion stops at a leg's ends."""
+    """Divide each leg of a path into `EASE` pieces, so that the motion stops at the leg's ends."""
     parts = np.linspace(0, 1, EASE + 1)[1:]
     fractions = (1 - np.cos(math.pi * parts)) / 2
     new_times, new_points = [times[0]], [points[0]]

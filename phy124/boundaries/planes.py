@@ -119,7 +119,7 @@ class Press(Plane):
 
 
 class Container(Movable):
-    """A box that keeps objects inside: the walls of a tank, of a tray, or of the whole domain.
+    """A box that objects cannot leave: the walls of a tank, of a tray, or of the whole domain.
 
     Each closed side is one stage. Sides that are omitted are open.
     """
@@ -150,7 +150,7 @@ class Container(Movable):
         ]
 
     def sides(self) -> list[HalfSpace]:
-        """Return the walls; sides that are far outside any scene count as open."""
+        """Return the walls; a side that is far outside any scene counts as open and has none."""
         walls = []
         for axis in range(3):
             for corner, sign in ((self.inside.lower, 1.0), (self.inside.upper, -1.0)):

@@ -136,7 +136,7 @@ def _catalogue(
 
 
 def _of_liquid(scene: Scene) -> Iterator[Effect]:
-    """Yield the effects of a liquid by pressure projection."""
+    """Yield the effects of liquids whose pressure is computed by projection."""
     yield Effect("pressure projection")
     yield Effect("density kept by moving particles")
     inviscid = (
@@ -239,7 +239,7 @@ def _of_pictures(scene: Scene) -> Iterator[Effect]:
 def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
     """Yield the numerical methods.
 
-    The cost of double precision is the additional time over float32. The cost of singular values
+    The cost of double precision is its time minus that of float32. The cost of singular values
     is the time of Warp's svd3.
     """
     bound = scene.binding == "particles"

@@ -115,9 +115,7 @@ def _check_distance(scene: Scene) -> None:
 def _find_remedies(
     scene: Scene, excess: float, fits: Callable[[Scene], bool]
 ) -> tuple[Remedy, ...]:
-    """Return those remedies with which the run passes `fits`; the run needs `excess` times its
-    budget.
-    """
+    """Return the remedies for which `fits` is true; the run needs `excess` times its budget."""
     fitting = []
     for remedy in _propose_remedies(scene, excess):
         try:
@@ -130,7 +128,7 @@ def _find_remedies(
 
 
 def _propose_remedies(scene: Scene, excess: float) -> Iterator[Remedy]:
-    """Yield changes that may suffice, starting with the setting that limits the substep."""
+    """Yield changes that may suffice; the setting that limits the substep comes first."""
     timing = scene.time.model_copy(update={"substep": None})
     automatic = rest_substeps(scene.model_copy(update={"time": timing}))
     if scene.time.substep is not None and automatic < rest_substeps(scene):
@@ -173,7 +171,7 @@ def _round(value: float) -> float:
 def note_stiffest_part(scene: Scene) -> str | None:
     """Return a note if one material needs many more substeps than the others; otherwise None.
 
-    A liquid by pressure projection does not count, since its steps do not depend on a stiffness.
+    Liquids with a projected pressure are ignored, since their steps do not depend on a stiffness.
     """
     listed = _list_materials(scene)
     fastest, *others = [m for m in listed if not scene.projects or m[1].law != "fluid"] or listed

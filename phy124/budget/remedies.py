@@ -38,7 +38,7 @@ def find_remedies(
 
 
 def _changes(remedy: Remedy, scene: Scene) -> bool:
-    """Return whether a scene accepts a remedy and changes; a value at its bound stays."""
+    """Return whether a remedy changes a scene, and to a valid one; it cannot pass a bound."""
     try:
         return scene.replaced(remedy.changes) != scene
     except InputError:
@@ -86,7 +86,8 @@ def _halve_push(scene: Scene) -> Remedy | None:
 
 
 def _end_motion(scene: Scene, time: float) -> Remedy | None:
-    """End the prescribed motions of the whole object that lasted until a run stopped at `time`.
+    """Shorten the prescribed motions of the whole object that still acted when a run stopped at
+    `time`.
 
     Half of the time until then was enough for a ball that was moved into the ground.
     """
@@ -129,7 +130,7 @@ def _choose_sounder_law(scene: Scene) -> Remedy | None:
 
 
 def _shorten_substep(scene: Scene) -> Remedy:
-    """Use a quarter of the substep; half did not suffice when the failed frame was repeated."""
+    """Use a quarter of the substep; the failed frame was already repeated with half of it."""
     return change_accuracy(scene, cfl=scene.resolution.cfl / 4)
 
 

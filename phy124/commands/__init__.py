@@ -52,7 +52,7 @@ COMMANDS = Commands()
 
 
 def outline() -> dict[str, type]:
-    """Return for each command a class with a docstring but no options, to list the commands."""
+    """Return a class per command that has only its docstring, which suffices to list commands."""
     return {
         name: type(kind, (), {"__doc__": _docstrings(module)[kind]})
         for name, (module, kind) in MODULES.items()

@@ -60,7 +60,7 @@ class ShowAccuracy:
     """Print as JSON and nothing else."""
 
     def run(self) -> int:
-        """Verify or study; return status 1 if a known answer is not reached, 3 if no level was run.
+        """Verify the solver or study a scene; return 1 if a check fails, 3 if no level was run.
 
         Raises:
             InputError: There is nothing to study, or scene, picture or levels cannot be used.

@@ -35,12 +35,12 @@ def silence() -> Iterator[None]:
 
 
 class Bars:
-    """A `Progress` that shows the current stage; use it as a context manager.
-    On a terminal it draws a bar; elsewhere, for example in a log, it prints a line at intervals.
-    Within the context, Ctrl-C ends the work at the next report of progress, because stopping inside
-    a kernel could crash the process. A second Ctrl-C before that report interrupts at once.
-    If `keeps` is true, the caller saves the results so far, and a message says so. `left`
-    predicts the time left [s], better than the bar's estimate, which assumes equal steps.
+    """A `Progress` that shows the current stage; use it as a context manager. On a terminal it
+    draws a bar; elsewhere, for example in a log, it prints a line at intervals. Within the context,
+    Ctrl-C ends the work at the next report of progress, because stopping inside a kernel could
+    crash the process. A second Ctrl-C before that report interrupts at once. If `keeps` is true, a
+    message says that the results so far are saved; the caller must save them. `left` predicts the
+    time left [s], better than the bar's estimate, which assumes equal steps.
     """
 
     def __init__(

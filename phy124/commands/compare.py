@@ -40,7 +40,7 @@ class Compare:
     """Print the figures as JSON and nothing else."""
 
     def run(self) -> int:
-        """Compare the clips; print the table and the files."""
+        """Compare the clips; print a table and the names of the files."""
         paths = [path / "clip.safetensors" if path.is_dir() else path for path in (self.a, self.b)]
         a, b = (Clip.load(path) for path in paths)
         check_comparable(a, b)

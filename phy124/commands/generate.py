@@ -41,7 +41,7 @@ from phy124.weights.store import search_first
 
 @dataclass(frozen=True)
 class Generate:
-    """Turn one picture into a physically moving 3D object and MP4s."""
+    """Turn one picture into a 3D object that moves by simulated physics, and film it."""
 
     image: tyro.conf.Positional[Path]
     """PNG, JPEG, WebP, AVIF or HEIC picture of one object, or a mesh: GLB, glTF, OBJ, STL, PLY."""
@@ -277,7 +277,7 @@ class Simulate:
 
 
 def get_ready() -> None:
-    """Import SciPy while the encoder encodes its test frame; the test's result is kept."""
+    """Import SciPy while the encoder encodes its test frame, and keep the test's result."""
     with ThreadPoolExecutor(1) as pool:
         pool.submit(encoder_problem)
         import_lightly(*SCIPY)
@@ -345,7 +345,7 @@ def show(result: pipeline.Result, study: str, *, as_json: bool) -> int:
 
 
 def print_files(result: pipeline.Result) -> None:
-    """Print the files; for a film in the photograph, first print its PSNR."""
+    """Print the files; if the object was filmed in the photograph, print the PSNR first."""
     if composed := result.report.get("compose"):
         print(f"in the picture: {composed['psnr']:.1f} dB inside the object in the first frame")
     for path in result.files:
@@ -363,7 +363,7 @@ def floor_sentence(floor: dict[str, Any]) -> str:
 
 
 def print_forecast(report: dict[str, Any]) -> None:
-    """Print the forecast with the time taken, and the goal with the error or time reached."""
+    """Print the predicted and the actual time, and how well the run met its goal."""
     forecast, goal = report.get("forecast"), report.get("goal")
     if forecast:
         caveat = f"; {forecast['caveat']}" if forecast["caveat"] else ""

@@ -1,4 +1,4 @@
-"""`phy124 orient` draws a contact sheet: a file's Gaussians with each axis that may be up."""
+"""`phy124 orient` draws the Gaussians of a file once for each possible up axis."""
 
 from __future__ import annotations
 

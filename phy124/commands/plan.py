@@ -27,7 +27,7 @@ STOOD_IN = "The times after the generator are for a stand-in object made by reli
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """Accuracy goal or time goal of a run, and whether the run is only predicted."""
+    """The largest error or longest time allowed for a run, and whether to predict the run only."""
 
     forecast: bool = False
     """Predict the time before the run, in about a second; the report compares it with the time

@@ -35,7 +35,8 @@ DOCS = Path("docs/lab/experiments.md"), Path("docs/images/experiments")
 
 @dataclass(frozen=True)
 class Validate:
-    """Repeat published experiments on three grids each, with a control that must fail.
+    """Repeat each published experiment on three grids, and once with a deliberate error that must
+    be detected.
 
     The status is 0 if all experiments ran, every control left its band, and every value outside its
     band is a known deviation.
@@ -96,7 +97,7 @@ class Validate:
         return [find_experiment(self.name)]
 
     def _refuse_docs(self) -> None:
-        """Refuse --docs if the page cannot be written as a whole.
+        """Refuse --docs unless all experiments run, since the page needs all of them.
 
         Raises:
             InputError: This is not a clone, or only some experiments are run.

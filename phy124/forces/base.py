@@ -67,7 +67,7 @@ class Force(Section):
 
     @property
     def idle(self) -> bool:
-        """Whether the strength is zero; always False for wind, which drags even at zero speed."""
+        """Whether the strength is zero; False for wind, which slows objects even at zero speed."""
         strengths = [getattr(self, name) for name in self.strengths]
         return bool(strengths) and not np.any(strengths)
 
@@ -136,7 +136,7 @@ def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
 
 
 def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """Return the stages of an acceleration; a uniform one needs none, as the grid update adds it.
+    """Return the stages of an acceleration; none if it is uniform, because the grid update adds it.
 
     Args:
         force: The force, with its region and its strength over time.

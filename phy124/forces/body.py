@@ -23,12 +23,12 @@ class Gravity(Force):
     g: Push = Field(default=(0.0, 0.0, -9.81), description="Acceleration [m/s^2].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Add to the uniform acceleration, or accelerate only the chosen particles."""
+        """Add to the uniform acceleration of the run, or accelerate only the chosen particles."""
         return accelerate(self, self.g, model, state, tracks)
 
 
 class Acceleration(Force):
-    """An acceleration; unlike a force per particle, it does not depend on the particle count."""
+    """An acceleration; its effect does not depend on the number of particles."""
 
     kind: Literal["acceleration"] = "acceleration"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
@@ -36,7 +36,7 @@ class Acceleration(Force):
     a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Add to the uniform acceleration, or accelerate only the chosen particles."""
+        """Add to the uniform acceleration of the run, or accelerate only the chosen particles."""
         return accelerate(self, self.a, model, state, tracks)
 
 

@@ -36,7 +36,7 @@ def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.fl
 
 
 class Part(NamedTuple):
-    """The particles of a part on the device, and their means, which each substep computes."""
+    """The particles of a part on the device, and the sums over them that each substep computes."""
 
     chosen: wp.array
     share: wp.array

@@ -73,7 +73,7 @@ WEIGHTS = {name: package.WEIGHTS for package in NEURAL for name in package.GENER
 
 
 def is_present(name: str) -> bool:
-    """Whether a generator has all that its trained network needs; False if this is unknown."""
+    """Whether the weights and packages of a generator's network are present; False if unknown."""
     package = next((package for package in NEURAL if name in package.GENERATORS), None)
     return bool(getattr(package, "is_present", lambda: False)())
 

@@ -122,7 +122,7 @@ def _array(path: Path) -> NDArray:
 
 
 class OtherViews(Section):
-    """Options for images from other sides, the back's look, thickness and highlights."""
+    """Options for images from other sides, and for the back's look, thickness and highlights."""
 
     side: Path | None = Field(
         default=None,

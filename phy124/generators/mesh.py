@@ -76,7 +76,7 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
 
 
 def read_mesh(path: Path, *, seed: int = 0) -> Content:
-    """Convert a mesh that is a whole object to Gaussians, in the axes and unit of the file.
+    """Convert a mesh, taken as one object, to Gaussians in the axes and unit of the file.
 
     Args:
         path: A .glb, .gltf, .obj, .stl or .ply file.
@@ -154,7 +154,7 @@ def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[
 
 
 def _read_apart(path: Path, function: Callable[..., Any], *arguments: Any) -> Any:
-    """In a separate process with a time limit, call a function that reads a mesh.
+    """Call a function that reads a mesh, in a separate process with a time limit.
 
     Raises:
         InputError: If the function takes too long or raises ValueError("limit; remedy").
@@ -221,7 +221,7 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
 
 
 def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | None]:
-    """Sample points of a mesh and check its resolution; runs in a separate process.
+    """Sample points of a mesh and check its resolution; call this function in a separate process.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".

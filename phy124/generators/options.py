@@ -99,7 +99,7 @@ class Effort:
 
 
 def effort_of(generator: Any) -> Effort | None:
-    """Return the effort of a generator; None if it predicts none, because it is fast."""
+    """Return the effort of a generator; None for fast generators, which predict none."""
     effort: Callable[[], Effort] | None = getattr(generator, "effort", None)
     return effort() if effort is not None else None
 

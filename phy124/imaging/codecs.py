@@ -47,7 +47,7 @@ class PlainTiff(TiffImageFile):
     """A TIFF in its stored orientation; Pillow would rotate it and fail if its EXIF is damaged."""
 
     def load_end(self) -> None:
-        """Do nothing after decoding; Pillow would rotate the image here."""
+        """Do nothing after decoding, where Pillow would rotate the image."""
 
 
 def open_tiff(data: bytes) -> TiffImageFile:

@@ -266,7 +266,7 @@ def clean_edge(image: Image.Image, alpha: Alpha) -> Image.Image:
 
 
 def title_of(method: str) -> str:
-    """Return the name of a method in messages, also of "mask" and "brush"."""
+    """Return the name by which messages call a method; "mask" and "brush" have names, too."""
     known = METHODS[method].title if method in METHODS else PAINTED.get(method)
     return known or method
 
@@ -309,7 +309,7 @@ def _search(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alp
 def _pick_object(
     image: Image.Image, alpha: Alpha, method: str, pick: Point, deadline: isolated.Deadline
 ) -> Alpha:
-    """Select the object at a point; if there is none, segment a region around the point."""
+    """Select the object at a point; if there is no object, segment a region around the point."""
     picked = select_object(alpha, pick)
     if picked is None and method not in TAKEN_WHOLE:
         picked = search_around(image, pick, lambda part: _search(part, method, deadline))

@@ -56,7 +56,7 @@ def _read_brand(data: bytes) -> str | None:
 
 
 def read_size(data: bytes) -> Size:
-    """Return width and height from the header; those of the largest if there are several images.
+    """Return width and height from the header; if there are several images, those of the largest.
 
     Raises:
         ValueError: If the format is unknown, or the header contains no size.

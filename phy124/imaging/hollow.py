@@ -1,4 +1,4 @@
-"""Detects signs that an object is hollow: a rim seen from above, or a gap as inside a handle.
+"""Detects signs that an object is hollow: a rim seen from above, or a gap such as inside a handle.
 
 A cup, bowl or pot seen slightly from above shows its rim as an ellipse. The back half of the
 ellipse is the top of the outline; the front half is an edge inside the outline. In a test with 8

@@ -79,7 +79,8 @@ def select_object(alpha: Alpha, point: Point) -> Alpha | None:
 def search_around(
     image: Image.Image, point: Point, find: Callable[[Image.Image], Alpha]
 ) -> Alpha | None:
-    """Segment an object that the segmentation of the whole image misses; return its alpha or None.
+    """Search for an object that the segmentation of the whole image misses; return its alpha or
+    None.
 
     Windows around the point are segmented. The result is the object that touches the fewest edges
     of its window, as an alpha [H,W] of the whole image.

@@ -55,7 +55,7 @@ def resize_smoothly(rgb: Pixels, size: int) -> Pixels:
 
 
 def resize_sharply(rgb: Pixels, size: int) -> Pixels:
-    """Resize to a square by bilinear interpolation of the nearest pixels; round the values down."""
+    """Resize to a square by bilinear interpolation of adjacent pixels; round values down."""
     fine = cv2.resize(rgb.astype(np.float32), (size, size), interpolation=cv2.INTER_LINEAR)
     return np.floor(np.asarray(fine) + 1e-3).astype(np.uint8)
 

@@ -82,8 +82,8 @@ def measure_alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
 def measure_undecided(alpha: NDArray[np.uint8]) -> float:
     """Return the half-transparent area away from the outline, divided by the object's area.
 
-    Half transparency is usual within a few pixels of the outline of an alpha [H,W]. Farther away,
-    half transparency shows that the network did not decide.
+    Half transparency is usual within a few pixels of the outline of an alpha [H,W]. Half
+    transparency farther away shows that the network was undecided.
     """
     inside = (alpha > 127).astype(np.uint8)
     reach = WIDE * max(1.0, max(alpha.shape) / FITTED)

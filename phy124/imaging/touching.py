@@ -1,8 +1,9 @@
 """Splits two touching objects where the silhouette has a neck and the colours change.
 
-A narrow neck alone does not show two objects (heads sit on necks), nor does a change of colour
-alone (trousers and shirt). A split requires a neck and a change of colour, and each part must be
-large. A boat's sail is wrongly split off; docs/lab/cutouts.md has the rates of wrong splits.
+A narrow neck alone is no sign of two objects (a head sits on a neck), and neither is a change of
+colour alone (trousers and a shirt). A split requires a neck and a change of colour, and each part
+must be large. The sail of a boat is wrongly split off; docs/lab/cutouts.md lists how often splits
+are wrong.
 """
 
 from __future__ import annotations

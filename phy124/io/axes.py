@@ -173,6 +173,6 @@ def _rotate_colours(sh: NDArray, rotation: NDArray[np.float64]) -> NDArray:
 
 
 def _usual_front(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the assumed front direction for the coordinate axis that is nearest to up."""
+    """Return the front direction that is assumed when a given coordinate axis is nearest to up."""
     nearest = max(FRONTS, key=lambda axis: float(parse_direction("up", axis) @ z))
     return parse_direction("front", FRONTS[nearest])

@@ -70,8 +70,8 @@ class Content(NamedTuple):
 
     @property
     def in_place(self) -> Content:
-        """The content with absolute positions, or the unchanged content if float32 cannot resolve
-        them.
+        """The content with absolute positions, if float32 can resolve them; else the unchanged
+        content.
         """
         means = move_back(self.gaussians.means, np.array(self.origin)) if any(self.origin) else None
         if means is None:
@@ -199,7 +199,7 @@ def check_size(kind: str, path: Path, count: int, *, more: float = 0.0) -> None:
 
 
 def drop_non_finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:
-    """Return the Gaussians of all rows with finite values, and the number of rows dropped.
+    """Return the Gaussians of all rows with finite values, and the number of dropped rows.
 
     Quaternions are normalised; quaternions of length 0 become the identity.
     """
@@ -312,7 +312,7 @@ ENDS = (1, 99)
 
 
 def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return centres [N,3] relative to an origin [3], and that origin.
+    """Return centres [N,3] relative to an origin [3], and the origin.
 
     The origin is 0 unless the centres are so far away that float32 could not resolve the object.
     For example, Earth-centred captures lie 4,600 km or more from 0; float32 has 24 bits, so its

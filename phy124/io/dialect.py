@@ -64,7 +64,7 @@ def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
 
 
 def _names_its_axes(header: Header) -> bool:
-    """Whether a comment states the up axis; the letter "y" alone is ambiguous."""
+    """Whether a comment states the up axis; a "y" without a sign does not count."""
     matches = filter(None, map(VERTICAL.fullmatch, header.comments))
     return _is_signed(header) or any(match[1].lower() != "y" for match in matches)
 

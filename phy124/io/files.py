@@ -1,8 +1,8 @@
 """Writes output files atomically: a file appears whole or not at all, and replaces an older file.
 
 An output path may be a link, which is followed, or a device or pipe, which is written into. The
-operating system releases a lock when its process ends in any way. An unlocked temporary file is
-therefore known to be a leftover of a process that was killed.
+operating system releases the lock of a process when the process ends, for whatever reason. A
+temporary file without a lock is therefore a leftover of a killed process.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 If a run is killed, its finished frames are in the file. At the end of a run, `finish` writes the
 header, which makes the file a valid clip without copying it. The returned frames are memory-mapped
 views of the file and take no further memory. The finished clip is a hard link to the file, created
-before the original name is removed; a paused state therefore never lacks its frames.
+before the original name is removed. A paused run therefore always has its frames on disk.
 """
 
 from __future__ import annotations

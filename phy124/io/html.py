@@ -209,7 +209,7 @@ def _describe(
     stage: Staged | None,
     shine: Glossy | None,
 ) -> dict[str, Any]:
-    """Return the settings with which the player first shows a clip, as plain data."""
+    """Return the player's initial settings for a clip, as plain data."""
     shown: dict[str, Any] = {"background": list(background), "view": _view(camera)}
     shown |= {} if stage is None else {"stage": stage[0]}
     until = (clip.report.get("error") or {}).get("until")

@@ -73,7 +73,7 @@ def stand_in(head: bytes) -> tuple[str, str] | None:
 
 
 def _of_folder(path: Path) -> tuple[str, str]:
-    """Return the kind of a folder, and the remedy: the name of the file to use instead."""
+    """Return the kind of a folder in place of a file, and the remedy: the file to use instead."""
     for name, words in IN_FOLDERS.items():
         if (path / name).is_file():
             return _about(path, *words)

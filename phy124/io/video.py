@@ -158,7 +158,7 @@ def write_animation(
 
     Times are multiples of 1 ms in WebP and of 10 ms in GIF. Each frame ends at the multiple nearest
     to its exact time, so that rounding errors do not add up. GIF has 256 colours per frame and no
-    half-transparent pixels; prefer WebP. All frames are held in memory until the last one has
+    half-transparent pixels; prefer WebP. All frames are kept in memory until the last frame has
     arrived.
 
     Args:

@@ -70,7 +70,7 @@ def column(m: wp.mat33d, j: int) -> wp.vec3d:
 
 @wp.func
 def plane_rotation(a: wp.vec3d, b: wp.vec3d, tolerance: wp.float64) -> wp.vec2d:
-    """Return cosine and sine of the rotation that makes two columns orthogonal; (1, 0) if none."""
+    """Return cosine and sine of the rotation that makes two columns orthogonal."""
     unit = wp.float64(1.0)
     turn = wp.vec2d(unit, wp.float64(0.0))
     p = wp.dot(a, a)
@@ -129,7 +129,9 @@ def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
 
 @wp.func
 def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
-    """Return the unit vector normal to e nearest to `wanted`; to `spare` if `wanted` is along e."""
+    """Return the unit vector, normal to e, that is nearest to `wanted`, or to `spare` if `wanted`
+    is along e.
+    """
     u = wanted - wp.dot(e, wanted) * e
     if wp.length(u) <= wp.float64(1e-3) * wp.length(wanted):
         u = spare - wp.dot(e, spare) * e

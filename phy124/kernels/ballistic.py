@@ -1,9 +1,9 @@
 """Moves particles that are outside the grid; only the uniform acceleration acts on them.
 
 A particle that is outside the grid when particles scatter counts as outside for the whole substep.
-During the gather, a particle that counts as outside is hidden outside the gather's window. Without
-hiding, a particle that crosses the window's edge during the gather, in either direction, would be
-moved twice.
+During the gather, such a particle is temporarily moved outside the gather's window ("hidden").
+Without hiding, a particle that crosses the window's edge during the gather, in either direction,
+would be moved twice.
 """
 
 from typing import Any
@@ -20,7 +20,7 @@ OUT_OF_SIGHT = wp.constant(4)
 
 @build_once
 def make_hide(real: Any):
-    """Kernel: hides the chosen particles that were outside the window during the scatter."""
+    """Kernel: hides those chosen particles that were outside the window during the scatter."""
     t = types(real)
 
     @kernel(f"phy124_hide_{real.__name__}", real)

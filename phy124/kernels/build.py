@@ -1,12 +1,12 @@
 """Compilation of kernels: forward only, each variant in a module with a name of its own.
 
-Warp hashes the set of functions that a closure uses, but not the role of each, so two variants that
-use the same functions would share a hash: each needs its own module name. Products and sums are
-contracted to fused multiply-adds, as CUDA compilers do by default: this shortens a substep by one
-seventh on a CPU and reduces rounding errors. Operations are not reordered, but which of two
-products is contracted depends on the layout of the code: merging two early returns of
-`collide.contact` changed the last digit of float32 results. tests/benchmarks/fingerprints.py
-compares two commits.
+Warp hashes the set of functions that a closure uses, but not the role of each function. Two
+variants that use the same functions would therefore share a hash, so each variant needs a module
+name. Products and sums are contracted to fused multiply-adds, as CUDA compilers do by default: this
+shortens a substep by one seventh on a CPU and reduces rounding errors. Operations are not
+reordered, but which of two products is contracted depends on the layout of the code: merging two
+early returns of `collide.contact` changed the last digit of float32 results.
+tests/benchmarks/fingerprints.py compares two commits.
 """
 
 import inspect
@@ -33,8 +33,8 @@ BUILDING = RLock()
 def build_once(make: Callable[Options, Built]) -> Callable[Options, Built]:
     """Return a factory that builds each kernel variant once, even if several threads ask for it.
 
-    `functools.cache` alone does not suffice: two threads that ask at the same time would both build
-    the variant, and its module would contain the kernel twice.
+    `functools.cache` alone does not suffice: if two threads asked at the same time, both would
+    build the variant, and its module would contain the kernel twice.
     """
     kept = cache(make)
 

@@ -39,7 +39,7 @@ def gap(at: wp.float64, cell: int) -> wp.float64:
 
 @wp.func
 def margin(at: wp.float64, first: int, last: int, count: int) -> wp.float64:
-    """Return the distance to a range's nearest end [cells]; ends of the whole grid do not count."""
+    """Return the distance to a range's nearest end [cells], ignoring the ends of the whole grid."""
     room = wp.float64(1e100)
     if first > 0:
         room = wp.min(room, at - wp.float64(first))

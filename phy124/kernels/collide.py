@@ -1,7 +1,7 @@
 """Colliders: nodes near a wall respond to the wall between the grid update and the gather.
 
 Node (i, j, k) of the window is at origin + (window[0] + (i, j, k)) dx. A collider is compiled for
-one distance function and one response, so shapes and modes that are not used cost nothing.
+one distance function and one response, so unused shapes and responses cost nothing.
 
 `make_contact` enforces contact at the wall itself, between the nodes: see
 phy124/kernels/columns.py. At a flat wall each node belongs to a single column. At a curved wall
@@ -77,7 +77,7 @@ FLAT = {"half_space"}
 
 @build_once
 def make_settle(real: Any):
-    """Kernel over the nodes of a sub-box: adds to each node the mean of its columns' changes.
+    """Kernel over the nodes of a sub-box: adds the mean of its columns' changes to each node.
 
     `changes_out` holds the sums of weighted changes and of weights, and is zero afterwards. The
     weight of a column is the size of its change, so that the mean varies continuously when a column
@@ -105,14 +105,14 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
 
     A thread handles a segment of a row, with the length `each` [nodes]. A column's first node
     handles all three nodes. Nodes further behind the wall, or in columns without material in front
-    of the wall, respond one by one if their signed distance is below `reach` [m]. So do nodes of
-    columns that extend beyond `span`, the layers first <= i < last that this launch may change. A
-    moving shape is displaced by the value of its track, and its wall moves at the track's rate,
-    while the track is active. `lightest` is the mass of a fully covered node in the lightest of
-    several materials [kg], or infinite. `full` is the fraction of the expected mass at which
-    material counts as having reached the wall. In columns that the wall does not push, nodes below
-    the signed distance `loose` [m] respond one by one. A flat wall changes `grid_out`, other walls
-    change `changes_out` (see `make_settle`).
+    of the wall, respond one by one if their signed distance is below `reach` [m]. Nodes also
+    respond one by one in columns that extend beyond `span`, the layers first <= i < last that this
+    launch may change. A moving shape is displaced by the value of its track, and its wall moves at
+    the track's rate, while the track is active. `lightest` is the mass of a fully covered node in
+    the lightest of several materials [kg], or infinite. `full` is the fraction of the expected mass
+    at which material counts as having reached the wall. In columns that the wall does not push,
+    nodes below the signed distance `loose` [m] respond one by one. A flat wall changes `grid_out`,
+    other walls change `changes_out` (see `make_settle`).
 
     With `updating`, a flat wall and the grid update are one kernel, which reads momenta from `grid`
     and writes velocities to `grid_out`. The first threads of this kernel handle the nodes of the

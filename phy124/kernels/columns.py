@@ -5,12 +5,12 @@ normal, the velocity relative to the wall is made linear in the distance and zer
 column's first node is the one nearest to the wall among those that are at least half a cell in
 front of the wall. The other two nodes follow behind the first node; their velocities are the first
 node's velocity times g, the ratio of their distance to the first node's distance. Quadratic
-B-splines reproduce linear functions, and reach no further behind the wall. Momentum is projected
-onto such velocities, v_1 = sum(g m v) / sum(g^2 m). The projection never adds energy, and acts on
-all three nodes. Without the projection, a wall is as compliant as a layer of material one cell
-thick. B-splines with such linear values behind the wall are extended B-splines (Hoellig, Reif,
-Wipper 2001). The wall acts once the material has reached the wall, as determined from the masses of
-the nodes on the wall's two sides (see `coverage`).
+B-splines reproduce linear functions, and the splines of a column reach no further behind the wall.
+Momentum is projected onto such velocities, v_1 = sum(g m v) / sum(g^2 m). The projection never adds
+energy, and acts on all three nodes. Without the projection, a wall is as compliant as a layer of
+material one cell thick. B-splines with such linear values behind the wall are extended B-splines
+(Hoellig, Reif, Wipper 2001). The wall acts once the material has reached the wall, as determined
+from the masses of the nodes on the wall's two sides (see `coverage`).
 
 At the surface of a holding region, held material is treated like material at a wall. The nodes
 inside the holding region are held. The velocity of the node next to the surface is set from the
@@ -42,7 +42,9 @@ def slip(v: Any, wall: Any, n: Any, friction: Any):
 
 @wp.func
 def separate(v: Any, wall: Any, n: Any, friction: Any):
-    """Let a node leave the wall freely, else apply friction (Stomakhin et al. 2013, sec. 8)."""
+    """Let a departing node leave the wall; for other nodes apply friction (Stomakhin et al. 2013,
+    sec. 8).
+    """
     relative = v - wall
     speed = wp.dot(relative, n)
     if speed >= type(speed)(0.0):
@@ -130,7 +132,7 @@ def narrow(m: Any, farther: Any, u: Any):
 
 @wp.func
 def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
-    """Return whether material touches a wall; nodes at distances u [cells] have masses m.
+    """Return whether material touches a wall, from the masses m of nodes at distances u [cells].
 
     If a body touches the wall, the masses of the two nodes next to the wall have a known ratio,
     whatever the body's density and width; if there is a gap, the nearer node has less mass. With
@@ -184,7 +186,7 @@ def ending(distances: Any, across: Any):
 
 @wp.func
 def tie(v: Any, m: Any, g: Any):
-    """Return velocity changes [node, axis] after which velocities of masses m have the ratios g."""
+    """Return velocity changes [node, axis] that give nodes of mass m velocities of the ratios g."""
     weight = wp.cw_mul(g, m)
     return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
 
@@ -208,7 +210,7 @@ def along_wall(change: Any, normal: Any):
 
 @wp.func
 def pressing(pressed: Any):
-    """Return whether material presses on the wall; the wall does not hold material that departs."""
+    """Return whether material presses on the wall; the wall lets departing material go."""
     return pressed > type(pressed)(0.0)
 
 

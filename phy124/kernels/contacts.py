@@ -131,7 +131,8 @@ IMPULSE, MOMENT, SUMS = 0, 3, 6
 
 @build_once
 def make_wall_wrench(real: Any):
-    """Kernel over the segments of `make_wall_copy`: adds the wall's wrench since nodes were copied.
+    """Kernel over the segments of `make_wall_copy`: adds the wrench of the wall since the nodes
+    were copied.
 
     The moment is taken about the origin of the world. The gather preserves the angular momentum of
     the nodes (APIC, Jiang et al. 2015), so the sum equals the wrench on the material.

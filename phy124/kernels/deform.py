@@ -189,7 +189,7 @@ def deform_shapes_simd(
     quats_out: wp.array(dtype=wp.vec4f),
     scales_out: wp.array(dtype=wp.vec3f),
 ):
-    """Deform eight Gaussians per thread; `shape_of` handles the unusual ones."""
+    """Deform eight Gaussians per thread; `shape_of` handles those that the fast form leaves out."""
     group = wp.tid()
     left = shapes_of_eight(
         group,

@@ -200,7 +200,7 @@ def make_reset(real: Any):
 
     A deformation F is sound if its volume ratio is between `min_J` and `max_J`, its norm is at most
     `max_norm`, and its smallest stretch is at least the fraction `narrowest` of its largest
-    stretch. J / |cof F| stands for the smallest stretch, and |F| for the largest. `faults_out`
+    stretch. J / |cof F| is used as the smallest stretch, and |F| as the largest. `faults_out`
     receives the number of unsound deformations and the lowest index of an unsound one.
     """
     t = types(real)

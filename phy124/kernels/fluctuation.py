@@ -3,10 +3,10 @@
 The grid does not represent all of the particles' motion. In every substep, APIC discards the part
 that the grid does not represent, called the fluctuation, and thus damps the motion. The fluctuation
 is the difference between (v, C) and (v, C) after a round trip over the grid; this operator is D = 1
-- S S^+ in the notation of Hammerquist and Nairn 2017. FLIP restores the whole fluctuation, and
-AFLIP (Fei et al. 2021) restores a fraction of it. XPIC(m) restores the whole fluctuation except D^m
-(v, C), which is only noise. Here C makes the round trip together with v, so that the round trip
-changes neither momentum nor angular momentum.
+- S S^+ in the notation of Hammerquist and Nairn 2017. FLIP restores the whole fluctuation; AFLIP
+(Fei et al. 2021) restores a fraction. XPIC(m) restores the whole fluctuation except D^m (v, C),
+which is only noise. Here C makes the round trip together with v, so that the round trip changes
+neither momentum nor angular momentum.
 
 RPIC: the symmetric part of C decays; its skew part, the spin, does not. PhysGaussian's
 `rpic_damping` r scatters (1 - r) C + r/2 (C - C^T) in each substep, so that r = 1 is RPIC (Jiang et
@@ -103,13 +103,15 @@ def decay(x: Any):
 
 @wp.func
 def without_strain(C: Any, share: Any):
-    """Return C less a share of its symmetric part; a skew C is returned unchanged."""
+    """Return C minus a share of its symmetric part; a skew C is returned unchanged."""
     return C - (type(share)(0.5) * share) * (C + wp.transpose(C))
 
 
 @build_once
 def make_rpic(real: Any):
-    """Kernel that runs right before a scatter: sym C decays as exp(-rate t), rate in 1/s."""
+    """Kernel that runs right before a scatter: the symmetric part of C decays as exp(-rate t), with
+    the rate in 1/s.
+    """
 
     @kernel(f"phy124_rpic_{real.__name__}", real)
     def rpic(chosen, rate: real, clock, C_out):

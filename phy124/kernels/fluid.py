@@ -52,7 +52,7 @@ def lag(F: Any, h: Any):
 def tait_energy(F: Any, h: Any, theta: Any):
     """Return K / gamma (J + J^(1 - gamma) / (gamma - 1) - gamma / (gamma - 1)), zero at J = 1.
 
-    The energy of the lag, K' lag^2 / 2, is added.
+    The result includes the energy of the lag, K' lag^2 / 2.
     """
     J, more = squeeze(F)
     less = theta[1] - type(J)(1.0)

@@ -1,4 +1,4 @@
-"""Sand and snow: materials that cohere only under pressure, or until they fracture."""
+"""Sand, which coheres only under pressure, and snow, which coheres until it fractures."""
 
 from typing import Any
 

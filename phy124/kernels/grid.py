@@ -63,7 +63,9 @@ for vec4 in (wp.vec4, wp.vec4d):
         first: int,
         end: int,
     ) -> int:
-        """Return the first k >= `first` at which two rows' velocities differ; `end` if none."""
+        """Return the first k >= `first` at which the velocities of two rows differ, or `end` if
+        they are equal.
+        """
         ...
 
 

@@ -82,7 +82,7 @@ def inverse_tanh(z: Any):
 
 @wp.func
 def log_strain(F: Any):
-    """Return Hencky strain log V of F = V R for any F; an inverted element counts as mirrored."""
+    """Return the Hencky strain log V of F = V R for any F; reflections are ignored."""
     s = F[0, 0]
     two = type(s)(2.0)
     four = type(s)(4.0)

@@ -90,9 +90,9 @@ def normal(to: Any, away: Any, yields: Any):
     """Return the contact normal from the slopes of two bodies' volumes.
 
     `to` is the slope of the second body's volume, `away` that of the first body's. The steeper
-    slope belongs to the flatter surface and is preferred (Nairn 2013 takes the steeper slope; the
-    mean of equal slopes is less rough). For a body that never moves, the
-    volume's slope is smooth and gets a larger weight (`trust`).
+    slope belongs to the flatter surface and has the larger weight (Nairn 2013 uses only the steeper
+    slope; the mean of two equal slopes is less rough). For a body that never moves, the volume's
+    slope is smooth and gets a larger weight (`trust`).
     """
     a = wp.length_sq(to) * trust(yields[1])
     b = wp.length_sq(away) * trust(yields[0])
@@ -235,8 +235,8 @@ def make_pair(real: Any):
     `low` is the first of the shared nodes on the lattice, `fill` the volume fraction per mass at a
     node of each body, and `yields` is 1 for a body that can move and 0 for a body that never moves.
     A sticky pair has one velocity at each node where both have mass. `sums_out` sums the impulse of
-    the first body on the second, and its moment about the origin of the world. Of neighbouring
-    nodes, a thread reads only the masses, which no thread changes.
+    the first body on the second, and its moment about the origin of the world. A thread reads only
+    the masses of neighbouring nodes, and no thread changes these masses.
     """
     t = types(real)
 

@@ -15,7 +15,7 @@ from phy124.kernels.spectral import deviator, exponential
 
 @wp.func
 def von_mises(F: Any, h: Any, theta: Any, dt: Any):
-    """Do a radial return with linear hardening or softening (Simo and Hughes 1998, box 3.1).
+    """Apply a radial return with linear hardening or softening (Simo and Hughes 1998, box 3.1).
 
     theta = (mu, lam, limit, slope, minimum): the limit changes by `slope` per plastic strain and is
     at least `minimum`; h[0] is the accumulated plastic strain, the sum of |d e_p|.

@@ -53,7 +53,9 @@ def integral(
 
 @wp.func
 def fold(at: Any, period: Any):
-    """Return a time modulo the period; unchanged if it is negative or there is no period."""
+    """Return a time modulo the period; a negative time, or a track without a period, leaves it
+    unchanged.
+    """
     if period > type(at)(0.0) and at > type(at)(0.0):
         return at - period * wp.floor(at / period)
     return at
@@ -69,7 +71,9 @@ def mean(
     a: Any,
     b: Any,
 ):
-    """Return a track's mean from a to b [s], zero outside span = (start, end, origin, period)."""
+    """Return the mean of a track from a to b [s]; the track is zero outside span = (start, end,
+    origin, period).
+    """
     zero = a - a
     low = wp.max(a, span[0])
     high = wp.min(b, span[1])

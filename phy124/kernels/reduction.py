@@ -1,4 +1,4 @@
-"""Operations of many threads together: sums, maxima, stores, and a barrier.
+"""Operations of many threads on common data: sums, maxima, stores, and a barrier.
 
 On a GPU, atomic operations on one address are serialised. Therefore each thread first reduces its
 own items, the 32 threads of a warp then combine their results, and one of them writes the total. If
@@ -25,7 +25,8 @@ in a block of a GPU.
 
 
 def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[int, int, int, int]:
-    """Return the number of threads that reduce all particles; `first`, `each` and `stride`.
+    """Return the number of threads that reduce all particles, and the numbers `first`, `each` and
+    `stride`.
 
     A thread handles the particles `thread * first + k * stride`, k < `each`. On the CPU a thread's
     particles are neighbours; on a GPU, neighbouring threads have neighbouring particles, so that
@@ -38,9 +39,9 @@ def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[i
 
 
 def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int], int]:
-    """Return the launch's shape (i, j, segment) over a box of nodes, and the nodes per thread.
+    """Return the shape (i, j, segment) of a launch over a box of nodes, and the nodes per thread.
 
-    A thread has the whole row on the CPU, and one node on a GPU.
+    A thread handles a whole row on the CPU, and one node on a GPU.
     """
     x, y, z = (int(count) for count in extent)
     return ((x, y, min(z, 1)), z) if device == "cpu" else ((x, y, z), 1)
@@ -115,7 +116,7 @@ def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
 
 @wp.func_native(code("reduction:least", "reduction:warp", "reduction:lower_to"))
 def lower_to(minima: wp.array(dtype=int), index: int, value: int):
-    """Set an integer that all threads share to a value, if the value is smaller."""
+    """Lower an integer that all threads share to a value, if the value is smaller."""
     ...
 
 

@@ -1,12 +1,12 @@
 """Functions of a symmetric 3x3 matrix through its eigenvalues, in float64, without eigenvectors.
 
 The eigenvalues have a closed form (Smith 1961). A function of the matrix is then the quadratic
-polynomial that has the function's values at the eigenvalues (Newton's divided differences). The
+polynomial that interpolates the function at the eigenvalues (Newton's divided differences). The
 polynomial remains exact to rounding if eigenvalues coincide, because the error of each divided
 difference is multiplied by the gap between the eigenvalues. The laws use these functions for the
 few particles outside the range of their fast forms.
 
-The module also has squares of symmetric 3x3 matrices, and power series by the Cayley-Hamilton
+The module also computes squares of symmetric 3x3 matrices, and power series by the Cayley-Hamilton
 theorem. Every power of A is a quadratic c0 I + c1 A + c2 A^2 whose coefficients follow from the
 invariants of A, so each further term of a series costs a few scalar operations but no matrix
 product.

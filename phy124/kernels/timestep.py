@@ -101,7 +101,7 @@ def over(a: wp.float64, b: wp.float64):
 
 @wp.func
 def finish(s: Progress, bounds: Limits):
-    """Count the last substep, if one was taken."""
+    """Add the last substep, if one was taken, to the counts."""
     if s.next > wp.float64(0.0):
         rest = bounds.until - s.time
         s.strain += s.gradient * s.next
@@ -144,7 +144,7 @@ def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), bound
 
 @wp.func
 def limiter(s: Progress, bounds: Limits):
-    """Return the shortest limit [s] and its index; the first index if several are equal."""
+    """Return the shortest limit [s] and its index; of equal limits, the first."""
     dt = over(bounds.reach, wp.sqrt(s.stiffness))
     which = int(wp.static(ELASTIC))
     if over(bounds.stride, s.speed) < dt:
@@ -164,7 +164,7 @@ def limiter(s: Progress, bounds: Limits):
 
 @wp.func
 def violent(dt: wp.float64, s: Progress, bounds: Limits):
-    """Return whether something may move more than about a cell in a substep, which is too far."""
+    """Return whether something may move too far in a substep, that is, more than about a cell."""
     two = wp.float64(2.0)
     return (
         two * wp.max(s.speed, bounds.wall) * dt > bounds.stride

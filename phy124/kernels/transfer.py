@@ -76,8 +76,8 @@ def first_node(g: Any):
 def in_window(first: wp.vec3i, size: wp.vec3i):
     """Return whether all 27 nodes are inside the window.
 
-    Positions far away convert to the smallest or largest integer, so nothing may be added to
-    `first`.
+    Positions far away convert to the smallest or largest integer, so adding to `first` could
+    overflow.
     """
     return (
         first[0] >= 0
@@ -132,7 +132,7 @@ def slope(f: Any):
 def offsets(f: Any):
     """Return the vector (0, 1, 2) in the precision of f.
 
-    The vector replaces casts of a loop index, which would change the type of the index itself.
+    The vector is used because a cast of a loop index would change the type of the index itself.
     """
     return wp.vector(type(f)(0.0), type(f)(1.0), type(f)(2.0))
 

@@ -1,4 +1,4 @@
-"""Nodes of a window of the grid: positions, indices in memory, and whether they have mass.
+"""Nodes of a window of the grid: their positions, indices in memory, and whether they have mass.
 
 Node (i, j, k) of the window is at origin + (window[0] + (i, j, k)) dx.
 """

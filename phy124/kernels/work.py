@@ -67,7 +67,7 @@ for kinds in (types(wp.float32), types(wp.float64)):
         v: kinds.vec3s,
         kept: kinds.vec3s,
     ) -> wp.vec4d:
-        """Return the change of momentum and kinetic energy since velocities `kept` were stored."""
+        """Return the changes of momentum and kinetic energy since velocities `kept` were stored."""
         ...
 
 
@@ -168,11 +168,12 @@ def make_uniform_sums(real: Any):
     """Kernel of one thread: adds impulse and work of the uniform acceleration in a substep.
 
     The acceleration acts after forces on particles and before walls, so `walls_out` stores the
-    walls' sums up to the previous substep. The works in `mean_pushes` and `mean_walls`, on lattices
-    and on a liquid by projection, are computed with the mean velocities of a step. There the
-    acceleration works on the mean of the momenta before and after the step. `base` is the momentum
-    without the sums that are still being accumulated. All have one row of sums for each worker, but
-    `mean_walls` has one for each wall of a lattice, or one for all walls of a liquid.
+    walls' sums up to the previous substep. `mean_pushes` and `mean_walls` contain the work on
+    lattices and on projected liquids, which is computed with the mean velocities of a step. In
+    these cases, the work of the acceleration follows from the mean of the momenta before and after
+    the step. `base` is the momentum without the impulses that are still being summed. Each array
+    has one row of sums per worker, except `mean_walls`, which has one row per wall of a lattice, or
+    one row for all walls of a liquid.
     """
 
     @kernel(f"phy124_uniform_sums_{real.__name__}", real)

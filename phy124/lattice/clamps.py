@@ -1,4 +1,4 @@
-"""Clamps on a lattice, and the contact impulses that clamps take.
+"""Clamps on a lattice, and the contact impulses that act on clamped nodes.
 
 Nodes inside a clamp have the clamp's velocity. The node next to the clamp's surface moves in the
 opposite direction to its free neighbour, so that the interpolated motion vanishes at the surface.
@@ -89,8 +89,8 @@ class Clamp:
     def record(self, earlier: Sequence[Clamp], later: Sequence[Clamp]) -> list[wp.Launch | None]:
         """Record the launches of one substep.
 
-        Of several active clamps, the last one holds a node inside them. A node inside a clamp
-        belongs to that clamp, even if it is at the surface of another one.
+        If a node is inside several active clamps, the last of these clamps holds it. A node inside
+        a clamp belongs to that clamp, even if it is at the surface of another one.
 
         Args:
             earlier: The clamps that precede this one in the scene.
@@ -115,7 +115,7 @@ class Clamp:
 
 
 class PassedOn:
-    """Records launches that pass the contact impulses on held nodes to the clamps."""
+    """Records launches that add the contact impulses on held nodes to the sums of the clamps."""
 
     def __init__(
         self,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 
 class Layout(NamedTuple):
-    """Places in memory of D distinct nodes, of which some are repeated."""
+    """Order in memory of D distinct nodes, some of which are repeated."""
 
     node: NDArray[np.int64]
     """Index of the distinct node at each place [N]."""
@@ -28,7 +28,7 @@ class Layout(NamedTuple):
 
     @property
     def repeats(self) -> NDArray[np.bool_]:
-        """Whether each place repeats a node that has its home elsewhere [N]."""
+        """Whether each place in memory only repeats a node, whose main place is elsewhere [N]."""
         mask: NDArray[np.bool_] = self.home[self.node] != np.arange(len(self.node))
         return mask
 
@@ -38,7 +38,8 @@ class Layout(NamedTuple):
         ties: scipy.sparse.csr_matrix,
         pushes: scipy.sparse.csr_matrix,
     ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-        """Return tied places, their ties [T,N] and the pushes [N,N]; repeated nodes are tied.
+        """Return the tied nodes, their ties [T,N], and the matrix [N,N] that moves forces; repeated
+        nodes are tied.
 
         Args:
             tied: Indices of the distinct nodes that are tied.
@@ -60,7 +61,7 @@ class Layout(NamedTuple):
 
 
 def lay_out(index: NDArray[np.int64], copy: NDArray, cells: NDArray[np.int64]) -> Layout:
-    """Return the places in memory of nodes with copies.
+    """Arrange nodes with copies in memory.
 
     Args:
         index: Indices of the distinct nodes, sorted by x, y, z and copy [D,3].
@@ -111,5 +112,5 @@ def _chain(rows: NDArray[np.int64]) -> list[list[int]]:
 
 
 def _ones(rows: NDArray, columns: NDArray, shape: tuple[int, int]) -> scipy.sparse.csr_matrix:
-    """Return a matrix that is 1 at some places, and 0 elsewhere."""
+    """Return a matrix of ones at some rows and columns, and zeros elsewhere."""
     return scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=shape)

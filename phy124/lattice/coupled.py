@@ -1,4 +1,4 @@
-"""CoupledSolver: bodies on lattices together with bodies of the material point method.
+"""CoupledSolver: advances bodies on lattices together with bodies of particles.
 
 Bodies on lattices and bodies of particles take the same substeps. In a substep, the particles'
 grids are updated and the lattices' nodes are kicked. After the kick, all contact acts, and walls
@@ -29,7 +29,7 @@ STATE = ("x", "v", "C", "F")
 
 
 class CoupledClock(Clock):
-    """The clock of the particles; its substeps are also stable for the lattices."""
+    """The clock of the particles, whose substeps are also short enough for the lattices."""
 
     lattice: Clock | None = None
     """The clock of the lattices."""
@@ -158,7 +158,7 @@ class CoupledSolver(Solver):
         uniform: Sequence[Attachable] = (),
         walls: Sequence[Any] = (),
     ) -> None:
-        """Replace forces, boundaries and sums, from the next substep on.
+        """From the next substep on, use other forces, boundaries and sums.
 
         Args:
             forces: Forces, in the order in which they act.

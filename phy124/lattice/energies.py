@@ -170,7 +170,7 @@ class Energies:
         return {"rows": rows, "clamps": self._clamps.tolist()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums; if the number of workers differs, the first worker gets all sums."""
+        """Restore the sums; if the number of workers changed, the first worker gets the total."""
         kept, rows = np.array(snapshot["rows"]), np.zeros(self._sums.shape)
         if rows.shape == kept.shape:
             rows[:] = kept

@@ -49,7 +49,7 @@ class Impulses:
         return cast("wp.Launch", launch)
 
     def hold(self, clamps: list[Named], held: NDArray[np.int64]) -> list[Named]:
-        """Return the clamps' launches, with a reading of held nodes' momenta before and after them.
+        """Return the clamps' launches, enclosed by launches that sum the momenta of held nodes.
 
         Args:
             clamps: The launches of all clamps.

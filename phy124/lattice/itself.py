@@ -60,7 +60,7 @@ class Meeting:
         sticky: bool = False,
         sums: wp.array | None = None,
     ) -> None:
-        """Prepare contact without any pair of points.
+        """Prepare the contact; the list of pairs is empty at first.
 
         Args:
             surface: Points that may touch.
@@ -209,7 +209,7 @@ class Meeting:
             self.slack = most
 
     def part(self) -> None:
-        """Remove all pairs, because the bodies are far from each other."""
+        """Remove all pairs of points; call this if the bodies are far from each other."""
         self._points, self._away = self._points[:0], True
 
     def _look(self, x: NDArray[np.float64]) -> None:
@@ -250,7 +250,8 @@ class Meeting:
     def _overlap(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return by how much the surfaces of separate pieces overlap at rest at each pair [K], m.
 
-        Surfaces are only as exact as voxels. Contact does not push apart what overlaps at rest.
+        Surfaces are only as exact as voxels. Contact does not push apart surfaces that overlap at
+        rest.
         """
         surface = self._surface
         way = surface.x[a] - surface.x[b]

@@ -1,4 +1,4 @@
-"""The kernels of a run on lattices, for compiling them before the run."""
+"""Lists the kernels of a run on lattices, so that they can be compiled before the run."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def of_bodies(
 
 
 def of_workers(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -> Iterator[Any]:
-    """Yield the kernels of a run; `model_laws` has pairs of a law and whether it is viscous."""
+    """Yield the kernels of a run; `model_laws` are pairs of a law and whether it is viscous."""
     vectors = simd.usable(real, device)
     if vectors:
         yield from (simd.make_kick_simd(), simd.make_drift_simd(), simd.make_follow_simd())

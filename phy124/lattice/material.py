@@ -38,7 +38,7 @@ class Material:
         body: int,
         moves: bool,
     ) -> None:
-        """Prepare contact without any point.
+        """Prepare the contact; the list of points is empty at first.
 
         Args:
             surface: Surface points of all bodies on lattices.
@@ -102,7 +102,9 @@ class Material:
         self._launches = [cast("wp.Launch", launch) for launch in (touch, resist, total)]
 
     def pass_on(self, passed: PassedOn | None) -> None:
-        """Pass impulses on held nodes to the clamps in the last stage; None without clamps."""
+        """In the last stage, add impulses on held nodes to the sums of these clamps; None if there
+        is no clamp.
+        """
         points = self._points[0], self._points[1]
         self._passed = None if passed is None else passed.of(self._list, points, self.force)
 

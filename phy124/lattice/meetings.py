@@ -1,7 +1,7 @@
-"""Meetings: contact of bodies with each other, and of each body with itself.
+"""Meetings: all contact of bodies with each other, and of each body with itself.
 
-A sample of the surface shows whether two bodies, or two parts of a body, are near each other. If no
-two are near each other, nothing else is computed.
+A sample of the surface shows whether two bodies, or two parts of a body, are near each other. If
+all are apart, nothing else is computed.
 """
 
 from __future__ import annotations

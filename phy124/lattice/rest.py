@@ -5,7 +5,7 @@ i - 1 to i + 1. A cell's eight points (phy124/particles/lattice.py) therefore to
 nodes, and each weight is a single polynomial in the cell. If the points were placed between nodes
 instead of between knots, some motions of cut cells would have no stiffness.
 
-Every body that does not fill its cells has nodes of almost no mass, which have almost no stiffness
+A body that only partly fills its cells has nodes of almost no mass, which have almost no stiffness
 either. Nodes lighter than `LIGHTEST` are tied: their motion is extrapolated linearly from heavier
 nodes, and the transpose of this extrapolation distributes their force and mass over these nodes.
 Tying nodes in this way conserves momentum and angular momentum.
@@ -193,7 +193,7 @@ class RestLattice:
 
     @cached_property
     def copied(self) -> NDArray[np.bool_]:
-        """Whether each node has copies, or is one [N]."""
+        """Whether each node has copies or is a copy [N]."""
         mask = np.zeros(len(self), bool)
         if (self.source == np.arange(len(self))).all():
             return mask
@@ -366,7 +366,7 @@ def _share(
     least: float,
     giving: float,
 ) -> tuple[NDArray[np.float64], scipy.sparse.csr_matrix]:
-    """Return masses after heavy nodes have given mass to nodes lighter than `least` [kg].
+    """Return the masses after mass was moved from heavy nodes to nodes lighter than `least` [kg].
 
     The total mass and its centre are preserved. No node loses more than half of its mass. The
     matrix [N,N] moves forces with the mass: the moved mass has the light node's acceleration.
@@ -470,7 +470,8 @@ def _nearest_in_cells(
 def _extrapolate(
     index: NDArray[np.int64], light: NDArray, donors: NDArray, distance: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the weights of donors [T,K], and whether these determine every linear function [T].
+    """Return the weights of the heavier nodes [T,K], and whether these nodes determine every linear
+    function [T].
 
     Args:
         index: Indices of the nodes [N,3].

@@ -98,7 +98,8 @@ class LatticeClock(Clock):
         return self.in_shock or speed * drift > IMPACT * self.dx or way > UNSEEN * self.dx
 
     def stalls(self, usual: float) -> bool:
-        """Return whether the last `STALLED` substeps lasted less than one at rest.
+        """Return whether the last `STALLED` substeps together are shorter than a single substep at
+        rest.
 
         Args:
             usual: Length of a substep at rest [s].

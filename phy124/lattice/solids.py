@@ -256,7 +256,7 @@ class _Touch:
         return act
 
     def add_sums(self, work: ContactWork | None, passed: PassedOn | None) -> None:
-        """Add launches to the last stage; an argument that is None adds none.
+        """Add launches to the last stage; pass None to add none.
 
         Args:
             work: Sums the work of the impulses by cause.

@@ -1,8 +1,8 @@
 """LatticeSolver: explicit substeps of elastic bodies on lattices of their shapes at rest.
 
 A substep sums the forces of the stress on the nodes, kicks the nodes, lets clamps and walls act,
-and lets the nodes drift. Points only integrate: their x, v, C and F follow the nodes before forces
-on particles act, when limits are measured, and at the end of `advance`.
+and lets the nodes drift. Points serve only for integration. Their x, v, C and F are computed from
+the nodes before forces on particles act, when limits are measured, and at the end of `advance`.
 """
 
 from __future__ import annotations
@@ -155,8 +155,8 @@ class LatticeSolver:
     ) -> None:
         """Replace forces, boundaries and sums, from the next substep on.
 
-        Contact forces and the times of measurements do not change, so that live runs repeat bit for
-        bit.
+        The contact forces and the times of measurements are kept, so that live runs can be repeated
+        bit for bit.
 
         Args:
             forces: Forces, in the order in which they act.
@@ -226,7 +226,9 @@ class LatticeSolver:
         ]
 
     def _push(self, worker: int) -> list[Any]:
-        """Return a worker's pushes; the first worker has all pushes if one cannot be divided."""
+        """Return a worker's launches of forces on points; the first worker runs all of them if one
+        cannot be divided.
+        """
 
         def record(stages: Sequence[Stage]) -> list[Any]:
             return launches([(stage.name, stage.record(self.grid)) for stage in stages])
@@ -243,7 +245,7 @@ class LatticeSolver:
 
     @property
     def boundaries(self) -> Sequence[Stage]:
-        """Stages of boundaries on a grid; there are none, because walls act on surface points."""
+        """Stages of boundaries on a grid: none, because walls act on surface points."""
         return ()
 
     @property
@@ -415,7 +417,7 @@ class LatticeSolver:
         run_timed(self.timings, "free", lambda: self.free.list_near(self._step()))
 
     def _read(self, elapsed: float) -> None:
-        """Limit substeps by the largest speed and rate of strain; raises Unstable.
+        """Limit substeps according to the largest speed and rate of strain; raises Unstable.
 
         Args:
             elapsed: Time since the last measurement [s].
@@ -436,8 +438,8 @@ class LatticeSolver:
     def _refuse_collapse(self) -> None:
         """Raise Unstable if a number is not finite, or substeps became too short.
 
-        The next attempt takes substeps of half the length at rest: with collapsed substeps, it
-        would never end.
+        The next attempt then takes substeps of half the length at rest; with substeps as short as
+        now, it would never end.
         """
         clock, lost = self.clock, int(self.crew.stray.numpy()[0])
         usual = min(self.substep_at_rest, clock.ceiling)

@@ -97,8 +97,8 @@ class Spectrum:
     def stiffen(self, factor: float) -> float:
         """Set the factor that multiplies the initial stiffnesses; return `stiffness`.
 
-        A larger factor acts at once, since the frequency is measured only after a substep. A factor
-        below 1 is ignored: substeps at rest are then shorter than necessary.
+        A larger factor shortens substeps at once, because the frequency is measured only after a
+        substep. A factor below 1 is ignored: substeps at rest are then shorter than necessary.
         """
         stiffened = max(1.0, factor)
         ratio, self._stiffened = stiffened / self._stiffened, stiffened
@@ -184,8 +184,8 @@ class Spectrum:
 def _shorten(z: float) -> float:
     """Return how many times shorter stable substeps are because of a damping ratio z.
 
-    Velocities lag behind (`RECENT`), so that half of the damping acts on the vibration that limits
-    the substep.
+    Viscosity acts on delayed velocities (`RECENT`), so that only half of it damps the vibration
+    that limits the substep.
     """
     half = (2 * RECENT - 1) * z
     return math.sqrt(1 + half * half) + half

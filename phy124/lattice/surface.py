@@ -93,7 +93,9 @@ class Surface:
 
     @cached_property
     def flat(self) -> NDArray[np.bool_]:
-        """Whether each point's normal agrees with its neighbours', away from edges and tips [S]."""
+        """Whether each point's normal agrees with those of its neighbours, as it does away from
+        edges and tips [S].
+        """
         near = KDTree(self.x).query_pairs(self.dx, output_type="ndarray")
         a, b = np.concatenate([near, near[:, ::-1]]).T
         # The other side of a thin part does not count.
@@ -166,7 +168,7 @@ def _nearest_pieces(
 
 
 def _within_rows(nodes: NDArray[np.int64], weights: NDArray) -> NDArray[np.float64]:
-    """Return weights [S,27] of which those outside three consecutive nodes are 0 in every group.
+    """Return weights [S,27] that are 0 in every group except at three consecutive nodes.
 
     The nodes with the largest sum of weights remain. In a group, a copy of a node may be far in
     memory from a node without copies.

@@ -1,6 +1,6 @@
 """Records the launches of walls and clamps on a lattice, which also sum impulse and work.
 
-Surface points respond to walls, nodes to clamps (phy124/lattice/clamps.py).
+Walls act on surface points, clamps on nodes (phy124/lattice/clamps.py).
 """
 
 from __future__ import annotations
@@ -157,7 +157,9 @@ class Walls:
         self.impulses = Impulses(*self._around)
 
     def passed_on(self) -> PassedOn | None:
-        """Return the recorder of launches that pass impulses to clamps; None without clamps."""
+        """Return the recorder of launches that add impulses to the sums of clamps; None if there is
+        no clamp.
+        """
         if not self._clamps:
             return None
         model, _, nodes, tracks = self._around

@@ -170,7 +170,7 @@ class Crew:
         return [*arrays, model.array(ties.data, model.real)]
 
     def locate(self, worker: Worker) -> list[Named]:
-        """Return the launch that computes x and v of a worker's points, before pushes."""
+        """Return the launch that computes x and v of a worker's points, before forces on points."""
         nodes, state, span, model = self._nodes, self._state, worker.points, self._model
         outputs = [state.x, state.v, self._kept]
         if self._vectors and span.stop > span.start:
@@ -278,7 +278,7 @@ class Crew:
         return launches([("work", model.launch(kernel, span.stop - span.start, inputs, [out]))])
 
     def push_work(self, worker: Worker, tracks: Tracks, out: wp.array) -> list[Named]:
-        """Return the launch that sums impulse and work of pushes on a worker's nodes.
+        """Return the launch that sums impulse and work of forces on points over a worker's nodes.
 
         Args:
             worker: The worker.
@@ -379,7 +379,7 @@ class Crew:
     def _over_nodes(
         self, span: slice, plain: Any, make_simd: Callable[[], Any], inputs: list[Any]
     ) -> list[Named]:
-        """Return a launch of a plain kernel, or of its SIMD form, over a span of nodes."""
+        """Return the launch of a kernel over a span of nodes, in plain form or on vector units."""
         count, kernel = span.stop - span.start, plain
         if self._vectors:
             count, kernel = -(-count // simd.NODES), make_simd()
@@ -430,7 +430,9 @@ class Crew:
         return self._kick(every, pool, self._donors, clock, self._still, out, self._middle)
 
     def compare(self, shape: wp.array, mixed: wp.array) -> tuple[wp.Launch, wp.Launch]:
-        """Record the launch that displaces nodes by a shape, and the launch for the next shape."""
+        """Record the launch that displaces nodes by a trial shape, and the launch that computes the
+        next shape.
+        """
         model, shift = self._model, [0.0, 0.0, 0.0, *self._tied, self._nodes.u, self.a, shape]
         trying, comparing = (
             make(model.real) for make in (node_kernels.make_try, node_kernels.make_compare)
@@ -482,6 +484,6 @@ def _span_of_cells(lattice: RestLattice, first: int, last: int) -> slice:
 
 
 def _common(a: slice, b: slice) -> slice:
-    """Return the indices in both spans."""
+    """Return the indices that are in both spans."""
     start = max(a.start, b.start)
     return slice(start, max(start, min(a.stop, b.stop)))

@@ -4,7 +4,7 @@
 "projection". `Walls` are the scene's boundaries as shapes for the liquid, and `Solids` are free
 solids in the liquid. `Cells` is the window of the grid, `Projection` solves by conjugate gradients,
 `Phases` records the launches of a step, and `WallImpulses` sums the impulses of walls.
-docs/design/liquids.md has the method.
+docs/design/liquids.md describes the method.
 """
 
 from typing import TYPE_CHECKING

@@ -121,7 +121,7 @@ class Bodies:
         return [Stage(STAGE, record, by_run=True, limit=limit), *self.free.attach(tracks)]
 
     def finish(self) -> None:
-        """End the substeps, after which the last pressure no longer bounds any acceleration."""
+        """End the substeps; from now on, the last pressure no longer bounds the acceleration."""
         self._limit = 0.0
 
     def fit(self, cells: Cells) -> None:
@@ -342,7 +342,7 @@ class Bodies:
     def _vibration(self, index: int) -> float:
         """Return the period of a body's vibration on a wall [s]; infinite if its rim is wet.
 
-        It is four times the time in which a wave crosses the body.
+        The period is four times the time in which a wave crosses the body.
         """
         _, rims, areas = np.asarray(self._rims.numpy(), np.float64).T
         dry = (areas > 0) & (rims < 2 * np.sqrt(areas))
@@ -357,8 +357,8 @@ class Bodies:
     ) -> tuple[float, wp.array]:
         """Return the height of the lowest liquid layer around a body, and the weight of each layer.
 
-        Heights are in cells. Weights are relative to the mean density; for a single liquid there
-        are none.
+        Heights are in cells. Weights are relative to the mean density; they are omitted if there is
+        a single liquid.
         """
         model, strength = self._model, float(np.linalg.norm(self._pull))
         if densities is None or strength == 0:
@@ -433,7 +433,7 @@ Advance = Callable[[float], None]
 
 
 def _stiffness(model: Model, body: int) -> float:
-    """Return a body's stiffness per cell of its surface [N/m], from waves across the body."""
+    """Return a body's stiffness per surface cell [N/m], from the speed of waves across it."""
     if body in model.held:
         return math.inf
     run = model.particles(body)

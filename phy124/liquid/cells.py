@@ -76,7 +76,7 @@ class Cells:
     """The arrays of a window: sums, velocities, walls, and the pressure equation."""
 
     def __init__(self, model: Model, copies: int) -> None:
-        """Prepare an empty window without any cells.
+        """Prepare a window that has no cells yet.
 
         Args:
             model: The particles, whose origin and spacing the grid has.
@@ -129,7 +129,9 @@ class Cells:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Set the window to `size` [3] cells from `low` [3] on; keep pressures in the overlap."""
+        """Set the window to `size` [3] cells from `low` [3] on, and keep the pressures where old
+        and new window overlap.
+        """
         kept = self.pressure.numpy().reshape(self.size) if self.count else np.zeros((0, 0, 0))
         before = self.low
         self.low, self.size = np.array(low, int), np.array(size, int)
@@ -214,7 +216,7 @@ class Cells:
         return self._regions[wall]
 
     def clear_walls(self) -> None:
-        """Reset the walls' description in the cells to that of a window without walls."""
+        """Reset the description of walls in the cells, as if there were no walls."""
         self.distances.fill_(FAR * self.dx)
         self.owners.fill_(-1)
         self.eighths.fill_(1.0)

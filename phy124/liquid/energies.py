@@ -60,7 +60,7 @@ class Energies:
         """Whether work is summed."""
 
     def start(self) -> None:
-        """Start to sum the work when the launches are next recorded."""
+        """Sum the work from the next recording of the launches on."""
         self.on = True
 
     def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses, gains: wp.array) -> None:
@@ -86,7 +86,7 @@ class Energies:
         return [(STAGE, copy), *self.of_walls(kernels.AT_DRAG, worker)]
 
     def of_walls(self, at: int, worker: int) -> list[Recorded]:
-        """Return a worker's launch that sums the work of walls in the step so far."""
+        """Return a worker's launch that sums the work that walls have done since the step began."""
         if not (self.on and self._walls.all):
             return []
         inputs = [at, self._walls.motions, self._impulses.rows(worker)]

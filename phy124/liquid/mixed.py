@@ -1,4 +1,4 @@
-"""MixedSolver: a liquid by projection, and bodies of other materials that take substeps.
+"""MixedSolver: advances a projected liquid, and bodies of other materials in substeps.
 
 In each step of the liquid, its pressure acts on the bodies, whose rigid motions are part of the
 pressure equation; the bodies then take substeps up to the end of the step.
@@ -23,7 +23,7 @@ from phy124.mpm.model import part_of
 
 
 class MixedClock(Clock):
-    """The clock of the bodies' substeps; it also includes the lag of the liquid's velocities."""
+    """The clock of the bodies' substeps, which includes the lag of the liquid's velocities."""
 
     liquid: LiquidClock
     """The clock of the liquid."""
@@ -119,7 +119,7 @@ class MixedSolver(Solver):
 
     @property
     def crowding(self) -> float:
-        """Largest mean excess of the liquid's density that lasts for two frames, as a fraction."""
+        """Largest mean excess of the liquid's density that lasted for two frames, as a fraction."""
         return self.liquid.crowding
 
     @property
@@ -138,7 +138,7 @@ class MixedSolver(Solver):
         walls: Sequence[tuple[str, Boundary]] = (),
         pushed: bool = False,
     ) -> None:
-        """Replace forces, boundaries and sums, from the next step on.
+        """From the next step on, use other forces, boundaries and sums.
 
         Args:
             forces: Forces, in the order in which they act.

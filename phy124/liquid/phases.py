@@ -107,7 +107,7 @@ class Phases:
 
     @property
     def densities(self) -> wp.array | None:
-        """Relative densities in the cells; None if all liquid has the same density."""
+        """Relative densities in the cells; None if all liquids have the same density."""
         return self._mixture.densities if self._mixture.differ[0] else None
 
     def record(
@@ -270,7 +270,7 @@ class Phases:
         return launches([(stage.name, stage.record(grid)) for stage in stages])
 
     def _copy(self, sums: wp.array, worker: int) -> wp.array:
-        """Return a worker's own copy of the sums over cells or columns."""
+        """Return a worker's separate copy of the sums over cells or columns."""
         count = len(sums) // len(self._workers)
         return cast("wp.array", sums[worker * count : (worker + 1) * count])
 

@@ -1,4 +1,5 @@
-"""Velocity changes by forces on particles, for the pressure at walls and for the forces' work.
+"""Measures how forces on particles change velocities; the pressure at walls and the forces' work
+depend on these changes.
 
 Between the centre of a cell and a wall, the pressure changes by the weight of the liquid. A force
 on particles acts like a weight, but it may differ between cells. The pressure resists a force in
@@ -83,7 +84,7 @@ class Pushes:
         return self._copy(0, run)
 
     def renew(self) -> None:
-        """Forget what forces did between two steps; call this after setting velocities."""
+        """Discard the velocity changes between two steps; call this after setting velocities."""
         if self._between:
             wp.copy(self._v[0], self._state.v)
 
@@ -97,14 +98,14 @@ class Pushes:
             wp.copy(self._v[0], snapshot["v"])
 
     def _copy(self, index: int, run: slice) -> list[Named]:
-        """Return the launches that copy v, and C if forces change it, of a worker's particles."""
+        """Return the launches that copy v of a worker's particles, and C if forces change C."""
         s = self._state
         pairs = [(self._v[index], s.v), (self._C[index], s.C)]
         parts = [(part_of(kept, run), part_of(a, run)) for kept, a in pairs if len(kept)]
         return [(STAGE, partial(wp.copy, kept, a)) for kept, a in parts]
 
     def add(self, worker: int, run: slice) -> list[Named]:
-        """Return the launches that sum what a worker's particles gained."""
+        """Return the launches that sum the momentum that forces gave to a worker's particles."""
         if not self._in_cells:
             return self._copy(1, run)
         model, cells, s, count = self._model, self._cells, self._state, self._cells.count

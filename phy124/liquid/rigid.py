@@ -1,8 +1,8 @@
 """Free solids in a liquid with other materials, whose substeps also move the solids.
 
-The solver of the materials owns the solids. The liquid sees copies of them, which move ahead by
-half a step. In each substep, a solid is accelerated by its share of the impulse of the pressure, so
-that it touches the materials with a velocity that changes gradually.
+The solver of the materials owns the solids. The liquid uses copies of the solids, whose positions
+are half a step ahead. In each substep, a solid is accelerated by its share of the impulse of the
+pressure, so that it touches the materials with a velocity that changes gradually.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Motion(NamedTuple):
 
     @classmethod
     def of(cls, row: NDArray[np.float64], dx: float) -> Motion:
-        """Return the motion that has the given sums of `phy124.kernels.liquid.bodies`."""
+        """Return the rigid motion that follows from the sums of `phy124.kernels.liquid.bodies`."""
         mass, first, momentum, angular, second = np.split(row, [1, 4, 7, 10])
         m = float(mass[0])
         x = first / m
@@ -50,7 +50,7 @@ class Motion(NamedTuple):
 
 
 class FreeSolids:
-    """The free solids of a run, between the liquid and the other materials."""
+    """The free solids of a run, on which the liquid and the other materials act."""
 
     def __init__(self, model: Model, solids: FreeBodies) -> None:
         """Store the solids.
@@ -80,7 +80,7 @@ class FreeSolids:
         return [make(*item) for item in enumerate(self._solids.numbers)]
 
     def lead(self, copies: FreeBodies, ahead: float) -> None:
-        """Move copies of the solids to where the solids will be after a time [s]."""
+        """Move the copies of the solids to the solids' positions after a time [s]."""
         poses, motions = self._solids.poses(), self._solids.motions()
         for index, (pose, motion) in enumerate(zip(poses, motions, strict=True)):
             place, turn = pose[:3] + ahead * motion[:3], _turn(pose[3:], ahead * motion[3:])

@@ -73,7 +73,7 @@ class Solids:
         tracks: Tracks,
         worker: int,
     ) -> list[list[Recorded]]:
-        """Return a worker's launches that come before the velocities' divergence is computed.
+        """Return a worker's launches that run before the divergence of the velocities is computed.
 
         Args:
             cells: The cells.
@@ -112,7 +112,7 @@ class Solids:
         return STAGE, cells.record(worker, kernels.make_jumps(self._model.real), inputs, outputs)
 
     def respond(self, walls: Walls, impulses: WallImpulses) -> list[Recorded]:
-        """Return the launches that apply the liquid's opposite impulses to free solids."""
+        """Return the launches that apply the opposite impulses of the liquid to free solids."""
         records = []
         for index, solid in enumerate(self.bodies.all):
             wall = self.first(walls) + index

@@ -154,7 +154,7 @@ class LiquidSolver:
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Plane] = (),
     ) -> None:
-        """Replace forces, walls and sums, from the next step on.
+        """From the next step on, use other forces, walls and sums.
 
         Args:
             forces: Forces, in the order in which they act.
@@ -421,7 +421,9 @@ class LiquidSolver:
             run_timed(self.timings, WINDOW, self._record)
 
     def _bound(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the corners of all particles [m], or of most of them if a few are too far away."""
+        """Return the corners of the particles' bounding box [m], without a few particles that are
+        too far away.
+        """
         if np.prod((upper - lower) / self.model.dx + 20) <= MOST_CELLS:
             return lower, upper
         x = self.state.x.numpy().astype(np.float64)

@@ -52,7 +52,7 @@ class Wall:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Walls of one shape that all move or are all fixed; or a single free solid."""
+    """Walls of one shape, all of which move or all of which are fixed; or a single free solid."""
 
     shape: str
     moves: bool
@@ -154,7 +154,7 @@ class Walls:
     def _describe_group(
         self, cells: Cells, group: Group, worker: int, workers: int
     ) -> Iterator[Recorded]:
-        """Yield a worker's launches that add a group of walls to the walls described before."""
+        """Yield a worker's launches that add a group of walls to the geometry in the cells."""
         model, region = self._model, self._region(cells, group)
         shape = [group.numbers, group.geometries, self.slots, cells.lattice, cells.window]
         shape += [self._tracks.values, group.frame, region.box]
@@ -230,7 +230,7 @@ class Walls:
         return launches
 
     def _group_walls(self) -> Iterator[Group]:
-        """Yield groups of walls; one launch treats a group."""
+        """Yield the groups of walls, each of which one launch handles."""
         t, device = types(self._model.real), self._model.device
         # Each free solid is a group, since it has a frame.
         keys = [

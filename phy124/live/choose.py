@@ -46,7 +46,7 @@ class Cost(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A scene on the finest grid that is fast enough here; the coarsest if none is fast enough."""
+    """A scene on the finest grid that is fast enough on this machine, else on the coarsest."""
 
     scene: Scene
     factor: float
@@ -107,7 +107,7 @@ def _on(scene: Scene, cells: int) -> Scene:
 
 
 def _exact_enough(scene: Scene, proportions: Proportions | None, error: float) -> int:
-    """Return the coarsest grid whose error bound is at most `error`; the finest grid if none is."""
+    """Return the coarsest grid whose error bound is at most `error`, or else the finest grid."""
     for cells in CELLS:
         promised = promise(_on(scene, cells), proportions).error
         if promised is not None and promised <= error:

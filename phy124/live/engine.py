@@ -440,7 +440,8 @@ class Live:
         self._run.most_substeps = math.ceil(SLOWEST * usual)
 
     def _go_back(self, why: str) -> Frame:
-        """Drop the inputs; continue from the last state, from an earlier one, or from the start.
+        """Drop the inputs, and continue from the last state, from an earlier state, or from the
+        start.
 
         Raises:
             Stopped: No input has acted since the start.
@@ -469,7 +470,7 @@ class Live:
         self._run.change(self._inputs.scene())
 
     def _note_change(self, value: Vector, sentence: str) -> Vector:
-        """Return the value; if it was changed, store the sentence about the change as a note."""
+        """Return the value of a pair, and store its sentence, unless it is empty, as a note."""
         if sentence:
             self._note(sentence)
         return value

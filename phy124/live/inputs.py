@@ -131,7 +131,9 @@ class Inputs:
         self.moved = {i: moved for i, moved in self.moved.items() if len(moved.times) > 1}
 
     def _weights(self, since: float) -> list[AnyForce]:
-        """Return the scene's forces and gravity inputs; each gravity ends as the next begins."""
+        """Return the scene's forces and the inputs of gravity; each gravity ends when the next one
+        begins.
+        """
         if not self.gravity:
             return list(self.base.forces)
         first, forces = self.gravity[0].start, []

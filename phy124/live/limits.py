@@ -72,15 +72,15 @@ class Limits:
         return 0.2 * self.size
 
     def force(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Return a force [N] capped at the limit, and a sentence about the cap if it applied."""
+        """Return a force [N], reduced to the limit, and a sentence if it was reduced."""
         return shorten(field, value, STRONGEST * self.weight, "N")
 
     def torque(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Return a torque [N m] capped at the limit, and a sentence about the cap if it applied."""
+        """Return a torque [N m], reduced to the limit, and a sentence if it was reduced."""
         return shorten(field, value, STRONGEST * self.weight * TWIST * self.size, "N m")
 
     def place(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Return a position [m] within a hand's reach, and a sentence about the change, if any."""
+        """Return a position [m], moved into a hand's reach, and a sentence if it was moved."""
         return shorten(field, value, FARTHEST * max(self.size, 1e-6), "m")
 
 
@@ -123,7 +123,8 @@ def check_number(field: str, value: float, least: float, most: float) -> float:
 
 
 def shorten(field: str, value: Sequence[float], most: float, unit: str) -> tuple[Vector, str]:
-    """Limit a vector's length; return the vector, and a sentence, which is empty without a change.
+    """Limit the length of a vector; return the vector, and a sentence if it was changed, otherwise
+    an empty text.
 
     Args:
         field: Name in error messages.

@@ -240,7 +240,7 @@ def _positions(run: Simulation) -> NDArray[np.float64]:
 
 
 def _list_movable(scene: Scene) -> list[int]:
-    """Return the indices of objects that are not held in place, or of all if all are held."""
+    """Return the indices of objects that are not held in place; if all are held, of all."""
     numbers = [
         i
         for i, item in enumerate(scene.every_object)

@@ -141,8 +141,8 @@ class Material(Section):
 def viscous_substep(density: float, viscosity: float, dx: float) -> float:
     """Return the substep [s] in which viscosity stops a particle's strain, rho dx^2 / (8 eta).
 
-    The particle is isolated. A substep twice as long would be unstable. If elastic stress acts as
-    well, the limit is smaller by the factor `timestep.beside_elastic`.
+    The limit is that of an isolated particle. A substep twice as long would be unstable. If elastic
+    stress acts as well, the limit is smaller by the factor `timestep.beside_elastic`.
 
     Args:
         density: rho [kg/m^3].

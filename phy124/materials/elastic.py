@@ -103,7 +103,7 @@ FASTER = 1.5
 
 
 class Rigid(Elastic):
-    """A hard body: just stiff enough that its deformation is invisible.
+    """A hard body, just stiff enough to deform invisibly.
 
     The cost of an explicit simulation grows as sqrt(E). At an impact of speed v the strain is v / c
     with c = sqrt(E / rho), so E = rho (v / strain)^2 limits the strain to `strain`.

@@ -58,7 +58,8 @@ class Metal(Logarithmic):
 
 
 class Plasticine(Elastic):
-    """Clay: fixed corotated elasticity; yields by von Mises and softens with plastic strain.
+    """Clay with fixed corotated elasticity, which yields by von Mises and softens with plastic
+    strain.
 
     As with fixed corotated solids, impacts near the speed of sound may leave the material flat,
     unless it yields.

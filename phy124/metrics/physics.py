@@ -72,8 +72,8 @@ def centre_paths_differ(a: Clip, b: Clip) -> float:
     """Return the relative difference between the paths of two clips' centres.
 
     The difference is the largest distance between the centres' displacements at equal times,
-    divided by the largest displacement of either centre. A small difference shows that objects from
-    two generators move alike.
+    divided by the largest displacement of either centre. A small difference means that objects from
+    two generators move in the same way.
 
     Raises:
         ValueError: The clips have different numbers of frames.

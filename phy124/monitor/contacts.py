@@ -99,7 +99,7 @@ class Contacts(Observer):
         return replace(frame, contacts=np.stack(sums, axis=1).astype(np.float32))
 
     def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
-        """Return the moving Gaussian that gets the impulse on each particle [P]."""
+        """Return, for each particle, the moving Gaussian to which its impulse is assigned [P]."""
         moving, particles = setup.scenery.moving, setup.particles
         nearest = scipy.spatial.KDTree(moving.means).query(particles.x)[1]
         return np.where(particles.gaussian >= 0, particles.gaussian, nearest)

@@ -1,7 +1,7 @@
 """Observers of runs with both bodies on lattices and bodies of particles.
 
-On lattices, each wall sums its own impulse (phy124/monitor/lattice.py). On the grids of the
-particles, observers measure the impulses of walls.
+On lattices, the contact of each wall sums the wall's impulse (phy124/monitor/lattice.py). On the
+grids of the particles, observers measure the impulses of walls.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class CoupledTotals(Totals):
-    """Sums over all particles; for bodies on lattices they are sums over nodes."""
+    """Sums over the particles and over the nodes of lattices."""
 
     def __init__(self, solver: CoupledSolver) -> None:
         """Record the launches."""
@@ -55,7 +55,7 @@ class CoupledTotals(Totals):
 
 
 class CoupledWatchdog(LatticeWatchdog):
-    """Checks one run of lattices and particles."""
+    """Checks one run with both lattices and particles."""
 
     def totals_of(self, solver: Any) -> Totals:
         """Return the sums over the solver's nodes and particles."""
@@ -66,12 +66,12 @@ class CoupledWork(ExternalWork):
     """External impulse and work on lattices and particles."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, so that the sums of the lattices' walls are also read."""
+        """Bind to the solver, whose sums of walls on lattices are read, too."""
         self._solver = solver
         super().bind(solver, observers)
 
     def _read_impulses(self) -> None:
-        """Store the sums of earlier walls, and read the current walls' sums on lattices."""
+        """Keep the sums of the earlier walls, and from now on read those of the current walls."""
         if MEAN in self._device:
             self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.lattice.walls.sums
@@ -92,7 +92,7 @@ class CoupledWrenches(Wrenches):
         return super().wrap_walls(walls, inner)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; walls keep their own sums of impulses on lattices."""
+        """Bind to the solver, in which walls sum their impulses on lattices."""
         super().bind(solver, observers)
         self._before = self._now()
 
@@ -142,7 +142,9 @@ class CoupledContacts(Contacts):
         self._lattices.before_attempt()
 
     def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
-        """Return the Gaussian that gets the impulse on each particle, surface point and node."""
+        """Return, for each particle, surface point and node, the Gaussian to which its impulse is
+        assigned.
+        """
         return np.concatenate([super().find_nearest(setup), self._lattices.find_nearest(setup)])
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """Measures momentum, energy and volume ratios of a state, and finds unsound particles.
 
-The functions that describe a particle or a substep are called only after a problem is detected.
+Particles and substeps are described only after a problem is detected.
 """
 
 from __future__ import annotations

@@ -86,7 +86,9 @@ class ExternalWork(Observer):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that measure walls; force kernels are compiled when needed (0.3 s)."""
+        """Yield the kernels that measure walls; those that measure forces are compiled when needed
+        (0.3 s).
+        """
         if subject.scene.boundaries:
             yield from wall_kernels(real)
 
@@ -150,12 +152,12 @@ class ExternalWork(Observer):
         return [Stage(STAGE, self._record_uniform)] if self.by_momentum else []
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; a solver of liquids by projection sums its walls' work itself."""
+        """Bind to the solver; a solver of projected liquids sums the work of its walls itself."""
         self._liquid: Any = solver if solver.projects else None
         self._read_impulses()
 
     def change(self, scene: Scene) -> None:
-        """Continue under the walls of another scene."""
+        """From now on, measure the walls of another scene."""
         self._read_impulses()
 
     def _read_impulses(self) -> None:
@@ -274,7 +276,9 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum minus the open sums, which include the last impulse of the walls."""
+        """Store the momentum minus the impulses since the sums were last cleared, which include the
+        last impulse of the walls.
+        """
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         before = [
             sum(self._open(name)[IMPULSES] for name in names if name in self._device)
@@ -330,9 +334,9 @@ class ExternalWork(Observer):
 
 
 class MeanWork(ExternalWork):
-    """External work where the solver itself sums that of walls and of forces on particles.
+    """External work of solvers that themselves sum the work of walls and of forces on particles.
 
-    In a liquid by projection and on lattices, pressure or a clamp resists a force in the same step.
+    In a projected liquid the pressure, and on lattices a clamp, resists a force in the same step.
     All work is therefore computed with the mean velocities of the step.
     """
 
@@ -361,11 +365,13 @@ class MeanWork(ExternalWork):
 
 
 def push_kernels(real: Any, keeps_C: bool) -> tuple[Any, Any]:
-    """Return the kernels before and after forces on particles; `keeps_C`: no force changes C."""
+    """Return the kernels that run before and after forces on particles; with `keeps_C`, no force
+    changes C.
+    """
     sums = kernels.make_push_sums_v(real) if keeps_C else kernels.make_push_sums(real)
     return kernels.make_push_copy(real, keeps_C), sums
 
 
 def wall_kernels(real: Any) -> tuple[Any, Any]:
-    """Return the kernels before and after walls act."""
+    """Return the kernels that run before and after walls act."""
     return kernels.make_wall_copy(real), kernels.make_wall_sums(real)

@@ -1,4 +1,4 @@
-"""Interior: Gaussians for the inside of elastic material that is torn.
+"""Interior: Gaussians inside elastic material, which become visible where the material is torn.
 
 A generator places Gaussians only on the surface, so a torn object would show a hole. Once the grid
 has torn material, inner particles that have lost a neighbour get round Gaussians in the colours of
@@ -52,7 +52,7 @@ class Interior(Observer):
         dx: float,
         keep: bool = True,
     ) -> None:
-        """Store the object at rest; nothing else is computed before material is torn.
+        """Store the object at rest; nothing else is computed until material tears.
 
         Args:
             shown: All N other visible Gaussians.
@@ -90,7 +90,7 @@ class Interior(Observer):
         return cls(setup.shown, setup.particles, materials, **sizes)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the state, and to the observer that detects tears."""
+        """Bind to the solver's state, and to the observer that detects tears."""
         self._state, self._tearing = solver.state, find(observers, Tearing)
         self._real = solver.model.real
 
@@ -156,7 +156,8 @@ class Interior(Observer):
     def _list_exposed(self, count: int) -> Exposed | None:
         """Return the particles that are exposed in any of `count` frames; None if there are none.
 
-        A frame that was not examined, because nothing had moved, is like the frame before it.
+        A frame that was not examined, because nothing had moved, has the same exposed particles as
+        the frame before.
         """
         latest: Opened = {"ids": np.zeros(0, int), "x": np.zeros((0, 3), np.float32)}
         frames = [latest := self._opened.get(index, latest) for index in range(count)]

@@ -36,7 +36,9 @@ if TYPE_CHECKING:
 
 
 class LatticeTotals(Totals):
-    """Sums for a body on a lattice: momentum and kinetic energy over nodes, others over points."""
+    """Sums for a body on a lattice: momentum and kinetic energy are summed over nodes, all else
+    over points.
+    """
 
     def __init__(self, solver: LatticeSolver) -> None:
         """Record the launches."""
@@ -77,7 +79,7 @@ class LatticeWatchdog(Watchdog):
         return LatticeTotals(solver)
 
     def _energy(self) -> dict[str, Any]:
-        """Return the energy [J] lost to each cause, and the largest energy supplied [J]."""
+        """Return the energy [J] lost to each cause, and the largest supplied energy [J]."""
         divided = self._dissipation
         if not isinstance(divided, LatticeDissipation):
             return {}
@@ -86,7 +88,7 @@ class LatticeWatchdog(Watchdog):
 
 
 class LatticeWork(MeanWork):
-    """External impulse and work; walls keep their own sums of both, as forces on points do."""
+    """External impulse and work, from the solver's sums for walls and forces on points."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Read the sums of the solver's walls, too."""
@@ -127,7 +129,7 @@ class LatticeWrenches(Wrenches):
         return walls if inner is None else inner
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; its walls keep the sums."""
+        """Bind to the solver, whose walls keep the sums."""
         self._solver = solver
         self._before = self._now()
 
@@ -211,7 +213,7 @@ class LatticeContacts(Contacts):
         return sums
 
     def snapshot(self) -> dict[str, Any]:
-        """Return an empty snapshot, as the walls keep the sums."""
+        """Return an empty snapshot, because the walls keep the sums."""
         return {}
 
     def restore(self, snapshot: dict[str, Any]) -> None:

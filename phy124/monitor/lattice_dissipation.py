@@ -46,7 +46,8 @@ class LatticeDissipation(LiquidDissipation):
     def divide(self, first: Diagnostics, last: Diagnostics) -> dict[str, float]:
         """Return the section of the report [J]: losses, changes of energy, and works.
 
-        All values are at the time of the velocities, half a substep before that of the positions.
+        All values refer to the time of the velocities, half a substep before the time of the
+        positions.
 
         Args:
             first: The state at the start.

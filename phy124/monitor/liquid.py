@@ -1,7 +1,7 @@
-"""LiquidDissipation: energy that a liquid by pressure projection loses, by cause.
+"""LiquidDissipation: energy that a projected liquid loses, by cause.
 
 The solver sums the work of each cause in every step (phy124/liquid/energies.py). The rest of the
-loss is that of the transfers between particles and faces.
+loss occurs in the transfers between particles and faces.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class LiquidDissipation(Dissipation):
     in_substeps = True
 
     def __init__(self) -> None:
-        """Prepare; nothing is summed before `bind` is called."""
+        """Prepare the sums; they start when `bind` is called."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:

@@ -29,7 +29,9 @@ class Measured:
         self._inner, self._measure = inner, measure
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the first measuring stage, the inner stages, and the other measuring stages."""
+        """Return the measuring stage before the inner stages, the inner stages, and the measuring
+        stages after them.
+        """
         stages = [stage for item in self._inner for stage in item.attach(model, state, tracks)]
         if not stages:
             return []

@@ -203,14 +203,15 @@ class Observer:
         """Continue under the forces, boundaries and stiffness of another scene."""
 
     def skip_to(self, index: int) -> float | None:
-        """Return the time [s] of a frame that needs no substeps; None if it needs substeps."""
+        """If a frame needs no substeps, return its time [s]; otherwise return None."""
         del index
 
     def before_frame(self, time: float) -> None:
         """Prepare the frame that starts at `time` [s]."""
 
     def before_attempt(self, *, closely: bool) -> None:
-        """Prepare an attempt at a frame; after a failed attempt the next one has half the substep.
+        """Prepare an attempt at a frame; if an attempt fails, the next attempt has half the
+        substep.
 
         Args:
             closely: Whether this is the second attempt, which is checked after every substep.

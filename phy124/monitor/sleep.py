@@ -3,15 +3,15 @@
 Zero speed at one time is not rest: a thrown body has zero speed at the top of its path. At rest
 means that for Q frames of T seconds no particle moved further than D from its starting point. Under
 a constant acceleration, a particle can then move by at most 7 D m (1 + m) in the next M = m Q
-frames. The particle moves farthest if it first moved by D to one side of its starting point,
+frames. The worst case is a particle that first moved by D to one side of its starting point,
 turned, and is now at the distance D on the other side, moving away. A vibration in phase with the
 frames, with the largest speed v, can hide a displacement of v T / 2 pi.
 
 The object sleeps if the sum of both displacements is invisible and its speed does not grow. The
-object sleeps until a force or a boundary anywhere in the scene changes, or the clip ends. Under
-gravity, an object sleeps only if it has also moved much less than a free body would. Without the
-condition for gravity, in a clip with many frames per second, an object at the top of its path would
-count as resting.
+object sleeps until any force or boundary of the scene changes, or the clip ends. Under gravity, an
+object sleeps only if it has also moved much less than a free body would. Without the condition for
+gravity, in a clip with many frames per second, an object at the top of its path would count as
+resting.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ class Sleep(Observer):
         return row._replace(name=f"{row.name}: asleep from frame {self.since}, {saved}")
 
     def _rests(self, index: int) -> bool:
-        """Return whether pictures would stay the same from a frame to the scene's next event."""
+        """Return whether the picture stays the same from a frame to the scene's next event."""
         if not self.speeds:
             return False
         until = self._quiet_until((index - 1) / self._fps)
@@ -201,7 +201,7 @@ class Sleep(Observer):
         return way == 0 or self.drift <= HELD * way
 
     def _grows(self) -> bool:
-        """Return whether the last frame had the fastest motion, as when an object topples."""
+        """Return whether the last frame had the fastest motion, as if an object toppled."""
         *before, latest = self.speeds
         return latest > max(before, default=0.0)
 

@@ -50,7 +50,7 @@ class Softening(Observer):
         return cls(setup.scene, setup.particles.material)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Copy the parameters without softening, that is, at factor 1."""
+        """Store the parameters without softening, that is, with the factor 1."""
         self._solver, self._external = solver, find(observers, ExternalWork)
         model = solver.model
         scaled = np.array([section.scaled for section in model.materials])[self._material]

@@ -8,8 +8,8 @@ does not help, since it resolves sharper corners, which are stretched more; more
 do help.
 
 Two signs are checked: particles that are stretched by `APART` or more, and pieces that have
-separated. The first sign warns of a tear, but misses tears of thin stems; the second sign is a
-tear.
+separated. The first sign indicates a possible tear, but misses tears of thin stems; the second sign
+proves a tear.
 """
 
 from __future__ import annotations
@@ -220,7 +220,8 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """Return the number of particles outside the largest remaining part of their piece at rest.
+        """Return the number of particles that have left the largest remaining part of their piece
+        at rest.
 
         Args:
             x: Current positions [P,3], m.

@@ -103,7 +103,8 @@ class Balance:
 
 
 def energy_supplied(start: float, work: float, walls: float) -> float:
-    """Return the energy [J] that an object had at the start or received, and so could lose.
+    """Return the energy [J] that an object had at the start or received since, that is, the energy
+    it can lose.
 
     Args:
         start: Kinetic and elastic energy at the start [J].
@@ -178,7 +179,7 @@ class Watchdog(Observer):
             raise Unstable(f"{count} particles are NaN or infinite")
 
     def after_attempt(self) -> Violation | None:
-        """Return the violation of a frame, or None."""
+        """Check a frame; return the violation, or None."""
         now = self._totals.read(self.clock)
         balanced = self.external is not None
         problem = self._check_deformation(now) or (self._check_balance(now) if balanced else None)
@@ -350,7 +351,7 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Return causes of an unstable run: the substep, and others if the motion is violent."""
+        """Return possible causes of an unstable run: the substep and, in violent motion, others."""
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("damping", "solver", "substep", "law", "push") if violent else ("substep",)
 

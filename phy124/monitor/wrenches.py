@@ -1,8 +1,8 @@
 """Wrenches: force and torque that the object exerts on each wall and on other objects.
 
-The impulse of a wall on the nodes, and its moment, are summed in every substep; the object exerts
-the opposite on the wall. Torques are about the centre of mass of all particles at the time of the
-frame.
+The impulse of a wall on the nodes, and its moment, are summed in every substep. The object exerts
+the opposite impulse on the wall. Torques are about the centre of mass of all particles at the time
+of the frame.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class BlockLauncher:
     """Launches kernels over the Gaussians in blocks that are divided among CPU threads.
 
     The deformation gradients of a block stay in the cache from one step to the next. The threads
-    are reused, because new threads for every launch often all started on one core.
+    are reused, because new threads often all started on the same core.
     """
 
     def __init__(self, count: int, device: str, threads: int) -> None:

@@ -28,7 +28,7 @@ from phy124.motion.blocks import DEFORMATION, BlockLauncher, Step
 
 
 class Deformer:
-    """Computes the frames of one moving object; to be called once per frame, in order of time.
+    """Computes the frames of one moving object; call it once per frame, in order of time.
 
     With the binding `particles`, each Gaussian moves with its own particle. With `lattice`, the
     nearest particles of the lattice carry the Gaussian: x_g = sum w_i (x_i + F_i (X_g - X_i)) and

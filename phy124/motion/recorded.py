@@ -95,7 +95,7 @@ class Motion:
 
 
 class Track:
-    """Displacement of an object at the times of the frames."""
+    """Displacement of an object in each frame."""
 
     def __init__(self, times: NDArray, displacements: NDArray) -> None:
         """Store the displacements [T,3] at the times [T]."""
@@ -258,12 +258,12 @@ class Recorded:
 
 
 class Torn:
-    """Frames of a motion, including the Gaussians that become visible where the object tears; these
-    Gaussians come last.
+    """Frames of a motion. Gaussians that become visible where the object tears are included, and
+    come last.
     """
 
     def __init__(self, recorded: Frames, exposed: Exposed) -> None:
-        """Store the frames, which lack the exposed Gaussians."""
+        """Store the frames, which do not contain the exposed Gaussians."""
         self._recorded, self._exposed = recorded, exposed
         self.count, self.turns = recorded.count + len(exposed.above), recorded.turns
         self._last: tuple[int, dict[str, Array]] = -1, {}

@@ -84,7 +84,7 @@ class Clock:
         return -self.last_dt / 2 * power
 
     def uniform_work(self, momentum: NDArray) -> float:
-        """Return the part of `lag` that is work of the uniform acceleration since the kick [J].
+        """Return the work of the uniform acceleration since the kick [J], which is a part of `lag`.
 
         Args:
             momentum: Momentum of all particles after that kick [3], kg m/s.

@@ -80,7 +80,9 @@ class Fluctuation:
         return cls(model, state, scheme, v, C, v_noise, C_noise, still)
 
     def carry(self, part: Part, turn: int) -> Recorded:
-        """Record a pass to the grid: first the particles' motion, in later passes the remainder."""
+        """Record a pass to the grid, of the particles' motion or, after the first pass, the
+        remainder.
+        """
         model, run = self.model, part.particles
         v, C = self._left(turn)
         inputs = [part.chosen, model.mass[run], part.nodes.lattice, part.nodes.window]

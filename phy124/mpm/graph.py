@@ -6,9 +6,9 @@ captured as the body of a loop on the device. The last kernel of the loop
 frame's time is reached, and after `MOST` substeps, so that a run can be stopped. The last kernel
 also ends the loop when only the host can continue: because the window must follow the particles, or
 because the next substep may have to be rejected (see phy124/mpm/rejection.py). A condition in a
-graph takes longer than most kernels; if none of the next substeps can be the last one, they follow
-each other without conditions. The same graph also runs on the CPU, where the tests compare it with
-the host's loop bit for bit.
+graph takes longer than most kernels. If none of the next substeps can be the last one, these
+substeps run without conditions. The same graph also runs on the CPU, where the tests compare it
+with the host's loop bit for bit.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Graph:
         *,
         apart: bool = False,
     ) -> bool:
-        """Take substeps up to a time, or stop earlier if the host has to take the next substep.
+        """Take substeps up to a time; stop earlier if only the host can take the next substep.
 
         Args:
             until: The time [s].

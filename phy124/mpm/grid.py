@@ -30,7 +30,7 @@ FARTHEST = 2**30
 
 
 class Unstable(RuntimeError):
-    """Particles left the grid's window or are no longer finite; the state must not be used."""
+    """Raised if particles left the grid's window or are not finite; the state is unusable."""
 
 
 class Grid:
@@ -129,7 +129,9 @@ class Grid:
 
     @property
     def changes(self) -> wp.array:
-        """Change of each node by the current wall, allocated on first use; zero between walls."""
+        """Change of each node's velocity by the current wall; allocated at its first use, and zero
+        between walls.
+        """
         if self._changes is None:
             self._changes = wp.zeros_like(self.nodes)
         return self._changes
@@ -196,7 +198,7 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
 
 
 def corners_of(rows: NDArray[np.float64], bodies: Sequence[int], count: int) -> list[Corners]:
-    """Return the lowest and highest corner of each body; -inf and inf if a body has no rows.
+    """Return the lowest and highest corner of each body, from -inf to inf for a body without rows.
 
     Args:
         rows: Measured maxima of parts of the particles [R,M], see `Maxima.of`.

@@ -307,7 +307,7 @@ class State:
 
 
 def part_of(array: wp.array, part: slice) -> wp.array:
-    """Return a slice of an array; an empty array (which no law needs) is returned unchanged."""
+    """Return a slice of an array; an empty array, which no law uses, is returned unchanged."""
     return cast("wp.array", array[part]) if len(array) else array
 
 
@@ -334,7 +334,8 @@ def parameters(
     dx: float,
     cfl: float,
 ) -> NDArray[np.float64]:
-    """Return the parameters of one law's particles: a single row if all are equal, else a row each.
+    """Return the parameters of one law's particles: a single row if all are equal, otherwise a row
+    per particle.
 
     Args:
         materials: All materials.

@@ -1,7 +1,7 @@
 """Pairs: contact between bodies, and the impulses that they exchange.
 
 Any two bodies may touch. Only pairs whose windows overlap have a launch, so bodies that are apart
-cause no cost.
+take no time.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 class Pair(NamedTuple):
-    """Contact of two bodies; pairs that are not listed have the default friction."""
+    """Contact of two bodies; a pair without an entry has the default friction."""
 
     first: int
     """Index of a body."""
@@ -105,7 +105,7 @@ class Pairs:
         return np.array(signs, float) @ self._total()[:, :MOMENT]
 
     def sums_of(self, index: int) -> wp.array:
-        """Return the first worker's sums of impulse and moment for a pair."""
+        """Return the sums of impulse and moment for a pair, as added up by the first worker."""
         return cast("wp.array", self._sums[0, index])
 
     def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:

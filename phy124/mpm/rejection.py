@@ -74,8 +74,8 @@ class StepRejection:
         """Compute bounds of forces and walls from `start` to `end` [s].
 
         Forces and walls that act outside the interval are ignored, so that a push does not shorten
-        the substeps of another frame. Kicks reach back by half a substep, so one frame duration
-        before `start` is also included.
+        the substeps of another frame. A kick includes half of the previous substep, so one frame
+        duration before `start` is included, too.
         """
         before = start - ROUNDED * (end - start) if math.isfinite(start) else start
         self.acceleration = _max_acceleration(self._model, self._tracks, self._pushes, before, end)
@@ -107,7 +107,8 @@ class StepRejection:
         )
 
     def interval(self, clock: Clock, calm: float) -> int:
-        """Return the number of substeps until speeds must be measured: the user's number if safe.
+        """Return the number of substeps until speeds must be measured; the user's number, if it is
+        safe.
 
         Args:
             clock: Holds the last measurement.

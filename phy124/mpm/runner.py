@@ -47,7 +47,7 @@ class Runner:
             run_timed(self._timings, "wait", self.team.join)
 
     def complete(self, task: int) -> None:
-        """Run a task on all workers and wait for them; the waiting is not timed."""
+        """Run a task on all workers and wait for them; the waiting time belongs to no stage."""
         if self.team.alive:
             self.team.put(task)
             self._work(0, task)

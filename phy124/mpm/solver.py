@@ -358,7 +358,7 @@ class Solver:
             self._follow_window()
 
     def _measure_due(self) -> None:
-        """Measure the speeds, and all other limits if these may have changed; raises Unstable."""
+        """Measure the speeds, and the other limits if they may have changed; raises Unstable."""
         clock = self.clock
         calm = self._calm_strain()
         if self.on_device or self.outliers.bounded or clock.complete(calm):

@@ -1,4 +1,4 @@
-"""Stage: a launch in a substep; it is recorded again whenever the grid's window changes."""
+"""Stage: a launch in a substep, which is recorded again whenever the grid's window changes."""
 
 from __future__ import annotations
 

@@ -219,7 +219,9 @@ class Recorder:
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
     ) -> Recorded | None:
-        """Return a worker's share of a wall for a body; the first worker does some walls alone."""
+        """Return a worker's share of the work for a wall and a body; some walls are handled by the
+        first worker alone.
+        """
         if alone:
             return (wall.name, wall.record(grid)) if worker == 0 else None
         bodies = len(self._moving)
@@ -277,7 +279,8 @@ class Recorder:
     def _scatter(self, part: Part) -> Iterator[Recorded]:
         """Yield the scatter of a part, preceded by RPIC if the scheme has RPIC.
 
-        RPIC does not directly follow the gather, so that measurements see the substep's strain.
+        RPIC does not directly follow the gather, so that measurements in between include the strain
+        of the substep.
         """
         if self.rpic > 0:
             inputs = [part.chosen, self.rpic, self.tracks.clock]

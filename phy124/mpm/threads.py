@@ -32,9 +32,9 @@ Task = TypeVar("Task")
 class Team(Generic[Task]):
     """Runs `work(member, task)` on every member's own thread; the caller's thread is member 0.
 
-    `work` is not called for member 0: the caller puts a task, does its own share, and puts the next
-    task. `put` first waits for the other members. Load every kernel that `work` launches before
-    entering `running`, since loading is not thread-safe.
+    `work` is not called for member 0: the caller starts a task by `put`, does the share of member
+    0, and puts the next task. `put` first waits for the other members. Load every kernel that
+    `work` launches before entering `running`, since loading is not thread-safe.
     """
 
     def __init__(self, size: int, work: Callable[[int, Task], None]) -> None:

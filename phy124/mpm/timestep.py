@@ -47,7 +47,7 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Return the extremes, with a speed of at least `speed` and the earlier stiffness's decay.
+        """Return the extremes, raised to at least `speed` and to the decayed earlier stiffness.
 
         Args:
             before: Extremes measured `substeps` earlier.

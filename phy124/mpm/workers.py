@@ -4,13 +4,13 @@ A worker scatters its particles into private nodes, updates its layers of the sh
 private nodes, and then gathers. A single worker has all particles and scatters to the shared grid.
 phy124/mpm/threads.py runs several workers in parallel.
 
-Several workers have slabs. The particles of each group, which are sorted in layers along the
-longest axis (phy124/simulation/setup.py), are divided into slabs of equal particle numbers. A slab
-has the nodes that its particles can touch until the next measurement: those of its own layers, and
-a margin on each side. As the object rotates or flows, slabs begin to overlap. Once the slabs have
-too many nodes in total, the particles are divided again by their current positions. Workers then
-access their particles through lists of indices, which makes a substep up to twice as expensive, so
-particles are rarely divided again.
+With several workers, each has slabs of particles. The particles of each group, which are sorted in
+layers along the longest axis (phy124/simulation/setup.py), are divided into slabs of equal particle
+numbers. A slab has the nodes that its particles can touch until the next measurement: those of its
+own layers, and a margin on each side. As the object rotates or flows, slabs begin to overlap. Once
+the slabs have too many nodes in total, the particles are divided again by their current positions.
+Workers then access their particles through lists of indices, which makes a substep up to twice as
+expensive, so particles are rarely divided again.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ class Slabs:
 
     @property
     def outgrown(self) -> bool:
-        """Whether slabs have grown since the last division, and a new one would save time."""
+        """Whether slabs have grown so much that dividing the particles again would save time."""
         if self._share == 0:
             self._share = self.share
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
@@ -296,7 +296,7 @@ def numbers(count: int, model: Model) -> wp.array:
 
 
 def usable_workers(particles: int, device: str, asked: int | None = None) -> int:
-    """Return the requested number of workers, or the number that takes least time; 1 on a GPU."""
+    """Return the requested number of workers, or else the fastest number; 1 on a GPU."""
     if device != "cpu":
         return 1
     if asked is not None:
@@ -334,7 +334,7 @@ def layers(x: NDArray, axis: int, dx: float) -> NDArray[np.int16]:
 
 
 def _has_space(part: Part, reach: tuple[NDArray, NDArray] | None) -> bool:
-    """Return whether a part's private nodes have enough margin until the next measurement."""
+    """Return whether the margin of a part's private nodes suffices until the next measurement."""
     if reach is None:
         return True
     nodes, (low, high) = part.nodes, reach

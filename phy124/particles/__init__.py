@@ -1,4 +1,5 @@
-"""Turns Gaussians into material particles: cleans them, and finds size, interior, volume and mass.
+"""Turns Gaussians into material particles: cleans the Gaussians, and determines size, interior,
+volume and mass.
 
 There are two bindings of Gaussians to particles:
 

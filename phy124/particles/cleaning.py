@@ -225,9 +225,7 @@ def _are_gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Return the mask of the Gaussians in separate groups that have few members or little visible
-    area.
-    """
+    """Return the mask of Gaussians in stray groups, which are separate and small."""
     if len(gaussians) * STRAY < 1:
         return np.zeros(len(gaussians), bool)
     means = gaussians.means.astype(np.float64)

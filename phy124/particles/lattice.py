@@ -77,7 +77,7 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
 
 
 def cells_of(points: Particles) -> Particles:
-    """Return one particle for each cell of eight points; materials are then chosen per cell."""
+    """Return one particle for each cell of eight points, so that materials are chosen per cell."""
     centre = points.x.reshape(-1, PER_CELL, 3).mean(axis=1)
     return Particles(
         x=centre,
@@ -260,7 +260,7 @@ def _sums(which: NDArray, values: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
-    """Return four copies of each surface point, shifted along the surface by a distance [m]."""
+    """Return four copies of each surface point, shifted by a distance [m] along the surface."""
     normal = rows[:, 3:]
     helper = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
     first = np.cross(normal, helper)
@@ -274,7 +274,7 @@ def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
 
 
 def _outermost(rows: NDArray, side: float) -> NDArray[np.float64]:
-    """Return, from the points in each cube, the one that lies farthest outwards."""
+    """From the points in each cube, return the outermost one."""
     cube = np.floor(rows[:, :3] / side - 1e-6).astype(np.int64)
     _, which = np.unique(cube, axis=0, return_inverse=True)
     which = which.reshape(-1)

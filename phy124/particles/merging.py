@@ -29,7 +29,8 @@ SAMPLES = 5
 
 
 def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:
-    """Assign each point to one of `count` groups [N]; groups arise by merging pairs of neighbours.
+    """Assign each point to one of `count` groups [N], which are formed by merging pairs of
+    neighbours.
 
     Args:
         places: Points [N,D] in any number D of dimensions.

@@ -7,7 +7,7 @@ independently (phantom nodes of Hansbo and Hansbo 2004, doi 10.1016/j.cma.2003.1
 Jerabkova and Faure 2009, doi 10.1145/1531326.1531358).
 
 Voxels are connected by faces, edges and corners, so that a thin slanted sheet stays whole. Parts
-that nothing connects at all, such as specks around a body, keep common nodes and move together.
+without any connection, such as specks around a body, keep common nodes and move together.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def find_pieces(
 def find_copies(
     pieces: Pieces, cell: NDArray, place: NDArray, volume: NDArray
 ) -> NDArray[np.int8] | None:
-    """Return which copy of each of its 27 nodes a piece uses [E,27]; None: no node has copies.
+    """Return which copy of each of its 27 nodes a piece uses [E,27]; None if no node has copies.
 
     Args:
         pieces: The E pieces.
@@ -123,7 +123,8 @@ def find_copies(
 def _copies_of_parts(
     cell: NDArray, piece: NDArray, pairs: NDArray, volume: NDArray
 ) -> NDArray[np.int8] | None:
-    """Return which copy of each of its 27 nodes a part would use [A,27]; None: no copies.
+    """Return which copy of each of its 27 nodes a part would use [A,27]; None if no node has
+    copies.
 
     A part lies in a single cell. Parts of one piece are connected, because they use the same nodes.
 
@@ -236,7 +237,7 @@ def _rank(
 
 
 def _neighbours(index: NDArray, clear: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return pairs of neighbouring clear voxels [M,2], neighbours by a face, an edge or a corner.
+    """Return pairs [M,2] of clear voxels that share a face, an edge or a corner.
 
     Args:
         index: Indices of the voxels [V,3].

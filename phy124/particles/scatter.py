@@ -1,8 +1,8 @@
 """Moves particles from their lattice to random places, so that rows of the lattice do not show.
 
 Sand that runs apart in thin layers stretches by a factor of several along its flow. In such sand,
-particles of a regular lattice would form rows like strings of beads, with empty grooves between the
-rows. Each particle stays in its own cell of the lattice, so the density hardly varies.
+particles on a regular lattice would form visible rows with empty grooves in between. Each particle
+stays in its own cell of the lattice, so the density hardly varies.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def scatter(
 ) -> Particles:
     """Shift the particles of materials that run apart by random distances.
 
-    A particle without room for its shift, at the surface, stays where it is.
+    A particle at the surface that has no room for its shift is not moved.
 
     Args:
         particles: Particles at rest, P of them.

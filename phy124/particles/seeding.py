@@ -2,9 +2,9 @@
 
 The solid's volume in each lattice cell is shared evenly among the particles in the cell. The volume
 of a cell without particles is added to the nearest particle. The volumes of all particles add up to
-the volume of the solid. With 500 surface Gaussians in a cell, each particle gets a small volume.
-Small volumes do not affect the stability of the MPM, whose time-step limit depends on stiffness and
-density, not on the volume.
+the volume of the solid. If a cell contains 500 surface Gaussians, each of their particles gets a
+small volume. Small volumes do not affect the stability of the MPM, whose time-step limit depends on
+stiffness and density, not on the volume.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ class Solid:
 
     @cached_property
     def _resampled(self) -> dict[float, Solid]:
-        """Side of voxels [m] -> this solid on such voxels; grids twice as fine need it again."""
+        """This solid by the side of its voxels [m]; grids twice as fine need the same voxels."""
         return {}
 
     @property
@@ -347,7 +347,7 @@ def _trim_surface(
 
 
 def _estimate_normals(region: Mask, voxels: NDArray) -> tuple[NDArray[np.float64], Mask]:
-    """Return outward normals [V,3], and the mask of sheets, which border on the outside on both
+    """Return outward normals [V,3], and the mask of sheets, which face the outside on both
     sides.
     """
     normal = np.zeros((len(voxels), 3))

@@ -182,7 +182,7 @@ def _part_moments(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return centres [V,3] and second moments [V,3,3] of the filled parts of voxels.
 
-    A sample point at the surface counts in part.
+    A sample point at the surface is counted by a fraction.
 
     Args:
         measure: Returns heights of points [S,3] in K voxels [K,S], and the extent of a voxel across

@@ -7,8 +7,8 @@ calls `simulate`. `simulate` prepares the scene (`phy124.simulation.prepare`) an
 
 Every function here reports its progress and the durations of its stages. A run that is refused or
 cancelled leaves no files. A run that stops early keeps its finished frames, as does a cancelled run
-if `keep` is set. If anything else ends a run (an error, lack of disk space or memory, a kill), the
-finished frames stay on disk for `go_on`. The clip also stays on disk once it is complete.
+if `keep` is set. If a run ends in any other way (an error, lack of disk space or memory, a kill),
+the finished frames stay on disk for `go_on`. The clip also stays on disk once it is complete.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Records a run on disk: each frame as soon as it is computed, and at intervals the solver's state.
+"""Records a run on disk: each frame as soon as it is computed, and the solver's state at intervals.
 
 If the run is ended by anything (kill -9, lack of memory, an error), `resume` can continue from the
 last saved state. Frames are written once, to the file that becomes the clip. The intervals are long
@@ -126,16 +126,14 @@ class Recording:
         clip.save(path, packed)
 
     def discard(self) -> None:
-        """Remove the files of the pause and of the frames; if the folder became read-only, both
-        stay.
-        """
+        """Remove the files of the pause and the frames; in a read-only folder, both stay."""
         if self.out is not None:
             with suppress(OSError):
                 self.path.unlink(missing_ok=True)
         self.close()
 
     def close(self) -> None:
-        """Remove the file of frames, because its frames are saved elsewhere or not needed."""
+        """Remove the file of frames; call this if its frames are saved elsewhere or not needed."""
         if self.frames is not None:
             self.frames.remove()
         self.frames, self.failed = None, True
@@ -162,7 +160,7 @@ class Recording:
         self.frames, self.failed = None, True
 
     def _begin(self, run: Simulation) -> None:
-        """Begin to record another run: a search for an accuracy makes several runs."""
+        """Begin to record another run, since a search for an accuracy makes several runs."""
         first, self._run, self._last = self._run is None, run, time.perf_counter()
         if first:
             self._put = 0 if self.frames is None else self.saved

@@ -1,7 +1,7 @@
 """Declares the keys of report.json; every run writes this file and stores it in its clip.
 
-A `NotRequired` key exists only if the named option or field of the scene requests it. A user's
-observer may add keys. Keys are stable: the changelog names each key that a release removes.
+A `NotRequired` key is present only if the option or field named in its description requests it. A
+user's observer may add keys. Keys are stable: the changelog names each key that a release removes.
 """
 
 from typing import Any

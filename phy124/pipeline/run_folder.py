@@ -1,5 +1,4 @@
-"""Writes the folder of a run: clip, Gaussians, scene, videos and report; either all of them or
-none.
+"""Writes the folder of a run: either all of clip, Gaussians, scene, videos and report, or nothing.
 
 Results of an earlier run are removed after the new results are written. Only files that the earlier
 report lists are removed; files of the user stay.

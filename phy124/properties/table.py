@@ -110,7 +110,7 @@ def _columns_of(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
-    """Return positions of the points [K,3], from columns x, y, z or from one array; or None."""
+    """Return the points' positions [K,3], from columns x, y, z or one array; None if missing."""
     if "points" in columns:
         points = columns["points"]
     elif {"x", "y", "z"} <= columns.keys():

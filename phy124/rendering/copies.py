@@ -17,9 +17,7 @@ class HostCopies:
     """
 
     def __init__(self, device: Any) -> None:
-        """Start without memory; the arrays determine the device and the memory that is
-        allocated.
-        """
+        """Start without memory; the first arrays determine its size and its device."""
         self._device = device
         self._memory: dict[str, wp.array] = {}
         self._started: dict[str, wp.array] = {}

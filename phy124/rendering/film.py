@@ -125,7 +125,8 @@ def _encode_sides(
     images: Iterator[Picture],
     context: RunContext,
 ) -> dict[tuple[str, str], Path]:
-    """Encode pictures in every format at once; the pictures are ordered by frame and then by side.
+    """Encode pictures in all formats at the same time; the pictures are ordered by frame and then
+    by side.
 
     If an encoder fails, the other films are completed before its exception is raised.
 
@@ -204,7 +205,7 @@ class Loop:
         return [f"Seamless videos of {self.pictures} pictures: {how}."]
 
     def fade_ends(self, images: Iterator[Picture]) -> Iterator[Picture]:
-        """Yield pictures; the last ones fade into the first ones, which are not repeated."""
+        """Yield pictures; the last ones fade into the first ones, which are yielded only once."""
         first = list(islice(images, self.fading))
         for index, image in enumerate(islice(images, len(self.order) - self.fading)):
             done = index - (len(self.order) - 2 * self.fading)

@@ -45,8 +45,9 @@ def render_frames(
 ) -> Generator[NDArray[np.uint8], None, None]:
     """Yield images [H,W,3] uint8 of the frames, in order, until frames or cameras run out.
 
-    Without a background images are [H,W,4]: unblended colours, with the coverage as last channel.
-    Closing the iterator stops the threads, which render only a few frames ahead of the reader.
+    Without a background, images are [H,W,4]: colours before blending, with the coverage as last
+    channel. Closing the iterator stops the threads, which render only a few frames ahead of the
+    reader.
 
     Args:
         frames: The frames to draw; a clip's `frames()`, or `itertools.repeat` of a still frame.
@@ -110,7 +111,7 @@ def render_frames(
 
 
 def _in_order(tasks: Iterator[Future], ahead: int) -> Iterator[Any]:
-    """Yield the results of tasks in order, while at most `ahead` later tasks have been started."""
+    """Yield the results of tasks in order; at most `ahead` later tasks are started in advance."""
     waiting = deque(itertools.islice(tasks, ahead))
     while waiting:
         result = waiting.popleft().result()

@@ -2,12 +2,11 @@
 
 Each Gaussian stands for a volume. These volumes, smoothed over `BLUR` cells, are the fraction of
 space phi that the liquid fills; its surface is phi = `LEVEL`. Gaussians near the surface move onto
-it and become discs, those deeper inside are not drawn, and those in thin spray become balls.
-Near flat walls, phi is the fraction of the space before the walls. Gaussians that are closer to a
-wall than to the free surface move onto the wall.
-The opacity of a disc follows from the thickness of the liquid behind it (Beer-Lambert): both faces
-of a layer take half of its optical depth each, divided by the number of discs that overlap. A thin
-film on a wall has only one face.
+it and become discs, those deeper inside are not drawn, and those in thin spray become balls. Near
+flat walls, phi is the filled fraction of the space in front of the walls. Gaussians that are closer
+to a wall than to the free surface move onto the wall. The opacity of a disc follows from the
+thickness of the liquid behind it (Beer-Lambert): both faces of a layer take half of its optical
+depth each, divided by the number of discs that overlap. A thin film on a wall has only one face.
 """
 
 from __future__ import annotations
@@ -120,7 +119,8 @@ class Field:
         self.open, self._room = self._before(planes, low - spare)
 
     def _before(self, planes: Planes, corner: NDArray) -> tuple[NDArray | float, NDArray | float]:
-        """Return the fraction of each cell that lies before all walls, and this fraction smoothed.
+        """Return the fraction of each cell that lies in front of all walls, and the same fraction
+        after smoothing.
 
         Args:
             planes: The walls.
@@ -152,13 +152,13 @@ class Field:
         return smooth
 
     def smooth(self, values: NDArray) -> NDArray[np.float32]:
-        """Return the smoothed values of the cells, averaged over the space before all walls."""
+        """Return smoothed values of the cells, averaged over the space in front of all walls."""
         return np.asarray(self.blur(values) / self._room, np.float32)
 
     def fill(self, volumes: NDArray) -> NDArray[np.float32]:
         """Return the smoothed fraction phi of each cell that points of volumes [N] m^3 fill.
 
-        It is at most 1: where a liquid is compressed, its points lie closer together.
+        The fraction is capped at 1, since points lie closer together where a liquid is compressed.
         """
         return self.smooth(np.minimum(self._spread(volumes) / self.cell**3, 1))
 
@@ -324,9 +324,10 @@ def _shape(
 def _balls(
     volumes: NDArray, phi: NDArray, drop: NDArray, chance: NDArray, per_cell: float
 ) -> tuple[NDArray, NDArray]:
-    """Return standard deviations [n], in cells, and opacities [n] of drops, and of balls in spray.
+    """Return standard deviations [n], in cells, and opacities [n] of drops and of balls in spray.
 
-    Balls overlap in spray that is not thin enough for drops, and absorb what their volume does.
+    In spray that is too dense for separate drops, balls overlap; together they absorb as much light
+    as their volume would.
     """
     apart = np.cbrt(volumes / np.maximum(phi, 1e-3))
     uneven = 0.6 + 0.8 * chance**3
@@ -346,8 +347,8 @@ def _touches(field: Field, phi: NDArray, close: NDArray) -> NDArray[np.bool_]:
 def _thickness(phi: NDArray, field: Field, on: NDArray, normals: NDArray) -> NDArray:
     """Return the thickness of the liquid along the normals [n,3] of points `on`, in cells.
 
-    It is interpolated between the lengths of the liquid along the three axes, and limited, so that
-    the edge of a film is as pale as the film.
+    The thickness is interpolated between the lengths of the liquid along the three axes. It is
+    limited so that the edge of a film is as pale as the film.
     """
     sums, least = np.zeros(len(on)), np.full(len(on), np.inf)
     for axis in range(3):
@@ -364,9 +365,7 @@ def _thickness(phi: NDArray, field: Field, on: NDArray, normals: NDArray) -> NDA
 
 
 def _rotations(normals: NDArray) -> NDArray:
-    """Return the shortest rotations [N,4] from the z axis to normals; about x if a normal is
-    opposite.
-    """
+    """Return the shortest rotations [N,4] from the z axis to normals; for -z, about x."""
     x, y, z = normals.T
     quats = np.stack([1 + z, np.where(z > -0.9999, -y, 1), x, 0 * z], axis=1)
     return quats / np.linalg.norm(quats, axis=1, keepdims=True)

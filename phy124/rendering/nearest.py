@@ -96,7 +96,7 @@ class Sample:
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """Mask of the moving Gaussians [S]; all if none moves."""
+        """Mask of the moving Gaussians [S]; all Gaussians if none moves."""
         moves: NDArray[np.bool_] = (self.means != self.means[0]).any(axis=(0, 2))
         return moves if moves.any() else ~moves
 
@@ -126,7 +126,7 @@ class Sample:
         return Sample(self.means - self.path[:, None], self.covariances)
 
     def has_rare_moment(self, largest: float) -> bool:
-        """Return whether rare moments make the motion too large for a fixed camera.
+        """Return whether a few frames make the motion too large for a fixed camera.
 
         A fixed camera always suffices for motions of an extent up to `largest` [m].
         """
@@ -299,8 +299,8 @@ class _Seen:
         return edges.sum(axis=-1).max(axis=-1) / 2, shift @ self.axes[0, :2]
 
     def _edges(self, halves: Values) -> Values:
-        """Return the distances that keep the sample of each frame inside the edges right, left;
-        bottom, top [T,2,2], m.
+        """Return the distances [T,2,2] m that keep the sample of each frame inside the edges: right
+        and left, bottom and top.
         """
         few, needed = int(LEFT_OUT * self.points.shape[2]), []
         for part in _blocks(len(self.points)):

@@ -22,8 +22,8 @@ UNTURNED = Reading(up="z", front="x")
 
 
 def candidates(up: str | None) -> list[Reading]:
-    """Return one reading per up axis, with its usual front; if the up axis is known, one per
-    front.
+    """Return the orientations to draw: one per up axis, with its usual front, or one per front if
+    the up axis is known.
     """
     if up is None:
         return [Reading(up=axis, front=FRONTS[axis]) for axis in UPS]

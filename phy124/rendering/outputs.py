@@ -170,7 +170,7 @@ class Seen:
         self.clip, self.cameras, self.outputs = clip, cameras, outputs
 
     def values(self, frame: Frame) -> dict[Output, Values]:
-        """Return the values of a frame's Gaussians [N,C], by output; alpha and force have none."""
+        """Return the values of a frame's Gaussians [N,C] for each output except alpha and force."""
         camera, means = self.cameras[frame.index], frame.gaussians.means
         values: dict[Output, Values] = {}
         if "depth" in self.outputs:

@@ -383,8 +383,8 @@ class Renderer:
     def _sort_lists(
         self, n: int, view: Any, run: tuple[int, int], room: int, total: Any, starts: Any, ends: Any
     ) -> wp.array:
-        """Return the lists of a run of tiles, sorted by depth; `room` and `total` as in
-        `bin_parallel`.
+        """Return the lists of a run of tiles, sorted by depth (`room`, `total`: see
+        `bin_parallel`).
         """
         first, last = run
         ranks = self._buffer("ranks", 2 * room, wp.int32)
@@ -490,7 +490,9 @@ def _checked_background(background: Colour) -> Colour:
 
 
 def runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
-    """Split tiles into runs [first, last) of at most `limit` entries, or of one larger tile."""
+    """Split tiles into runs [first, last) of at most `limit` entries; a tile with more entries is a
+    run of its own.
+    """
     sums, first = np.cumsum(counts), 0
     while first < len(counts):
         before = sums[first - 1] if first else 0

@@ -1,11 +1,11 @@
 """Adds highlights and reflections to fluids and metal, computed from their surface normals.
 
-Colours of Gaussians contain no gloss. For each frame and camera, the Gaussians of glossy laws
-get new colours: with the highlight (Blinn 1977) of a lamp above, and reflections of a bright sky
-and a dark floor. Water reflects little, but more at grazing angles (Schlick 1994), and is bright
-where it refracts the lamp's light towards the camera; metal reflects almost everything, tinted
-with its colour. Liquids are drawn as their surface (`phy124.rendering.liquid`). The normals of
-metal are the shortest axes of its Gaussians.
+Colours of Gaussians contain no gloss. For each frame and camera, the Gaussians of glossy laws get
+new colours: with the highlight (Blinn 1977) of a lamp above, and reflections of a bright sky and a
+dark floor. Water reflects little, but more at grazing angles (Schlick 1994), and is bright where it
+refracts the lamp's light towards the camera. Metal reflects almost all light, tinted with its
+colour. Liquids are drawn as their surface (`phy124.rendering.liquid`). The normals of metal are the
+shortest axes of its Gaussians.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Shine:
         """Time spent on gloss since the start [s]."""
 
     def _liquid(self, clip: Clip, which: NDArray, liquid: dict[str, Any]) -> Liquid:
-        """Measure a liquid of the report in the clip's first frame; `which` are its Gaussians."""
+        """Measure one of the report's liquids in the first frame; `which` selects its Gaussians."""
         volumes = liquid.get("volumes")  # absent in old clips
         if volumes is not None:
             volumes = np.repeat(volumes, [last - first for first, last in liquid["runs"]])
@@ -95,7 +95,7 @@ class Shine:
         return bool(self._parts) and self._cell > 0
 
     def illuminate(self, frame: Frame, camera: Camera) -> Frame:
-        """Return the frame; the colours of its glossy Gaussians are those that a camera sees."""
+        """Return the frame, with the colours of glossy Gaussians as a camera sees them."""
         start = time.perf_counter()
         gaussians, normals = self._surface(frame)
         sh = gaussians.sh.copy()
@@ -268,7 +268,7 @@ def _indices(runs: Any) -> NDArray[np.int64]:
 
 
 def _finite(x: NDArray) -> NDArray:
-    """Return the points; the median of the finite points replaces all others."""
+    """Replace points that are not finite by the median of the others."""
     if np.isfinite(x.sum()):
         return x
     good = np.atleast_1d(np.isfinite(x).all(axis=1))

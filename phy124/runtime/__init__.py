@@ -1,3 +1,3 @@
-"""Serves the whole process: starts Warp, handles signals, measures times, and runs work that can be
+"""Functions for the whole process: starting Warp, signals, time measurement, and work that can be
 killed.
 """

@@ -1,7 +1,7 @@
 """Reads the memory and CPU limits that Linux control groups (containers) set for this process.
 
-Versions 1 and 2 are read, even if both are mounted. A group's limit applies to all groups below it:
-the smallest limit on the path to the root is the effective limit.
+Versions 1 and 2 are read, even if both are mounted. A group's limit applies to all groups below it,
+so the effective limit is the smallest one on the path to the root.
 """
 
 from __future__ import annotations

@@ -71,8 +71,7 @@ def is_compiled(kernel: Any, device: str = "cpu") -> bool:
 def looking_up(kernels: Iterable[Any], device: str = "cpu") -> Iterator[None]:
     """Look up kernels in Warp's cache in another thread while the block runs.
 
-    Warp then knows the hash of the kernels' code, so `compile_missing` takes less time after the
-    context.
+    Warp then knows the hashes of the kernels' code, so `compile_missing` is faster after the block.
 
     Args:
         kernels: The kernels; an iterator is read by the second thread.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class ContextOptions(TypedDict, total=False):
-    """Fields of `RunContext` as keywords, for callers that set only some of them."""
+    """Fields of `RunContext` as keyword arguments, for callers that set only some of them."""
 
     device: str
     threads: int | None
@@ -27,8 +27,8 @@ class ContextOptions(TypedDict, total=False):
 class RunContext:
     """Device, threads, progress function and stopwatch of a computation.
 
-    A change of the context's fields changes results only by rounding: the number of threads and the
-    device determine the order of sums.
+    Other values of these fields change results only by rounding, since the number of threads and
+    the device determine the order of sums.
     """
 
     device: str = "cpu"
@@ -43,12 +43,14 @@ class RunContext:
 
     @classmethod
     def of(cls, context: RunContext | None, **options: Unpack[ContextOptions]) -> RunContext:
-        """Return the context with the named fields replaced; without a context, a new one."""
+        """Return a copy of the context with other values of the named fields; without a context, a
+        new one.
+        """
         return replace(context or cls(), **options)
 
     @classmethod
     def pop(cls, context: RunContext | None, options: dict[str, Any]) -> RunContext:
-        """Return a context like `of`, and remove its fields from `options`."""
+        """Return the context that `of` would return, and remove its fields from `options`."""
         fields = ContextOptions.__annotations__.keys() & options.keys()
         return replace(context or cls(), **{name: options.pop(name) for name in fields})
 

@@ -1,4 +1,4 @@
-"""Counts the CPU cores that this process may use, and those of them that are free."""
+"""Counts the CPU cores that this process may use, and how many of them are free."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def cores() -> int:
 
 
 def physical_cores() -> int:
-    """Return the number of cores that have these threads; if unknown, each thread counts as a
-    core.
+    """Return the number of cores to which these hardware threads belong; if unknown, each thread
+    counts as a core.
     """
     try:
         mine = os.sched_getaffinity(0)

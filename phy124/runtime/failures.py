@@ -78,7 +78,7 @@ def failure(problem: BaseException) -> Failure:
 
 
 def is_stop(problem: BaseException) -> bool:
-    """Return whether the user stopped the work.
+    """Return whether the user caused the exception by stopping the work.
 
     If Ctrl-C is pressed while native code of a library calls Python, the KeyboardInterrupt is the
     cause of a SystemError.
@@ -149,7 +149,7 @@ def _words(problem: BaseException) -> str:
 
 
 def _refusal(problem: BaseException) -> InputError | None:
-    """Return pydantic's refusal of an option as an InputError; None for other exceptions."""
+    """Convert pydantic's error about an option to an InputError; None for other exceptions."""
     if not {"pydantic", "pydantic_core"} & {type(problem).__module__.partition(".")[0]}:
         return None
     from pydantic import ValidationError

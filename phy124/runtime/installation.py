@@ -45,7 +45,9 @@ def program() -> str:
 
 
 def with_program(message: str) -> str:
-    """Return a message in which commands (`phy124 ...` in backquotes) name the running program."""
+    """Return a message in which commands (`phy124 ...` in backquotes) start with the running
+    program's name.
+    """
     return message.replace(f"`{PACKAGE} ", f"`{program()} ")
 
 

@@ -114,7 +114,7 @@ def _discard(folder: Path) -> None:
 
 
 def _is_whole(file: Path) -> bool:
-    """Return whether a cached file looks complete; the file is not loaded for this.
+    """Return whether a cached file looks complete, without loading the file.
 
     If the disk was full or the power failed while a file was written, the file is truncated or ends
     in zeros.
@@ -146,7 +146,7 @@ def _is_json(text: bytes) -> bool:
 
 @contextmanager
 def _building(folder: Path | None) -> Iterator[None]:
-    """Let a module be compiled within this context; if it fails, remove its files."""
+    """Compile a module within this context; if the compilation fails, remove the module's files."""
     with _lock(wait=True):
         if folder is not None and not folder.is_dir():
             _refuse_full(folder.parent)

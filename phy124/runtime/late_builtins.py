@@ -18,8 +18,8 @@ DECLARING = "warp._src.builtins"
 
 
 class LateVariants:
-    """A module finder that finds no module, but prepares Warp just before Warp declares its
-    functions.
+    """A module finder that finds no modules. It only serves to prepare Warp just before Warp
+    declares its functions.
     """
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> None:

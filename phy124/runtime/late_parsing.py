@@ -35,7 +35,9 @@ def parse_late() -> None:
     lock = threading.RLock()
 
     class LateAdjoint(usual):
-        """A function's text that is parsed only when one of its attributes is read."""
+        """The parsed form of a function; the function is parsed only when an attribute of this
+        object is read.
+        """
 
         parses_late = True
         has_unresolved_static_expressions = False

@@ -1,4 +1,4 @@
-"""Imports packages without those parts that only their documentation and tests need.
+"""Imports packages without the parts that only serve their documentation and tests.
 
 SciPy formats the docstrings of its functions while it is imported, and its copy of NumPy's names
 imports parts of NumPy that phy124 does not use. typeguard, which tyro uses, imports `unittest` for
@@ -34,7 +34,7 @@ _lock = Lock()
 
 
 class PlainDict(dict[str, Any]):
-    """Replaces a typed dictionary by one without fields."""
+    """Replaces a typed dictionary by a dictionary without fields."""
 
     def __init_subclass__(cls, **_: object) -> None:
         """Accept the options of a typed dictionary, and ignore them."""
@@ -63,9 +63,7 @@ def import_lightly(*names: str) -> None:
 
 @contextmanager
 def _stand_ins() -> Iterator[None]:
-    """Within this context, empty modules take the place of those that are neither imported nor
-    needed.
-    """
+    """Within this context, replace modules that are neither imported nor needed by empty ones."""
     added: list[tuple[str, ModuleType | None]] = []
     for name, classes in UNUSED.items():
         package, _, last = name.rpartition(".")

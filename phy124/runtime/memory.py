@@ -110,8 +110,8 @@ def share_heap() -> None:
 def refuse_narrow() -> None:
     """Refuse limits of stack or address space that are too small, before NumPy is imported.
 
-    Under any other limit of the address space, OpenBLAS gets a single thread, because each thread
-    allocates buffers.
+    Under a sufficient limit of the address space, OpenBLAS gets a single thread, because each of
+    its threads allocates buffers.
 
     Raises:
         InputError: The limit of the stack is too small; native code would crash.

@@ -1,6 +1,4 @@
-"""Handles the signals that ask a process to end: Ctrl-C, a supervisor's SIGTERM, a closed
-terminal.
-"""
+"""Handles signals that ask a process to end: Ctrl-C, SIGTERM, or a closed terminal."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ T = TypeVar("T")
 class Stopwatch:
     """Sums up seconds and kernel launches per named stage; a stage may be entered several times.
 
-    The time of a stage within another one counts only for the inner stage.
+    If a stage runs inside another stage, its time counts only for the inner stage.
     """
 
     def __init__(self) -> None:
@@ -51,7 +51,7 @@ class Stopwatch:
                 close()
 
     def add(self, seconds: dict[str, float], total: float) -> None:
-        """Add time that was spent before this stopwatch was created."""
+        """Add the time of a stage that ended before this stopwatch was created."""
         for name, spent in seconds.items():
             self.seconds[name] = self.seconds.get(name, 0.0) + spent
         self.start -= total

@@ -27,8 +27,8 @@ point."""
 def steady_streams() -> Iterator[list[OSError]]:
     """Within this context, writing to standard output and standard error never fails.
 
-    Yields a list of errors; an error is added when text for standard output is lost. A reader that
-    closes the pipe has read enough: this is not an error.
+    Yields a list of errors; an error is added when text for standard output is lost. If a reader
+    closes the pipe early, this is not an error, since the reader has read enough.
     """
     _occupy()
     codecs.register_error(PLAIN, _spell)

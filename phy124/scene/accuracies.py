@@ -99,7 +99,9 @@ class Accuracy(Section):
 
     @property
     def share(self) -> float:
-        """Fraction that particles keep of the velocities that the grid cannot represent."""
+        """Fraction of the fluctuation (the velocities that the grid cannot represent) that
+        particles keep.
+        """
         return self.blend if self.transfer == "aflip" else 1.0
 
 

@@ -59,7 +59,7 @@ def _check_path(path: str) -> None:
 
 
 def parse_value(text: str) -> Any:
-    """Parse a value in TOML notation; text that is not valid TOML is returned as it stands."""
+    """Parse a value in TOML notation; text that is not valid TOML is returned unchanged."""
     try:
         table = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):

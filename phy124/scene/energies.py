@@ -25,7 +25,7 @@ def energy(scene: Any, thickness: float | None = None) -> float:
     The result is v^2 + p^2 + 2 a h + sum(min(a L, a^2 t^2)). Here v is the initial speed (with
     spin) and the speed that impacts give, p the speed of walls and hands, a the acceleration by
     forces, t the time for which a force acts, h the object's lift, and L the object's size. Wind
-    accelerates an object to the wind's own speed at most.
+    accelerates an object at most to the speed of the wind.
     """
     bodies, size, end = (scene.object, *scene.objects), scene.object.size, duration(scene)
     mass = _mass(scene, thickness)

@@ -24,7 +24,7 @@ DEEPEST = 32
 
 
 def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
-    """Read a TOML file, named `field` in error messages.
+    """Read a TOML file; error messages call it `field`.
 
     Raises:
         InputError: The file cannot be read or is not TOML.

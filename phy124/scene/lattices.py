@@ -36,13 +36,13 @@ def find_elastic(scene: Any) -> list[bool]:
 
 
 def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
-    """Return the reason why a scene does not use lattices on a device; "" if it uses them.
+    """Return why a scene does not use lattices on a device; an empty text if the scene uses them.
 
     With `accuracy.solver = "auto"`, elastic objects use lattices where lattices are supported and
     gave better results in measurements (docs/lab/solvers.md). In scenes with objects of other
     materials, lattices are not faster and support fewer features. On a GPU a lattice that touches
-    walls takes many times as long (docs/lab/cuda.md). A scene that requests the lost energy uses
-    lattices if only they can divide the loss, even where they are slower.
+    walls takes many times as long as particles (docs/lab/cuda.md). A scene that requests the lost
+    energy uses lattices if only they can divide the loss, even where they are slower.
     """
     accuracy = scene.resolution
     if accuracy.solver != "auto":
@@ -68,14 +68,16 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
 
 
 def choose_solver(scene: Any, device: str) -> Any:
-    """Return the scene for a device; names the solver if `auto` means another one there."""
+    """Return the scene for a device; if `auto` selects another solver there, the scene names this
+    solver.
+    """
     if device == "cpu" or scene.resolution.solver != "auto":
         return scene
     return scene if _needs_lattice(scene) and scene.on_lattice else _with_solver(scene, "mpm")
 
 
 def reason_for_others(scene: Any) -> str:
-    """Return the reason why a scene does not run on lattices alone; "" if it does."""
+    """Return why a scene does not run on lattices alone; an empty text if it does."""
     return reason_for_mpm(scene) or ("some objects yield or flow" if scene.couples else "")
 
 

@@ -16,7 +16,9 @@ REMEDY = Remedy("accuracy.liquid = compressible", {"accuracy.liquid": "compressi
 
 
 def reason_for_compressible(scene: Any) -> str:
-    """Return the reason why a scene's liquid is computed as compressible; "" if by projection."""
+    """Return why a scene's liquid is computed as compressible; an empty text if it is computed by
+    projection.
+    """
     accuracy = scene.resolution
     if accuracy.liquid is not None:
         return "" if accuracy.liquid == "projection" else "accuracy.liquid is compressible"

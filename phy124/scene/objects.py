@@ -270,7 +270,7 @@ def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
 
 
 def find_pair(pairs: Sequence[Pair], first: str, second: str) -> Pair:
-    """Return the entry for two objects; an entry that names both takes precedence."""
+    """Return the entry for a pair of objects; an entry that names both objects takes precedence."""
     fitting = [pair for pair in pairs if set(pair.between) <= {first, second, ANY}]
     return min(fitting, key=lambda pair: pair.between.count(ANY), default=Pair())
 

@@ -109,7 +109,9 @@ def format_schema() -> str:
 def _format_section(
     declared: Declaration, title: str, node: Node, path: str, written: set[str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield path and table of a section, then of those inner sections that are not yet written."""
+    """Yield path and table of a section, followed by those inner sections that have not been
+    yielded yet.
+    """
     description = (node.get("description") or "").replace("\n", " ")
     table = "\n".join(_format_table(declared, node))
     yield path, f"## {title}\n\n{description}\n\n{table}\n"

@@ -175,7 +175,7 @@ class Scene(Section):
 
     @property
     def _is_liquid(self) -> bool:
-        """Whether only walls and liquids by pressure projection move."""
+        """Whether only walls and projected liquids move."""
         free = any(item.free for item in self.objects)
         return self.projects and not self.has_solids and not free
 
@@ -215,12 +215,12 @@ class Scene(Section):
 
     @property
     def has_solids(self) -> bool:
-        """Whether some object has particles of another material than a liquid."""
+        """Whether an object has particles of a material that is not a liquid."""
         return any(section.law != "fluid" for section in self.materials)
 
     @property
     def mixes(self) -> bool:
-        """Whether a liquid by pressure projection moves together with other materials."""
+        """Whether a projected liquid moves together with other materials."""
         return self.projects and self.has_solids
 
     @property
@@ -342,7 +342,7 @@ class Scene(Section):
 
     @classmethod
     def of_clip(cls, data: dict[str, Any], source: str = "clip") -> Scene:
-        """Read a clip's scene for filming; leave out sections of classes that are not known here.
+        """Read a clip's scene for filming, and leave out sections of classes that are unknown here.
 
         Another program may have defined classes that are not known here. Forces and boundaries of
         unknown classes are left out, and unknown materials are replaced by the default.
@@ -418,7 +418,8 @@ class Scene(Section):
             raise InputError(group, name, limit, remedy)
 
     def replaced(self, changes: dict[str, Any]) -> Scene:
-        """Return a copy with other values at dotted paths, such as `{"material.E": 2e4}`.
+        """Return a copy of the scene with other values at dotted paths, such as `{"material.E":
+        2e4}`.
 
         If a material's law, or the kind of a force or boundary, changes, its other values are the
         defaults of the new law or kind.

@@ -146,7 +146,7 @@ class Checks(Section):
 
 
 def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
-    """Refuse `checks.energy` in a scene where some of the energy is not measured.
+    """Refuse `checks.energy` in a scene in which part of the energy would not be measured.
 
     Args:
         checks: The scene's checks.

@@ -25,8 +25,8 @@ GROUPS = ("materials", "forces", "boundaries", "generators", "formats", "sinks")
 def entry_points_of(group: str) -> dict[str, EntryPoint]:
     """Return name -> entry point for one of the `GROUPS`.
 
-    Cached, because reading the metadata of packages takes milliseconds, and a scene may name
-    thousands of kinds.
+    The result is cached, because reading the metadata of packages takes milliseconds, and a scene
+    may name thousands of kinds.
     """
     points = entry_points(group=f"phy124.{group}")
     return {point.name: point for point in reversed(list(points))}

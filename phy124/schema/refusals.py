@@ -59,7 +59,7 @@ def explain_options(error: ValidationError) -> InputError:
 def shorten(value: Any) -> str:
     """Return a value as text for a message, shortened to `LONGEST` characters.
 
-    The text of a section has only the names of its values.
+    The text for a section consists of the names of its values.
     """
     try:
         section = isinstance(value, dict) and value
@@ -142,7 +142,7 @@ def _limit_and_remedy(declared: Declaration, place: _Place, details: Any) -> tup
 
 
 def _suggest(declared: Declaration, node: Node, value: Any) -> str:
-    """Suggest a valid value; empty if there is no obvious one."""
+    """Suggest a valid value; return an empty text if no value is obvious."""
     known = [str(name) for choice in declared.choices(node) for name in choice.get("enum", [])]
     if known:
         return did_you_mean(str(value), known)

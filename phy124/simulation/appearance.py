@@ -204,7 +204,7 @@ def make_appearance(
 
 
 def _max_stretch(section: AnyMaterial, scene: Scene) -> float:
-    """Return the largest stretch before a material tears.
+    """Return the largest stretch at which a material does not tear.
 
     Elastic material tears if its particles are too far apart to share nodes. The deformation
     gradient F of material that flows plastically has no bound.

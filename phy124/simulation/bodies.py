@@ -1,7 +1,7 @@
 """Makes the particles and the appearance of each object of a scene, and joins them for one solver.
 
-Each object is made separately, as if it were alone, on the grid of the whole scene. Props have no
-particles: they follow a path or move freely as rigid solids.
+Each object is made separately, as if it were alone, on the grid of the whole scene. Props, which
+follow a path or move freely as rigid solids, have no particles.
 """
 
 from __future__ import annotations
@@ -150,7 +150,8 @@ def proportions_of(gaussians: Gaussians, scene: Scene) -> Proportions | None:
 
 @contextmanager
 def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
-    """Within this context, prefix refusals with the name of an object; not for the first object.
+    """Within this context, errors about an object, except the first one, begin with the object's
+    name.
 
     Raises:
         InputError: The same refusal, with the object's name.
@@ -214,7 +215,7 @@ def make_free(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
 
 
 def make_scenery(scene: Scene, shown: Gaussians, moves: NDArray[np.bool_]) -> Scenery:
-    """Return the scenery: the Gaussians in each frame besides those that the solver moves.
+    """Return the scenery: all Gaussians that the solver does not move, in each frame.
 
     Args:
         scene: The scene, whose objects with a path move along it.

@@ -1,6 +1,4 @@
-"""Refuses overlap at the start: contact stops bodies that approach, but does not push bodies
-apart.
-"""
+"""Refuses bodies that overlap at the start, since contact does not push bodies apart."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ smaller fraction is reported in a note.
 
 
 class Buried(NamedTuple):
-    """A wall that has material behind its surface at the start."""
+    """A wall with material behind its surface at the start."""
 
     kind: str
     fraction: float

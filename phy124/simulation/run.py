@@ -38,7 +38,7 @@ from phy124.simulation.spent import Spent
 
 
 class Stopped(RuntimeError):
-    """The simulation ended early because its results would be wrong; the message says why."""
+    """Raised if a run ends early because its results would be wrong; the message says why."""
 
     def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
         self.remedies = tuple(remedies)
@@ -47,7 +47,7 @@ class Stopped(RuntimeError):
 
 
 class Interrupted(Cancelled):
-    """A run was cancelled; its frames so far are valid, and `resume` can save its state."""
+    """Raised if a run is cancelled; its frames so far are valid, `resume` can save its state."""
 
     def __init__(self, run: Simulation) -> None:
         self.run = run

@@ -1,6 +1,6 @@
 """Measures the CPU time that a simulation has spent; `time.budget` limits this time.
 
-Other programs on the machine do not count, so that a run does not stop because of them.
+The time of other programs is not counted, so a run does not stop because of them.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Spent:
         return self.before + max(now - start for now, start in pairs)
 
     def _now(self) -> list[float]:
-        """Return one clock reading per thread [s]; differences of readings are the time used."""
+        """Return a clock reading per thread [s]; the difference of two readings is CPU time."""
         if not self._on_cpu:
             return [time.perf_counter()]
         return [time.thread_time(), *self._team.seconds[1:]]

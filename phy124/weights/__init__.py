@@ -1,1 +1,1 @@
-"""Trained weights: locates, checks and downloads files, and loads them into networks."""
+"""Locates, checks and downloads files of trained weights, and loads them into networks."""

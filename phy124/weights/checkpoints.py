@@ -75,7 +75,9 @@ def _refusal(path: Path, error: Exception) -> InputError:
 
 
 def strip_prefix(tensors: StateDict, prefix: str) -> dict[str, Tensor]:
-    """Remove `prefix` from names, and drop tensors without it; if none has it, return all."""
+    """Remove `prefix` from the names, and drop tensors whose names lack it; if all lack it, return
+    all tensors.
+    """
     found = {k[len(prefix) :]: v for k, v in tensors.items() if k.startswith(prefix)}
     return found or dict(tensors)
 

@@ -132,7 +132,7 @@ def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str
 
 
 def _alternative(name: str) -> str:
-    """Return what to do without a set of weights, as the end of a sentence."""
+    """Return the remedy for a missing set of weights, as the end of a sentence."""
     about = ABOUT.get(name)
     if about is not None and ("--foreground" in about.brings or "--depth" in about.brings):
         return "leave the option out"

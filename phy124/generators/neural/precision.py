@@ -30,7 +30,7 @@ def torch_device(name: str | None) -> str:
 
 
 def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dtype:
-    """Return the requested precision, or the fastest accurate precision that fits into memory.
+    """Return the requested precision; by default, the fastest accurate one that fits into memory.
 
     Args:
         precision: The user's choice, if any.

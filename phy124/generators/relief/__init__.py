@@ -48,8 +48,8 @@ def relief(
     """Inflate the opaque part of an image to a closed shell.
 
     The object faces +x. A camera in front of the shell, at the distance `VIEW_DISTANCE`, sees the
-    shell's silhouette at x = 0 with a longest side of 1 m. If the image from the side shows a
-    longer side, that side is 1 m. Equal seeds give equal Gaussians.
+    shell's silhouette at x = 0 with a longest side of 1 m. If the object is longer in the image
+    from the side, its longest side there is 1 m. Equal seeds give equal Gaussians.
 
     Args:
         image_rgba: The image [H,W,4].

@@ -1,4 +1,4 @@
-"""Imagines the unseen back of an object, from the image of its front.
+"""Guesses the look of an object's unseen back from the image of its front.
 
 An object seen from its side has no symmetric silhouette, even without thin parts, and is assumed to
 look alike from the other side: the back is the mirrored front. An object seen from its front has a
@@ -53,7 +53,8 @@ ALIKE = 6
 
 
 def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
-    """Choose the look of the back for an image [H,W,4]: plain if it shows a front, else mirrored.
+    """Choose the back for an image [H,W,4]: plain if the image shows the object's front, else
+    mirrored.
 
     An image shows a front if its silhouette is symmetric, apart from thin parts, or if the upper
     part is symmetric in outline and in colour, such as a face above an outstretched arm.
@@ -73,8 +74,8 @@ def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
 
 
 def _body(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a silhouette [H,W] without thin parts such as a handle, cropped to its columns; or
-    unchanged if they are large.
+    """Return a silhouette [H,W] without thin parts such as a handle, cropped to its columns. If the
+    thin parts are large, return the silhouette unchanged.
     """
     depth = nearest_of(~np.pad(solid, 1))[0][1:-1, 1:-1]
     radius = HANDLE * float(depth.max())

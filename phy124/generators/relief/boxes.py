@@ -1,4 +1,4 @@
-"""Fits a box to an outline of six corners, as a cuboid has that is seen from one of its edges.
+"""Fits a box to an outline with six corners: the outline of a cuboid seen towards one of its edges.
 
 The picture determines the box: twelve coordinates for a rotation, three sizes and a position.
 """
@@ -91,7 +91,7 @@ class Cuboid:
 
 
 def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
-    """Return the box whose outline is a silhouette [H,W]; None if it is not that of a box."""
+    """Return the box whose outline is a silhouette [H,W]; None if no box has this outline."""
     corners = _hexagon(object_mask)
     if corners is None:
         return None
@@ -125,14 +125,14 @@ def _hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
 
 
 def _project(values: Field, distance: float) -> Field:
-    """Return the corners of a box [8,2] in the image; values: rotation, log sizes, x and y."""
+    """Return a box's corners [8,2] in the image, from its rotation, log sizes, x and y."""
     turn = scipy.spatial.transform.Rotation.from_rotvec(values[:3]).as_matrix()
     points = (CORNERS * np.exp(values[3:6])) @ turn.T + [*values[6:], 0.0]
     return points[:, :2] / (1 - points[:, 2:] / distance)
 
 
 def _fit(corners: Field, yaw: float, pitch: float, distance: float) -> tuple[Field, float] | None:
-    """Fit a box to corners [6,2] from one direction; return its values and the misfit [pixels]."""
+    """Fit a box to corners [6,2] from a first direction; return its values and misfit [pixels]."""
     turn = scipy.spatial.transform.Rotation.from_euler("yx", [yaw, pitch], degrees=True)
     size = np.ptp(corners, axis=0)
     values = np.array([*turn.as_rotvec(), *[np.log(size.mean() / 3.5)] * 3, *corners.mean(axis=0)])

@@ -38,7 +38,8 @@ class Plane:
     """1 for the bottom, -1 for the top."""
 
     def rows(self, columns: Field, z: Field) -> tuple[Field, NDArray[np.bool_]]:
-        """Return the row of the plane or bevel before projection [N], and whether it is the bevel.
+        """Return the row, before projection, of the plane or of the bevel [N], and whether it is
+        the bevel's.
 
         Args:
             columns: Columns before projection [N].
@@ -112,7 +113,9 @@ def make_cap(
 
 
 def _outline(end: End, object_mask: NDArray[np.bool_]) -> Field:
-    """Return the last row of the object in each column [W]; without the end, the outermost row."""
+    """Return the last row of the object in each column [W]; if the object has no such end, the
+    outermost row.
+    """
     if end.divided:
         return np.full(object_mask.shape[1], end.outermost)
     at_corner = object_mask[int(end.corner - 0.5 * end.sign)]
@@ -127,7 +130,7 @@ def _thick(surface: Surface, row: float) -> float:
 
 
 def colour_cap(cap: Cap, unlit: Field, light: Field) -> Field:
-    """Return the colours [M,3] of a cap: those that the image shows along the end.
+    """Return the colours [M,3] of a cap, which are the image's colours along the end.
 
     Args:
         cap: The face.

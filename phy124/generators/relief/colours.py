@@ -1,4 +1,4 @@
-"""Colours an object from its images and from an imagined back."""
+"""Colours an object from its images and from a guess of its back."""
 
 from __future__ import annotations
 
@@ -87,7 +87,8 @@ def _fade(points: Field, normals: Field, surface: Surface, reach: float) -> Fiel
 
 
 def _sample_blurred(picture: Field, place: Field, blur: Field) -> Field:
-    """Return colours [3,N] at image positions, each blurred by its standard deviation [pixels].
+    """Return colours [3,N] at image positions; each position has a blur, stated as a standard
+    deviation [pixels].
 
     On a steep surface, a pixel covers a long strip; without the blur, strips show as streaks.
     """

@@ -103,7 +103,7 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
 
 def stands(solid: NDArray[np.bool_]) -> bool:
     """Whether the outline is that of an upright cylinder: arcs at the top and the bottom, and
-    straight lines at the sides. (A cylinder that lies has arcs at its sides.)
+    straight lines at the sides. (A lying cylinder has the arcs at its sides.)
     """
     arcs = _arc(solid), _arc(solid[::-1])
     sides = _arc(solid.T), _arc(solid.T[::-1])
@@ -111,7 +111,8 @@ def stands(solid: NDArray[np.bool_]) -> bool:
 
 
 def _arc(solid: NDArray[np.bool_]) -> int:
-    """Return the height, in rows, of the arc at the silhouette's lower end; 0 if not a flat end.
+    """Return the height, in rows, of the arc at the silhouette's lower end; 0 if this end is not
+    flat.
 
     A flat end has corners. Above the corners, the sides are steep, so the width hardly changes.
     """
@@ -134,7 +135,7 @@ def _widest(row: NDArray[np.bool_]) -> int:
 
 
 def _divides(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether some row of the lower end has more runs of pixels than the end's first row."""
+    """Whether a row of the lower end has more separate runs of pixels than the end's first row."""
     runs = _count_runs(solid, rows)
     return bool(runs.max() > runs[0])
 
@@ -145,7 +146,7 @@ def _is_parted(solid: NDArray[np.bool_], rows: int) -> bool:
 
 
 def _count_runs(solid: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
-    """Count the parts in each row of the lower end that deep gaps separate."""
+    """Count, in each row of the lower end, the parts that are separated by deep gaps."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     first = last - rows + 1
     depth = round(RAGGED * _widest(solid[first]))

@@ -90,8 +90,7 @@ class Silhouette:
         """Return the outermost columns of the rim, on the left and on the right of each row: [H],
         [H].
 
-        A row without pixels of the object is marked by a left column to the right of the right
-        column.
+        In a row without pixels of the object, the left column is greater than the right column.
         """
         rows, width = np.arange(len(self.inside)), self.inside.shape[1]
         first, last = self.inside.argmax(axis=1), width - 1 - self.inside[:, ::-1].argmax(axis=1)

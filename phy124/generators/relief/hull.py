@@ -100,7 +100,7 @@ class Hull(Implicit):
         return near & (np.abs(points) <= self._reach()).all(axis=1)
 
     def _reach(self) -> Field:
-        """Return half of the width, height and depth of the region that the fields cover [3]."""
+        """Return half the width, height and depth [3] of the region that the fields cover."""
         sizes = self.front.shape[1] // 2, float(np.abs(self.y).max()), self.side.shape[1] // 2
         return np.array(sizes, dtype=np.float64)
 

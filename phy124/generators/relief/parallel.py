@@ -1,8 +1,8 @@
 """Removes the perspective from the front and side images, as if their cameras were infinitely far.
 
-In the front image, a row appears larger the nearer it is to the camera. The side image shows the
-distance of a row at the same height, and vice versa. A row's distance is that of the point where
-the row appears thickest or, at a flat end, that of the edge nearer to the camera.
+In the front image, the nearer a row of the object is to the camera, the larger it appears. The side
+image shows the distance of a row at the same height, and vice versa. A row's distance is that of
+the point where the row appears thickest or, at a flat end, that of the edge nearer to the camera.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Profile:
     """Whether the top and the bottom are flat."""
 
     def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
-        """Return each row's thickest point and nearest edge: how far each is towards the other
-        camera.
+        """For each row, return how far its thickest point and its nearest edge are towards the
+        other camera.
 
         Args:
             y: Rows relative to the centre [N].

@@ -60,8 +60,8 @@ def from_front(
     look: BackLook,
     thickness: float,
 ) -> Shell:
-    """Inflate the silhouette. Colour the back from its image if there is one, else from the front's
-    rim.
+    """Inflate the silhouette. Colour the back from an image of it, if there is one, otherwise from
+    the rim of the front.
 
     Args:
         picture: Image of the front.
@@ -164,9 +164,7 @@ def _points(
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Field, Field, Field, list[Cap]]:
-    """Return points, normals and spacing of the side walls, followed by those of the caps; and the
-    caps.
-    """
+    """Return points, normals and spacing of side walls, then of caps; and the caps themselves."""
     points, normals, spacing, pitch = spread(surface, work.ends, count, rng, alive)
     caps = [make_cap(surface, view, end, work.object_mask, pitch) for end in work.ends]
     kept = np.ones(len(points), bool)

@@ -93,8 +93,7 @@ def _straighten(surface: Surface, ends: tuple[End, ...]) -> Field:
 def _with_feet(w: Field, picture: Continued) -> Field:
     """Return squared half thicknesses with round feet as deep as the object above them.
 
-    Beyond the corners, the outline is that of the feet, with a rounded rim, and not that of the
-    mirror image.
+    Beyond the corners, the silhouette of the feet, with a rounded rim, replaces the mirror image.
     """
     distance = np.where(
         picture.object_mask,
@@ -229,10 +228,10 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
     """Whether the brightness changes across the object as on a shaded round object.
 
     The brightness is fitted by a linear function of the round solid's normals. Only the component
-    towards the camera counts, which is largest in the middle: gradients that are printed on a flat
-    object, or that light leaves on it, go from one side to the other. The median of each row is
-    subtracted, since labels and a house's roof are bands of rows, and frames are excluded. Wide
-    objects may lie, so columns take the place of rows for them, too.
+    towards the camera is used, which is largest in the middle of a round object. Gradients on a
+    flat object, printed or caused by light, run from one side to the other instead. The median of
+    each row is subtracted, because labels, or the roof of a house, are horizontal bands. Frames are
+    excluded. A wide object may be lying on its side, so columns are tried in place of rows, too.
     """
     depth, _ = nearest_of(~picture.object_mask)
     seen = depth > max(LEAST_FRAME, FRAME * float(depth.max()))
@@ -257,7 +256,7 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
 def _fit_most(known: Field, values: Field, noise: float) -> list[float]:
     """Fit values [N] linearly by the columns of `known` [N,C], with the smallest absolute errors.
 
-    Unlike least squares, this ignores what differs from the majority, such as letters and frames.
+    Unlike least squares, this fit ignores the minority of pixels on letters and frames.
     """
     weights = np.ones(len(values))
     fitted = np.zeros(known.shape[1])

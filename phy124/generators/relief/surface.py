@@ -157,8 +157,8 @@ class Surface(Implicit):
 
     @classmethod
     def seen(cls, w: Field, middle: Field, distance: float) -> Surface:
-        """Return the surface that appears as w in `View`'s camera, which sees less than half of a
-        ball.
+        """Return the surface whose image in the camera of `View` is w; a camera sees less than half
+        of a ball.
 
         Let p be a pixel relative to the image centre, d the camera's distance, and
         w = h^2 - |p - c|^2 the image of a ball. Along the view ray, with A = 1 + p^2 / d^2, the

@@ -72,7 +72,7 @@ PERCENTILES = (1, 99)
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Nodes that move Gaussians, and the weights with which they do."""
+    """The nodes that each Gaussian follows, and their weights."""
 
     origin: NDArray[np.float64]
     spacing: float
@@ -299,7 +299,7 @@ def _covariances(clip: Clip, index: int, mask: NDArray[np.bool_], turn: NDArray)
 
 
 def _centres(still: bytes) -> NDArray[np.float64]:
-    """Return the centres as they are after quantisation in a SOG file [N,3], m."""
+    """Return the centres [N,3] m after quantisation in a SOG file."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "still.sog"
         path.write_bytes(still)

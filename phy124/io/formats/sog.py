@@ -301,7 +301,7 @@ def _put_harmonics(meta: dict, pictures: dict, gaussians: Gaussians) -> None:
 
 
 def _square(values: NDArray, alpha: NDArray | None = None) -> NDArray[np.uint8]:
-    """Arrange rows [N,3] as a roughly square image [H,W,4]; the default of alpha is 255."""
+    """Arrange rows [N,3] as a roughly square image [H,W,4], with an alpha of 255 by default."""
     width = 4 * -(-max(int(np.ceil(np.sqrt(len(values)))), 1) // 4)
     height = 4 * -(-len(values) // (4 * width))
     pixels = np.zeros((height * width, 4), np.uint8)

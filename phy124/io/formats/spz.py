@@ -107,9 +107,7 @@ def read_extensions(data: bytes) -> Extensions:
 
 
 def _axis(system: str, letters: str) -> str:
-    """Return the signed axis that points in the first of two opposite directions, such as `U` of
-    `UD`.
-    """
+    """Return the signed axis for the first of two opposite directions, such as `U` (up) of `UD`."""
     (at,) = (i for i, letter in enumerate(system) if letter in letters)
     return "xyz"[at] if system[at] == letters[0] else f"-{'xyz'[at]}"
 

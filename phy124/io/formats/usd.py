@@ -99,8 +99,8 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
 def save_at_times(stage: Any, index: int) -> None:
     """Save a stage after every `SAVED` frames, to free the memory of their values.
 
-    A text file is not saved before all frames are set, because each time it would be written as a
-    whole.
+    A text file is saved only once, after all frames are set, because every save writes the whole
+    file.
     """
     layer = stage.GetRootLayer()
     if index % SAVED == SAVED - 1 and not layer.realPath.endswith(".usda"):

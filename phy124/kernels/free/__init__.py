@@ -8,8 +8,8 @@ that exchanged momentum with one node after the other would not come to rest. Le
 the surface velocity at a node of mass m. The impulse on the node is m W (u' - v), with the velocity
 u' after the exchange, where W is 1 along n and a fraction of 1 across n. The body's motion (V', w')
 after the exchange follows from six equations, (M + sum B^T m W B) (V', w') = M (V, w) + sum B^T m W
-v with u = B (V, w), which `assemble` sums and `solve` solves. Whether a node approaches the
-surface, and how much friction it has, is taken from the previous solution (a semi-smooth Newton
+v with u = B (V, w), which `assemble` sums and `solve` solves. The previous solution determines
+whether a node approaches the surface, and how much friction acts on the node (a semi-smooth Newton
 iteration). For any W, the exchange conserves momentum and angular momentum and adds no energy. The
 impulses on the nodes, in the precision of the nodes, are summed and subtracted from the body, so
 that conservation holds to the rounding of the sums.

@@ -42,10 +42,10 @@ from phy124.kernels.window import strides
 
 @wp.func
 def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
-    """Return the fractions that contact removes from a node's velocity relative to a surface.
+    """Return which fractions of a node's velocity relative to a surface contact removes.
 
-    The first fraction is that of the component along the normal out of the body, the second that of
-    the component across the normal.
+    The first fraction applies to the component along the normal out of the body, the second to the
+    component across the normal.
     """
     if sticky == 1:
         return wp.vec2d(wp.float64(1.0), wp.float64(1.0))
@@ -57,7 +57,7 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
 
 @build_once
 def make_begin(real: Any):
-    """Kernel of one thread: kicks a body once per substep; its motion is the first guess."""
+    """Kernel of one thread: kicks a body once per substep; the result is the first guess."""
 
     @kernel(f"phy124_free_begin_{real.__name__}", real)
     def begin(moments, clock, values, body_out, trial_out):

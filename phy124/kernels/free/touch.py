@@ -124,7 +124,7 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """Return the empty volume fraction around a node; 1 unless both bodies are there."""
+        """Return the empty volume fraction around a node; 1 if either body is absent there."""
         inside = fill_fraction(grid, window, at, step, fill, type(fill)(NARROWEST))
         part = solid(at, geometry, lattice, body)[3]
         deep = part

@@ -38,7 +38,8 @@ SWEEPS = wp.constant(24)
 
 @wp.func
 def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
-    """Return the vector from a solid's centre to one of the points that a plane may touch [m].
+    """Return the vector [m] from a solid's centre to one of the points at which a plane may touch
+    the solid.
 
     Args:
         shape: Number of such points: 1 for a sphere, 2 for a capsule, 8 for a box.

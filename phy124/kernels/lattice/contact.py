@@ -208,7 +208,7 @@ def mostly_held(
     s: int,
     first: int,
 ):
-    """Return whether clamps hold most of a point's nodes, which begin at column `first`."""
+    """Return whether clamps hold most nodes of a point; its nodes begin at column `first`."""
     free = weights[s, first] * weights[s, first] * inverse[nodes[s, first]]
     total = weights[s, first] * weights[s, first] * whole[nodes[s, first]]
     for k in range(first + 1, first + wp.static(NODES)):
@@ -229,7 +229,7 @@ def make_meet(real: Any, rows: Rows):
     body at rest; this is `back` times the displacement along the surface. A position that moves
     farther than `far` is no longer opposite; pairs farther apart than `reach` are ignored.
 
-    `inverse` is zero for nodes that a clamp holds, `whole` is not. A pair of a body with itself
+    `inverse` is zero for nodes that a clamp holds, `whole` is not. A pair of points of one body
     (`between` is 0) is ignored if a clamp holds a node of the pair, because the clamp would not
     count the impulses of the pair. A pair of two bodies is ignored if both points are mostly held,
     since impulses would move the other nodes violently.

@@ -36,7 +36,7 @@ def make_add_impulse(real: Any):
 
 @build_once
 def make_add_momentum(real: Any):
-    """Kernel over held nodes: adds momenta times `sign` [N s]; tied nodes have none."""
+    """Kernel over held nodes: adds momenta times `sign` [N s]; tied nodes have no momentum."""
     t = types(real)
 
     @kernel(f"phy124_lattice_add_momentum_{real.__name__}", real, seconds=0.2)
@@ -52,7 +52,8 @@ def make_add_momentum(real: Any):
 
 @build_once
 def make_pass_on(real: Any):
-    """Kernel over points: passes the parts of the points' impulses on held nodes to the clamps.
+    """Kernel over points: adds the impulses that contact exerts on held nodes to the sums of the
+    clamps.
 
     Contact does not move a held node: the node's clamp takes the impulse at once. The sums of the
     wall or body that exerts an impulse contain the whole impulse, so the clamp gets the opposite of

@@ -1,4 +1,5 @@
-"""Kernels that kick, hold and move the lattice's nodes; nodes with almost no mass follow others.
+"""Kernels that kick, hold and move the lattice's nodes; nodes with almost no mass follow heavier
+nodes.
 
 `pool` holds the forces of all workers: the forces of worker w are for nodes `low[w]` to `high[w]`,
 and begin at `begin[w]`. The ties are stored as two sparse matrices: `donor_*` lists the tied nodes
@@ -45,7 +46,7 @@ def force_on(
     donor_weights: wp.array(dtype=Any),
     n: int,
 ):
-    """Return the force on a node, with its part of the forces on the tied nodes that it carries."""
+    """Return the force on a node, including its share of the forces on nodes tied to it."""
     force = sum_workers(pool, low, high, begin, n)
     for k in range(donor_starts[n], donor_starts[n + 1]):
         force += donor_weights[k] * sum_workers(pool, low, high, begin, donor_nodes[k])
@@ -150,8 +151,8 @@ def make_hold(real: Any):
     """Kernel over held nodes: sets velocities to the clamp's velocity while its track is active.
 
     `movable_out` is the inverse mass of nodes that contact may move, 0 for held nodes; `holder_out`
-    is the row of the clamp that holds a node. Nodes that an active clamp in `others` holds are left
-    to that clamp, so that the work of each clamp belongs to the velocity that its nodes end with.
+    is the row of the clamp that holds a node. This clamp ignores nodes that an active clamp in
+    `others` holds, so that the work of each clamp is computed with the final velocity of its nodes.
     """
     t = types(real)
 
@@ -200,9 +201,9 @@ def make_pin(real: Any):
 
     The quadratic B-spline of the pair vanishes at the clamp's surface if the held node moves at
     `ratio` times the velocity of the free node relative to the clamp. Momenta are projected onto
-    motions of this kind, as in the columns of a wall (phy124/kernels/columns.py). If another
-    clamp holds the free node, only the held node moves; if another clamp holds the held node,
-    neither does.
+    motions of this kind, as in the columns of a wall (phy124/kernels/columns.py). If another clamp
+    holds the free node, only the velocity of the held node changes; if another clamp holds the held
+    node, neither velocity changes.
     """
     t = types(real)
 

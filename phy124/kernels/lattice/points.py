@@ -1,4 +1,5 @@
-"""Integration points: their position, velocity and deformation from the nodes, and pushes on nodes.
+"""Integration points: computes their motion from the nodes, and the forces that they exert on
+nodes.
 
 The 27 nodes of a cell form nine rows of three nodes along z; `rows` holds the first node of each
 row. `offset` is a point's position relative to the first node of its cell [cells]. Eight

@@ -72,7 +72,7 @@ normal, the distance of the point and the friction coefficient.
 
 @wp.func
 def there_and_back(step: int, count: int):
-    """Return the place in a list of the point that a pass visits, forwards and then back."""
+    """Return the list index of the point that a pass visits; a pass goes forwards, then back."""
     if step < count:
         return step
     return 2 * count - 1 - step

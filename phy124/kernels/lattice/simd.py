@@ -2,8 +2,8 @@
 
 A thread processes a block of sixteen cells, which `order` [blocks,16] lists: first all full cells,
 then the others. The cells of a block lie far apart, so that no two of them write to the same node
-at nearly the same time. `packed` [blocks,8,4,16] stores the three components of `offset` and the
-volume of each point, each for all sixteen cells of a block in a row.
+at nearly the same time. `packed` [blocks,8,4,16] stores the three components of `offset`, and the
+volume, of each point. Each of these numbers is stored for the sixteen cells of a block in a row.
 """
 
 import itertools
@@ -82,7 +82,7 @@ def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
 
 @build_once
 def make_stress_simd(law: Law, viscous: bool):
-    """Kernel over blocks of sixteen cells: works like `make_stress`, for float32 on a CPU.
+    """Kernel over blocks of sixteen cells, equivalent to `make_stress`, for float32 on a CPU.
 
     If the law is viscous, the kernel also raises the maxima, as `make_measure_simd` does.
     """
@@ -118,7 +118,7 @@ def make_stress_simd(law: Law, viscous: bool):
 
 @build_once
 def make_measure_simd():
-    """Kernel over blocks of sixteen cells: works like `make_lattice_measure`, for float32."""
+    """Kernel over blocks of sixteen cells, equivalent to `make_lattice_measure`, for float32."""
 
     @native_kernel(
         "phy124_lattice_measure_simd",
@@ -143,7 +143,7 @@ def make_measure_simd():
 
 @build_once
 def make_follow_simd():
-    """Kernel over blocks of sixteen cells: works like `make_follow`, for float32."""
+    """Kernel over blocks of sixteen cells, equivalent to `make_follow`, for float32."""
 
     @native_kernel(
         "phy124_lattice_follow_simd",
@@ -173,7 +173,7 @@ def make_follow_simd():
 
 @build_once
 def make_locate_simd():
-    """Kernel over blocks of sixteen cells: works like `make_locate`, for float32."""
+    """Kernel over blocks of sixteen cells, equivalent to `make_locate`, for float32."""
 
     @native_kernel("phy124_lattice_locate_simd", code("lattice", "lattice:locate"), seconds=0.6)
     def lattice_locate_simd(
@@ -196,7 +196,7 @@ def make_locate_simd():
 
 @build_once
 def make_kick_simd():
-    """Kernel over runs of `NODES` nodes: works like `make_kick`, for float32."""
+    """Kernel over runs of `NODES` nodes, equivalent to `make_kick`, for float32."""
     return native_kernel("phy124_lattice_kick_simd", code("lattice:kick"), seconds=0.3)(
         make_kick(wp.float32).func
     )
@@ -204,7 +204,7 @@ def make_kick_simd():
 
 @build_once
 def make_drift_simd():
-    """Kernel over runs of `NODES` nodes: works like `make_drift`, for float32."""
+    """Kernel over runs of `NODES` nodes, equivalent to `make_drift`, for float32."""
     return native_kernel("phy124_lattice_drift_simd", code("lattice:drift"), seconds=0.3)(
         make_drift(wp.float32).func
     )

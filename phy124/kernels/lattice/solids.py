@@ -159,9 +159,9 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
     """Kernel of one thread: finds points near a solid, and applies the last substep's impulses.
 
     `gap_out` is the normal and the distance of each listed point, infinite for points out of reach;
-    `place_out` is the position of each listed point. At the edges of a box, where the body is flat,
-    the normal comes from `side`, the point's own normal: the normal of the box turns at its edges,
-    which would stop a sliding box.
+    `place_out` is the position of each listed point. Where a flat body touches an edge of a box,
+    the normal is taken from `side`, the normal of the body at the point. The normal of the box
+    rotates at its edges, which would stop a sliding box.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike

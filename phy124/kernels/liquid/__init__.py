@@ -1,4 +1,5 @@
-"""Liquids by pressure projection: incompressible flow on a staggered grid, with particles.
+"""Liquids whose pressure is computed by projection: incompressible flow on a staggered grid, with
+particles.
 
 The x component of the velocity is stored at the centre of each cell's low x face; y and z likewise.
 Pressure, density and distance from the surface are stored at cell centres. A step is

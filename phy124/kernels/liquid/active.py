@@ -42,7 +42,8 @@ def make_sweep(real: Any):
 
 @build_once
 def make_count_active(real: Any):
-    """Kernel over parts of the columns: merges workers' ranges, widens them and counts their cells.
+    """Kernel over parts of the columns: merges the workers' ranges of cells, widens them and counts
+    the cells.
 
     Unless the argument `all` is set, cells whose B-spline lies inside walls are not counted.
     """

@@ -66,7 +66,7 @@ def make_moments(real: Any):
 
 @wp.func
 def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size: wp.vec3i):
-    """Return, of the cell `n` and the next cell behind its more open face, the one with more mass.
+    """Of the cell `n` and the next cell behind its more open face, return the cell with more mass.
 
     `row` is positive if the low face of the two opposite faces is more open.
     """
@@ -82,8 +82,8 @@ def make_yield(real: Any):
 
     `free` is the number of solids before the first body, `scale` is rho dx^3 [kg], and `present`
     has the rigid motions of all solids at the start of the step. `x_guess` holds the last solution.
-    In a step of length dt, a surface responds to a change of the pressure like a mass: its own plus
-    `stiffness` dt^2 [kg].
+    In a step of length dt, a surface responds to a change of the pressure like a mass: the
+    surface's mass plus `stiffness` dt^2 [kg].
     """
     t = types(real)
 
@@ -137,7 +137,7 @@ def make_yield(real: Any):
 def make_answer(real: Any):
     """Kernel over solids and bodies: writes their rigid motions, and sums the pressure's impulses.
 
-    `impulses_out` has the impulse on each of them and its moment about the origin.
+    `impulses_out` contains the impulse on each solid or body, and its moment about the origin.
     """
     t = types(real)
 
@@ -174,7 +174,8 @@ def make_answer(real: Any):
 def make_body_change(real: Any):
     """Kernel over a region's cells: computes a body's velocity change by the pressure [m/s].
 
-    `pressed` has the impulse on the surface in each cell, which acts on the mass at the surface.
+    `pressed` contains the impulse on the surface in each cell, which acts on the mass at the
+    surface.
     """
     t = types(real)
 

@@ -80,7 +80,7 @@ def mass_with_outside(
 
 @wp.func
 def gain_at(gains: wp.array(dtype=Any), n: int, axis: int, step: int, count: int):
-    """Return the velocity change by forces on particles at a face, from both of its cells."""
+    """Return how forces on particles change the velocity at a face, from the face's two cells."""
     total = gains[n] + gains[n - step]
     for k in range(n + count, gains.shape[0], count):
         total += gains[k] + gains[k - step]
@@ -147,10 +147,11 @@ def make_face_work(real: Any):
 
 @build_once
 def make_wall_work(real: Any):
-    """Kernel of one thread: adds the work of all walls in a step so far to `sums_out`.
+    """Kernel of one thread: adds the work that all walls have done since the step began to
+    `sums_out`.
 
-    `at` is the index of the work that is computed with the walls' velocities; the next sum is the
-    work that is computed with the liquid's velocities.
+    `at` is the index of the sum computed with the walls' velocities; the next sum is computed with
+    the liquid's velocities.
     """
     t = types(real)
 
@@ -195,8 +196,8 @@ def make_shift_work(real: Any):
 def make_push_work(real: Any):
     """Kernel at the end of a step: adds impulse and work of forces on particles to `EXCHANGE` sums.
 
-    `v_kept` and `C_kept` are from before the forces, `v_pushed` and `C_pushed` from after them; the
-    arrays of C are empty if no force changes C.
+    `v_kept` and `C_kept` are the values before the forces act, `v_pushed` and `C_pushed` those
+    afterwards; the arrays of C are empty if no force changes C.
     """
     t = types(real)
 

@@ -1,4 +1,5 @@
-"""Cells of a window of the staggered grid: their indices and sums, and the particles' extent.
+"""Indexing of the cells in a window of the staggered grid, their sums, and the extent of the
+particles.
 
 A vector for each cell holds the values of its three low faces and of its centre.
 """

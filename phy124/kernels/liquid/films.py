@@ -23,8 +23,8 @@ from phy124.kernels.liquid.walls import centre_of, point, solid_face
 def make_contact(real: Any):
     """Kernel over a region's cells: computes the area of a body's contact with fixed walls.
 
-    `still` has the open share of each face if bodies are ignored. The areas have the same signs as
-    the rows that `make_jumps` writes.
+    `still` contains the open share of each face if bodies are ignored. The areas have the same
+    signs as the rows that `make_jumps` writes.
     """
     t = types(real)
 
@@ -92,8 +92,8 @@ def make_layers(real: Any):
 def weight_at(x: Any, a: Any, dt: Any, dx: Any, low: Any, heads: wp.array(dtype=Any)):
     """Return the hydrostatic q at a point, up to a constant.
 
-    `heads` has the weight of the liquid below each layer, relative to the mean density; it is empty
-    if there is a single density.
+    `heads` contains the weight of the liquid below each layer, relative to the mean density; it is
+    empty if all liquids have one density.
     """
     if heads.shape[0] == 0:
         return dt / dx * wp.dot(a, x)
@@ -108,10 +108,10 @@ def weight_at(x: Any, a: Any, dt: Any, dx: Any, low: Any, heads: wp.array(dtype=
 
 @build_once
 def make_head(real: Any):
-    """Kernel over cells: sums q less its hydrostatic part around a body's contact with walls.
+    """Kernel over cells: sums q minus its hydrostatic part around a body's contact with walls.
 
     A contact's direction is that in which a film pushes the body: -x, +x, -y, +y, -z or +z.
-    `rows_out` [6] has three numbers for each direction: the sum, over the cells next to the
+    `rows_out` [6] contains three numbers for each direction: the sum, over the cells next to the
     contact, weighted by the area of the body's surface in each cell; the total of these areas; and
     the area of the contact.
     """

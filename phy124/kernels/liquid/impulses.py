@@ -90,7 +90,7 @@ def head_along(
     dense: wp.array(dtype=Any),
     dx: Any,
 ):
-    """Return q at a distance `way` [m] along an axis from a cell's centre, less q at the centre."""
+    """Return the difference of q between a cell's centre and `way` [m] from it along an axis."""
     change = kick * way * a[axis] / dx * dense[n][CENTRE]
     if gains.shape[0] > 0:
         gain = gain_in(gains, n, dense.shape[0])
@@ -131,7 +131,7 @@ def make_gains(real: Any):
 def make_wall_impulses(real: Any):
     """Kernel over parts of the listed cells: adds the impulses of pressure to `sums_out`.
 
-    `pressed_out` gets the opposite impulses, those on bodies, for walls from index `bodies` on.
+    `pressed_out` receives the opposite impulses, on bodies, for walls from index `bodies` on.
     """
     t = types(real)
 

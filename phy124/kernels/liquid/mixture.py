@@ -33,8 +33,8 @@ def between(a: Any, b: Any):
 def make_mix(real: Any):
     """Kernel over cells: computes a property's volume average at the centre and the low faces.
 
-    `fills` has the sums of volume times property, and `cells` has the sums of the volume. Without
-    any liquid the mean is 1.
+    `fills` contains the sums of volume times property, and `cells` the sums of the volume. In a
+    cell without liquid, the mean is 1.
     """
     t = types(real)
     vec8 = sums(real)

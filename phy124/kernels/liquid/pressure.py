@@ -26,7 +26,7 @@ COMPRESSIBLE = wp.constant(1.0e-6)
 
 @wp.func
 def beyond(here: Any, there: Any):
-    """Return the first cell's distance from the surface over the distance between the cells."""
+    """Return the first cell's distance from the surface, divided by the cells' distance."""
     if here >= type(here)(0.0):
         return type(here)(NEAREST)
     apart = here - there
@@ -39,8 +39,8 @@ def beyond(here: Any, there: Any):
 def make_assemble(real: Any):
     """Kernel over cells: computes the matrix of the pressure equation, symmetric and positive.
 
-    `diagonal_out` is zero in cells without liquid; `links_out` has the entries towards the next
-    cells along the three axes.
+    `diagonal_out` is zero in cells without liquid; `links_out` contains the matrix entries that
+    link a cell to the next cells along the three axes.
     """
     t = types(real)
 
@@ -205,8 +205,8 @@ def make_gradient(real: Any):
     """Kernel over cells: subtracts the differences of q from the velocities of the low faces.
 
     If `shifts` is above 0, the kernel writes only the negated differences, as displacements [m] of
-    at most `shifts` cells. `known_out` gets a bit for each open face that touches liquid; other
-    faces become zero.
+    at most `shifts` cells. `known_out` receives a bit for each open face that touches liquid;
+    velocities of other faces become zero.
     """
     t = types(real)
 

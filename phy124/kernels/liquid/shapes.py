@@ -103,7 +103,9 @@ def raw_level(full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, dx
 
 @wp.func
 def way_out(shares: wp.array(dtype=Any), n: int, size: wp.vec3i):
-    """Return the step from a cell to that neighbour, of 26, to which walls lead outwards."""
+    """Return the step from a cell inside walls to one of its 26 neighbours, in the direction out of
+    the walls.
+    """
     slopes = wp.vector(type(shares[n][1])(0.0), type(shares[n][1])(0.0), type(shares[n][1])(0.0))
     for axis in range(3):
         step = stride(axis, size)
@@ -139,8 +141,9 @@ def level_near(
 def make_body_level(real: Any):
     """Kernel over the cells of a region: computes the distance from a body's surface [cells].
 
-    A body that touches a wall continues in it, so no liquid gets between both. The surface is
-    shifted outwards by `shift` [cells]. The body's volume [cells] is added to `volumes_out`.
+    A body that touches a wall is continued inside the wall, so that no liquid gets between them.
+    The surface is shifted outwards by `shift` [cells]. The body's volume [cells] is added to
+    `volumes_out`.
     """
     t = types(real)
 
@@ -194,8 +197,8 @@ def level_at(level: wp.array(dtype=Any), s: Any, size: wp.vec3i):
 def make_body_volume(real: Any):
     """Kernel over a region's cells: sums the volume inside a body's surface and outside walls.
 
-    `volumes_out` gets the volume [cells], and its change if the surface is shifted by a cell.
-    `vacant` has the fraction of each eighth of a cell that is outside walls.
+    `volumes_out` receives the volume [cells], and its change if the surface is shifted by a cell.
+    `vacant` contains the fraction of each eighth of a cell that is outside walls.
     """
     t = types(real)
 

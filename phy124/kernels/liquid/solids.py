@@ -262,7 +262,7 @@ def make_predict(real: Any):
 
 @build_once
 def make_respond(real: Any):
-    """Kernel of one thread: applies to a solid the opposite of its impulses on the liquid.
+    """Kernel of one thread: applies the opposite of a solid's impulses on the liquid to the solid.
 
     `total_out` sums the impulses on the liquid, as phy124/kernels/free does.
     """

@@ -88,7 +88,7 @@ def whole(velocity: wp.array(dtype=Any), n: int, axis: int, size: wp.vec3i):
 
 @wp.func
 def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size: wp.vec3i):
-    """Return the direction away from walls at the point `at` half cells from a cell's corner."""
+    """Return the direction away from walls at a point, `at` half cells from a cell's corner."""
     n = wp.vector(
         distances[point(cell, at[0] + 1, at[1], at[2], size)]
         - distances[point(cell, at[0] - 1, at[1], at[2], size)],
@@ -104,7 +104,7 @@ def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size
 def make_slide(real: Any):
     """Kernel over cells: makes faces inside walls follow the wall; applies friction next to walls.
 
-    `frictions` has a row for each wall: the coefficient of friction, and 1 if the wall is sticky.
+    `frictions` contains, for each wall, the coefficient of friction, and 1 if the wall is sticky.
     The impulse of friction on the liquid is added to `sums_out`; `weight` is the mass of a full
     cell [kg] of the relative density 1. If `rubs` is 2, viscosity (`viscous`) makes the liquid
     stick, and this kernel acts only inside walls.

@@ -99,7 +99,8 @@ def level(
     size: wp.vec3i,
     dx: Any,
 ):
-    """Return the fill of a cell, its centre's distance from the surface, and 1 if it is liquid.
+    """Return the fill of a cell, the distance of its centre from the surface, and 1 if the cell is
+    liquid.
 
     A layer on a wall is liquid, and counts as full, even if its surface is below the centre of its
     cells. The exception is a layer so thin that its particles count as drops. The spline of a cell
@@ -144,10 +145,10 @@ def level(
 def make_levels(real: Any):
     """Kernel over cells: converts sums to velocities, densities, and the distance to the surface.
 
-    `known_out` has a bit for each face that has a velocity, `liquid_out` is 1 in cells of liquid,
-    `hats_out` the share of the linear kernel that is filled, including solid. `phi_out` is the
-    distance to the surface [cells], negative in the liquid. The kernel of the levels also applies
-    the uniform acceleration.
+    `known_out` contains a bit for each face that has a velocity. `liquid_out` is 1 in cells of
+    liquid. `hats_out` is the share of the linear kernel that is filled, including solid. `phi_out`
+    is the distance to the surface [cells], negative in the liquid. The kernel of the levels also
+    applies the uniform acceleration.
     """
     t = types(real)
     vec8 = sums(real)

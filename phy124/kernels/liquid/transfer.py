@@ -1,9 +1,10 @@
 """Transfers between particles and the faces of a staggered grid: APIC with quadratic B-splines.
 
-The components of the velocity live at different points, so each has weights of its own. A particle
-reaches 4 x 4 x 4 cells. Along an axis, the weights of faces and centre differ only by a shift of
-half a cell, which makes some of the four weights zero (Jiang et al. 2015, "The affine
-particle-in-cell method"). The readable form serves GPUs and float64, native/liquid.h CPU cores.
+The components of the velocity are stored at different points, so each component has separate
+weights. A particle reaches 4 x 4 x 4 cells. Along an axis, the weights of faces and centre differ
+only by a shift of half a cell, which makes some of the four weights zero (Jiang et al. 2015, "The
+affine particle-in-cell method"). GPUs, and runs in float64, use the readable form in this file;
+CPUs use native/liquid.h.
 """
 
 from typing import Any

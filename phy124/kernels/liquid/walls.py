@@ -97,10 +97,10 @@ def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
 def make_wall_distance(shape: str, real: Any):
     """Kernel over points at half the spacing: stores the walls' distance if it is smaller.
 
-    `walls` has the indices of the walls, which are stored in the points nearest to them;
-    `geometries` has their shapes. `slots` has the index of each wall's displacement, or 0 for a
-    wall that never moves. A wall whose track has ended has no effect. The points are those of a
-    region of the window; `region` is the region's first cell and its size.
+    `walls` contains the indices of the walls, which are stored in the points nearest to them;
+    `geometries` contains their shapes. `slots` contains the index of each wall's displacement, or 0
+    for a wall that never moves. A wall whose track has ended has no effect. The points are those of
+    a region of the window; `region` is the region's first cell and its size.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -187,7 +187,8 @@ def wall_across(
 
     The wall that closes a face is the one nearest to the face's middle. Where walls meet, nine
     points on the face are compared: the result is the wall nearest to the point at which the
-    distance changes most along the axis. At the bottom of a tank it is the floor, not a side.
+    distance changes most along the axis. At the bottom of a tank, for example, the result is the
+    floor, not a side.
     """
     points = halves(size)
     middle = solid_face(cell, axis, jump, size)
@@ -209,7 +210,8 @@ def wall_across(
 
 @build_once
 def make_openings(shape: str, real: Any):
-    """Kernel over cells: multiplies low faces' open shares by the shares that walls leave open.
+    """Kernel over cells: multiplies the open shares of low faces by the shares that walls leave
+    open.
 
     For a plane, the open share follows from the distances at the face's corners; for other shapes,
     from 64 points of the face, since distances are not linear at edges. The product is exact where
@@ -230,7 +232,7 @@ def make_openings(shape: str, real: Any):
         values: wp.array(dtype=t.vec4),
         frame: Doubles,
     ):
-        """Return the distance at a point of a face that is a and b [m] from the middle."""
+        """Return the distance at a point of a face, which is a and b [m] from the middle."""
         x = middle
         x[(axis + 1) % 3] = middle[(axis + 1) % 3] + a
         x[(axis + 2) % 3] = middle[(axis + 2) % 3] + b
@@ -320,7 +322,8 @@ def make_openings(shape: str, real: Any):
 
 @build_once
 def make_eighths(shape: str, real: Any):
-    """Kernel over eighths of cells: multiplies open fractions by those that each wall leaves open.
+    """Kernel over eighths of cells: multiplies the open fractions by the fraction that each wall
+    leaves open.
 
     The product is exact where walls are perpendicular to each other. The arguments are the same as
     those of the kernel of `make_wall_distance`.
@@ -417,17 +420,19 @@ def make_solid_shares(real: Any):
 def make_push_out(shape: str, real: Any):
     """Kernel: moves particles out of all walls of a shape and stops them there.
 
-    `walls` has the indices of the shape's walls in `slots` and `frictions`, which are tables of all
-    walls; `geometries` has their dimensions. A wall stops the normal velocity, and reduces the
-    tangential velocity by up to the coefficient of friction times the normal velocity. The impulse
-    on the particles and its work are added to `sums_out`.
+    `walls` contains the indices of the shape's walls in `slots` and `frictions`, which are tables
+    of all walls; `geometries` contains their dimensions. A wall stops the normal velocity, and
+    reduces the tangential velocity by up to the coefficient of friction times the normal velocity.
+    The impulse on the particles and its work are added to `sums_out`.
     """
     t = types(real)
     distance = SHAPES[shape]
 
     @wp.func
     def stop(v: t.vec3, u: t.vec3, normal: t.vec3, friction: real):
-        """Return v after contact with a wall of velocity u, which stops motion into it and rubs."""
+        """Return the velocity v after contact with a wall of velocity u, which stops motion into
+        the wall and exerts friction.
+        """
         along = wp.dot(v - u, normal)
         if along >= real(0.0):
             return v

@@ -1,9 +1,9 @@
 """Device functions in C++, for features that Warp lacks: CPU vector units, some GPU atomics.
 
 A file `NAME.h` in this folder holds bodies of functions, whose arguments have the names in the
-Python signature. A line `//: PIECE` begins a piece of the file. The text becomes part of a Warp
-module, and therefore of its hash: a module whose text has changed is compiled again. Inside a body
-`float(x)` and `int(x)` are macros of Warp, so casts are written in C style.
+Python signature. A line `//: PIECE` begins a named piece of the file. The text becomes part of a
+Warp module, and therefore of its hash: a module whose text has changed is compiled again. Inside a
+body `float(x)` and `int(x)` are macros of Warp, so casts are written in C style.
 
 For each C++ function, a plain form in Python defines the result, and a test compares the two forms;
 the head of each file names the plain form and the test.
@@ -68,8 +68,8 @@ def native_kernel(
 ) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that adds a kernel to a Warp module; the kernel only calls C++.
 
-    The decorated function declares the parameters. The decorated function is a stub, or the
-    function of the kernel in plain form (`plain.func`).
+    The decorated function declares the parameters. The decorated function has no code of its own,
+    or is the plain form of the kernel (`plain.func`).
 
     Args:
         module: The module's name.

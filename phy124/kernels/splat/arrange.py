@@ -1,4 +1,4 @@
-"""Glass solids as a camera sees them: their outlines, and their order relative to the Gaussians."""
+"""Computes glass solids' outlines on the screen, and their order relative to the Gaussians."""
 
 import warp as wp
 
@@ -26,8 +26,8 @@ def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
     """Return the rank of a solid seen from `eye`: in front of, among or behind a box's contents.
 
     The rank is BEFORE or BEHIND if the plane of one of the solid's faces separates the solid from
-    the box. If the eye is on the box's side, no ray to the box meets the solid before the box; else
-    every ray leaves the solid before it reaches the box.
+    the box. If the eye is on the same side as the box, no ray to the box meets the solid before the
+    box. Otherwise every ray leaves the solid before it reaches the box.
     """
     if not (finite(low[0] + low[1] + low[2]) and finite(high[0] + high[1] + high[2])):
         return AMONG
@@ -78,9 +78,9 @@ def faces_camera(view: View, solid: Solid, axis: int, upper: bool) -> bool:
 def outline(view: View, solid: Solid) -> Outline:
     """Return the outline of a solid on the screen.
 
-    The sides of an outline are the edges of the solid's box between a face that faces the camera
-    and one that does not, moved outwards by half a pixel. A box around the camera, or partly behind
-    it, has no outline.
+    An outline consists of the box's edges between a face that faces the camera and a face that does
+    not. The edges are moved outwards by half a pixel. A box around the camera, or partly behind it,
+    has no outline.
     """
     seen = Outline()
     seen.nearest = float(1.0e30)

@@ -74,7 +74,7 @@ def first_pixel(edge: float, size: int) -> int:
 
 @wp.func
 def box_around(mean: wp.vec2, reach: wp.vec2, view: View) -> wp.vec4i:
-    """Return the box of pixels whose centres are within `reach` of the mean; may be empty."""
+    """Return the box, perhaps empty, of pixels whose centres are within `reach` of the mean."""
     return wp.vec4i(
         first_pixel(mean[0] - reach[0], view.width),
         first_pixel(mean[1] - reach[1], view.height),
@@ -136,7 +136,7 @@ def project(
     order_out: wp.array(dtype=int),
     corners_out: wp.array2d(dtype=int),
 ):
-    """Project one Gaussian per thread; `corners_out` has +-1 at the corners of tile rectangles."""
+    """Project one Gaussian per thread; +-1 at corners of tile rectangles go to `corners_out`."""
     i = wp.tid()
     p = view.rotation * means[i] + view.translation
     splat = splat_of(p, quats[i], scales[i], opacities[i], view)

@@ -67,7 +67,9 @@ def alpha_at(splat: Splat, x: int, y: int) -> float:
 
 @wp.func
 def tiles_of(splat: Splat) -> wp.vec4i:
-    """Return the tiles that a splat's box touches: first column and row, one past the last ones."""
+    """Return the tiles that a splat's box touches: first column and row, and one past the last
+    column and row.
+    """
     box = splat.box
     if box[2] <= box[0] or box[3] <= box[1]:
         return wp.vec4i(0, 0, 0, 0)

@@ -87,7 +87,8 @@ def draw_setting(
     # in place: light of the Gaussians, then the finished frame
     image_out: wp.array(dtype=wp.vec3),
 ):
-    """Draw the surroundings, one thread per pixel: a readable `blend_staged_simd`, also for GPUs.
+    """Draw the surroundings, one thread per pixel; this is the plain form of `blend_staged_simd`,
+    and runs on GPUs, too.
 
     The solids are sorted by depth; the first `before` of them are in front of all Gaussians.
     """

@@ -79,8 +79,8 @@ def capture(
 
 
 def adapt_scene(file: PlyFile, scene: Scene, *, count: int | None = None) -> Scene:
-    """Return the scene as `capture` adapts it; the file is read only if the result depends on the
-    file.
+    """Return the scene after the changes of `capture`; the file is read only if the result depends
+    on it.
 
     Raises:
         InputError: The file cannot be read, or no floor is found.

@@ -79,7 +79,7 @@ def _fit_colours(
     photograph: Photograph,
     each: Callable[[], object],
 ) -> Gaussians:
-    """Fit colours by least squares; the colours of nearby pixels of the photograph are the bounds.
+    """Fit colours by least squares, within the range of colours of nearby pixels of the photograph.
 
     Let W map colours to pixels. Each step adds a Gaussian's mean residual, W^T r / W^T 1, to its
     colour (SIRT), with Nesterov's momentum.

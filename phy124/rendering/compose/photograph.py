@@ -50,7 +50,8 @@ class Photograph:
 
     @classmethod
     def of(cls, picture: Image.Image, cutout: Image.Image) -> Photograph:
-        """Combine a picture (white where it is transparent) with its cut-out; sizes may differ.
+        """Combine a picture, white where it is transparent, with its cut-out; their sizes may
+        differ.
 
         Raises:
             InputError: The cut-out is empty.

@@ -131,7 +131,7 @@ def _finite(points: NDArray) -> NDArray[np.bool_]:
 def boundaries_of(clip: Clip) -> Sequence[Boundary]:
     """Return the boundaries of a clip's scene, except those from plug-ins that are not installed.
 
-    Known plug-ins are those that are registered, and those whose class this program defines.
+    A plug-in is known if it is registered, or if this program defines its class.
     """
     defined = {kind.model_fields["kind"].default: kind for kind in _kinds(Boundary)}
     known: list[Any] = []
@@ -174,8 +174,8 @@ def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
 def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Glass]:
     """Yield the optical depth of each glass solid for two layers of the shadow map.
 
-    The layers are those below and above the solid's lowest point; weights that add up to 1
-    interpolate between their heights.
+    The two layers are just below and just above the solid's lowest point. Weights that add up to 1
+    interpolate between the layers' heights.
     """
     for solid in solids:
         x, y, z = solid.centre.tolist()

@@ -45,7 +45,7 @@ class Surroundings:
     them."""
 
     def __init__(self, device: Any, *, simd: bool) -> None:
-        """Start empty on a Warp device; with `simd`, a CPU draws 16 pixels at a time."""
+        """Create an empty stage on a Warp device; with `simd`, a CPU draws 16 pixels at a time."""
         self.device, self.simd = device, simd
         self._uploaded: WeakKeyDictionary[StageFrame, Uploaded] = WeakKeyDictionary()
         self._picture: tuple[Any, wp.array] | None = None

@@ -1,8 +1,8 @@
 """Computes the shadow of Gaussians on the floor by projecting them along the light.
 
 The floor is lit by a soft lamp above and by the sky of a room. Gaussians are projected along the
-lamp's direction, as splats are (Zwicker et al. 2001), into layers by height; seen from the floor, a
-layer hides the layers above it. A layer at height h then dims
+lamp's direction, like splats (Zwicker et al. 2001), and sorted into layers by height. Seen from the
+floor, a layer hides the layers above it. A layer at height h then dims
 
 - the lamp: by its coverage, blurred by a Gaussian of standard deviation `SOFTNESS` h, the lamp's
   image through a hole at that height;

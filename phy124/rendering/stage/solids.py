@@ -50,7 +50,7 @@ class PlacedWall:
 
     @property
     def height(self) -> float:
-        """Height of the wall's reference point at rest, m."""
+        """Height of the wall's reference point before the wall moves [m]."""
         return float(self.shape[0][2])
 
     def displacements(self, times: NDArray) -> NDArray[np.float64]:
@@ -153,8 +153,8 @@ def _panel(wall: PlacedWall) -> Solid:
 
 
 def _frame_of(normal: NDArray) -> NDArray[np.float64]:
-    """Return three unit axes [3,3]: the normal, then one that is horizontal if possible, then the
-    third.
+    """Return three unit axes [3,3]: the normal, an axis that is horizontal if possible, and the
+    third axis.
     """
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < LEVEL else np.array([1.0, 0.0, 0.0])
     second = np.cross(up, normal)

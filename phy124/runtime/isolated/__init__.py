@@ -43,7 +43,7 @@ PATIENT = Deadline()
 
 
 class Unfinished(Exception):
-    """Raised if the process took too long or crashed; its message is the end of a sentence."""
+    """Raised if the process took too long or crashed; the message completes a sentence."""
 
 
 class RemoteTraceback(Exception):
@@ -116,7 +116,7 @@ def _answer(child: subprocess.Popen[bytes], order: bytes, deadline: Deadline) ->
 
 
 def _talk(child: subprocess.Popen[bytes], order: bytes, answers: queue.SimpleQueue[bytes]) -> None:
-    """Send the order and read the answer; each happens in a thread, because both may block."""
+    """Send the order and read the answer, each in a thread, because both may block."""
     assert child.stdin is not None and child.stdout is not None
     answer = b""
     with suppress(OSError), child.stdin as orders, child.stdout as output:

@@ -90,7 +90,7 @@ def asks_for_commands(arguments: Sequence[str]) -> bool:
 
 
 def _registry() -> Any:
-    """Return the parser's rules: an option that may be absent is described by its values alone."""
+    """Return the parser's rules; an option that may be absent is described by its values."""
     from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
     registry = ConstructorRegistry()
@@ -152,7 +152,7 @@ def _no_help_texts() -> Iterator[None]:
 
 @contextmanager
 def _no_empty_defaults() -> Iterator[None]:
-    """Leave defaults that say nothing out of help texts: False of flags, None, and empty lists."""
+    """Leave uninformative defaults out of help texts: False for flags, None, and empty lists."""
 
     def wrap(describe: Callable[..., Any]) -> Callable[..., Any]:
         def describe_briefly(argument: Any, *rest: Any, **options: Any) -> Any:
@@ -194,7 +194,7 @@ def _wrap_functions(module: str, wrappers: Mapping[str, Callable[[Any], Any]]) -
 
 @contextmanager
 def _ensure_width() -> Iterator[None]:
-    """Lay out help texts at least `NARROWEST` characters wide; tyro never ends with less width."""
+    """Lay out help texts at least `NARROWEST` wide, since tyro hangs at a smaller width."""
     usual = os.environ.get("COLUMNS")
     if shutil.get_terminal_size().columns < NARROWEST:
         os.environ["COLUMNS"] = str(NARROWEST)

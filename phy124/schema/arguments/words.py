@@ -37,9 +37,9 @@ def split_operands(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str]:
     """Return the words with each option once; join repeated lists and drop repeated equal values.
 
-    Of a repeated option, argparse, which reads the command line, would silently use only the last
-    value. Operands are rewritten so that none looks like an option (`-x.png` becomes `./-x.png`),
-    because the parser (tyro) ignores `--` after a positional value.
+    If an option is repeated, argparse, which reads the command line, would silently use only its
+    last value. Operands are rewritten so that none looks like an option (`-x.png` becomes
+    `./-x.png`), because the parser (tyro) ignores `--` after a positional value.
 
     Raises:
         InputError: An option has two different values.

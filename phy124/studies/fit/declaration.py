@@ -38,7 +38,9 @@ def parse_range(data: Any) -> Any:
 
 
 def _kind(data: Any) -> str:
-    """Return the tag of a range's type; "even" for invalid data, which that type then refuses."""
+    """Return the tag of a range's type. For invalid data the tag is "even", whose type then refuses
+    the data.
+    """
     log = isinstance(data, LogUniform) or (isinstance(data, dict) and "log_uniform" in data)
     return "log" if log else "even"
 

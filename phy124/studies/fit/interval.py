@@ -2,8 +2,8 @@
 
 J is the Jacobian of the measurements in units of their errors. The Fisher matrix J^T J shows how
 precisely each direction in the space of values is determined: along an eigenvector with eigenvalue
-l, the standard error is 1 / sqrt(l). The half-width of an interval is the sum of two parts: one
-comes from a bootstrap over groups of measurements, the other is the effect of the grid's error.
+l, the standard error is 1 / sqrt(l). The half-width of an interval is the sum of two parts: the
+error from a bootstrap over groups of measurements, and the effect of the grid's error.
 
 Each bootstrap draw selects G of the G groups, with replacement, and makes one Gauss-Newton step
 from the fitted point. A Gauss-Newton step from the fitted point needs no simulation. Errors that

@@ -137,8 +137,8 @@ class Observations:
 def at_times(times: Values, values: Values, wanted: Values) -> Values:
     """Interpolate values at other times.
 
-    If all requested times are times of frames, the frames' values are returned; otherwise, a spline
-    is used.
+    If all requested times coincide with frames, the values of these frames are returned; otherwise
+    a spline is used.
 
     Args:
         times: Times of the values [T], s.

@@ -211,7 +211,7 @@ class Comparison:
 
 
 def difference(seen: NDArray[np.bool_], fitted: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return an image [H,W,3] that colours the pixels in both masks and those in only one mask."""
+    """Return an image [H,W,3] that shows pixels in both masks, and in only one, by colours."""
     picture = np.full((*seen.shape, 3), 255, np.uint8)
     picture[seen & fitted] = BOTH
     picture[seen & ~fitted] = ONLY_SEEN

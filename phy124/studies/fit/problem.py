@@ -1,6 +1,6 @@
 """Defines the search problem of a fit.
 
-A point of the unit cube stands for a set of values, with one axis per value. A problem predicts the
+A point of the unit cube represents a set of values, with one axis per value. A problem predicts the
 measurements for a point of the cube.
 """
 

@@ -1,4 +1,4 @@
-"""Reads the frames of a video or of a folder of images, and finds the object's mask in each."""
+"""Reads the frames of a video or a folder of images, and masks the object in each frame."""
 
 from __future__ import annotations
 

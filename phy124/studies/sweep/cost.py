@@ -143,7 +143,7 @@ class Remaining:
         self._moments += (1.0, work, seconds, work**2, work * seconds)
 
     def left(self, clips: int) -> float | None:
-        """Return the time for `clips` more clips [s]; None while too few clips are finished."""
+        """Return the time for `clips` more clips [s]; None until enough clips are finished."""
         count, work, seconds = self._moments[:3]
         if self._start is None or count < FEWEST:
             return None

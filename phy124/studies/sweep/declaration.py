@@ -88,7 +88,7 @@ class Uniform(Section):
         return self
 
     def draw(self, u: float) -> float:
-        """Return the value for u in 0..1; for uniform u, values have the declared distribution."""
+        """Return the value for u in 0..1; a uniform u gives values of the declared distribution."""
         return interpolate(*self.uniform, u)
 
 
@@ -105,7 +105,7 @@ class LogUniform(Section):
         return self
 
     def draw(self, u: float) -> float:
-        """Return the value for u in 0..1; for uniform u, values have the declared distribution."""
+        """Return the value for u in 0..1; a uniform u gives values of the declared distribution."""
         return interpolate(*self.log_uniform, u, log=True)
 
 
@@ -125,7 +125,7 @@ class Choice(Section):
         return self
 
     def draw(self, u: float) -> Any:
-        """Return the value for u in 0..1; for uniform u, values have the declared distribution."""
+        """Return the value for u in 0..1; a uniform u gives values of the declared distribution."""
         weights = self.weights or (1.0,) * len(self.choice)
         rest = u * sum(weights)
         for value, weight in zip(self.choice, weights, strict=True):

@@ -92,7 +92,7 @@ def _digest(address: str, stamp: object) -> str:
 def weights_of(generator: str) -> dict[str, str]:
     """Return digests of the weight files for a generator and for segmentation.
 
-    Only weight files on this machine are included.
+    Weight files that are not on this machine are left out.
     """
     if not needs_image(generator):
         return {}

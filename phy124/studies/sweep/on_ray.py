@@ -95,7 +95,7 @@ class _Tasks:
     def _reserve(self, order: Order) -> dict[str, float]:
         """Return the resources to reserve for a task.
 
-        The memory is capped at the largest node's memory, or the task would wait forever.
+        The memory is capped at the largest node's memory; otherwise the task would wait forever.
         """
         nodes = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         if order.needs.gpus and not any(node.get("GPU") for node in nodes):

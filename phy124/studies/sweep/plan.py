@@ -1,4 +1,4 @@
-"""Plans a sweep: computes the settings of a clip from its index, so no settings are stored."""
+"""Plans a sweep: the settings of a clip are computed from its index, so no settings are stored."""
 
 from __future__ import annotations
 

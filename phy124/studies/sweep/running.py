@@ -145,7 +145,7 @@ def _orders(
 
 
 def _refuse(storage: Storage, counts: Counts, item: Item, sentence: str) -> None:
-    """Write the row of a clip whose settings are invalid, with the key of the request."""
+    """Write the row of a clip whose settings are invalid, under the key of the request."""
     key = key_of_request(item.picture, item.generator, item.changes)
     write_row(storage, key, item, {"status": "refused", "sentence": sentence})
     counts.ended["refused"] += 1

@@ -1,4 +1,4 @@
-"""Makes one clip of a sweep, in any worker process, and writes its row last."""
+"""Makes one clip of a sweep, in any worker process; the clip's row is written last."""
 
 from __future__ import annotations
 

@@ -267,5 +267,5 @@ def prune(splats: Splats, *, opacity_min: float, extent: float) -> None:
 
 @torch.no_grad()
 def reset_opacity(splats: Splats) -> None:
-    """Cap all opacities at `RESET`; the optimisation then raises those that are needed."""
+    """Cap all opacities at `RESET`; the optimisation then raises the opacities that images need."""
     splats.overwrite("opacity", torch.logit(splats.opacities.clamp(max=RESET))[:, None])

@@ -64,8 +64,8 @@ class Lgm:
 
     `model` and `multiview` may be passed in for tests or for other weights; by default, weights are
     located by `phy124.weights.store`. With `align`, the result is rotated to match the image
-    (`find_front`); this costs a small rendering every `align_step` degrees and a second pass.
-    `steps`, `sampler` and `precision` are those of ImageDream's diffusion
+    (`find_front`). The alignment needs a small rendering every `align_step` degrees, and a second
+    pass. `steps`, `sampler` and `precision` are those of ImageDream's diffusion
     (`phy124.generators.options`).
     """
 

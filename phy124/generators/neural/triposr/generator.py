@@ -97,7 +97,7 @@ PRECISIONS = {
 
 
 def choose_set(folder: str | os.PathLike[str] | None = None) -> str:
-    """Return the first set of weights that is complete; if none is, the first set."""
+    """Return the first complete set of weights, or the first set if all are incomplete."""
     return next((name for name in SETS if is_complete(name, folder)), SETS[0])
 
 
@@ -119,9 +119,9 @@ def load_field(folder: str | os.PathLike[str] | None = None) -> Any:
 def load_onnx(encoder: Path, decoder: Path) -> Any:
     """Load the ONNX files of the encoder and of the decoder.
 
-    Two forms of decoder are public: one maps features to density and colour, the other one maps
-    the triplane and points. The encoder is opened for each image and released after it, since it
-    takes most of the memory.
+    Two forms of decoder are public: one maps features to density and colour, the other one maps the
+    triplane and points. The encoder takes most of the memory, so it is loaded for each image and
+    then released.
 
     Raises:
         InputError: If onnxruntime is not installed, or a file is unreadable or another network.

@@ -1,8 +1,8 @@
 """Problems with known solutions, for the same solver that makes clips.
 
-Each problem runs at one grid spacing, and yields the error of its result. Bars and columns are one
-particle thick. With nu = 0, or with both sides held, no quantity varies across a bar or column, so
-one row of particles represents the whole body.
+A function simulates a problem at one grid spacing, and returns the error of the result. Bars and
+columns are one particle thick. With nu = 0, or with both sides held, no quantity varies across a
+bar or column, so one row of particles represents the whole body.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def angular_momentum(solver: Solver) -> Array:
 
 
 def fall(position: Array, velocity: Array, time: float) -> Array:
-    """Return the exact positions in free fall: x + v t, minus g t^2 / 2 along z."""
+    """Return the exact positions in free fall: x + v t, with g t^2 / 2 subtracted along z."""
     return position + velocity * time - np.array([0, 0, GRAVITY * time**2 / 2])
 
 
@@ -170,7 +170,8 @@ def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float)
 class Vortex:
     """A ring with a manufactured motion (Kamojjala et al. 2015).
 
-    In one second, each circle in the ring rotates by an angle that depends on its radius, and back.
+    In one second, each circle in the ring rotates forth and back, by an angle that depends on the
+    circle's radius.
     """
 
     amplitude: float = 0.1

@@ -95,7 +95,9 @@ class Report:
 
     @property
     def _extent(self) -> str:
-        """A sentence about the time after which errors are unknown; empty if there is none."""
+        """A sentence about the time after which errors are unknown; empty if they are known at all
+        times.
+        """
         if self.until is not None:
             return (
                 f"The motions on different levels diverge after {self.until:.3g} s. "
@@ -135,7 +137,7 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
 
 
 def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int, int]) -> str:
-    """Recommend a level in a sentence, and compare it with the next finer level.
+    """Recommend a level in a sentence that also compares it with the next finer level.
 
     Args:
         rows: The settings that were run.

@@ -116,8 +116,7 @@ class Study:
     def _conclude_or_keep(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
         """Return the report of the finished settings.
 
-        If the comparison of the settings fails and `keep` is true, the report states the errors of
-        no setting.
+        If the comparison of the settings fails and `keep` is true, the report contains no errors.
         """
         try:
             return self._conclude(rows, skipped)
@@ -259,7 +258,7 @@ class Study:
     def _conclude_without_errors(
         self, rows: list[Row], skipped: tuple[str, ...], why: str
     ) -> Report:
-        """Return a report that states the errors of no setting, and the reason for this."""
+        """Return a report without errors, and with the reason why they are missing."""
         none, size = Convergence(None, why_not=why), self.scene.object.size
         promises = kept_promises(self.scene, self._proportions, tuple(rows), none)
         return Report(tuple(rows), skipped, none, size, why, promises)
@@ -319,7 +318,7 @@ def _lost_to(energy: dict[str, float] | None) -> dict[str, float] | None:
 
 
 def _without_torn(rows: list[Row], convergence: Convergence) -> Convergence:
-    """If no error is known, add the names of torn levels to the reason."""
+    """If no error is known, append the names of torn levels to the reason."""
     torn = ", ".join(row.name for row in rows if row.level and row.torn)
     if not torn or not convergence.why_not:
         return convergence

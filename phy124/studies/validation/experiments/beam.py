@@ -1,4 +1,4 @@
-"""Experiments: cantilevers with large bending by a weight at the tip or by their own weight.
+"""Experiments: cantilevers that bend far under a weight at the tip or under their own weight.
 
 The exact shape is Euler's elastica. The load grows in steps, and the beam comes to rest after each
 step.
@@ -117,7 +117,7 @@ def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
 
 
 def load_all(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return the force of gravity on the whole beam as a profile of rho g A L^3 / (E I).
+    """Return gravity on the whole beam; the values of the profile are rho g A L^3 / (E I).
 
     Args:
         width: Not used.

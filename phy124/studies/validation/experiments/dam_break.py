@@ -100,7 +100,8 @@ PASTE = 630.0
 
 
 def mean_speeds(time: NDArray[np.float64], front: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the front's mean speed dZ/dT between the positions `PASSAGE`, and during `PERIOD`.
+    """Return the front's mean speed dZ/dT, once between the positions `PASSAGE` and once during
+    `PERIOD`.
 
     Args:
         time: Times T = t sqrt(2 g / a).

@@ -1,4 +1,4 @@
-"""Defines an experiment: its published values, its simulation, and its outcome on three grids."""
+"""Defines an experiment: published values, simulation, and outcome on three grids."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ class Outcome:
 
     @property
     def control_holds(self) -> bool:
-        """Whether a value of the control is outside its band, so that the mistake is detected."""
+        """Whether the mistake is detected: some value of the control is outside its band."""
         return any(each.control_outside for each in self.estimates)
 
     @property
@@ -160,7 +160,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether no run failed, the control leaves a band, and all deviations have a reason."""
+        """Whether no run failed, the control left a band, and every deviation has a reason."""
         explained = not self.missed or bool(self.experiment.reason)
         return not self.failures and self.control_holds and explained
 

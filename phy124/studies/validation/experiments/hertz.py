@@ -115,12 +115,12 @@ def measure(cells: int, *, stiffer: float = 1.0) -> Values:
 
 
 def run(cells: int) -> Values:
-    """Simulate the correct material."""
+    """Measure with the correct material."""
     return measure(cells)
 
 
 def control(cells: int) -> Values:
-    """Simulate a material that is 1.3 times as stiff."""
+    """Control: measure with a material that is 1.3 times as stiff."""
     return measure(cells, stiffer=1.3)
 
 

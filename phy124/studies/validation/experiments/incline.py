@@ -68,7 +68,7 @@ def slide(cells: int, slope: float, friction: float, *, across: bool) -> float:
 
 
 def measure(cells: int, more: float) -> Values:
-    """Measure all accelerations, with `more` added to the coefficient of friction."""
+    """Measure all accelerations; `more` is added to the correct coefficient of friction."""
     return tuple(
         slide(cells, slope, mu + more, across=across)
         for across in (False, True)
@@ -77,12 +77,12 @@ def measure(cells: int, more: float) -> Values:
 
 
 def run(cells: int) -> Values:
-    """Measure with the correct coefficient of friction."""
+    """Measure the accelerations with the correct coefficient of friction."""
     return measure(cells, 0.0)
 
 
 def control(cells: int) -> Values:
-    """Measure with a coefficient of friction that is 0.05 too large."""
+    """Control: measure the accelerations with a coefficient of friction that is 0.05 too large."""
     return measure(cells, 0.05)
 
 

@@ -1,4 +1,4 @@
-"""Experiments with liquids by projection: sloshing in a tank, a viscous channel and a heap."""
+"""Experiments with projected liquids: sloshing, a viscous channel, a spreading heap."""
 
 from __future__ import annotations
 

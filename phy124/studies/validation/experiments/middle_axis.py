@@ -109,7 +109,7 @@ def tumble(cells: int, edges: Sequence[float]) -> Values:
 def _spin(solver: Solver) -> tuple[NDArray[np.float64], float]:
     """Return the angular velocity in the body's axes [3], rad/s, and twice the rotational energy.
 
-    The energy is that of particles with unit mass, as only ratios of energies are used.
+    The energy is computed for particles of unit mass, since only ratios of energies are used.
     """
     x, v = (a.numpy().astype(float) for a in (solver.state.x, solver.state.v))
     x, v, rest = x - x.mean(axis=0), v - v.mean(axis=0), solver.model.rest
@@ -122,12 +122,12 @@ def _spin(solver: Solver) -> tuple[NDArray[np.float64], float]:
 
 
 def run(cells: int) -> Values:
-    """Simulate the correct body."""
+    """Measure with the correct body."""
     return tumble(cells, EDGES)
 
 
 def control(cells: int) -> Values:
-    """Simulate a body whose second edge is a quarter longer, which flips at other times."""
+    """Control: measure with a body whose second edge is a quarter longer."""
     return tumble(cells, (EDGES[0], 1.25 * EDGES[1], EDGES[2]))
 
 

@@ -115,7 +115,7 @@ def run(cells: int) -> Values:
 
 
 def control(cells: int) -> Values:
-    """Simulate a material with another Poisson's ratio."""
+    """Control: measure with another Poisson's ratio."""
     return measure(cells, NU + 0.03)
 
 

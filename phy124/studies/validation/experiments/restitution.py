@@ -144,7 +144,7 @@ def run(cells: int) -> Values:
 
 
 def control(cells: int) -> Values:
-    """Measure the coefficients of restitution with twice the damping."""
+    """Control: measure the coefficients of restitution with twice the damping."""
     return tuple(bounce(cells, 2 * loss, DEEP).restitution for loss in LOSSES)
 
 

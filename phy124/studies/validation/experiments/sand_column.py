@@ -99,7 +99,7 @@ def run(cells: int) -> Values:
 
 
 def control(cells: int) -> Values:
-    """Measure the run-out of the three lowest columns, with too large an angle of friction."""
+    """Control: measure the three lowest columns with too large an angle of friction."""
     some = [collapse(cells, aspect, 50.0) for aspect in ASPECTS[:3]]
     return (*some, *[math.nan] * (len(ASPECTS) - len(some)))
 

@@ -58,12 +58,12 @@ def strike(cells: int, copper: Metal) -> Values:
 
 
 def run(cells: int) -> Values:
-    """Simulate the correct copper."""
+    """Measure with the correct copper."""
     return strike(cells, COPPER)
 
 
 def control(cells: int) -> Values:
-    """Simulate copper with a lower yield stress."""
+    """Control: measure with copper of a lower yield stress."""
     return strike(cells, COPPER.model_copy(update={"yield_stress": 300e6}))
 
 

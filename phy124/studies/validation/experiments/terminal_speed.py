@@ -62,12 +62,12 @@ def blow(cells: int, rate: float) -> Values:
 
 
 def run(cells: int) -> Values:
-    """Measure with the correct drag."""
+    """Measure the displacements and the final velocity with the correct drag."""
     return blow(cells, RATE)
 
 
 def control(cells: int) -> Values:
-    """Measure with a drag whose rate is 10 % too large."""
+    """Control: measure with a drag whose rate is 10 % too large."""
     return blow(cells, 1.1 * RATE)
 
 

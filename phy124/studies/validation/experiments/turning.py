@@ -44,7 +44,7 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def exact_period() -> float:
-    """Return the plate's period for the amplitude `ANGLE` [s], to fourth order in the angle."""
+    """Return the plate's period [s] at the amplitude `ANGLE`, to fourth order in the angle."""
     inertia = (PLATE[0] ** 2 + PLATE[2] ** 2) / 12 + HINGE**2
     small = 2 * math.pi * math.sqrt(inertia / (GRAVITY * HINGE))
     return small * (1 + ANGLE**2 / 16 + 11 * ANGLE**4 / 3072)
@@ -112,12 +112,12 @@ def _half_period(times: NDArray, places: NDArray) -> float:
 
 
 def run(cells: int) -> Values:
-    """Measure with the correct gravity."""
+    """Measure the acceleration and the period with the correct gravity."""
     return roll(cells, GRAVITY), swing(cells, GRAVITY)
 
 
 def control(cells: int) -> Values:
-    """Measure the acceleration and the period with gravity increased by 5 %."""
+    """Control: measure the acceleration and the period with gravity increased by 5 %."""
     return roll(cells, 1.05 * GRAVITY), swing(cells, 1.05 * GRAVITY)
 
 

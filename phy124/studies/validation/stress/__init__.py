@@ -1,4 +1,4 @@
-"""Stress tests: extreme inputs and motions, with bounds on the results that must hold.
+"""Stress tests: extreme inputs and motions, whose results must stay within bounds.
 
 `phy124 stress` runs all cases on this machine's devices, and the tests run the same cases.
 docs/lab/stability.md lists the bounds with their reasons.

@@ -32,7 +32,7 @@ def quick(setting: Setting, **changes: object) -> Scene:
 
 
 def broken_numbers(setting: Setting) -> list[Check]:
-    """Check that Gaussians with NaN, infinite or huge values in a file are dropped and counted."""
+    """Check that a file's Gaussians with NaN, infinite or huge values are dropped and counted."""
     table = raw_table(surface_of_ball())
     names = [name for name in table.dtype.names or () if not name.startswith("n")]
     poisons = [(name, value) for name in names for value in (math.nan, math.inf, -math.inf, 1e38)]
@@ -56,7 +56,7 @@ def broken_numbers(setting: Setting) -> list[Check]:
 def _read(table: NDArray[Any], poisons: dict[int, tuple[str, float]]) -> tuple[Gaussians, int]:
     """Read a file with invalid values in some rows; return its Gaussians and the number dropped.
 
-    `poisons` maps a row to the name of a column and the value for it.
+    `poisons` maps a row to the name of a column and the invalid value for this column.
     """
     table = table.copy()
     for row, (name, value) in poisons.items():

@@ -1,4 +1,4 @@
-"""Liquids by pressure projection: fountain, waves, a full box, films, light bodies."""
+"""Stress tests of projected liquids: fountain, waves, a full box, films, light bodies."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WATER = Fluid(density=1000.0)
 
 
 def tanks(setting: Setting) -> list[Check]:
-    """Check that a liquid stays in its tank under every kind of push, and gains no energy."""
+    """Check that a liquid stays in its tank and gains no energy, whatever pushes it."""
     still, pool = (), _block((0, 0, 0), (1, 1, 0.375))
     upwards = Region(lower=(0.25, 0.25, 0.0), upper=(0.75, 0.75, 0.5))
     blow = ZoneForce(place=upwards, a=(0.0, 0.0, 20.0))
