@@ -245,5 +245,29 @@ def test_no_exception_of_a_decoder_of_pictures_reaches_a_user(monkeypatch):
         raise AssertionError("of a decoder")
 
     monkeypatch.setattr(Image, "open", broken)
-    with pytest.raises(InputError, match=r"It is damaged .*quats\.webp cannot be decoded"):
+    with pytest.raises(InputError, match=r"It is damaged: quats\.webp cannot be decoded"):
         read_gaussians(FOREIGN / KINDS["sog"])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda meta: meta.pop("means"), '"means" is missing'),
+        (lambda meta: meta.update(count="many"), "wrong type or size"),
+        (lambda meta: meta["sh0"].update(codebook=[]), "does not have 256 values"),
+    ],
+)
+def test_a_damaged_sog_is_named_without_words_of_python(tmp_path, change, words):
+    with (
+        zipfile.ZipFile(FOREIGN / KINDS["sog"]) as whole,
+        zipfile.ZipFile(tmp_path / "a.sog", "w") as damaged,
+    ):
+        for name in whole.namelist():
+            data = whole.read(name)
+            if name.endswith("meta.json"):
+                meta = json.loads(data)
+                change(meta)
+                data = json.dumps(meta).encode()
+            damaged.writestr(name, data)
+    with pytest.raises(InputError, match=f"It is damaged: .*{words}"):
+        read_gaussians(tmp_path / "a.sog")

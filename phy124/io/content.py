@@ -102,6 +102,23 @@ def refusal(kind: str, path: Path, limit: str, remedy: str = AGAIN) -> InputErro
     return InputError(f"{kind} file", path, limit[0].upper() + limit[1:], remedy)
 
 
+class Malformed(ValueError):
+    """Raised for a file that contradicts its format; the text is a clause that says how."""
+
+
+def name_fault(error: Exception) -> str:
+    """Return a clause that says what is wrong with a file, without the wording of Python.
+
+    Args:
+        error: The exception that the file caused in a reader.
+    """
+    if isinstance(error, Malformed):
+        return str(error)
+    if isinstance(error, KeyError):
+        return f'"{str(error.args[0])[:80]}" is missing'
+    return "a value is of the wrong type or size"
+
+
 def check_opens(kind: str, path: Path) -> None:
     """Refuse a file that cannot be opened.
 

@@ -41,6 +41,7 @@ from phy124.io.content import (
     Content,
     check_count,
     content_of,
+    name_fault,
     normalise_quats,
     read_whole_file,
     refusal,
@@ -105,8 +106,7 @@ def read(path: Path) -> Content:
     except InputError:
         raise
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
-        kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
-        limit = f"its description is malformed ({kind}{str(error)[:80]})."
+        limit = f"its description is malformed: {name_fault(error)}."
         raise refusal(KIND, path, limit, "Export it again.") from error
     return content_of(KIND, path, raw, axes, notes=notes, step=step)
 

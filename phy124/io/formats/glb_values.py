@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.io.content import refusal
+from phy124.io.content import Malformed, refusal
 
 KIND = "GLB"
 TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -42,11 +42,11 @@ def item(scene: Scene, kind: str, index: Any) -> Any:
     """Return an entry of one of the lists in the JSON description, such as node 3.
 
     Raises:
-        ValueError: If there is no such entry.
+        Malformed: If there is no such entry.
     """
     entries = scene.tree.get(kind, [])
     if type(index) is not int or not 0 <= index < len(entries):
-        raise ValueError(f"its {kind} have no number {str(index)[:40]}")
+        raise Malformed(f"its {kind} have no number {str(index)[:40]}")
     return entries[index]
 
 
@@ -65,14 +65,14 @@ def values(
 
     Raises:
         InputError: If the file is cut short.
-        ValueError: If the accessor differs in type or number, or exceeds its view.
+        Malformed: If the accessor differs in type or number, or exceeds its view.
     """
     accessor = item(scene, "accessors", index)
     if WIDTHS.get(accessor["type"]) != width:
-        raise ValueError(f"accessor {index} is of type {str(accessor['type'])[:40]}")
+        raise Malformed(f"accessor {index} is of type {str(accessor['type'])[:40]}")
     if accessor["count"] != count:
-        raise ValueError(f"accessor {index} has {accessor['count']} values for {count} Gaussians")
-    dtype = np.dtype(TYPES[accessor["componentType"]])
+        raise Malformed(f"accessor {index} has {accessor['count']} values for {count} Gaussians")
+    dtype = _dtype(accessor)
     if "bufferView" in accessor:
         raw = _read_view(scene, accessor, dtype, count, width)
     else:
@@ -82,7 +82,7 @@ def values(
     if dtype.kind == "f" or as_they_are:
         return raw.astype(np.float32)
     if not accessor.get("normalized", False):
-        raise ValueError(f"accessor {index} holds integers that are not normalised")
+        raise Malformed(f"accessor {index} holds integers that are not normalised")
     return np.maximum(raw / np.float32(np.iinfo(dtype).max), -1).astype(np.float32)
 
 
@@ -91,18 +91,25 @@ def is_fractions(scene: Scene, index: Any) -> bool:
     return bool(item(scene, "accessors", index).get("normalized", False))
 
 
+def _dtype(place: dict[str, Any]) -> np.dtype[Any]:
+    kind = place["componentType"]
+    if kind not in TYPES:
+        raise Malformed(f"there are no numbers of type {str(kind)[:40]}")
+    return np.dtype(TYPES[kind])
+
+
 def _read_view(
     scene: Scene, place: dict[str, Any], dtype: np.dtype[Any], count: int, width: int
 ) -> NDArray[Any]:
     """Read numbers [count,width] from a view of the binary chunk."""
     view = item(scene, "bufferViews", place["bufferView"])
     if view.get("buffer", 0) != 0 or "uri" in scene.tree["buffers"][0]:
-        raise ValueError("some of its values are in another file")
+        raise Malformed("some of its values are in another file")
     offset, first = int(view.get("byteOffset", 0)), int(place.get("byteOffset", 0))
     stride = int(view.get("byteStride", dtype.itemsize * width))
     end = first + stride * (count - 1) + dtype.itemsize * width
     if min(offset, first) < 0 or stride < dtype.itemsize * width or end > int(view["byteLength"]):
-        raise ValueError(f"view {place['bufferView']} is shorter than its {count:,} values")
+        raise Malformed(f"view {place['bufferView']} is shorter than its {count:,} values")
     if offset + end > len(scene.body):
         raise refusal(KIND, scene.path, "it is cut short: some of its values are missing.")
     shape, strides = (count, width), (stride, dtype.itemsize)
@@ -111,12 +118,12 @@ def _read_view(
 
 def _apply_sparse(scene: Scene, sparse: dict[str, Any], raw: NDArray[Any]) -> NDArray[Any]:
     """Replace some of the numbers [N,width] by the values of a sparse accessor."""
-    count, kind = int(sparse["count"]), np.dtype(TYPES[sparse["indices"]["componentType"]])
+    count, kind = int(sparse["count"]), _dtype(sparse["indices"])
     if kind.kind != "u":
-        raise ValueError("the indices of a sparse accessor are not integers")
+        raise Malformed("the indices of a sparse accessor are not integers")
     rows = _read_view(scene, sparse["indices"], kind, count, 1)[:, 0]
     if rows.max() >= len(raw):
-        raise ValueError("a sparse accessor has an index beyond its last value")
+        raise Malformed("a sparse accessor has an index beyond its last value")
     raw = raw.copy()
     raw[rows] = _read_view(scene, sparse["values"], raw.dtype, count, raw.shape[1])
     return raw

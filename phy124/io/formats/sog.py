@@ -38,9 +38,11 @@ from phy124.io.content import (
     DEGREE_4,
     LARGEST_SH,
     Content,
+    Malformed,
     check_count,
     check_opens,
     content_of,
+    name_fault,
     refusal,
 )
 from phy124.io.formats.quantise import (
@@ -64,9 +66,8 @@ COEFFICIENTS = (0, 3, 8, 15, 24)
 """Number of harmonics above degree 0, for degrees 0 to 4."""
 TAG = 252
 OBJECT = "object_id"
-BROKEN = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, OSError, EOFError)
-BROKEN += (RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error)
-"""Exceptions that the zip, JSON and WebP readers raise for damaged files."""
+PACKED = (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error)
+"""Exceptions that the zip reader raises for damaged archives."""
 
 
 def read(path: Path) -> Content:
@@ -81,13 +82,17 @@ def read(path: Path) -> Content:
             return _read(path, archive)
     except InputError:
         raise
-    except BROKEN as error:
-        limit = f"it is damaged ({type(error).__name__}: {str(error)[:80]})."
-        raise refusal(KIND, path, limit) from error
+    except PACKED as error:
+        raise refusal(KIND, path, "it is damaged: its archive cannot be unpacked.") from error
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
+        raise refusal(KIND, path, f"it is damaged: {name_fault(error)}.") from error
 
 
 def _read(path: Path, archive: zipfile.ZipFile) -> Content:
-    meta = json.loads(_member(path, archive, META, LONGEST))
+    try:
+        meta = json.loads(_member(path, archive, META, LONGEST))
+    except (ValueError, RecursionError) as error:
+        raise Malformed(f"{META} is not JSON") from error
     if meta.get("version") != 2:
         limit = (
             f"its format version is {str(meta.get('version', 1))[:20]}, "
@@ -101,7 +106,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> Content:
         picture = _picture(path, archive, entry["files"][index], count + 8 * WIDEST)
         rows = picture.reshape(-1, 4)[:count]
         if len(rows) < count:
-            raise ValueError(f"{entry['files'][index]} has too few pixels")
+            raise Malformed(f"{entry['files'][index]} has too few pixels")
         return rows
 
     quats, colour = pixels(meta["quats"]), pixels(meta["sh0"])
@@ -182,28 +187,28 @@ def _picture(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> NDAr
         with Image.open(io.BytesIO(data), formats=["WEBP"]) as picture:
             return np.asarray(picture.convert("RGBA"))
     except Exception as error:  # Pillow raises exceptions of many types
-        raise ValueError(f"{str(name)[:80]} cannot be decoded") from error
+        raise Malformed(f"{str(name)[:80]} cannot be decoded") from error
 
 
 def _size(data: bytes) -> tuple[int, int]:
     """Read the width and height of a WebP image from its header."""
     kind = data[12:16]
     if data[:4] != b"RIFF" or data[8:12] != b"WEBP" or len(data) < 30:
-        raise ValueError("a picture is not a WebP file")
+        raise Malformed("a picture is not a WebP file")
     if kind == b"VP8L":
         bits = int.from_bytes(data[21:25], "little")
         return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
     if kind == b"VP8X":
         width, height = (int.from_bytes(data[i : i + 3], "little") + 1 for i in (24, 27))
         return width, height
-    raise ValueError("a picture is not lossless")
+    raise Malformed("a picture is not lossless")
 
 
 def _codes(entry: dict[str, Any]) -> NDArray[np.float32]:
     """Return the 256 values of a codebook."""
     codes = np.array(entry["codebook"], np.float64)
     if codes.shape != (256,):
-        raise ValueError("a codebook does not have 256 values")
+        raise Malformed("a codebook does not have 256 values")
     return codes.astype(np.float32)
 
 
@@ -212,7 +217,7 @@ def _centres(entry: dict[str, Any], pixels: Any) -> NDArray[np.float64]:
     fraction = (low + high.astype(np.uint16) * 256) / np.float64(65535)
     ends = np.array([entry["mins"], entry["maxs"]], np.float64)
     if ends.shape != (2, 3):
-        raise ValueError("the lower and upper bounds of the centres do not have three numbers each")
+        raise Malformed("the lower and upper bounds of the centres do not have three numbers each")
     value = ends[0] + (ends[1] - ends[0]) * fraction
     return np.sign(value) * np.expm1(np.abs(value))
 
@@ -231,16 +236,16 @@ def _harmonics(
     """Return the coefficients above degree 0 [N,K-1,3]."""
     count, each = int(entry["count"]), COEFFICIENTS[int(entry["bands"])]
     if not 0 < count <= MOST_ENTRIES or not each:
-        raise ValueError("its palette of harmonics is empty or too large")
+        raise Malformed("its palette of harmonics is empty or too large")
     most = (count + ENTRIES_PER_ROW) * each
     picture = _picture(path, archive, entry["files"][0], most)
     if picture.shape[1] != ENTRIES_PER_ROW * each:
-        raise ValueError("its palette of harmonics has the wrong width")
+        raise Malformed("its palette of harmonics has the wrong width")
     entries = picture.reshape(-1, each, 4)[..., :3]
     labels = pixels(entry, 1)
     label = labels[:, 0] + labels[:, 1].astype(np.int64) * 256
     if label.max() >= min(count, len(entries)):
-        raise ValueError("a label is outside its palette")
+        raise Malformed("a label is outside its palette")
     return _codes(entry)[entries[:, : LARGEST_SH - 1]][label]
 
 
