@@ -18,7 +18,7 @@ from phy124.mpm.timestep import Extremes, Substep
 
 CELLS = 2.0
 """Largest distance that a particle moves in a step [cells]."""
-WAVES = 0.75
+WAVES = 0.5
 """Length of a step in units of sqrt(dx / a), with the acceleration a of the liquid."""
 
 DIFFUSED = 5.0
