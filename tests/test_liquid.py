@@ -325,6 +325,16 @@ def test_piston_raises_the_level():
     assert solver.state.x.numpy()[:, 0].min() > 0.1 - 0.25 * solver.model.dx
 
 
+def test_no_liquid_is_behind_a_piston_that_is_as_fast_as_a_cell_per_step():
+    motion = Path(times=(0.0, 0.1), points=((0.0, 0.0, 0.0), (0.2, 0.0, 0.0)), smooth=False)
+    piston = HalfSpace(point=(0, 0, 0), normal=(1, 0, 0), contact="slip", motion=motion)
+    tank = Container(inside=Region(lower=(-1, 0, 0), upper=(1, 1, 1e9)), contact="slip")
+    solver = liquid(block((0, 0, 0), (1, 1, 0.5), 8), 8, [tank, piston])
+    for frame in range(1, 5):
+        solver.advance(frame / 40)
+        assert solver.state.x.numpy()[:, 0].min() > 2.0 * frame / 40
+
+
 def test_film_and_lone_particle_come_to_rest_on_the_floor():
     for x in (block((0, 0, 0), (1, 1, 1 / 16), 8), np.array([[0.5, 0.5, 0.3]])):
         solver = run(liquid(x, 8, [TANK]), 24)

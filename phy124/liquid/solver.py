@@ -174,9 +174,9 @@ class LiquidSolver:
         surfaces = [*walls_of_solids(self.free, model)]
         if self._bodies is not None:
             surfaces += walls_of_bodies(self._bodies.names, model)
-        walls = Walls(model, tracks, [*fixed, *surfaces])
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
+        walls = Walls(model, tracks, [*fixed, *surfaces])
         self.tracks, self.walls, self._forces, self._sums = tracks, walls, acting, sums
         self.boundaries: list[Any] = []
         before, names = self.impulses.total, [wall.name for wall in fixed]
@@ -253,7 +253,10 @@ class LiquidSolver:
             run_timed(self.timings, "tracks", self._sample.launch)
         self._guess(kick)
         if self.walls.move:
-            self._move_walls(ahead=drift / 2)
+            if self.projection.solids or self.walls.time != clock.time:
+                self.walls.place(clock.time)
+                self._move_walls(ahead=drift / 2)
+            _launch_all(self._following)
         self._group("scatter")
         if self._bodies is not None:
             self.runner.join()
@@ -264,15 +267,10 @@ class LiquidSolver:
                 self._group("viscosity")
         self._group("equation")
         self._solve("pressure", TOLERANCE)
+        self.walls.place(clock.time + drift)
         self._group("gather")
-        if self.projection.solids:
-            self._group("drift")
-            self.runner.join()
-            if self._bodies is not None and self._advance_bodies is not None:
-                rows = self.impulses.rows(0)
-                densities = self._phases.densities
-                self._bodies.receive(self.cells, self.tracks, rows, densities, drift)
-                self._advance_bodies(clock.time + drift)
+        self._move_solids(drift)
+        if self.projection.solids or self.walls.follow_tracks:
             self._move_walls()
         self._group("fill")
         self._solve("packing", LOOSE)
@@ -368,6 +366,17 @@ class LiquidSolver:
     def _solve(self, name: str, tolerance: float) -> None:
         self.projection.solve(self.runner.run, self._phases.group(name)[0], tolerance)
 
+    def _move_solids(self, drift: float) -> None:
+        """Move free solids, and advance the bodies of other materials by a time [s]."""
+        if not self.projection.solids:
+            return
+        self._group("drift")
+        self.runner.join()
+        if self._bodies is not None and self._advance_bodies is not None:
+            rows, densities = self.impulses.rows(0), self._phases.densities
+            self._bodies.receive(self.cells, self.tracks, rows, densities, drift)
+            self._advance_bodies(self.clock.time + drift)
+
     def _move_walls(self, ahead: float = 0.0) -> None:
         """Update the walls' geometry in the cells, after walls have moved.
 
@@ -379,7 +388,6 @@ class LiquidSolver:
         if self._bodies is not None:
             self._bodies.free.lead(self.free, ahead)
         self.walls.centre(self.cells)
-        _launch_all(self._following)
         self._group("move")
         if (bodies := self._bodies) is not None:
             self.runner.join()
@@ -446,6 +454,7 @@ class LiquidSolver:
         for phase in self._phases.group("walls"):
             for worker in self.workers:
                 worker.run(phase)
+        self.walls.time = math.nan
         if self.walls.move:
             self.cells.keep_walls()
 

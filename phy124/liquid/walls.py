@@ -123,9 +123,24 @@ class Walls:
         """Motions of walls that stand still."""
         self.move = any(wall.moves for wall in walls)
         """Whether any wall moves or disappears."""
+        self.follow_tracks = any(slot > 0 for slot in slots)
+        """Whether any wall moves as its track says."""
+        self.time = math.nan
+        """Time of the places at which the walls are in the cells [s]; NaN: unknown."""
+        self._clock = wp.zeros(3, dtype=model.real, device=device)
+        self._places = wp.zeros_like(tracks.values)
+        rates = wp.zeros_like(tracks.rates)
+        self._sample = tracks.record(self._clock, [self._places, rates])
         self._groups = list(self._group_walls())
         self.rub = any(wall.friction > 0 or wall.sticky for wall in walls)
         """Whether any wall has friction."""
+
+    def place(self, time: float) -> None:
+        """Move all walls that have tracks to their places at a time [s]."""
+        self.time = time
+        if self.follow_tracks:
+            self._clock.assign([0.0, 0.0, time])
+            self._sample.launch()
 
     def describe(
         self, cells: Cells, worker: int, workers: int, *, move: bool
@@ -157,7 +172,7 @@ class Walls:
         """Yield a worker's launches that add a group of walls to the geometry in the cells."""
         model, region = self._model, self._region(cells, group)
         shape = [group.numbers, group.geometries, self.slots, cells.lattice, cells.window]
-        shape += [self._tracks.values, group.frame, region.box]
+        shape += [self._places, group.frame, region.box]
         size = region.size
         first, count = span(int(np.prod(2 * size + 1)), worker, workers)
         kernel = kernels.make_wall_distance(group.shape, model.real)
@@ -216,12 +231,12 @@ class Walls:
             sums: Sums of impulse, moment and work of each wall.
             stops: Whether the particles lose their velocity towards the wall.
         """
-        model, tracks = self._model, self._tracks
+        model = self._model
         launches = []
         for group in self._groups:
             kernel = kernels.make_push_out(group.shape, model.real)
             inputs = [int(stops), group.numbers, group.geometries, self.slots, self.frictions]
-            inputs += [model.mass[run], cells.lattice, cells.window, tracks.values]
+            inputs += [model.mass[run], cells.lattice, cells.window, self._places]
             inputs += [self.motions, group.frame]
             inputs.append(cells.distances)
             outputs = [x[run], v[run], sums]

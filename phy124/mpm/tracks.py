@@ -287,14 +287,21 @@ class Tracks:
         self.rates = wp.zeros(len(counts), dtype=t.vec4, device=self.device)
         self.clock = clock
 
-    def record(self) -> wp.Launch:
-        """Return the launch that samples every track at the current time."""
+    def record(
+        self, clock: wp.array | None = None, outputs: Sequence[wp.array] | None = None
+    ) -> wp.Launch:
+        """Return the launch that samples every track.
+
+        Args:
+            clock: Kick, drift and time [3], s; None: those of the run.
+            outputs: Arrays for values and rates; None: `values` and `rates`.
+        """
         tables = [self.starts, self.times, self.keys, self.spans, self.flag_array]
         launch = wp.launch(
             make_sampler(self.real),
             len(self.tracks),
-            inputs=[*tables, self.clock],
-            outputs=[self.values, self.rates],
+            inputs=[*tables, self.clock if clock is None else clock],
+            outputs=outputs or [self.values, self.rates],
             device=self.device,
             record_cmd=True,
         )
