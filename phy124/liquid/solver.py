@@ -256,7 +256,7 @@ class LiquidSolver:
             if self.projection.solids or self.walls.time != clock.time:
                 self.walls.place(clock.time)
                 self._move_walls(ahead=drift / 2)
-            _launch_all(self._following)
+            self.walls.lead(clock.time + drift)
         self._group("scatter")
         if self._bodies is not None:
             self.runner.join()
@@ -449,7 +449,6 @@ class LiquidSolver:
         self._phases.record(self._forces, self.walls, self.tracks, self.impulses, self.grid)
         sums = launches([(stage.name, stage.record(self.grid)) for stage in self._sums])
         self._ending = [("walls", self.impulses.settle), *sums]
-        self._following = launches(self.walls.follow())
         self.cells.clear_walls()
         for phase in self._phases.group("walls"):
             for worker in self.workers:

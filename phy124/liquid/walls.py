@@ -128,9 +128,9 @@ class Walls:
         self.time = math.nan
         """Time of the places at which the walls are in the cells [s]; NaN: unknown."""
         self._clock = wp.zeros(3, dtype=model.real, device=device)
-        self._places = wp.zeros_like(tracks.values)
-        rates = wp.zeros_like(tracks.rates)
-        self._sample = tracks.record(self._clock, [self._places, rates])
+        self._places, self._next = (wp.zeros_like(tracks.values) for _ in range(2))
+        self._sample = tracks.record(self._clock, [self._next, wp.zeros_like(tracks.rates)])
+        self._move = self._record_motions()
         self._groups = list(self._group_walls())
         self.rub = any(wall.friction > 0 or wall.sticky for wall in walls)
         """Whether any wall has friction."""
@@ -141,6 +141,14 @@ class Walls:
         if self.follow_tracks:
             self._clock.assign([0.0, 0.0, time])
             self._sample.launch()
+            wp.copy(self._places, self._next)
+
+    def lead(self, time: float) -> None:
+        """Compute the mean velocities at which the walls reach their places at a time [s]."""
+        if self.follow_tracks:
+            self._clock.assign([0.0, 0.0, time])
+            self._sample.launch()
+            self._move.launch()
 
     def describe(
         self, cells: Cells, worker: int, workers: int, *, move: bool
@@ -204,11 +212,11 @@ class Walls:
         kernel = kernels.make_solid_shares(self._model.real)
         return STAGE, self._model.launch(kernel, count, inputs, [cells.shares])
 
-    def follow(self) -> list[Recorded]:
-        """Return the launch that writes the motions of walls from their tracks."""
-        rates, count = self._tracks.rates, len(self.all)
+    def _record_motions(self) -> Any:
+        """Return the launch that computes the walls' velocities up to the end of a step."""
+        inputs = [self._tracks.clock, self._places, self._next, self.slots]
         kernel = make_motions(self._model.real)
-        return [(STAGE, self._model.launch(kernel, count, [rates, self.slots], [self.motions]))]
+        return self._model.launch(kernel, max(len(self.all), 1), inputs, [self.motions])
 
     def centre(self, cells: Cells) -> None:
         """Move the region of a free solid to the solid's current position."""

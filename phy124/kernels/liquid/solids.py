@@ -49,14 +49,20 @@ from phy124.kernels.liquid.walls import centre_of, wall_across
 
 @build_once
 def make_motions(real: Any):
-    """Kernel over walls: computes a wall's velocity, angular velocity and centre from its track."""
+    """Kernel over walls: computes the mean velocities of walls that have tracks in a step."""
     t = types(real)
 
     @kernel(f"phy124_liquid_motions_{real.__name__}", real, seconds=0.15)
-    def motions(rates, slots: Ints, motions_out: wp.array2d(dtype=t.vec3)):
+    def motions(
+        clock,
+        places: t.vec4s,
+        places_next: t.vec4s,
+        slots: Ints,
+        motions_out: wp.array2d(dtype=t.vec3),
+    ):
         wall = wp.tid()
-        if slots[wall] > 0:
-            r = rates[slots[wall]]
+        if slots[wall] > 0 and clock[1] > real(0.0):
+            r = (places_next[slots[wall]] - places[slots[wall]]) / clock[1]
             motions_out[wall, 0] = wp.vector(r[0], r[1], r[2])
 
     return motions
