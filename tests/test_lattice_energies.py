@@ -372,6 +372,18 @@ def test_balance_and_works_agree_on_what_a_clamped_body_loses(forces):
     assert not any(math.copysign(1, value) < 0 for value in report["energy"].values() if value == 0)
 
 
+def test_balance_closes_in_frames_of_two_substeps():
+    """A wind against gravity takes a part of the energy before the first frame ends."""
+    soft = {"law": "neo_hookean", "E": 1e4, "density": 3000.0}
+    shape = {"objects": [], "boundaries": [], "stiffness_profile": None, "material": soft}
+    forces = [{"kind": "gravity"}, {"kind": "wind", "v": [0.0, 0.0, 1.0], "rate": 35.0}]
+    scene = stacked(**shape, forces=forces, time={"frames": 3}, checks={})
+    run = simulate(scene)
+    report = run.run().report
+    assert report["complete"] and run.scene.on_lattice and run.solver.clock.substeps < 10
+    assert abs(report["balance"]["energy_gain"]) < 1e-5
+
+
 SAND = {"name": "sand", "shape": "box", "sides": [1.0, 1.0, 1.0], "material": {"law": "sand"}}
 
 

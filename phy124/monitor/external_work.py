@@ -108,15 +108,16 @@ class ExternalWork(Observer):
     @classmethod
     def of(cls, setup: Observed) -> Self:
         """Return the observer of a run."""
-        return cls(changes=setup.subject.changes)
+        return cls(summed=setup.subject.changes)
 
-    def __init__(self, *, changes: bool = False) -> None:
+    def __init__(self, *, summed: bool = False) -> None:
         """Start all sums at zero.
 
         Args:
-            changes: Whether forces and boundaries may be replaced later in the run.
+            summed: Whether the work of a steady acceleration is summed in every substep, too. It
+                must be if forces and boundaries may be replaced later in the run.
         """
-        self._changes = changes
+        self._summed = summed
         self._device: dict[str, wp.array] = {}
         """Sums of each worker since its launches were last recorded [W,ROOM]; these sums are not
         yet collected.
@@ -167,7 +168,7 @@ class ExternalWork(Observer):
     @property
     def by_momentum(self) -> bool:
         """Whether the work of the uniform acceleration is summed in every substep, from momenta."""
-        return self._changes or self._tracks.acceleration_varies
+        return self._summed or self._tracks.acceleration_varies
 
     def open(self, clock: Clock) -> None:
         """Start counting from the current state."""
