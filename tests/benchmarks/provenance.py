@@ -17,7 +17,7 @@ PROGRAM = re.compile(
 MACHINE = "2 cores of an AMD EPYC"
 HEAD = f"""# The lab
 
-These pages have all measurements, with machine, date and version. The
+These pages contain all measurements, with machine, date and version. The
 [results](../results/accuracy.md) are short summaries of these pages. Unless a page names another
 machine, the tables were measured on a virtual machine with {MACHINE} and no GPU.
 

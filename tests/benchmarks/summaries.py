@@ -56,7 +56,7 @@ def count_failed_gpu_tests() -> str:
 
 def compute_memory(*, process: bool) -> str:
     """Return the memory of the process [MB], or of each particle [bytes], rounded to tens."""
-    mark = "Influence of the number of particles, neo-Hookean law on one thread:"
+    mark = "The table shows the influence of the number of particles (neo-Hookean law, one thread):"
     heads, *rows = read_table("benchmarks.md", mark)
     counts = [int(head.replace(",", "")) for head in heads[1:]]
     peaks = [float(cell) for row in rows if "memory" in row[0] for cell in row[1:]]
@@ -150,7 +150,7 @@ CONTROL = {"preset": 0, "force in the paper": 1, "path [m]": 3, "a t² / 2 [m]":
 TEARING = {"particles per cell and axis": 0, "intact up to a stretch of": 1, "broken at": 2}
 BARS = {"scene": 0, "217deb8": 1, "present": 2, "ratio": 3}
 SIZES = ("gaussians", "cells", "frames")
-GPU = "Simulation of presets, and the RMS distance between the clips of CPU and GPU:"
+GPU = "The table gives the time to simulate presets, and the distance of the clips of CPU and GPU:"
 GPU_COLUMNS = {"preset": 0, "16 CPU cores [s]": 1, "H200 [s]": 2, "times faster": 3}
 BLOCKS: dict[str, dict[str, Callable[[], str]]] = {
     "accuracy": {

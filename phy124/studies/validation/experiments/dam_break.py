@@ -176,11 +176,11 @@ EXPERIMENT = Experiment(
     source="Martin and Moyce 1952: columns that are 1.125 and 2.25 inch wide (as digitised by "
     "PySPH), and tables 2 and 6 (as published with Ocellaris); the inviscid front is from a "
     "separate two-dimensional computation with 128 cells across the column",
-    measured="The liquid by projection in a smooth channel. Measured are the position Z of the "
-    "front divided by the column's width a at dimensionless times T = t √(2g/a), its mean speed "
-    "dZ/dT between two positions and between two times, and the height of the water at the wall "
-    "divided by the initial height at times T/√2. The front ends at the first gap wider than a "
-    "cell.",
+    measured="A projected liquid in a smooth channel. The experiment measures the position Z of "
+    "the front divided by the column's width a at dimensionless times T = t √(2g/a), the front's "
+    "mean speed dZ/dT between two positions and between two times, and the height of the water "
+    "at the wall divided by the initial height at times T/√2. The front ends at the first gap "
+    "wider than a cell.",
     band="inviscid front: ±3 %; speeds: from the lowest to the highest of the three data sets, "
     "widened by 2 %, since positions were read to 0.02; heights: ±0.02, since the table's heights "
     "have steps of 0.05 to 0.06. The front's positions are not compared with the experiment, in "

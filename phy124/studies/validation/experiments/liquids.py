@@ -163,8 +163,8 @@ SLOSHING = Experiment(
     title="Sloshing in a tank",
     source="Linear theory of waves (Lamb 1932, § 228): ω² = g k tanh(k h), k = π / L",
     measured="Water in a smooth tank, half as deep as the tank is long, oscillates in its first "
-    "mode with an initial amplitude of 5 % of the length. Measured are the frequency over 5 "
-    "periods [Hz], and the final height of the centre of mass divided by the depth.",
+    "mode with an initial amplitude of 5 % of the length. The experiment measures the frequency "
+    "over 5 periods [Hz], and the final height of the centre of mass divided by the depth.",
     band="±1 %; a wave of this height is slower than a small one by about 0.3 %",
     published=lambda: (
         Quantity.within("frequency", frequency(), 0.01),

@@ -136,8 +136,8 @@ EXPERIMENT = Experiment(
     title="Free spin about the middle axis",
     source="Euler's equations for a rigid body, integrated numerically",
     measured="A free `rigid` box of 0.6 × 0.4 × 0.2 m spins about its axis of intermediate inertia "
-    "and flips repeatedly. Measured are the first two times at which the box's spin about that "
-    "axis is zero, and the fractions of kinetic energy and angular momentum that remain "
+    "and flips repeatedly. The experiment measures the first two times at which the spin about "
+    "that axis is zero, and the fractions of kinetic energy and angular momentum that remain "
     "after 4 s. The angular momentum includes the part that APIC stores in C.",
     band="±1 % in time; energy to 1 %, angular momentum to 0.01 %",
     published=publish,
