@@ -65,7 +65,7 @@ OPAQUE, LEAST = 6.0, 0.35
 """Largest optical depth of a surface, and its smallest opacity."""
 PALE = np.array([0.9, 0.97, 1.0], np.float32)
 """Colour of thin liquid and of spray."""
-THIN, SPRAY = 0.5, 0.6
+THIN, SPRAY = 0.2, 0.6
 """Largest fractions of the pale colour, in a thin layer and in a drop."""
 
 

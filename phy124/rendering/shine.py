@@ -55,7 +55,7 @@ class Gloss(NamedTuple):
 
 
 GLOSSES = {
-    "fluid": Gloss(0.03, 0.75, 0.0, 1.4, 40.0, 0.1, 0.7),
+    "fluid": Gloss(0.03, 0.75, 0.0, 1.0, 40.0, 0.1, 0.7),
     "metal": Gloss(0.75, 0.85, 0.85, 0.7, 30.0, 0.12, 0.0),
 }
 """Law -> reflection properties, for the laws that are glossy."""
