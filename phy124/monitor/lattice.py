@@ -20,6 +20,7 @@ from phy124.gaussians import Wrench
 from phy124.kernels import diagnostics as at
 from phy124.kernels.lattice.contact import MOMENT
 from phy124.kernels.lattice.nodes import make_node_totals
+from phy124.kernels.work import make_uniform_sums
 from phy124.lattice import impulses
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.diagnostics import Diagnostics, Totals
@@ -98,11 +99,15 @@ class LatticeWork(MeanWork):
     """
 
     @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernel that sums the work of a uniform acceleration, if it is needed."""
+        if _sums_uniform_work(subject):
+            yield make_uniform_sums(real)
+
+    @classmethod
     def of(cls, setup: Observed) -> Self:
         """Return the observer of a run."""
-        scene = setup.subject.scene
-        others = scene.boundaries or scene.objects or not all(f.uniform for f in scene.acting)
-        return cls(summed=setup.subject.changes or bool(others))
+        return cls(summed=_sums_uniform_work(setup.subject))
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Read the sums of the solver's walls, too."""
@@ -115,6 +120,13 @@ class LatticeWork(MeanWork):
         self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.walls.sums
         self._solver.record()
+
+
+def _sums_uniform_work(subject: Subject) -> bool:
+    """Return whether the work of a steady acceleration is summed in every substep."""
+    scene = subject.scene
+    others = scene.boundaries or scene.objects or not all(f.uniform for f in scene.acting)
+    return subject.changes or bool(others)
 
 
 class LatticeWrenches(Wrenches):
