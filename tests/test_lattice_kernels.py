@@ -12,6 +12,8 @@ from phy124.lattice import impulses, kernels, material, solids
 from phy124.lattice import walls as lattice_walls
 from phy124.lattice.workers import MEASURE, TRIAL
 from phy124.materials import Hencky, NeoHookean
+from phy124.monitor.diagnostics import Totals
+from phy124.monitor.lattice import LatticeTotals
 from phy124.mpm.workers import run_launches
 from phy124.schema.region import Region
 from support.lattices import SOFT, block, make
@@ -59,6 +61,27 @@ def test_simd_and_plain_points_agree():
         states.append((*located, *followed))
     for simd, plain in zip(*states, strict=True):
         assert np.abs(simd - plain).max() < 3e-6 * np.abs(plain).max()
+
+
+def test_simd_and_plain_totals_agree():
+    material = NeoHookean(E=1e5, nu=0.3, density=1000, damping=50)
+    solid = block((0.7, 0.5, 0.3), low=(0.025, 0.05, 0.025), per=4)
+    solver = make(solid, material, precision="float32")
+    rng = np.random.default_rng(1)
+    u = 2e-4 * rng.normal(size=(solver.nodes, 3))
+    u[::40] *= 1000  # Some points are inverted, and those near node 7 are not finite.
+    u[7, 1] = np.inf
+    solver.nodes_state.u.assign(u)
+    solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
+    solver.clock.last_dt = 1e-3
+    solver.follow()
+    simd = LatticeTotals(solver).read(solver.clock)
+    plain = Totals(solver.model, solver.state).read(solver.clock)
+    assert plain.broken > 0 and plain.inverted > 0
+    for name in ("broken", "inverted", "first_broken", "first_inverted"):
+        assert getattr(simd, name) == getattr(plain, name), name
+    for name in ("elastic", "lag", "min_J", "max_J"):
+        assert getattr(simd, name) == pytest.approx(getattr(plain, name), rel=1e-11), name
 
 
 def test_simd_and_plain_contact_agree():

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+from phy124.kernels.diagnostics import make_totals
 from phy124.kernels.lattice import nodes as node_kernels
 from phy124.kernels.lattice import points as point_kernels
 from phy124.kernels.lattice import simd
@@ -57,8 +58,9 @@ def of_workers(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -
     yield from (node_kernels.make_try(real), node_kernels.make_compare(real))
     for law, viscous in model_laws:
         if vectors and simd.has_stress(law):
-            yield simd.make_stress_simd(law, viscous)
+            yield from (simd.make_stress_simd(law, viscous), simd.make_totals_simd(law))
             if not viscous:
                 yield simd.make_measure_simd()
             continue
         yield from (make_stress(law, real, viscous), make_lattice_measure(real))
+        yield make_totals(law, real)

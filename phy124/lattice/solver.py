@@ -125,7 +125,8 @@ class LatticeSolver:
         self.pairs = Pairs(model, pairs, 1)
         self.free = Solids(model, free, self.surface, self.nodes_state)
         # Bodies on their lattices need none of these; observers and reports read them.
-        self.repair, self.outliers = Repair(model, self.state), Outliers(model, self.state)
+        self.repair = Repair(model, self.state, needed=False)
+        self.outliers = Outliers(model, self.state)
         self.guests: list[Any] = []
         """Further contact, with launches like those of walls."""
         self.softened = 1.0
@@ -492,10 +493,12 @@ class LatticeSolver:
         return 1 if violent else max(MEASURE_EVERY, int(min(steps)))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state that `restore` needs to continue bit for bit."""
+        """Return the state that `restore` needs to continue bit for bit.
+
+        The points are left out, because their state follows from the nodes.
+        """
         nodes = self.nodes_state
         return {
-            "state": self.state.snapshot(),
             "nodes": {name: wp.clone(getattr(nodes, name)) for name in KEPT},
             **{name: getattr(self, name).snapshot() for name in PARTS},
             "measured": self._measured,
@@ -505,7 +508,6 @@ class LatticeSolver:
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
-        self.state.restore(snapshot["state"])
         for name, array in snapshot["nodes"].items():
             getattr(self.nodes_state, name).assign(array)
         for name in PARTS:
@@ -518,3 +520,4 @@ class LatticeSolver:
         self._sample.launch()
         self._look()
         self._measured, self._probing = snapshot["measured"], snapshot["probing"]
+        self.follow()

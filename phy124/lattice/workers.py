@@ -347,6 +347,24 @@ class Crew:
         """Return whether a group's stress runs on the vector units of a CPU."""
         return self._vectors and simd.has_stress(group.law)
 
+    def totals(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
+        """Record the launches that sum energy and power over the points of a group on vector units.
+
+        Args:
+            group: The group, for which `vectors` is true.
+            outputs: The sums, the range of J, and unsound points (phy124/kernels/diagnostics.py).
+        """
+        model, nodes, launches = self._model, self._nodes, []
+        for worker in self.workers:
+            span = _common(worker.points, group.particles)
+            if span.stop > span.start:
+                full, blocks = self._block(span)
+                inputs = [full, group.start, model.dx, group.theta, *blocks, self._rows]
+                inputs += [nodes.u, nodes.v]
+                kernel, count = simd.make_totals_simd(group.law), len(blocks[0]) // simd.CELLS
+                launches.append(model.launch(kernel, count, inputs, outputs))
+        return launches
+
     def kick(self, worker: Worker, tracks: Tracks, *, pushed: bool) -> list[Named]:
         """Return the launches that change the velocities of a worker's nodes by the forces.
 
@@ -396,7 +414,6 @@ class Crew:
         if self._vectors and span.stop > span.start:
             full, blocks = self._block(span)
             inputs = [full, model.dx, *blocks, self._rows, self._rest, nodes.u, nodes.v]
-            outputs += [self._unread, self.stray]
             count = len(blocks[0]) // simd.CELLS
             launch = model.launch(simd.make_follow_simd(), count, inputs, outputs)
             return launches([("follow", launch)])

@@ -17,7 +17,7 @@ from phy124.kernels import diagnostics as at
 from phy124.kernels.diagnostics import make_energies, make_totals
 from phy124.kernels.reduction import shared_out
 from phy124.mpm import Clock, Model, State
-from phy124.mpm.model import part_of
+from phy124.mpm.model import Group, part_of
 
 if TYPE_CHECKING:
     from phy124.liquid import AnySolver
@@ -101,17 +101,19 @@ class Totals:
         self._counts = wp.zeros(4, dtype=int, device=device)
         self._empty = np.array([0.0] * sums + [-math.inf] * 2), np.array([0, 0] + [NO_PARTICLE] * 2)
         outputs = [*_split(self._numbers, sums), *_split(self._counts, 2)]
-        self._launches = []
-        for group in model.groups:
-            part = group.particles
-            threads, *fraction = shared_out(len(group), device)
-            inputs = [
-                *fraction, group.theta, model.mass[part], model.volume[part], model.dx,
-                group.start, state.x[part], state.v[part], state.C[part], state.F[part],
-                part_of(state.history, part),
-            ]  # fmt: skip
-            kernel = make_totals(group.law, model.real)
-            self._launches.append(model.launch(kernel, threads, inputs, outputs))
+        self._model, self._state = model, state
+        self._launches = [launch for group in model.groups for launch in self._sum(group, outputs)]
+
+    def _sum(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
+        """Record the launches that sum over the particles of a group."""
+        model, state, part = self._model, self._state, group.particles
+        threads, *fraction = shared_out(len(group), model.device)
+        inputs = [
+            *fraction, group.theta, model.mass[part], model.volume[part], model.dx,
+            group.start, state.x[part], state.v[part], state.C[part], state.F[part],
+            part_of(state.history, part),
+        ]  # fmt: skip
+        return [model.launch(make_totals(group.law, model.real), threads, inputs, outputs)]
 
     def read(self, clock: Clock) -> Diagnostics:
         """Return the diagnostics of the current state."""

@@ -30,6 +30,7 @@ from phy124.monitor.observer import Cost, Effect, Observed, Observer, Subject
 from phy124.monitor.watchdog import Watchdog
 from phy124.monitor.wrenches import Wrenches, wall_names
 from phy124.mpm import Attachable, Clock
+from phy124.mpm.model import Group
 from phy124.scene import Scene
 
 if TYPE_CHECKING:
@@ -45,12 +46,19 @@ class LatticeTotals(Totals):
 
     def __init__(self, solver: LatticeSolver) -> None:
         """Record the launches."""
+        self._crew = solver.crew
         super().__init__(solver.model, solver.state)
         model, nodes = solver.model, solver.nodes_state
         self._of_nodes = wp.zeros(at.SUMS, dtype=wp.float64, device=model.device)
         inputs = [nodes.inverse, nodes.rest, nodes.u, nodes.v]
         kernel = make_node_totals(model.real)
         self._launch = model.launch(kernel, len(nodes.u), inputs, [self._of_nodes])
+
+    def _sum(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
+        """Record the launches that sum over the points of a group."""
+        if self._crew.vectors(group):
+            return self._crew.totals(group, outputs)
+        return super()._sum(group, outputs)
 
     def read(self, clock: Clock) -> Diagnostics:
         """Return the diagnostics of the current state; the points must already follow the nodes."""
@@ -73,9 +81,9 @@ class LatticeWatchdog(Watchdog):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that sum over nodes and points."""
-        yield from super().kernels(subject, real)
-        yield make_node_totals(real)
+        """Yield nothing, because the kernels of lattices include the sums."""
+        del subject, real
+        yield from ()
 
     def totals_of(self, solver: Any) -> Totals:
         """Return the sums over the solver's nodes and points."""

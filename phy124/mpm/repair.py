@@ -39,13 +39,20 @@ class Repair:
     Call `begin` and `end` for each frame; the solver calls `substep`.
     """
 
-    def __init__(self, model: Model, state: State) -> None:
+    def __init__(self, model: Model, state: State, *, needed: bool = True) -> None:
+        """Record the launches.
+
+        Args:
+            model: The particles.
+            state: Their state.
+            needed: Whether deformations are repaired; on lattices they follow from the nodes.
+        """
         self.count, self.first = 0, NO_PARTICLE
         """Number of resets in finished frames, and the lowest index of a reset particle."""
         self._resets = wp.zeros(2, dtype=int, device=model.device)
         real, limits = model.real, [*SOUND_J, SOUND_F, NARROWEST]
-        outputs = [state.F, state.C, self._resets]
-        self._reset = model.launch(make_reset(real), len(model), limits, outputs)
+        outputs, count = [state.F, state.C, self._resets], len(model) if needed else 0
+        self._reset = model.launch(make_reset(real), count, limits, outputs)
         inputs, flowing = [MAX_TOTAL, state.F], len(state.total)
         self._limit = model.launch(make_limit_total(real), flowing, inputs, [state.total])
         self._started, self._strain, self._last = False, 0.0, 0.0

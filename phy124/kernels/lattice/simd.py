@@ -14,8 +14,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.arguments import Ints
+from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import build_once
+from phy124.kernels.diagnostics import ELASTIC, POWER
 from phy124.kernels.lattice.nodes import make_drift, make_kick
 from phy124.kernels.lattice.points import PER_CELL
 from phy124.kernels.native import code, native_kernel
@@ -90,10 +91,10 @@ def make_stress_simd(law: Law, viscous: bool):
     pieces = [
         "lattice",
         "lattice:strains",
-        *(["lattice:rates"] if viscous else []),
+        *(["lattice:rates", "lattice:survey"] if viscous else []),
         f"lattice:{kind}",
     ]
-    body = f"const int width = {law.width};\n" + code(*pieces, "lattice:stress")
+    body = f"const int width = {law.width};\n" + code(*pieces, "lattice:laws", "lattice:stress")
 
     @native_kernel(f"phy124_lattice_{law.name}_{kind}_simd", body, seconds=1.0)
     def lattice_stress_simd(
@@ -122,7 +123,7 @@ def make_measure_simd():
 
     @native_kernel(
         "phy124_lattice_measure_simd",
-        code("lattice", "lattice:strains", "lattice:rates", "lattice:measure"),
+        code("lattice", "lattice:strains", "lattice:rates", "lattice:survey", "lattice:measure"),
         seconds=1.0,
     )
     def lattice_measure_simd(
@@ -139,6 +140,36 @@ def make_measure_simd():
         """Raise the maxima of speed and rate of strain over sixteen cells."""
 
     return lattice_measure_simd
+
+
+@build_once
+def make_totals_simd(law: Law):
+    """Kernel over blocks of sixteen cells: sums like `make_totals`, but no momentum and no motion.
+
+    Momentum and kinetic energy are sums over nodes.
+    """
+    numbers = f"const int width = {law.width}, ELASTIC = {ELASTIC}, POWER = {POWER};\n"
+    pieces = ["lattice", *(f"lattice:{piece}" for piece in ("strains", "rates", "laws", "totals"))]
+
+    @native_kernel(f"phy124_lattice_totals_{law.name}_simd", numbers + code(*pieces), seconds=1.0)
+    def lattice_totals_simd(
+        full_blocks: int,
+        first: int,
+        dx: float,
+        theta: wp.array(dtype=wp.types.vector(law.width, wp.float32)),
+        order: Ints,
+        packed: Numbers,
+        rows: Ints,
+        u: Vectors,
+        v: Vectors,
+        sums_out: Doubles,
+        range_out: Doubles,
+        counts_out: Ints,
+        first_out: Ints,
+    ):
+        """Sum the energy and the power of the points of sixteen cells."""
+
+    return lattice_totals_simd
 
 
 @build_once
@@ -163,8 +194,6 @@ def make_follow_simd():
         v_out: Vectors,
         C_out: Matrices,
         F_out: Matrices,
-        maxima_out: Numbers,
-        stray_out: Ints,
     ):
         """Compute x, v, C and F of the points of sixteen cells."""
 

@@ -216,7 +216,7 @@ differentiate(U, F_all);
 for (int point = 0; point < 8; ++point)
     for (int k = 0; k < 9; ++k)
         F_all[point][k] = F_all[point][k] * SLOPE + (k % 4 ? 0.0f : 1.0f);
-const auto cofactors = [](const Lanes* F, Lanes* c) {
+const auto cofactors = [](const auto* F, auto* c) {
     c[0] = F[4] * F[8] - F[5] * F[7];
     c[1] = F[5] * F[6] - F[3] * F[8];
     c[2] = F[3] * F[7] - F[4] * F[6];
@@ -244,6 +244,8 @@ const auto strain_rate = [&](const Lanes* rate, const Lanes* c, Lanes per_J, Lan
             C[3 * i + j] = (sum + rate[3 * i + 2] * c[3 * j + 2]) * scale;
         }
 };
+
+//: survey
 Lanes fastest = {}, steepest = {}, closing = {}, doubt = {};
 for (int d = 0; d < 3; ++d) {
     Lanes speed = W[d] * VALUE;
@@ -280,14 +282,7 @@ const auto report = [&]() {
     }
 };
 
-//: stress
-// log x for x > 0, to 1e-7 near 1: exponent, and the series of artanh for the rest.
-const auto logarithm = [](Lanes x) {
-    const Ints16 bits = (Ints16)x, exponent = (bits - 0x3f3504f3) >> 23;
-    const Lanes m = (Lanes)(bits - (exponent << 23)), t = (m - 1.0f) / (m + 1.0f), t2 = t * t;
-    const Lanes series = 1.0f + t2 * (1.0f / 3 + t2 * (0.2f + t2 * (1.0f / 7 + t2 / 9)));
-    return __builtin_convertvector(exponent, Lanes) * 0.69314718f + 2.0f * t * series;
-};
+//: laws
 const float* const laws = (const float*)theta.data;
 const bool alike = theta.shape[0] == 1;
 const auto parameter = [&](int point, int column) {
@@ -296,6 +291,15 @@ const auto parameter = [&](int point, int column) {
     for (int lane = 0; lane < 16; ++lane)
         value[lane] = laws[(8L * cells[lane] + point - first) * width + column];
     return value;
+};
+
+//: stress
+// log x for x > 0, to 1e-7 near 1: exponent, and the series of artanh for the rest.
+const auto logarithm = [](Lanes x) {
+    const Ints16 bits = (Ints16)x, exponent = (bits - 0x3f3504f3) >> 23;
+    const Lanes m = (Lanes)(bits - (exponent << 23)), t = (m - 1.0f) / (m + 1.0f), t2 = t * t;
+    const Lanes series = 1.0f + t2 * (1.0f / 3 + t2 * (0.2f + t2 * (1.0f / 7 + t2 / 9)));
+    return __builtin_convertvector(exponent, Lanes) * 0.69314718f + 2.0f * t * series;
 };
 for (int point = 0; point < 8; ++point) {
     Lanes c[9], P[9];
@@ -406,6 +410,60 @@ for (int point = 0; point < 8; ++point) {
 }
 report();
 
+//: totals
+// Elastic energy, power of the stress, range of J and unsound points. In double: the energy of a
+// small strain is a small difference of large numbers.
+// Plain form: `totals` of diagnostics.py. Test: test_simd_and_plain_totals_agree.
+typedef double Doubles __attribute__((vector_size(128)));
+typedef long long Longs __attribute__((vector_size(128)));
+const auto wide = [](Lanes a) { return __builtin_convertvector(a, Doubles); };
+// log x for x > 0, like `logarithm`, to rounding.
+const auto wide_logarithm = [](Doubles x) {
+    const Longs bits = (Longs)x, exponent = (bits - 0x3fe6a09e667f3bcd) >> 52;
+    const Doubles m = (Doubles)(bits - (exponent << 52)), t = (m - 1.0) / (m + 1.0), t2 = t * t;
+    Doubles series = {};
+    for (int odd = 23; odd > 0; odd -= 2) series = series * t2 + 1.0 / odd;
+    return __builtin_convertvector(exponent, Doubles) * 0.69314718055994531 + 2.0 * t * series;
+};
+Doubles elastic = {}, power = {}, least = Doubles{} + __builtin_inf(), largest = -least;
+for (int point = 0; point < 8; ++point) {
+    Lanes narrow[9], rate[9];
+    const Lanes near = cofactors(F_all[point], narrow);
+    strain_rate(rates[point], narrow, 1.0f / larger(near, Lanes{} + FLOOR), rate);
+    Doubles F[9], c[9], C[9], square = {}, turned = {};
+    for (int k = 0; k < 9; ++k) F[k] = wide(F_all[point][k]), C[k] = wide(rate[k]);
+    for (int k = 0; k < 9; ++k) square += F[k] * F[k];
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j)
+            for (int k = 0; k < 3; ++k) turned += C[3 * i + j] * F[3 * i + k] * F[3 * j + k];
+    const Doubles J = cofactors(F, c), safe = J > 1.0e-4 ? J : Doubles{} + 1.0e-4;
+    const Doubles log_J = wide_logarithm(safe) + (J - safe) / 1.0e-4;
+    const Doubles mu = wide(parameter(point, 0)), lam = wide(parameter(point, 1));
+    const Doubles volume = wide(*(const Lanes*)(place + (point * 4 + 3) * 16));
+    const Doubles psi = 0.5 * mu * (square - 3.0) + (0.5 * lam * log_J - mu) * log_J;
+    const Doubles work = mu * turned + (lam * log_J - mu) * (C[0] + C[4] + C[8]);
+    const Longs sound = (psi + J + work) * 0.0 == 0.0;
+    elastic += sound ? psi * volume : Doubles{};
+    power += sound ? work * volume : Doubles{};
+    least = (sound & (J < least)) ? J : least;
+    largest = (sound & (J > largest)) ? J : largest;
+    const Longs wrong = ~sound | (J <= 0.0);
+    if (!__builtin_reduce_or(wrong)) continue;
+    for (int lane = 0; lane < 16; ++lane) {
+        if (!wrong[lane] || !(volume[lane] > 0)) continue;
+        const int kind = sound[lane] ? 1 : 0, index = 8 * cells[lane] + point;
+        int* const lowest = (int*)first_out.data + kind;
+        ((int*)counts_out.data)[kind] += 1;
+        *lowest = index < *lowest ? index : *lowest;
+    }
+}
+double *const sums = (double*)sums_out.data, *const range = (double*)range_out.data;
+for (int lane = 0; lane < 16; ++lane) {
+    sums[ELASTIC] += elastic[lane], sums[POWER] += power[lane];
+    range[0] = -least[lane] > range[0] ? -least[lane] : range[0];
+    range[1] = largest[lane] > range[1] ? largest[lane] : range[1];
+}
+
 //: follow
 const float* const still = (const float*)rest.data;
 // Writes nine numbers of a point for each cell.
@@ -467,31 +525,30 @@ const long first = start + 256L * thread, last = first + 256 < stop ? first + 25
 float* const to = (float*)v_out.data;
 const float* const uniform = (const float*)values.data;
 const float* const one = (const float*)inverse.data;
-const float dt = ((const float*)clock.data)[0];
-const int *const lows = (const int*)low.data, *const highs = (const int*)high.data;
-const auto forces = [&](int w) {
-    return (const float*)pool.data + 3L * (((const int*)begin.data)[w] - lows[w]);
-};
+const float* const weights = (const float*)donor_weights.data;
+const int *const starts = (const int*)donor_starts.data, *const donors = (const int*)donor_nodes.data;
+const float dt = ((const float*)clock.data)[0], ax = uniform[0], ay = uniform[1], az = uniform[2];
 __builtin_memcpy((float*)before_out.data + 3 * first, to + 3 * first, 12 * (last - first));
 for (long n = first; n < last; ++n) {
     const float free = one[n] > 0 ? dt : 0;
-    for (int d = 0; d < 3; ++d) to[3 * n + d] += free * uniform[d];
+    to[3 * n] += free * ax, to[3 * n + 1] += free * ay, to[3 * n + 2] += free * az;
 }
 for (int w = 0; w < low.shape[0]; ++w) {
-    const float* const force = forces(w);
-    const long a = first > lows[w] ? first : lows[w], b = last < highs[w] ? last : highs[w];
-    for (long n = a; n < b; ++n)
-        for (int d = 0; d < 3; ++d) to[3 * n + d] += dt * one[n] * force[3 * n + d];
-}
-const int* const starts = (const int*)donor_starts.data;
-for (long n = first; n < last; ++n)
-    for (int k = starts[n]; k < starts[n + 1]; ++k) {
-        const long m = ((const int*)donor_nodes.data)[k];
-        const float share = dt * one[n] * ((const float*)donor_weights.data)[k];
-        for (int w = 0; w < low.shape[0]; ++w)
-            if (m >= lows[w] && m < highs[w])
-                for (int d = 0; d < 3; ++d) to[3 * n + d] += share * forces(w)[3 * m + d];
+    const long from = ((const int*)low.data)[w], end = ((const int*)high.data)[w];
+    const float* const force = (const float*)pool.data + 3 * (((const int*)begin.data)[w] - from);
+    for (long n = first; n < last; ++n) {
+        float x = 0, y = 0, z = 0;
+        if (n >= from && n < end) x = force[3 * n], y = force[3 * n + 1], z = force[3 * n + 2];
+        for (int k = starts[n]; k < starts[n + 1]; ++k) {
+            const long m = donors[k];
+            if (m < from || m >= end) continue;
+            const float part = weights[k];
+            x += part * force[3 * m], y += part * force[3 * m + 1], z += part * force[3 * m + 2];
+        }
+        const float gain = dt * one[n];
+        to[3 * n] += gain * x, to[3 * n + 1] += gain * y, to[3 * n + 2] += gain * z;
     }
+}
 
 //: drift
 // Plain form: `drift` of lattice/nodes.py, for one node.
