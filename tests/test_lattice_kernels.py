@@ -67,21 +67,36 @@ def test_simd_and_plain_totals_agree():
     material = NeoHookean(E=1e5, nu=0.3, density=1000, damping=50)
     solid = block((0.7, 0.5, 0.3), low=(0.025, 0.05, 0.025), per=4)
     solver = make(solid, material, precision="float32")
-    rng = np.random.default_rng(1)
-    u = 2e-4 * rng.normal(size=(solver.nodes, 3))
-    u[::40] *= 1000  # Some points are inverted, and those near node 7 are not finite.
-    u[7, 1] = np.inf
-    solver.nodes_state.u.assign(u)
-    solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
     solver.clock.last_dt = 1e-3
-    solver.follow()
-    simd = LatticeTotals(solver).read(solver.clock)
-    plain = Totals(solver.model, solver.state).read(solver.clock)
-    assert plain.broken > 0 and plain.inverted > 0
-    for name in ("broken", "inverted", "first_broken", "first_inverted"):
-        assert getattr(simd, name) == getattr(plain, name), name
-    for name in ("elastic", "lag", "min_J", "max_J"):
-        assert getattr(simd, name) == pytest.approx(getattr(plain, name), rel=1e-11), name
+    rng = np.random.default_rng(1)
+    solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
+    u = rng.normal(size=(solver.nodes, 3))
+    broken = u.copy()
+    broken[7, 1] = np.inf
+    for displaced, damaged in ((1e-4 * u, False), (0.01 * u, False), (0.2 * broken, True)):
+        solver.nodes_state.u.assign(displaced)
+        solver.follow()
+        simd = LatticeTotals(solver).read(solver.clock)
+        plain = Totals(solver.model, solver.state).read(solver.clock)
+        assert (plain.broken > 0 and plain.inverted > 0) == damaged
+        for name in ("broken", "inverted", "first_broken", "first_inverted"):
+            assert getattr(simd, name) == getattr(plain, name), name
+        for name in ("elastic", "lag", "min_J", "max_J"):
+            assert getattr(simd, name) == pytest.approx(getattr(plain, name), rel=1e-11), name
+
+
+def test_simd_and_plain_shock_agree():
+    solid = block((0.7, 0.5, 0.3), low=(0.025, 0.05, 0.025), per=4)
+    forces = []
+    for vectors in (True, False):
+        solver = make(solid, precision="float32", vectors=vectors)
+        rng = np.random.default_rng(1)
+        solver.nodes_state.u.assign(0.01 * rng.normal(size=(solver.nodes, 3)))
+        solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
+        (worker,) = solver.workers
+        run_launches({}, solver.crew.shock(worker))
+        forces.append(worker.forces.numpy().copy())
+    assert np.abs(forces[0] - forces[1]).max() < 1e-5 * np.abs(forces[1]).max() > 0
 
 
 def test_simd_and_plain_contact_agree():

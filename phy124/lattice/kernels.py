@@ -50,11 +50,11 @@ def of_workers(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -
     vectors = simd.usable(real, device)
     if vectors:
         yield from (simd.make_kick_simd(), simd.make_drift_simd(), simd.make_follow_simd())
+        yield simd.make_shock_simd()
     else:
         yield from (node_kernels.make_kick(real), node_kernels.make_drift(real))
-        yield point_kernels.make_follow(real)
+        yield from (point_kernels.make_follow(real), make_shock(real))
     yield node_kernels.make_node_totals(real)
-    yield make_shock(real)
     yield from (node_kernels.make_try(real), node_kernels.make_compare(real))
     for law, viscous in model_laws:
         if vectors and simd.has_stress(law):

@@ -8,7 +8,7 @@ order of the workers, so that a run repeats bit for bit with the same number of 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
@@ -101,7 +101,7 @@ class Crew:
         self._model, self._state, self._nodes = model, state, nodes
         self._lattice = lattice
         self._vectors = vectors and simd.usable(model.real, model.device)
-        self._blocks: dict[tuple[int, int], tuple[int, list[wp.array]]] = {}
+        self._blocks: dict[tuple[int, int], tuple[int, wp.array, wp.array]] = {}
         t, device = types(model.real), model.device
         self._rows = wp.array(lattice.rows.ravel(), dtype=int, device=device)
         self._offset = model.array(lattice.offset, t.vec3)
@@ -174,10 +174,8 @@ class Crew:
         nodes, state, span, model = self._nodes, self._state, worker.points, self._model
         outputs = [state.x, state.v, self._kept]
         if self._vectors and span.stop > span.start:
-            full, blocks = self._block(span)
-            inputs = [full, model.dx, *blocks, self._rows, self._rest, nodes.u, nodes.v]
-            count = len(blocks[0]) // simd.CELLS
-            launch = model.launch(simd.make_locate_simd(), count, inputs, outputs)
+            motion, kernel = [self._rest, nodes.u, nodes.v], simd.make_locate_simd()
+            launch = self._over_blocks(kernel, span, [model.dx], motion, outputs)
             return launches([("locate", launch)])
         inputs = [span.start, self._rows, self._offset, self._rest, nodes.u, nodes.v]
         kernel = point_kernels.make_locate(model.real)
@@ -217,10 +215,17 @@ class Crew:
                 added to the worker's forces before the kick.
         """
         nodes, span, model = self._nodes, worker.points, self._model
-        inputs = [span.start, worker.touched.start, model.mass, model.dx, self._rows]
-        inputs += [self._offset, nodes.u, nodes.v if out is None else nodes.before]
-        kernel, outputs = make_shock(model.real), [worker.forces if out is None else out]
-        launch = model.launch(kernel, span.stop - span.start, inputs, outputs)
+        outputs = [worker.forces if out is None else out]
+        motion = [nodes.u, nodes.v if out is None else nodes.before]
+        if self._vectors and span.stop > span.start:
+            constants = [worker.touched.start, model.dx, model.mass]
+            kernel = simd.make_shock_simd()
+            launch = self._over_blocks(kernel, span, constants, motion, outputs)
+            return launches([("shock", launch)])
+        inputs = [span.start, worker.touched.start, model.mass, model.dx, self._rows, self._offset]
+        launch = model.launch(
+            make_shock(model.real), span.stop - span.start, [*inputs, *motion], outputs
+        )
         return launches([("shock", launch)])
 
     @property
@@ -302,17 +307,20 @@ class Crew:
         launch = self._model.launch(kernel, span.stop - span.start, inputs, [worker.pushes])
         return "push", launch
 
-    def _block(self, span: slice) -> tuple[int, list[wp.array]]:
-        """Return the number of blocks of full cells in a span of points, and all of its blocks."""
-        key = span.start, span.stop
-        if key not in self._blocks:
+    def _over_blocks(
+        self, kernel: Any, span: slice, constants: list[Any], motion: Sequence[Any], outputs: list
+    ) -> wp.Launch | None:
+        """Record the launch of a kernel over the blocks of cells in a span of points."""
+        if (span.start, span.stop) not in self._blocks:
             device = self._model.device
             volume = np.asarray(self._model.volume.numpy(), np.float64)[span]
             blocks = simd.pack(self._lattice.offset[span], volume, span.start // PER_CELL)
             order = wp.array(blocks.order.ravel(), dtype=int, device=device)
             packed = wp.array(blocks.packed.ravel(), dtype=wp.float32, device=device)
-            self._blocks[key] = blocks.full, [order, packed]
-        return self._blocks[key]
+            self._blocks[span.start, span.stop] = blocks.full, order, packed
+        full, order, packed = self._blocks[span.start, span.stop]
+        inputs = [full, *constants, order, packed, self._rows, *motion]
+        return self._model.launch(kernel, len(order) // simd.CELLS, inputs, outputs)
 
     def _stress(
         self,
@@ -333,11 +341,9 @@ class Crew:
         model, span = self._model, _common(worker.points, group.particles)
         name = f"stress {group.law.name}"
         if self.vectors(group) and span.stop > span.start:
-            full, blocks = self._block(span)
-            inputs = [full, group.start, worker.touched.start, model.dx, group.theta]
-            inputs += [*blocks, self._rows, *motion]
+            constants = [group.start, worker.touched.start, model.dx, group.theta]
             kernel = simd.make_stress_simd(group.law, is_viscous(group, model))
-            return name, model.launch(kernel, len(blocks[0]) // simd.CELLS, inputs, outputs)
+            return name, self._over_blocks(kernel, span, constants, motion, outputs)
         inputs = [span.start, group.start, worker.touched.start, group.theta, model.volume]
         inputs += [model.dx, self._rows, self._offset, *motion]
         kernel = make_stress(group.law, model.real, is_viscous(group, model))
@@ -348,22 +354,15 @@ class Crew:
         return self._vectors and simd.has_stress(group.law)
 
     def totals(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
-        """Record the launches that sum energy and power over the points of a group on vector units.
-
-        Args:
-            group: The group, for which `vectors` is true.
-            outputs: The sums, the range of J, and unsound points (phy124/kernels/diagnostics.py).
-        """
-        model, nodes, launches = self._model, self._nodes, []
-        for worker in self.workers:
-            span = _common(worker.points, group.particles)
-            if span.stop > span.start:
-                full, blocks = self._block(span)
-                inputs = [full, group.start, model.dx, group.theta, *blocks, self._rows]
-                inputs += [nodes.u, nodes.v]
-                kernel, count = simd.make_totals_simd(group.law), len(blocks[0]) // simd.CELLS
-                launches.append(model.launch(kernel, count, inputs, outputs))
-        return launches
+        """Record the launches that sum energy and power over a group's points on vector units."""
+        constants = [group.start, self._model.dx, group.theta]
+        motion, kernel = [self._nodes.u, self._nodes.v], simd.make_totals_simd(group.law)
+        spans = [_common(worker.points, group.particles) for worker in self.workers]
+        return [
+            self._over_blocks(kernel, span, constants, motion, outputs)
+            for span in spans
+            if span.stop > span.start
+        ]
 
     def kick(self, worker: Worker, tracks: Tracks, *, pushed: bool) -> list[Named]:
         """Return the launches that change the velocities of a worker's nodes by the forces.
@@ -412,10 +411,8 @@ class Crew:
         span, state, nodes, model = worker.points, self._state, self._nodes, self._model
         outputs = [state.x, state.v, state.C, state.F]
         if self._vectors and span.stop > span.start:
-            full, blocks = self._block(span)
-            inputs = [full, model.dx, *blocks, self._rows, self._rest, nodes.u, nodes.v]
-            count = len(blocks[0]) // simd.CELLS
-            launch = model.launch(simd.make_follow_simd(), count, inputs, outputs)
+            motion, kernel = [self._rest, nodes.u, nodes.v], simd.make_follow_simd()
+            launch = self._over_blocks(kernel, span, [model.dx], motion, outputs)
             return launches([("follow", launch)])
         inputs = [span.start, model.dx, self._rows, self._offset, self._rest, nodes.u, nodes.v]
         kernel = point_kernels.make_follow(model.real)
@@ -469,10 +466,8 @@ class Crew:
         for group in model.groups:
             span = _common(worker.points, group.particles)
             if self.vectors(group) and span.stop > span.start:
-                full, blocks = self._block(span)
-                inputs = [full, model.dx, *blocks, self._rows, nodes.u, nodes.v]
-                count = len(blocks[0]) // simd.CELLS
-                launch = model.launch(simd.make_measure_simd(), count, inputs, outputs)
+                motion, kernel = [nodes.u, nodes.v], simd.make_measure_simd()
+                launch = self._over_blocks(kernel, span, [model.dx], motion, outputs)
             else:
                 inputs = [span.start, state.v, state.C, state.F]
                 kernel = make_lattice_measure(model.real)

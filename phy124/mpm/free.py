@@ -334,6 +334,8 @@ class FreeBodies:
 
     def fastest(self) -> float:
         """Return an upper bound of the speed of any point of a solid [m/s]."""
+        if not self.all:  # Lattices ask several times per substep.
+            return 0.0
         pairs = zip(self.motions(), self.all, strict=True)
         speeds = [
             np.linalg.norm(m[:3]) + np.linalg.norm(m[3:]) * np.linalg.norm(solid.half)

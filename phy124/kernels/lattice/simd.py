@@ -19,7 +19,8 @@ from phy124.kernels.build import build_once
 from phy124.kernels.diagnostics import ELASTIC, POWER
 from phy124.kernels.lattice.nodes import make_drift, make_kick
 from phy124.kernels.lattice.points import PER_CELL
-from phy124.kernels.native import code, native_kernel
+from phy124.kernels.lattice.stress import QUADRATIC
+from phy124.kernels.native import code, constants, native_kernel
 from phy124.kernels.transfer import Law
 
 CELLS = 16
@@ -30,6 +31,8 @@ GAUSS = 1 + np.array(list(itertools.product((-1, 1), repeat=3))) / math.sqrt(12)
 """Gauss points relative to a cell's first node, in the order of the kernels [8,3], cells."""
 ALIGNED = 1e-4
 """In a full cell no point deviates from its Gauss point by more than this [cells]."""
+MOTION = "lattice", "lattice:strains", "lattice:rates"
+"""Pieces of C++ that compute strains, and rates of strain, of a block's points."""
 Vectors = wp.array(dtype=wp.vec3)
 Matrices = wp.array(dtype=wp.mat33)
 Numbers = wp.array(dtype=wp.float32)
@@ -88,13 +91,9 @@ def make_stress_simd(law: Law, viscous: bool):
     If the law is viscous, the kernel also raises the maxima, as `make_measure_simd` does.
     """
     kind = "viscous" if viscous else "elastic"
-    pieces = [
-        "lattice",
-        "lattice:strains",
-        *(["lattice:rates", "lattice:survey"] if viscous else []),
-        f"lattice:{kind}",
-    ]
-    body = f"const int width = {law.width};\n" + code(*pieces, "lattice:laws", "lattice:stress")
+    motion = (*MOTION, "lattice:survey") if viscous else MOTION[:2]
+    pieces = f"lattice:{kind}", "lattice:laws", "lattice:stress", "lattice:scatter"
+    body = f"const int width = {law.width};\n" + code(*motion, *pieces)
 
     @native_kernel(f"phy124_lattice_{law.name}_{kind}_simd", body, seconds=1.0)
     def lattice_stress_simd(
@@ -118,12 +117,42 @@ def make_stress_simd(law: Law, viscous: bool):
 
 
 @build_once
+def make_shock_simd():
+    """Kernel over blocks of sixteen cells, equivalent to `make_shock`, for float32."""
+    pieces = *MOTION, "lattice:shock", "lattice:scatter"
+    body = constants("float", QUADRATIC=QUADRATIC) + code(*pieces)
+
+    @native_kernel("phy124_lattice_shock_simd", body, seconds=1.0)
+    def lattice_shock_simd(
+        full_blocks: int,
+        low: int,
+        dx: float,
+        mass: Numbers,
+        order: Ints,
+        packed: Numbers,
+        rows: Ints,
+        u: Vectors,
+        v: Vectors,
+        force_out: Vectors,
+    ):
+        """Add the force of the artificial viscosity of sixteen cells to the nodes."""
+
+    return lattice_shock_simd
+
+
+@build_once
 def make_measure_simd():
     """Kernel over blocks of sixteen cells, equivalent to `make_lattice_measure`, for float32."""
 
     @native_kernel(
         "phy124_lattice_measure_simd",
-        code("lattice", "lattice:strains", "lattice:rates", "lattice:survey", "lattice:measure"),
+        code(
+            "lattice",
+            "lattice:strains",
+            "lattice:rates",
+            "lattice:survey",
+            "lattice_points:measure",
+        ),
         seconds=1.0,
     )
     def lattice_measure_simd(
@@ -149,9 +178,13 @@ def make_totals_simd(law: Law):
     Momentum and kinetic energy are sums over nodes.
     """
     numbers = f"const int width = {law.width}, ELASTIC = {ELASTIC}, POWER = {POWER};\n"
-    pieces = ["lattice", *(f"lattice:{piece}" for piece in ("strains", "rates", "laws", "totals"))]
+    pieces = ["lattice", "lattice:strains", "lattice:rates", "lattice:laws"]
 
-    @native_kernel(f"phy124_lattice_totals_{law.name}_simd", numbers + code(*pieces), seconds=1.0)
+    @native_kernel(
+        f"phy124_lattice_totals_{law.name}_simd",
+        numbers + code(*pieces, "lattice_points:totals"),
+        seconds=1.0,
+    )
     def lattice_totals_simd(
         full_blocks: int,
         first: int,
@@ -178,7 +211,7 @@ def make_follow_simd():
 
     @native_kernel(
         "phy124_lattice_follow_simd",
-        code("lattice", "lattice:strains", "lattice:rates", "lattice:follow"),
+        code(*MOTION, "lattice_points:follow"),
         seconds=1.0,
     )
     def lattice_follow_simd(
@@ -204,7 +237,9 @@ def make_follow_simd():
 def make_locate_simd():
     """Kernel over blocks of sixteen cells, equivalent to `make_locate`, for float32."""
 
-    @native_kernel("phy124_lattice_locate_simd", code("lattice", "lattice:locate"), seconds=0.6)
+    @native_kernel(
+        "phy124_lattice_locate_simd", code("lattice", "lattice_points:locate"), seconds=0.6
+    )
     def lattice_locate_simd(
         full_blocks: int,
         dx: float,
@@ -226,7 +261,7 @@ def make_locate_simd():
 @build_once
 def make_kick_simd():
     """Kernel over runs of `NODES` nodes, equivalent to `make_kick`, for float32."""
-    return native_kernel("phy124_lattice_kick_simd", code("lattice:kick"), seconds=0.3)(
+    return native_kernel("phy124_lattice_kick_simd", code("lattice_nodes:kick"), seconds=0.3)(
         make_kick(wp.float32).func
     )
 
@@ -234,6 +269,6 @@ def make_kick_simd():
 @build_once
 def make_drift_simd():
     """Kernel over runs of `NODES` nodes, equivalent to `make_drift`, for float32."""
-    return native_kernel("phy124_lattice_drift_simd", code("lattice:drift"), seconds=0.3)(
+    return native_kernel("phy124_lattice_drift_simd", code("lattice_nodes:drift"), seconds=0.3)(
         make_drift(wp.float32).func
     )
