@@ -1,6 +1,6 @@
 // Kicks and drifts of 256 nodes of a lattice.
-// Plain forms: `kick` and `drift` of lattice/nodes.py. Test: tests/test_lattice_kernels.py,
-// test_simd_and_plain_contact_agree.
+// Plain form: `kick` and `drift` of lattice/nodes.py.
+// Test: tests/test_lattice_kernels.py, test_simd_and_plain_contact_agree.
 
 //: kick
 // Plain form: `kick` of lattice/nodes.py, for one node. Tied nodes get the uniform acceleration,

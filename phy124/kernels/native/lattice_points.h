@@ -1,7 +1,6 @@
-// What follows from the strains and rates of the points of sixteen cells, which the pieces of
-// lattice.h compute.
-// Plain forms: `lattice_measure` of lattice/stress.py, `totals` of diagnostics.py, `follow` and
-// `locate` of lattice/points.py. Tests: tests/test_lattice_kernels.py.
+// What follows from the strains and rates of sixteen cells, which pieces of lattice.h compute.
+// Plain form: `lattice_measure` of lattice/stress.py, `follow` and `locate` of lattice/points.py.
+// Test: tests/test_lattice_kernels.py, test_simd_and_plain_points_agree.
 
 //: measure
 for (int point = 0; point < 8; ++point) {
