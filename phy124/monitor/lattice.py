@@ -101,9 +101,9 @@ class LatticeWatchdog(Watchdog):
 class LatticeWork(MeanWork):
     """External impulse and work, from the solver's sums for walls and forces on points.
 
-    Beside other forces, the work of a steady acceleration is summed in every substep, too, because
-    its product with the displacement belongs to the time of the positions. In a frame of two
-    substeps the difference was 32 % of the energy, when a wind blew against gravity.
+    Together with other forces, the work of a steady acceleration is summed in every substep, too,
+    because its product with the displacement belongs to the time of the positions. In a frame of
+    two substeps the difference was 32 % of the energy, when a wind blew against gravity.
     """
 
     @classmethod

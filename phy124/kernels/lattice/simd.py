@@ -1,9 +1,10 @@
 """The kernels of lattice/stress.py for neo-Hookean bodies on the vector units of a CPU.
 
 A thread processes a block of sixteen cells, which `order` [blocks,16] lists: first all full cells,
-then the others. The cells of a block lie far apart, so that no two of them write to the same node
-at nearly the same time. `packed` [blocks,8,4,16] stores the three components of `offset`, and the
-volume, of each point. Each of these numbers is stored for the sixteen cells of a block in a row.
+then the others. The cells of a block lie near each other, so that their nodes stay in the cache,
+but `APART` cells apart, so that no two of them write to the same node at nearly the same time.
+`packed` [blocks,8,4,16] stores the three components of `offset`, and the volume, of each point.
+Each of these numbers is stored for the sixteen cells of a block in a row.
 """
 
 import itertools
@@ -25,6 +26,8 @@ from phy124.kernels.transfer import Law
 
 CELLS = 16
 """Number of cells that one thread handles."""
+APART = 4
+"""Distance of the cells of a block in the order of all cells, which runs along z."""
 NODES = 256
 """Number of nodes that one thread handles."""
 GAUSS = 1 + np.array(list(itertools.product((-1, 1), repeat=3))) / math.sqrt(12)
@@ -77,8 +80,10 @@ def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
         filled = np.concatenate([chosen, np.repeat(chosen[-1:], missing)])
         values = rows[filled]
         values[len(chosen) :, :, 3] = 0
-        parts.append(filled.reshape(CELLS, blocks).T)
-        constants.append(np.moveaxis(values.reshape(CELLS, blocks, PER_CELL, 4), 0, -1))
+        runs = np.split(np.arange(len(filled)), range(APART * CELLS, len(filled), APART * CELLS))
+        places = np.concatenate([run.reshape(CELLS, -1).T for run in runs])
+        parts.append(filled[places])
+        constants.append(np.moveaxis(values[places], 1, -1))
     order = np.concatenate(parts).astype(np.int32) + np.int32(first)
     packed = np.ascontiguousarray(np.concatenate(constants), dtype=np.float32)
     return Blocks(np.ascontiguousarray(order), packed, len(parts[0]))
