@@ -24,6 +24,7 @@ from phy124.studies.validation.accuracy import problems
 from phy124.studies.validation.bodies import make_solver
 from phy124.studies.validation.stress.case import Setting
 from phy124.studies.validation.stress.laws import every_deformation
+from support.runs import TORN
 from support.scenes import FORCES, LAWS, OTHER_SOLIDS, SOLIDS, SWING
 from support.shapes import ball, splats
 
@@ -103,19 +104,6 @@ def forces() -> Runs:
     }
 
 
-TORN = {
-    "time.frames": 6,
-    "time.fps": 24.0,
-    "object.lift": 0.1,
-    "object.spin": (0, 0, 40.0),
-    "material.E": 1e4,
-    "forces": [],
-    "boundaries": [],
-    "checks.balance": False,
-}
-"""A ball that spins so fast that the grid tears it."""
-
-
 def monitors() -> Runs:
     """What looks at a run and mends it: contacts, repair, particles far away, rejected substeps."""
     return {
@@ -124,7 +112,7 @@ def monitors() -> Runs:
         "sleep": lambda: simulate(**{"time.frames": 12, "time.fps": 24.0}),
         "a violent blow": lambda: simulate(**{**FALLING, "object.velocity": [0, 0, -60.0]}),
         "tearing sand": lambda: simulate("sand"),
-        "torn rubber": lambda: simulate("drop", **TORN),
+        "torn rubber": lambda: simulate("drop", **TORN, **{"time.fps": 24.0}),
         "particles far away": far_away,
         "stress at a point": probed,
         "a vortex": lambda: problems.vortex(6, time=0.01),

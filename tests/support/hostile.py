@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 import struct
 import zlib
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -41,9 +40,6 @@ def heic_claiming(width: int, height: int) -> bytes:
     said, data = b"ispe" + bytes(4) + struct.pack(">II", 256, 320), PHONE.read_bytes()
     assert said in data
     return data.replace(said, said[:8] + struct.pack(">II", width, height))
-
-
-Damage = Callable[[bytes, random.Random], bytes]
 
 
 def cut(data: bytes, rng: random.Random) -> bytes:

@@ -96,23 +96,6 @@ def curve(gamma: float) -> bytes:
     return b"curv" + bytes(4) + struct.pack(">IH", 1, round(gamma * 256))
 
 
-def rgb_profile(primaries: np.ndarray, gamma: float) -> bytes:
-    """A profile of RGB.
-
-    Args:
-        primaries: XYZ of red, green and blue under D50 [3,3], a column each.
-        gamma: Exponent of the tone curve.
-    """
-    columns = {
-        f"{name}XYZ": b"XYZ " + bytes(4) + b"".join(map(fixed, column))
-        for name, column in zip("rgb", np.asarray(primaries).T, strict=True)
-    }
-    white = b"XYZ " + bytes(4) + fixed(0.9642) + fixed(1.0) + fixed(0.8249)
-    return profile(
-        "RGB ", columns | {f"{name}TRC": curve(gamma) for name in "rgb"} | {"wtpt": white}
-    )
-
-
 DISPLAY_P3 = np.array(
     [[0.51512, 0.29198, 0.15710], [0.24120, 0.69225, 0.06657], [-0.00105, 0.04189, 0.78407]]
 )
