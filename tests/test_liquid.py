@@ -1,4 +1,4 @@
-"""Liquids by pressure projection: tanks, slopes and closed boxes with known results."""
+"""Projected liquids: tanks, slopes and closed boxes with known results."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Other materials in a liquid by pressure projection: floating, sinking and held bodies."""
+"""Other materials in a projected liquid: floating, sinking and held bodies."""
 
 import numpy as np
 import pytest

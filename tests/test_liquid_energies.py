@@ -1,4 +1,4 @@
-"""Where the energy of a liquid by pressure projection goes: works by cause, with known results."""
+"""Where the energy of a projected liquid goes: works by cause, with known results."""
 
 import numpy as np
 import pytest

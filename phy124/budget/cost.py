@@ -31,7 +31,7 @@ DOUBLE = 1.7
 PASS = 0.7
 """Time of each additional transfer pass, as a fraction of the substep (docs/lab/transfers.md)."""
 STEP = 6.0
-"""Time of a step of a liquid by projection, relative to the time of a substep."""
+"""Time of a step of a projected liquid, relative to the time of a substep."""
 VECTOR, PLAIN, LAUNCHES = 0.25, 2.4, 3600.0
 """Time per point of a lattice relative to that per particle, with and without kernels for vector
 units. The third number is the time to launch the kernels of a lattice's substep, expressed in
@@ -45,7 +45,7 @@ limit.
 WINDOW = 11
 """Number of nodes per axis by which the grid's window exceeds the nodes across the object."""
 GRAVITY = 9.81
-"""Acceleration that limits the steps of a liquid by projection [m/s^2]."""
+"""Acceleration that limits the steps of a projected liquid [m/s^2]."""
 BYTES_PER_PARTICLE = 400
 """Memory of a particle: its state, a snapshot of its state, and temporary arrays [bytes]."""
 BYTES_PER_POINT = 1100

@@ -1,4 +1,4 @@
-"""Liquids by pressure projection: incompressible flow on a staggered grid, with particles.
+"""Projected liquids: incompressible flow on a staggered grid, with particles.
 
 `LiquidSolver` takes the place of `phy124.mpm.Solver` in scenes whose `accuracy.liquid` is
 "projection". `Walls` are the scene's boundaries as shapes for the liquid, and `Solids` are free

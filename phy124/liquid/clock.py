@@ -84,7 +84,7 @@ class LiquidClock(Clock):
         """Return the change of kinetic energy [J] between the times of velocities and positions.
 
         Args:
-            power: Power of the stress [W]; not used, since a liquid by projection has none.
+            power: Power of the stress [W]; not used, since a projected liquid has none.
             momentum: Momentum of all particles [3], kg m/s.
         """
         del power

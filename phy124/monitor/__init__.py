@@ -52,7 +52,7 @@ frames.
 LIQUID_OBSERVERS: tuple[type[Observer], ...] = tuple(
     MeanWork if observer is ExternalWork else observer for observer in OBSERVERS
 )
-"""Observers of a liquid by projection without other bodies."""
+"""Observers of a projected liquid without other bodies."""
 LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeMethod,
     LatticePairs,

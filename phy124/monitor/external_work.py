@@ -39,7 +39,7 @@ acceleration.
 """
 MEAN_PUSH, MEAN = "mean_push", "mean"
 """Forces on points and walls whose work is computed with the mean velocities of a step, on lattices
-and on a liquid by projection.
+and on a projected liquid.
 """
 SOURCES = (PUSH, WALL, UNIFORM, MEAN_PUSH, MEAN)
 ROOM = 16

@@ -49,11 +49,11 @@ velocity is set in every substep); an unstable run exceeds any limit within a fe
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, as a fraction of all momentum transferred."""
 PROJECTED = 0.2
-"""Tolerated spurious momentum in a liquid by projection, as a fraction of all momentum transferred.
+"""Tolerated spurious momentum in a projected liquid, as a fraction of all momentum transferred.
 Layers thinner than a cell press on walls with up to a quarter less than their weight.
 """
 CROWDED = 0.1
-"""If the mean excess of density in a liquid by projection is above this, the space between the
+"""If the mean excess of density in a projected liquid is above this, the space between the
 walls is too small for the liquid.
 """
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}

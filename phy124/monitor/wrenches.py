@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 STAGE = "wrenches"
 """Name of the stages that sum wrenches."""
 LIQUID = -1
-"""Key of the sums that a liquid by projection keeps; other keys are indices of workers."""
+"""Key of the sums that a projected liquid keeps; other keys are indices of workers."""
 Vector3 = NDArray[np.float64]
 
 

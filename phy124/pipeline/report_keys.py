@@ -227,7 +227,7 @@ class Energy(TypedDict):
     """Part of `numerical`: the sum of all works minus `kinetic`, which is a rounding error."""
     projection: NotRequired[float]
     """Part of `numerical`: loss by the pressure equation; this key and the following ones are for
-    liquids by pressure projection.
+    projected liquids.
     """
     density: NotRequired[float]
     """Part of `numerical`: potential energy lost to the displacements that restore the density."""

@@ -152,7 +152,7 @@ def check_transfer(accuracy: Accuracy) -> None:
 
     Raises:
         InputError: `blend` is set without aflip, or `rpic_damping` or `gradient` without apic; or
-            one of them is set for a liquid by projection or for the lattice solver.
+            one of them is set for a projected liquid or for the lattice solver.
     """
     transfer = accuracy.transfer
     changed = [name for name, usual in USUAL.items() if getattr(accuracy, name) != usual]

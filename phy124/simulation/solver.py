@@ -83,82 +83,44 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         gradient=scene.resolution.gradient,
     )
     refuse_buried(scene.boundaries, model)
-    ceiling = math.inf if scene.time.substep is None else scene.time.substep
-    if scene.mixes:
-        from phy124.liquid.mixed import MixedSolver
-
-        return MixedSolver(
-            model,
-            State.of(model, v, C),
-            **wrap(scene, observers),
-            pairs=list(_pairs(model.names, scene)),
-            free=setup.free,
-            ceiling=ceiling,
-            threads=setup.threads,
-            measure_every=scene.checks.measure,
-            gathered=[observer for observer in observers if observer.in_gathers],
-            scheme=scheme_of(scene),
-        )
-    if scene.projects:
+    state = State.of(model, v, C)
+    options: dict[str, Any] = {
+        **wrap(scene, observers),
+        "ceiling": math.inf if scene.time.substep is None else scene.time.substep,
+        "threads": setup.threads,
+    }
+    if scene.projects and not scene.mixes:
         from phy124.liquid.solver import LiquidSolver
 
-        acting = wrap(scene, observers)
-        state = State.of(model, v, C)
-        return LiquidSolver(
-            model, state, **acting, free=setup.free, ceiling=ceiling, threads=setup.threads
-        )
-    if scene.on_lattice:
-        from phy124.lattice.solver import LatticeSolver
-
+        return LiquidSolver(model, state, **options, free=setup.free)
+    options["pairs"] = list(_pairs(model.names, scene))
+    steps = {"measure_every": scene.checks.measure, "scheme": scheme_of(scene)}
+    if scene.on_lattice and not scene.mixes:
         assert particles.surface is not None
         surface = particles.surface.copy()
         surface[:, 6] = np.searchsorted(bodies, surface[:, 6])
+        options["copies"] = particles.copies
         if scene.couples:
             from phy124.lattice.coupled import CoupledSolver
 
-            return CoupledSolver(
-                model,
-                surface,
-                State.of(model, v, C),
-                **wrap(scene, observers),
-                pairs=list(_pairs(model.names, scene)),
-                copies=particles.copies,
-                still=still,
-                ceiling=ceiling,
-                threads=setup.threads,
-                measure_every=scene.checks.measure,
-                scheme=scheme_of(scene),
-            )
-        return LatticeSolver(
-            model,
-            surface,
-            State.of(model, v, C),
-            **wrap(scene, observers),
-            pairs=list(_pairs(model.names, scene)),
-            free=setup.free,
-            copies=particles.copies,
-            ceiling=ceiling,
-            threads=setup.threads,
-        )
-    return Solver(
-        model,
-        State.of(model, v, C),
-        **wrap(scene, observers),
-        pairs=list(_pairs(model.names, scene)),
-        free=setup.free,
-        ceiling=ceiling,
-        threads=setup.threads,
-        measure_every=scene.checks.measure,
-        gathered=[observer for observer in observers if observer.in_gathers],
-        scheme=scheme_of(scene),
-    )
+            return CoupledSolver(model, surface, state, **options, **steps, still=still)
+        from phy124.lattice.solver import LatticeSolver
+
+        return LatticeSolver(model, surface, state, **options, free=setup.free)
+    gathered = [observer for observer in observers if observer.in_gathers]
+    options |= {**steps, "free": setup.free, "gathered": gathered}
+    if scene.mixes:
+        from phy124.liquid.mixed import MixedSolver
+
+        return MixedSolver(model, state, **options)
+    return Solver(model, state, **options)
 
 
 def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
     """Return the arguments of the solver's `bind`: forces and boundaries, as wrapped by the
     observers.
 
-    The solver of a liquid by projection sums the impulses of its walls itself.
+    The solver of a projected liquid sums the impulses of its walls itself.
     """
     forces: Sequence[Attachable] = scene.acting
     walls: Sequence[Attachable] = scene.boundaries
