@@ -1,4 +1,4 @@
-"""A visitor who keeps to no rules: raw requests to the page, past every client."""
+"""A hostile visitor who sends raw requests to the page, without any client library."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Attacker:
         return json.loads(text)[0]
 
     def press(self, panel: str, event: str, inputs: list[Any], **data: Any) -> Any:
-        """What the page's own handler of an event answers: a list of values, or an error."""
+        """Return the answer of the page's handler to an event: a list of values, or an error."""
         body = {
             "fn_index": self._handler(panel, event),
             "data": inputs,
@@ -76,18 +76,18 @@ class Attacker:
         return answer["data"] if status == 200 else answer
 
     def is_known(self) -> bool:
-        """What an open page asks every few seconds, which is a sign of life: is all still here?"""
+        """Send the request that an open page sends every few seconds to show that it is open."""
         return json.loads(self.get("/phy124/here")[1])["known"]
 
     def choose(self, path: Any) -> str:
-        """Have a picture cut out; what came of it, in words."""
+        """Have a picture cut out; return the outcome as text."""
         shown = self.press("picture", "choose", [], upload=path)[0]
         if shown.get("job"):
             return self.followed(shown["job"])["message"] or "cut out"
         return shown["message"]
 
     def use_the_page(self, path: str, scene: Any) -> list[dict[str, Any]]:
-        """What a browser does until the result is there, and all it was told of the run."""
+        """Do what a browser does until the result exists; return all messages about the run."""
         cutting = self.press("picture", "choose", [], upload=path)[0]["job"]
         assert self.followed(cutting)["state"] == "done"
         self.press("picture", "cut", [None, None], job=cutting)
@@ -97,7 +97,7 @@ class Attacker:
         return answer
 
     def shown(self, run: str, scene: Any) -> dict[str, Any]:
-        """What the viewer shows of a run that has ended."""
+        """Return the viewer's data for a run that has ended."""
         panels = self.press("progress", "finished", [None, scene, None, None, 1], job=run)
         assert isinstance(panels, list), panels
         return panels[4]
@@ -110,11 +110,11 @@ class Attacker:
         return WebSocket(self.server.port, f"/phy124/touch/{ticket}", cookie, origin)
 
     def followed(self, job: str) -> dict[str, Any]:
-        """The last word on a piece of work."""
+        """Return the final message about a job."""
         return list(self.following(job))[-1]
 
     def following(self, job: str) -> Iterator[dict[str, Any]]:
-        """What is told of a piece of work until it has ended."""
+        """Return the messages about a job until it has ended."""
         end = time.monotonic() + TIMEOUT
         while time.monotonic() < end:
             output = json.loads(self.get(f"/phy124/jobs/{job}")[1])

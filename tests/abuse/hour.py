@@ -1,4 +1,4 @@
-"""A hostile hour: half of the visitors only want a run, the others want everything.
+"""Simulates an hour in which half of the visitors make runs, and the other half attack the page.
 
     python tests/abuse/hour.py --seconds 3600 --visitors 200
 
@@ -61,13 +61,13 @@ def scene(**changes: object) -> dict:
 
 @dataclass
 class Record:
-    """What was seen of the server."""
+    """Observations of the server."""
 
     health: list[float] = field(default_factory=list)
     memory: list[int] = field(default_factory=list)
     disk: list[int] = field(default_factory=list)
     answers: Counter[str] = field(default_factory=Counter)
-    """How often each attack was tried."""
+    """Number of attempts of each attack."""
     tries: list[int] = field(default_factory=list)
     """Of each honest visitor: how often until the run was there."""
 
@@ -175,14 +175,14 @@ def _foreign(attacker: Attacker) -> None:
 
 
 def _runs(attacker: Attacker) -> None:
-    """As many as may wait, and gone."""
+    """Start as many jobs as may wait, and leave."""
     if _cut(attacker):
         for seed in range(5):
             attacker.press("go", "click", [None, scene(seed=seed, **{"time.frames": 24}), None])
 
 
 def _touch(attacker: Attacker) -> None:
-    """Ask for it and never come; or come and vanish."""
+    """Request a live run and never connect, or connect and disappear."""
     if _cut(attacker):
         attacker.press("begin-touch", "click", [None, scene(), None])
         if random.random() < 0.3:
@@ -263,7 +263,8 @@ def attack(server: Server, seconds: float, visitors: int) -> Record:
 
 
 def check(server: Server, record: Record, seconds: float, visitors: int) -> None:
-    """Assert all but times: every honest visitor was served, limits held, nothing is left."""
+    """Assert that every honest visitor was served, limits held and nothing is left; times are not
+    checked."""
     assert len(record.tries) == visitors // 2
     assert set(record.answers) == {attack.__name__ for attack in ATTACKS}
     assert max(record.memory) < MEMORY

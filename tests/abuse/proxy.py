@@ -1,4 +1,4 @@
-"""A proxy that holds every answer back until it is complete, as some do."""
+"""A proxy that delays every answer until it is complete, as some proxies do."""
 
 from __future__ import annotations
 

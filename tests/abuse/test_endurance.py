@@ -1,4 +1,4 @@
-"""What a page must bear for long (pytest -m slow): run after run, a crowd that never stops."""
+"""Long tests of the page (pytest -m slow): many runs, and a permanent crowd of visitors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Runs that are ended at random moments (pytest -m slow): what is there is good, and goes on.
+"""Runs that are ended at random moments (pytest -m slow): files are valid, and the run can
+continue.
 
 Prints how many of how many were survived. PHY124_INTERRUPTIONS sets their number, PHY124_SEED their
 moments.

@@ -1,4 +1,5 @@
-"""Requests that no page of ours would send, one by one; the tools for agents; nothing stays."""
+"""Requests that the page would never send, one by one, and the tools for agents; nothing
+remains."""
 
 from __future__ import annotations
 

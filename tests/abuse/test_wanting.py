@@ -1,4 +1,4 @@
-"""One visitor who wants too much: room, streams, processor time, work for other sites.
+"""One visitor who demands too much: disk space, streams, processor time, requests to other sites.
 
 The server has little room and few open files; whatever is tried, others are served.
 """

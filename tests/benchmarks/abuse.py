@@ -1,6 +1,6 @@
-"""The abuse that PhysGaussian's solver was put to (docs/lab/stability.md), done here.
+"""Runs the hard cases with which PhysGaussian's solver was tested (docs/lab/stability.md).
 
-Run `python tests/benchmarks/abuse.py`; it prints one line per abuse and takes a minute. Bodies are
+Run `python tests/benchmarks/abuse.py`; it prints one line per case and takes a minute. Bodies are
 those of the table: a cube of 512 particles (1,728 in impacts) with E = 1e5 Pa.
 """
 
@@ -45,12 +45,12 @@ LAWS = (NeoHookean, FixedCorotated)
 
 
 def cube(per_axis: int = 8, height: float = 0.3) -> Array:
-    """A cube whose middle is `height` above the floor."""
+    """Return a cube whose centre is `height` above the floor."""
     return block(per_axis, SIZE, (0, 0, height))
 
 
 def watched(x: Array, material: Material = JELLY, **options: Any) -> tuple[Solver, Watchdog]:
-    """A solver with its watchdog, as a simulation has it."""
+    """Return a solver with its watchdog, as in a simulation."""
     external, count = ExternalWork(), options.pop("filled", len(x))
     s = make_solver(
         x,
@@ -66,7 +66,8 @@ def watched(x: Array, material: Material = JELLY, **options: Any) -> tuple[Solve
 
 
 def go(s: Solver, watch: Watchdog, seconds: float, frames: int = 1) -> str:
-    """Run frames as a simulation does; what is wrong, or least J and how often one was reset."""
+    """Run frames as a simulation does; return the violation, or the smallest J and the number of
+    resets."""
     for k in range(1, frames + 1):
         s.repair.begin(s.clock)
         watch.before_attempt()
@@ -80,7 +81,7 @@ def go(s: Solver, watch: Watchdog, seconds: float, frames: int = 1) -> str:
 
 
 def dropped(material: Material) -> str:
-    """On the floor at 1 m/s."""
+    """A cube hits the floor at 1 m/s."""
     x = cube(height=0.26)
     v = np.tile([0, 0, -1.0], (len(x), 1))
     s, watch = watched(x, material, v=v, forces=[Gravity()], boundaries=[Ground()])
@@ -91,7 +92,7 @@ def dropped(material: Material) -> str:
 
 
 def long_substep() -> str:
-    """A substep ten times too long, against the automatic one."""
+    """A substep that is ten times too long, compared with the automatic substep."""
     results = []
     for ceiling in (math.inf, 10 * 0.6 * 0.125 / JELLY.wave_speed()):
         x = cube()
@@ -104,7 +105,7 @@ def long_substep() -> str:
 
 
 def nan_position() -> str:
-    """One position NaN in the file of the object."""
+    """One position in the object's file is NaN."""
     gaussians = ball(512)
     means = gaussians.means.copy()
     means[7] = np.nan
@@ -226,7 +227,7 @@ def no_volume() -> str:
 
 
 def near_zero() -> str:
-    """A body astride x = 0 against one far inside."""
+    """A body across x = 0, compared with a body at large x."""
     results = []
     for cells in (16, 0):
         x = cube() + [cells * 0.125, 0, 0]

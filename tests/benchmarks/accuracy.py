@@ -1,4 +1,4 @@
-"""The measurements of docs/lab/accuracy.md: known answers, studies, goals, costs of parts.
+"""Makes the measurements of docs/lab/accuracy.md: exact solutions, studies, goals, costs of parts.
 
 With `--docs` its tables and plots are renewed (`make accuracy`). About a quarter of an hour, most
 of it for the goals and the finer runs that check them; parts by name (verify, duck-press,
@@ -93,7 +93,7 @@ def known_answers() -> str:
 
 
 def study_table(report: Report) -> str:
-    """The rows of a study and what it says."""
+    """Return the rows and the conclusions of a study."""
     heads = [
         "setting", "particles", "per axis", "substeps", "predicted s", "measured s", "error %",
         "pixels",
@@ -177,7 +177,7 @@ def distance(goal: Goal, clip: Clip, truth: Clip, scene: Scene) -> str:
 
 
 def time_rows(gaussians: Gaussians) -> list[list[str]]:
-    """Times asked for and taken, from Gaussians to files."""
+    """Return the requested and the actual times, from Gaussians to files."""
     rows = []
     for name, wish in (("press", 6), ("press", 15), ("sway", 15)):
         with tempfile.TemporaryDirectory() as folder:
@@ -191,7 +191,8 @@ def time_rows(gaussians: Gaussians) -> list[list[str]]:
 
 
 def damping_table(gaussians: Gaussians) -> str:
-    """The duck bounced by grid, with more and more viscosity: what is lost, what changes."""
+    """Bounce the duck on several grids with increasing viscosity; return energy losses and
+    distances."""
     rows = []
     for damping in (0.0, 100.0, 200.0, 400.0):
         scene, clips, lost = beginning("bounce").replaced({"material.damping": damping}), [], []
@@ -216,7 +217,8 @@ def damping_table(gaussians: Gaussians) -> str:
 
 
 def cost_rows(gaussians: Gaussians) -> list[list[str]]:
-    """One part of the method changed at a time: seconds by stage, change of the picture."""
+    """Change one part of the method at a time; return the seconds by stage and the change of the
+    picture."""
     base = beginning("press")
     thinned = {n: thin(gaussians, n) for n in (12_500, 25_000)}
     cases = [
@@ -321,7 +323,7 @@ def main(parts: list[str], *, docs: bool) -> None:
 
 
 def wants(parts: list[str], name: str) -> bool:
-    """Whether a part is to be measured."""
+    """Return whether a part is to be measured."""
     return not parts or name in parts
 
 

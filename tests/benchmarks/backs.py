@@ -1,4 +1,4 @@
-"""How good `relief` is where nobody looked: `python tests/benchmarks/backs.py --json FILE`.
+"""Measures the unseen sides of `relief`'s objects: `python tests/benchmarks/backs.py --json FILE`.
 
 Each of the 38 solids (`support.truths`), and each real object in $PHY124_OBJECTS or
 ../shared/objects, is drawn from its front; `relief` gets that picture. Compared are the picture
@@ -55,7 +55,7 @@ class Known:
     """An object whose every side is known; the longest side of its front silhouette is 1 m."""
 
     front: NDArray[np.uint8]
-    """What `relief` gets [FRONT,FRONT,4]."""
+    """The input of `relief` [FRONT,FRONT,4]."""
     pictures: NDArray[np.float32]
     """Colour on white and alpha [V,SMALL,SMALL,4] from `VIEWS`; the fourth is from behind."""
     points: NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""Force between two balls pressed on each other, against finite elements of the whole ball.
+"""Compares the force between two pressed balls with finite elements of the whole ball.
 
 The particles have the volumes that the ball cuts out of their cells, so that its surface is as
 smooth as the grid is fine: shells or whole cells add up to 0.2 cells of their own.
@@ -18,9 +18,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.balls import elements, pressed, pressed_on_box
 
 DEPTHS = (0.02, 0.035, 0.05)
-"""How far each ball is pressed at its contact [m]."""
+"""Depths by which each ball is pressed at the contact [m]."""
 PHASES = (0.0, 0.25, 0.5, 0.75)
-"""Where the contact is between two nodes."""
+"""Positions of the contact between two nodes."""
 
 
 def main() -> None:

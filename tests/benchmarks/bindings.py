@@ -1,10 +1,10 @@
-"""What it costs and brings that every Gaussian is a particle: both bindings, scene by scene.
+"""Compares cost and error of the bindings `particles` and `lattice`, scene by scene.
 
 Each scene is run on a few grids with the bindings `particles` and `lattice`, on one thread. Printed
 are processor seconds of dynamics and shapes on each grid, and the errors on all but the finest: RMS
 distances in per cent of the size from the finest run of `particles` and from that of `lattice`,
-joined by a stroke, so that neither is its own judge. Where the second grid is missing, a run was
-stopped or may be torn, and the reason is printed.
+separated by a stroke, so that neither binding is compared only with itself. Where the second grid
+is missing, a run was stopped or may be torn, and the reason is printed.
 
     python tests/benchmarks/bindings.py --cells 16,24,32 "press sunflower" "drop teddy"
 
@@ -39,7 +39,7 @@ BINDINGS = ("particles", "lattice")
 
 
 class Run(NamedTuple):
-    """What is compared of a run."""
+    """The compared results of a run."""
 
     means: NDArray[np.float32]
     """Centres of the Gaussians of the surface [T,N,3], m."""

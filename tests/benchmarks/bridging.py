@@ -1,7 +1,7 @@
-"""What the bridge costs: `python tests/benchmarks/bridging.py [encode|record|publish ...]`.
+"""Measures the bridge's time: `python tests/benchmarks/bridging.py [encode|record|publish ...]`.
 
-Prints one JSON line per case. Every figure is paired with its floor, the plain copy of the same
-bytes, measured in turn with it so that both meet the same neighbours:
+Prints one JSON line per case. Every figure is paired with a lower bound, the plain copy of the same
+bytes, measured in turn with it so that both are measured under the same load:
 
 - encode: processor time of making the CDR message, against `bytes(data)`;
 - record: wall time per frame until it is flushed to the file, against `file.write(data)`;

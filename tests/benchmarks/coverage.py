@@ -1,4 +1,4 @@
-"""How often the interval of a fit holds the truth: docs/lab/fitting.md.
+"""Measures how often the interval of a fit contains the true value (docs/lab/fitting.md).
 
     python tests/benchmarks/coverage.py FOLDER --seeds 0 25
 
@@ -61,7 +61,7 @@ def fit_seed(clip: Clip | None, folder: Path, seed: int) -> dict[str, float]:
 
 
 def main() -> None:
-    """Run the seeds that are not there yet, then tell about all."""
+    """Run the missing seeds, then print the results of all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", type=int, nargs=2, default=(0, 100))
@@ -82,7 +82,7 @@ def main() -> None:
 
 
 def tell(kept: Path) -> None:
-    """How many hold the truth, and how the values are spread."""
+    """Return how many intervals contain the true value, and the spread of the values."""
     texts = csv.DictReader(kept.open())
     rows = [{name: float(text) for name, text in row.items()} for row in texts]
     value = np.array([row["value"] for row in rows])

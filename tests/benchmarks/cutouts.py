@@ -1,4 +1,4 @@
-"""How well objects are cut out of pictures whose masks are known, by which method.
+"""Measures how well each method cuts objects out of pictures whose masks are known.
 
 python tests/benchmarks/cutouts.py                    the examples, each on 12 grounds; renews the
                                                       tables in docs/lab/cutouts.md
@@ -52,12 +52,12 @@ class Known(NamedTuple):
 
 
 def alone(rgb: NDArray[np.uint8]) -> Alpha:
-    """The network's answer as rembg enlarges it."""
+    """The network's mask, enlarged as in rembg."""
     return u2net.foreground(rgb, NETWORK)
 
 
 def shipped(rgb: NDArray[np.uint8]) -> Alpha:
-    """The network's answer fitted to the picture: the method `u2netp`."""
+    """The network's mask, fitted to the picture: the method `u2netp`."""
     return fit_edge(rgb, u2net.saliency(rgb, NETWORK))
 
 
@@ -75,7 +75,7 @@ def with_grabcut(rgb: NDArray[np.uint8]) -> Alpha:
 
 
 def picked(known: Known) -> Alpha:
-    """What `u2netp` finds at a place on the object, its innermost."""
+    """The result of `u2netp` at a point, the innermost point of the object."""
     depth = distance_transform_edt(known.alpha > 127)
     row, column = np.unravel_index(int(depth.argmax()), depth.shape)
     place = (column + 0.5) / depth.shape[1], (row + 0.5) / depth.shape[0]
@@ -115,7 +115,7 @@ def main(*folders: str) -> None:
 
 
 class Figures:
-    """What was measured of each way, picture by picture."""
+    """The measurements of each method, picture by picture."""
 
     def __init__(self) -> None:
         self.overlap: dict[str, dict[str, list[float]]] = {way: {} for way in WAYS}
@@ -173,7 +173,7 @@ class Figures:
         return markdown(["ground", *columns], rows)
 
     def doubts(self) -> str:
-        """How many right and wrong cut-outs are told."""
+        """Return how many correct and wrong cut-outs have a warning."""
         heads = [
             "method",
             "correct, with warning",
@@ -209,7 +209,7 @@ def cut(rgb: NDArray[np.uint8], alpha: Alpha, method: str, objects: int) -> Cuto
 
 
 def share_of_ground(known: Known, shown: NDArray[np.uint8], alpha: Alpha) -> float:
-    """How much of the way from the object's own colour to the ground's its soft edge has gone."""
+    """Return the fraction of the background's colour in the object's soft edge."""
     assert known.object is not None
     index = distance_transform_edt(known.alpha < 250, return_distances=False, return_indices=True)
     shares = known.object[tuple(index)].astype(float)

@@ -1,4 +1,5 @@
-"""What one device does: particle-substeps per second against floors, and the paper's clip.
+"""Measures a device: particle-substeps per second, compared with lower bounds, and the paper's
+clip.
 
 throughput: a falling cube of fixed corotated jelly with the paper's fixed substep of 1e-4 s, beside
   two floors measured on the same device: the bytes that a substep must move at the speed at which

@@ -1,4 +1,4 @@
-"""What leaving effects out saves: paired ratios in one process, one JSON line each.
+"""Measures the time saved by leaving effects out: paired ratios in one process, one JSON line each.
 
 switch: one law compiled alone against the same law inside kernels that ask for the law's kind and
   hold all thirteen, or the ten without friction, by kind and parameters of each particle, and
@@ -65,7 +65,7 @@ def five_of(theta: vec6):
 
 @wp.func
 def any_lossless(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: vec6):
-    """The stress of whatever of the ten laws without friction is meant."""
+    """The stress of the law, of the ten without friction, that an index selects."""
     kind = int(theta[5])
     five = five_of(theta)
     if kind == 0 or kind == 3:
@@ -81,7 +81,7 @@ def any_lossless(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: vec6):
 
 @wp.func
 def any_law(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: vec6):
-    """The stress of whatever law is meant, as a program without specialisation asks for it."""
+    """The stress of the law that an index selects, as in a program without specialised kernels."""
     kind = int(theta[5])
     if kind == 10:
         return elastic.neo_hookean_damped(F, C, h, five_of(theta))
@@ -94,7 +94,7 @@ def any_law(F: wp.mat33, C: wp.mat33, h: wp.vec2, theta: vec6):
 
 @wp.func
 def any_project(F: wp.mat33, h: wp.vec2, theta: vec6, dt: float):
-    """The return mapping of whatever law is meant: none for the elastic ones."""
+    """The return mapping of the law that an index selects; elastic laws have none."""
     kind = int(theta[5])
     if kind == 4 or kind == 5:
         return plastic.von_mises(F, h, five_of(theta), dt)
@@ -116,7 +116,7 @@ def any_modulus(F: wp.mat33, h: wp.vec2, theta: vec6):
 
 
 class Switched(NeoHookean):
-    """Neo-Hookean, found by asking."""
+    """The neo-Hookean law, selected by an index."""
 
     device_law = Law("switched", any_law, any_modulus, 6, project=any_project)
 

@@ -1,4 +1,4 @@
-"""How deep what flows ends below its floor (docs/lab/physics.md), a JSON line each.
+"""Measures how deep flowing materials end below the floor (docs/lab/physics.md), a JSON line each.
 
 The cupcake in the preset `drop`. `python tests/benchmarks/floor.py draft standard fine`; fine takes
 minutes.

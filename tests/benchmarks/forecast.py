@@ -1,4 +1,4 @@
-"""Forecast against measured seconds: the preset scenes at every named accuracy, a line each.
+"""Compares predicted with measured seconds for the presets at every named accuracy, a line each.
 
 With `--docs` the table of docs/lab/forecasts.md is renewed. Run it when nothing else runs: a
 forecast cannot know what others will do. About four minutes; names of scenes do only these.

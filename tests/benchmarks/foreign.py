@@ -1,4 +1,4 @@
-"""Formats of Gaussians: errors that other programs' readers find, times and sizes.
+"""Measures formats of Gaussians: errors in other programs' readers, times and sizes.
 
 PHY124_NODE_MODULES=FOLDER/node_modules python tests/benchmarks/foreign.py
 

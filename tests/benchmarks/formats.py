@@ -1,4 +1,4 @@
-"""What each output format costs: seconds of drawing and writing, and bytes, for one clip.
+"""Measures the cost of each output format for one clip: seconds of drawing and writing, and bytes.
 
 python tests/benchmarks/formats.py out/duck-press/clip.safetensors
 """

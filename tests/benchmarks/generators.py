@@ -1,4 +1,4 @@
-"""What the paper's first stage costs: `python tests/benchmarks/generators.py PART [--device cpu]`.
+"""Measures the paper's first stage: `python tests/benchmarks/generators.py PART [--device cpu]`.
 
 PART is lgm (four given views to Gaussians), imagedream (one step with guidance, of 30, in
 `--precision`, by torch with `--compile`), u2net (one picture to its mask), samplers (errors of DDIM

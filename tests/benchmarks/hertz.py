@@ -1,4 +1,4 @@
-"""Force of a ball pressed between two plates, against finite elements of the whole ball.
+"""Compares the force on a ball between two plates with finite elements of the whole ball.
 
 They are those of phy124/studies/validation/experiments/elastic_ball.py; Hertz (1882) takes both
 bodies for half-spaces.
@@ -17,9 +17,9 @@ from phy124.studies.validation.experiments.elastic_ball import fit_law
 from phy124.studies.validation.experiments.hertz import NU, RADIUS, E, hertz, press
 
 DEPTHS = (0.02, 0.035, 0.05)
-"""How far each plate presses [m]."""
+"""Depths by which each plate presses [m]."""
 PHASES = (0.0, 0.25, 0.5, 0.75)
-"""Where it comes to rest between two nodes."""
+"""Positions between two nodes at which the plate comes to rest."""
 GRIDS = (16, 22, 32, 44, 64)
 """Cells across the ball."""
 
@@ -34,7 +34,7 @@ def errors(cells: int, depth: float = DEPTHS[-1], **options: Any) -> list[float]
 
     Args:
         cells: Cells across the ball.
-        depth: How far the plate presses [m].
+        depth: Depth by which the plate presses [m].
         given: `per_axis` and `precision` of `pressed`.
     """
     forces = (press(cells // 2, depth, phase=phase, **options) for phase in PHASES)

@@ -1,4 +1,4 @@
-"""What each law costs: CPU nanoseconds per particle and substep on one core, a JSON line each.
+"""Measures the cost of each law: CPU nanoseconds per particle and substep, a JSON line each.
 
 132,651 particles, eight per cell, as in a 64^3 grid; laws take turns, the least of all counts.
 `limits` is one look at what limits the substep, taken at every fourth.

@@ -1,4 +1,4 @@
-"""How fast the solver steps: particle-substeps per second by law, form, threads and size.
+"""Measures the solver's speed: particle-substeps per second by law, form, threads and size.
 
 A cube of random particles, cell-sorted, falls on a floor with the paper's settings (jelly, E 1e5,
 dt 1e-4), so rows compare with facts about other engines. Forms, thread counts and a straightforward

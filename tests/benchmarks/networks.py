@@ -1,4 +1,4 @@
-"""What TripoSR costs: `python tests/benchmarks/networks.py prepare|int8|weights8|torch FOLDER`.
+"""Measures TripoSR: `python tests/benchmarks/networks.py prepare|int8|weights8|torch FOLDER`.
 
 `prepare` writes networks of the true size with seeded weights to the folder: the checkpoint, and
 ONNX files with 8-bit weights and activations (int8) and with 8-bit weights alone (weights8, which

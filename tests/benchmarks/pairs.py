@@ -1,4 +1,4 @@
-"""What several bodies cost: two in contact, and two apart, against one of as many particles.
+"""Measures the cost of two bodies, in contact and apart, relative to one body of as many particles.
 
 Run `python tests/benchmarks/pairs.py [THREADS]`. Processor time, the runs taken in turn.
 """

@@ -1,4 +1,4 @@
-"""Presets cut to the beginning that the figures of docs/ were measured on, so that they compare.
+"""Presets shortened to the frames for which the figures of docs/ were measured.
 
 Most last longer (phy124/presets), which `settling.py` measures.
 """

@@ -1,4 +1,4 @@
-"""What it costs to keep a run on disk while it goes on: the same run with and without, in turn.
+"""Measures the cost of recording a run on disk: the same run with and without recording, in turn.
 
 `python tests/benchmarks/recording.py [PAIRS]` prints seconds of each, and the difference.
 """

@@ -1,4 +1,4 @@
-"""How true `relief` is to solids whose every side is known: `python tests/benchmarks/relief.py`.
+"""Compares `relief` with solids that are known from all sides: `python tests/benchmarks/relief.py`.
 
 Each solid is drawn from the front; what `relief` makes of that picture is compared from eight other
 sides (`support.truths.VIEWS`): the overlap of the silhouettes (IoU), the pictures on white (PSNR),
@@ -110,7 +110,7 @@ def line(name: str, row: dict, before: dict | None) -> str:
 
 
 def turntables(renderer: Renderer) -> np.ndarray:
-    """What is made of each picture in demo/examples, from all sides."""
+    """Draw the object of each picture in demo/examples from all sides."""
     rows = []
     for file in sorted(EXAMPLES.glob("*.png")):
         made = relief(Image.open(file))

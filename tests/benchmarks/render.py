@@ -1,4 +1,4 @@
-"""How long a frame takes: `python tests/benchmarks/render.py [--device cpu] [--repeats 15]`.
+"""Measures the time of a frame: `python tests/benchmarks/render.py [--device cpu] [--repeats 15]`.
 
 Prints one JSON line per count, size and number of threads. With one thread the figure is the
 median processor time of a frame, and of one on the stage, with its shadow map and a plate, drawn in

@@ -1,9 +1,9 @@
-"""What a setting of a scene saves and costs: a few of its values, scene by scene.
+"""Measures time and error for some values of a setting, scene by scene.
 
 Each scene is run on one grid with each value, on one thread. Printed are processor seconds of
 dynamics and shapes, substeps, and RMS distances in per cent of the size from runs on a finer grid
-with the first and with the last value, joined by a stroke, so that neither is its own judge;
-`torn`, and the reason where a run was stopped.
+with the first and with the last value, separated by a stroke, so that no value is compared only
+with itself; `torn`, and the reason where a run was stopped.
 
     python tests/benchmarks/setting.py accuracy.cfl 0.6 0.75 0.85 --finer 36
     python tests/benchmarks/setting.py accuracy.particles_per_axis 2 1.5 --scenes "press sand" \\

@@ -1,4 +1,4 @@
-"""What each preset costs, and whether it shows its motion to the end.
+"""Measures the time of each preset, and whether its motion has ended at the end of the clip.
 
 python tests/benchmarks/settling.py [--accuracy draft,standard] [--seconds S] [PRESET ...]
 
@@ -28,7 +28,7 @@ PLANTS = ("sway", "wind")
 
 
 def pace(clip: Clip, size: float) -> float:
-    """How far Gaussians get between the last two frames: 99th percentile [sizes]."""
+    """Displacement of Gaussians between the last two frames: 99th percentile [sizes]."""
     steps = np.linalg.norm(clip.means[-1] - clip.means[-2], axis=1)
     return float(np.quantile(steps, 0.99)) / size
 

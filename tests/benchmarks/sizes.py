@@ -33,7 +33,7 @@ FRAMES = (14, 140, 700, 2000)
 
 
 class Cost(NamedTuple):
-    """What one process needed."""
+    """Time and memory of one process."""
 
     wall: float
     """Elapsed time [s]."""

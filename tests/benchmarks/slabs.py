@@ -1,4 +1,4 @@
-"""How far threads would speed up the solver: what each of N workers does in a substep, counted.
+"""Computes the speed-up of the solver by N threads, from the measured work of each worker.
 
 Each worker's phases run one after the other on one thread, and the processor time of each is taken,
 so that a machine of two cores tells what one of sixteen would do, as far as its memory kept pace.
@@ -67,7 +67,8 @@ def body(name: str, threads: int, *, ball: bool = False) -> Solver:
 
 
 def counted(name: str, threads: int, *, ball: bool, rounds: int = 5) -> dict[str, Any]:
-    """What the slowest worker of each phase takes, least of some rounds, and the nodes of slabs."""
+    """Return the time of the slowest worker in each phase, least of some rounds, and the nodes of
+    slabs."""
     s = body(name, threads, ball=ball)
     spent = np.full((rounds, len(s.workers[0].phases), threads), np.inf)
     for turn in range(rounds):

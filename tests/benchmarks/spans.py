@@ -1,4 +1,4 @@
-"""How often a run of the page lies within the span that was predicted, and how wide the span is.
+"""Measures how often a run of the page takes a time in the predicted range, and the range's width.
 
 Forecasts and true times beside 0, 1, 2 and 4 busy loops: a new picture, another motion of a picture
 that is there, another camera, what was probed on the object itself, and kernels that must be

@@ -42,7 +42,7 @@ def layouts() -> dict[str, Array]:
 
 
 def diverges(x: Array, material: Material, dt: float) -> bool:
-    """Whether a small noise grows without bound in 400 substeps."""
+    """Return whether small noise grows without bound in 400 substeps."""
     rng = np.random.default_rng(1)
     v = 1e-5 * DX / dt * rng.normal(size=x.shape)
     C = np.tile(1e-5 / dt * np.eye(3), (len(x), 1, 1))

@@ -1,4 +1,4 @@
-"""What the stage costs: `python tests/benchmarks/stage.py [--scenes drop,press,...]`.
+"""Measures the time of the stage: `python tests/benchmarks/stage.py [--scenes drop,press,...]`.
 
 Prints one JSON line per scene: milliseconds of CPU time per picture of a film, as the bytes
 that an encoder gets, without and with the stage, and what the stage adds, in percent, for a film of

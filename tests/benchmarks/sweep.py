@@ -1,4 +1,4 @@
-"""Clips per hour of a sweep: one process, one worker, two, two that are killed; and a million.
+"""Measures clips per hour of a sweep: one process, one and two workers, killed workers; a million.
 
 The queue is simulated: a driver that hands out a task in so much time, workers that are free or
 not. It is compared with the measured runs, then asked for numbers of workers that nobody here has.

@@ -146,7 +146,7 @@ def spent(worked: list[dict[str, float]], pictures: int) -> str:
 
 
 def grown(memory: list[dict[str, float]]) -> str:
-    """From what to what it has grown."""
+    """Return the memory at the start and at the end."""
     first, last = memory[0], memory[-1]
     return ", ".join(f"{n} {first[n] / 1e6:.0f} -> {last[n] / 1e6:.0f} MB" for n in first)
 
@@ -171,7 +171,8 @@ def seconds(process: int) -> float:
 
 
 def family(roots: tuple[int, ...]) -> dict[int, list[str]]:
-    """What the kernel tells of processes and of all that they started, by their numbers."""
+    """Return the operating system's data on processes and on all processes that they started, by
+    number."""
     options: dict[int, list[str]] = {}
     for path in Path("/proc").glob("[0-9]*"):
         with suppress(OSError, IndexError):

@@ -1,4 +1,4 @@
-"""What each transfer loses, errs, trembles and costs: the table of docs/lab/transfers.md.
+"""Measures energy loss, error, noise and cost of each transfer (table of docs/lab/transfers.md).
 
 python tests/benchmarks/transfers.py
 """

@@ -25,7 +25,7 @@ from support.served import Server, serving
 ROOT = Path(__file__).parents[2]
 DUCK = ROOT / "demo" / "examples" / "duck.png"
 Row = tuple[str, float, float]
-"""What was done, seconds, processor seconds."""
+"""Action, seconds, processor seconds."""
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""What else is known of the object, told on the page."""
+"""Optional inputs about the object on the page."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def visit(browser, server) -> Iterator[Visit]:
 
 
 def _event(request: Any) -> dict[str, Any]:
-    """What a panel's event carries; empty if nothing."""
+    """Return the data of a panel's event; empty if there is none."""
     return json.loads(request.post_data or "{}").get("event_data") or {}
 
 

@@ -1,4 +1,4 @@
-"""Panels alone in a real headless Chromium, without a server: what is said and heard at an end."""
+"""Single panels in a real headless Chromium, without a server: their messages when a job ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Refusals in a real headless Chromium: said again, said in full, and gone when they are over."""
+"""Refusals in a real headless Chromium: repeated, shown in full, and removed when they no longer
+apply."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is shown of a run in a real headless Chromium: as it grows, beside others, on a phone."""
+"""The display of a run in a real headless Chromium: while it grows, next to others, on a phone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scene editor alone in a real headless Chromium: what it makes of another law or kind."""
+"""The scene editor alone in a real headless Chromium: changes of a law or kind."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ FLAGS = [
 ]
 DUCK = ROOT / "demo" / "examples" / "duck.png"
 LONG = 300_000
-"""Patience with whatever is waited for, ms."""
+"""Longest wait for a condition [ms]."""
 HAND = "[...document.querySelectorAll('#touch, #touch *')].find((e) => e.hand).hand"
 """The live run of *Touch*, and ..."""
 TOP = f"""(() => {{

@@ -1,4 +1,4 @@
-"""What surrounds a motion on a GPU: pauses, forecasts, rest, failures."""
+"""Pauses, forecasts, sleep and failures of runs on a GPU."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A GPU as users reach it: command line, page, pictures, networks, a second card."""
+"""Use of a GPU from the command line and the page, for pictures, networks, and on a second card."""
 
 import json
 

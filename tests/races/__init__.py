@@ -1,12 +1,13 @@
-"""Kernels as a GPU would run them, seen on a CPU: threads in any order, each access noted.
+"""Runs kernels on a CPU as a GPU would: threads in any order, with a record of each access.
 
-Warp turns a kernel into C++ and compiles it by itself. Here that text is changed on its way to the
-compiler (watched.py): every read, write and atomic operation on an array leaves an entry in memory
-(record.py), and the loop over the threads takes them in the order that it finds there. Two threads
-of one launch are never ordered on a GPU, so what they did to the same word tells whether they race
-(conflicts.py), whatever order they were run in: exact for the inputs of that run, blind to others.
-Of a vector only the components that are used count as read (parts.py). Native snippets are seen
-where they call Warp's own functions, so the forms for vector units of CPUs are left out.
+Warp translates a kernel to C++ and compiles it. This package changes the C++ text before it is
+compiled (watched.py): every read, write and atomic operation on an array writes an entry to memory
+(record.py), and the loop over the threads runs them in the order stored there. A GPU never orders
+two threads of one launch, so their accesses to the same word show whether they race (conflicts.py),
+in whatever order they were run. The result is exact for the inputs of this run, and says nothing
+about other inputs. Only the components of a vector that are used count as read (parts.py). Native
+snippets are recorded where they call functions of Warp, so the forms for vector units of CPUs are
+left out.
 
 `PYTHONPATH=.:tests python -m races races walls FOLDER` runs a group of runs.py, or
 `order solids FOLDER` one of clips.py, and prints what it found as JSON; compiled kernels are kept

@@ -1,4 +1,4 @@
-"""`python -m races races | order GROUP CACHE`: what was found, as JSON."""
+"""`python -m races races | order GROUP CACHE` prints the results as JSON."""
 
 import json
 import sys

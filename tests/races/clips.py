@@ -18,13 +18,13 @@ SHORT = {"accuracy": {"cells": 8, "solver": "mpm"}, "time.frames": 8}
 
 
 def clip(preset: str, **changes: Any) -> Clip:
-    """Of a ball of particles, all forms and threads as they were chosen."""
+    """Clips of a ball of particles."""
     scene = Scene.named(preset).replaced({**SHORT, **changes})
     return Simulation(prepare(ball(500), scene, RunContext(threads=1))).run()
 
 
 def presets() -> Clips:
-    """As they are."""
+    """Clips of all presets, unchanged."""
     return {name: lambda name=name: clip(name) for name in preset_names()}
 
 

@@ -1,4 +1,4 @@
-"""Which words of memory threads of one launch race for."""
+"""Finds the words of memory for which threads of one launch race."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -15,15 +15,15 @@ PAIRS = {
     "write-atomic": (WRITE, ATOMIC),
     "read-atomic": (READ, ATOMIC),
 }
-"""What two threads may not do to one word, unless nobody minds which of them is first."""
+"""Pairs of accesses by two threads to one word that are a race."""
 
 
 def conflicts(entries: NDArray, arrays: Mapping[str, tuple[int, int]]) -> Counter[str]:
-    """Number of words by kind and array, such as "read-write grid_out".
+    """Return the number of racing words by kind and array, such as "read-write grid_out".
 
     Args:
         entries: The accesses of one launch.
-        arrays: Where its arrays lie: first address, and one past the last.
+        arrays: First address of each of its arrays, and one past the last.
     """
     words, kinds, tasks = _by_word(_shared(entries, arrays))
     if not len(words):
@@ -43,7 +43,7 @@ def conflicts(entries: NDArray, arrays: Mapping[str, tuple[int, int]]) -> Counte
 
 
 def _shared(entries: NDArray, arrays: Mapping[str, tuple[int, int]]) -> NDArray:
-    """Accesses inside the arrays; others are of memory that each thread has for itself."""
+    """Return the accesses inside the arrays; others are to memory that is private to a thread."""
     inside = np.zeros(len(entries), bool)
     for start, stop in arrays.values():
         inside |= (entries["address"] >= start) & (entries["address"] < stop)
@@ -51,7 +51,7 @@ def _shared(entries: NDArray, arrays: Mapping[str, tuple[int, int]]) -> NDArray:
 
 
 def _by_word(entries: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Address of the word, kind and thread of every access, once for each of its words."""
+    """Return address, kind and thread of every access, once for each word that it touches."""
     length = np.maximum(entries["bytes"] // WORD, 1).astype(np.int64)
     row = np.repeat(np.arange(len(entries)), length)
     within = np.arange(len(row)) - np.repeat(np.cumsum(length) - length, length)

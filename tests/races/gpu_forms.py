@@ -1,4 +1,4 @@
-"""The forms that kernels have on a GPU, run on the CPU."""
+"""Makes the CPU run the forms of kernels that a GPU runs."""
 
 from collections.abc import Iterable
 
@@ -6,23 +6,24 @@ from phy124.kernels import reduction
 from phy124.kernels.lattice import rows
 
 THREADS = 2**7
-"""Few, so that each sums several of few particles."""
+"""Number of threads, so small that each thread sums several particles of a small body."""
 
 
 def shared_out(particles: int, device: str, most: int = THREADS) -> tuple[int, int, int, int]:
-    """As `reduction.shared_out` on a GPU of few threads."""
+    """Return the result of `reduction.shared_out` on a GPU with few threads."""
     threads = min(particles, THREADS)
     return threads, 1, -(-particles // threads), threads
 
 
 def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int], int]:
-    """As `reduction.along_rows` on a GPU: a thread per node."""
+    """Return the result of `reduction.along_rows` on a GPU: one thread per node."""
     x, y, z = (int(count) for count in extent)
     return (x, y, z), 1
 
 
 def choose() -> None:
-    """Choose them; before anything else of phy124 is imported, as names are bound then."""
+    """Choose these forms; call this before other modules of phy124 are imported, since names are
+    bound then."""
     reduction.shared_out, reduction.along_rows = shared_out, along_rows
     rows.rows_for = lambda real, device, vectors=True: rows.PLAIN
     from phy124.kernels.deform import deform_shapes

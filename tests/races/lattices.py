@@ -1,6 +1,6 @@
 """Groups of small scenes with bodies on lattices, and with other bodies in a liquid.
 
-The forms of a GPU have been chosen before this is imported (gpu_forms.py).
+The forms of a GPU are chosen before this module is imported (gpu_forms.py).
 """
 
 from typing import Any

@@ -1,4 +1,4 @@
-"""Which threads of which launches race, over a group of runs."""
+"""Finds the launches whose threads race in a group of runs."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable
@@ -10,28 +10,29 @@ from races.record import Record
 from races.watched import Launched, install
 
 FIRST, THEN = 3, 10
-"""Launches of a kernel in a run that are looked at: the first ones, then one in so many."""
+"""Which launches of a kernel in a run are examined: the first ones, then one in this many."""
 
 
 class Detective:
-    """Looks at launches and keeps what their threads raced for."""
+    """Examines launches, and stores the words for which their threads race."""
 
     def __init__(self) -> None:
         self._record = Record()
         self._run = ""
         self._turns: Counter[str] = Counter()
         self.seen: Counter[str] = Counter()
-        """Kernel -> launches looked at."""
+        """Kernel -> number of examined launches."""
         self.raced: dict[str, dict[str, Counter[str]]] = defaultdict(dict)
-        """Kernel -> what raced, such as "read-write grid_out" -> run -> number of words."""
+        """Kernel -> kind and array of a race, such as "read-write grid_out" -> run -> number of
+        words."""
 
     def begin(self, run: str) -> None:
-        """Launches that follow belong to this run."""
+        """Assign the following launches to this run."""
         self._run = run
         self._turns.clear()
 
     def __call__(self, inputs: Launched, launch: Callable[[], None]) -> None:
-        """Run a launch and look at it, if its turn has come."""
+        """Run a launch, and examine it if it is one of the chosen launches."""
         turn = self._turns[inputs.name]
         self._turns[inputs.name] += 1
         if turn >= FIRST and turn % THEN:
@@ -48,7 +49,7 @@ class Detective:
 
 
 def races(group: str, cache: str) -> dict[str, Any]:
-    """Kernels that were seen in a group of runs, and what they raced for."""
+    """Return the kernels that a group of runs launched, and their races."""
     detective = Detective()
     install(detective, cache)
     for name, run in _runs(group).items():

@@ -1,4 +1,4 @@
-"""How much a run depends on the order in which the threads of each launch come."""
+"""Measures how much a run depends on the order of the threads in each launch."""
 
 from collections.abc import Callable
 
@@ -10,14 +10,14 @@ from races.watched import Launched, install
 
 
 class Mixer:
-    """Runs launches in order, or each in an order of its own."""
+    """Runs the threads of launches in their order, or in a different order for each launch."""
 
     def __init__(self) -> None:
         self._record = Record()
         self._rng: np.random.Generator | None = None
 
     def seed(self, seed: int | None) -> None:
-        """Choose other orders; None: one thread after another."""
+        """Choose other orders; None stands for one thread after another."""
         self._rng = None if seed is None else np.random.default_rng(seed)
 
     def __call__(self, inputs: Launched, launch: Callable[[], None]) -> None:
@@ -29,7 +29,8 @@ class Mixer:
 
 
 def apart(group: str, cache: str, seeds: tuple[int, ...] = (1, 2)) -> dict[str, list[float]]:
-    """Run -> largest distance [m] between its clip in order and in other orders."""
+    """Return, for each run, the largest distance [m] between its clips with threads in order and in
+    other orders."""
     mixer = Mixer()
     install(mixer, cache)
     gpu_forms.choose()

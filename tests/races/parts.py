@@ -1,6 +1,6 @@
-"""Which components of a vector a kernel reads: Warp's text loads all four to look at one.
+"""Finds the components of a vector that a kernel reads; Warp's C++ loads all four to use one.
 
-A compiler for a GPU leaves the others out, so they are not read there either.
+A compiler for a GPU removes the unused loads, so they are not counted here either.
 """
 
 import re
@@ -11,7 +11,7 @@ FUNCTION = re.compile(r"(?<=\n}\n)")
 
 
 def by_parts(source: str) -> str:
-    """C++ in which loads name the components that are used, where these are known."""
+    """Return C++ in which loads name the used components, where these are known."""
     return "".join(_function(body) for body in FUNCTION.split(source))
 
 
@@ -26,7 +26,8 @@ def _function(body: str) -> str:
 
 
 def _mask(name: str, body: str, numbers: dict[str, int]) -> int:
-    """Bits of the components of a variable that are used; 0: other use is made of it."""
+    """Return a bit for each used component of a variable; 0 if the variable is used in another
+    way."""
     mask = 0
     rest = re.sub(rf"\n *wp::[^;()]* {name};", "", body)  # its declaration
     for part in re.findall(rf"wp::extract\({name}, (\w+)\)", rest):

@@ -1,6 +1,7 @@
-"""Memory in which kernels note what they read and write.
+"""Memory in which kernels record their reads and writes.
 
-It lies at one address in every process, so that compiled kernels can know it and be kept.
+The memory has the same address in every process, so that compiled kernels can contain the address
+and be reused.
 """
 
 import ctypes
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 ADDRESS = 0x6B00_0000_0000
 CAPACITY = 2**25
-"""Most accesses of one launch."""
+"""Largest number of accesses of one launch."""
 READ, WRITE, ATOMIC = range(3)
 HEADER = np.dtype([(name, "u8") for name in ("on", "factor", "shift", "task", "count", "lost")])
 ENTRY = np.dtype([("address", "u8"), ("task", "u4"), ("bytes", "u2"), ("kind", "u2")])
@@ -23,7 +24,7 @@ PRIVATE, ANONYMOUS, NOT_RESERVED, EXACTLY_THERE = 0x2, 0x20, 0x4000, 0x10_0000
 
 
 def unusable() -> str | None:
-    """Why this machine cannot have such memory, or None."""
+    """Return why this machine cannot provide this memory, or None."""
     if not sys.platform.startswith("linux") or sys.maxsize < 2**47:
         return "needs Linux and addresses of 64 bits"
     return None
@@ -40,7 +41,7 @@ class Record:
 
     @contextmanager
     def noting(self) -> Iterator[None]:
-        """Within this context, accesses are noted."""
+        """Within this context, record accesses."""
         self._header["on"], self._header["count"] = 1, 0
         try:
             yield
@@ -48,17 +49,17 @@ class Record:
             self._header["on"] = 0
 
     def entries(self) -> NDArray:
-        """What was noted last."""
+        """Return the record of the last launch."""
         if self._header["lost"][0]:
             raise MemoryError(f"a launch made more than {CAPACITY} accesses")
         return self._entries[: int(self._header["count"][0])]
 
     def in_order(self) -> None:
-        """Launches take their threads one after another."""
+        """Run the threads of each launch one after another."""
         self._header["factor"] = 0
 
     def shuffled(self, threads: int, rng: np.random.Generator) -> None:
-        """The next launch jumps to and fro among its threads."""
+        """Run the threads of the next launch in a mixed order."""
         factor = int(rng.integers(1, max(threads, 2)))
         while gcd(factor, threads) > 1:
             factor += 1
@@ -98,4 +99,4 @@ inline size_t thread(size_t turn, size_t threads)
 }}
 }}
 """
-"""C++: notes an access, and chooses the thread that comes next."""
+"""C++ that records an access, and chooses the next thread."""

@@ -1,6 +1,6 @@
-"""What is run to see every kernel at work: groups of small scenes.
+"""Groups of small scenes that together run every kernel.
 
-The forms of a GPU have been chosen before this is imported (gpu_forms.py).
+The forms of a GPU are chosen before this module is imported (gpu_forms.py).
 """
 
 from collections.abc import Callable
@@ -36,7 +36,7 @@ Runs = dict[str, Callable[[], object]]
 def simulate(
     preset: str = "drop", count: int = 300, *, threads: int = 1, **changes: Any
 ) -> Simulation:
-    """A few frames of a small ball that comes down."""
+    """Simulate a few frames of a small falling ball."""
     scene = Scene.named(preset).replaced({**SMALL, **changes})
     run = Simulation(prepare(ball(count), scene, RunContext(threads=threads)))
     run.run()
@@ -44,7 +44,7 @@ def simulate(
 
 
 def laws() -> Runs:
-    """Every law; the first in both precisions that scenes have, and with both gradients."""
+    """Return runs of every law, the first law in both precisions and with both gradients."""
     fall = {law: {"material": material, **FALLING} for law, material in LAWS.items()}
     fall["float64"] = {**FALLING, "accuracy": {"cells": 8, "precision": "float64"}}
     fall["spline"] = {**FALLING, "accuracy": {"cells": 8, "gradient": "spline"}}
@@ -54,13 +54,14 @@ def laws() -> Runs:
 
 
 def looked_at(**changes: Any) -> None:
-    """A run, and the energy of each particle at its end, as a run that fails asks for it."""
+    """Run a scene, and compute the energy of each particle at the end, as a failing run does."""
     solver = simulate(**changes).solver
     energies(solver.model, solver.state)
 
 
 def walls() -> Runs:
-    """Every boundary, still and moving, with every contact; a law that flows meets some of them."""
+    """Return runs of every boundary, at rest and moving, with every contact, some of them with a
+    law that flows."""
     results: Runs = {}
     for name, wall in SOLIDS.items():
         for contact in ("separate", "slip", "sticky"):
@@ -79,7 +80,7 @@ def walls() -> Runs:
 
 
 def under_a_free(shape: str) -> None:
-    """A rigid solid falls from the top of a ball to the ground."""
+    """Let a rigid solid fall from the top of a ball to the ground."""
     sides = [0.7, 0.7, 1] if shape == "capsule" else [1, 1, 1]
     solid = {
         "name": "solid",
@@ -96,7 +97,7 @@ def under_a_free(shape: str) -> None:
 
 
 def forces() -> Runs:
-    """Every force, beside gravity."""
+    """Return runs of every force, in addition to gravity."""
     gravity = {"kind": "gravity"}
     return {
         name: lambda force=force: simulate(forces=[gravity, force], **FALLING)
@@ -105,7 +106,8 @@ def forces() -> Runs:
 
 
 def monitors() -> Runs:
-    """What looks at a run and mends it: contacts, repair, particles far away, rejected substeps."""
+    """Return runs with measurements and repairs: contacts, repair, distant particles, rejected
+    substeps."""
     return {
         "contacts": lambda: simulate(contacts=True, wrenches=True, **FALLING),
         "one particle for each Gaussian": lambda: simulate(binding="particles", **FALLING),
@@ -125,7 +127,7 @@ def monitors() -> Runs:
 
 
 def far_away() -> None:
-    """Most particles in a cube, one a thousand cubes away."""
+    """Simulate particles in a cube, and one particle a thousand cubes away."""
     rng = np.random.default_rng(0)
     x = rng.uniform(-0.3, 0.3, (200, 3))
     x[-1] = 1000.0
@@ -134,12 +136,12 @@ def far_away() -> None:
 
 
 def probed() -> None:
-    """Laws alone, for any deformation."""
+    """Evaluate laws for any deformation, without a run."""
     every_deformation(Setting("cpu", "float32"))
 
 
 def in_two_parts() -> None:
-    """Two workers in turn, each with nodes of its own."""
+    """Run two workers in turn, each with separate nodes."""
     x = np.sort(np.random.default_rng(0).uniform(-0.3, 0.3, (200, 3)), axis=0)
     solver = make_solver(x, np.full(len(x), 1e-3), [NeoHookean(E=1e4)], dx=0.1, threads=2)
     for _ in range(3):
@@ -147,7 +149,8 @@ def in_two_parts() -> None:
 
 
 def pictures() -> Runs:
-    """Gaussians, alone and on a stage with walls of glass; colours that turn with the material."""
+    """Render Gaussians, alone and on a stage with glass walls, with colours that rotate with the
+    material."""
     renderer = Renderer(device="cpu")
     return {
         "points of relief": spread,
@@ -164,7 +167,7 @@ def pictures() -> Runs:
 
 
 def spread() -> None:
-    """Points on a ball that is known from one side, and on one known from two."""
+    """Distribute points on a ball seen from one side, and on a ball seen from two sides."""
     y, x = np.mgrid[:31, :31] - 15.0
     ball = 100 - x**2 - y**2
     points = np.random.default_rng(0).normal(size=(500, 3)) * 6
@@ -175,7 +178,7 @@ def spread() -> None:
 
 
 def backwards() -> None:
-    """From pixels to the Gaussians that show in them."""
+    """Sum pixel values over the Gaussians that are visible in the pixels."""
     camera = Camera.orbit(30, 20, 1.4, (48, 32))
     Adjoint(device="cpu").sums(ball(300), camera, np.ones((32, 48, 3)))
 
@@ -201,7 +204,7 @@ def on_a_stage() -> None:
 
 
 def presets() -> Runs:
-    """Every preset as it is."""
+    """Return runs of every preset, unchanged."""
     return {
         name: lambda name=name: Simulation(
             prepare(ball(300), few(name), RunContext(threads=1))

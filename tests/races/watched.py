@@ -1,8 +1,8 @@
-"""Kernels that note their accesses: changes Warp's C++ before it is compiled for the CPU.
+"""Makes kernels record their accesses: changes Warp's C++ before it is compiled for the CPU.
 
 A kernel reads by `wp::load` (native snippets by `wp::index`), writes by `wp::array_store` or
-`wp::store` and adds by `wp::atomic_*`; macros put a note before each. Adding nothing to a component
-of a vector is not noted. These names are those of Warp 1.19: the positive controls of
+`wp::store` and adds by `wp::atomic_*`; macros insert a record before each. Adding zero to a
+component of a vector is not recorded. These names are those of Warp 1.19: the positive controls of
 tests/test_concurrency.py fail if they change.
 """
 
@@ -26,11 +26,12 @@ ANY_ORDER = """for (size_t turn = 0; turn < dim->size; ++turn)
 ATOMICS = ("add", "sub", "min", "max", "cas", "exch", "and", "or", "xor")
 ARRAY = "template <template <typename> class A, typename T"
 Launch = Callable[[Any, Any, Callable[[], None]], None]
-"""Gets a kernel, the sizes and arguments of its launch, and what runs it."""
+"""A function of a kernel, the sizes and arguments of its launch, and the function that runs the
+launch."""
 
 
 def wrapped() -> str:
-    """C++: Warp's functions that access arrays, each with its note."""
+    """C++ macros that replace Warp's functions for array access by recording ones."""
     outcome = [
         "template <typename T> inline T seen_load(T* p)"
         f"{{ seen::note(p, sizeof(T), {READ}); return load(p); }}",
@@ -70,7 +71,7 @@ def wrapped() -> str:
 
 
 def watched(source: str) -> str:
-    """Warp's C++ of a module, with notes."""
+    """Return Warp's C++ of a module with recorded accesses."""
     start = source.index(codegen.codegen_cast_macros)
     text = source[:start] + wrapped() + by_parts(source[start:])
     kernels = len(re.findall(r"_cpu_forward_tasks\(\n", text))
@@ -80,11 +81,11 @@ def watched(source: str) -> str:
 
 
 def install(launch: Launch, cache: str) -> None:
-    """From now on compile all kernels with notes and hand their launches to `launch`.
+    """From now on, compile all kernels with recorded accesses, and pass their launches to `launch`.
 
     Args:
         launch: Runs each launch.
-        cache: Folder for the kernels, apart from those that are not changed.
+        cache: Folder for the changed kernels.
     """
     wp.config.kernel_cache_dir = cache
     # Accesses are noted in one record, so threads of Python launch one after another.
@@ -106,7 +107,7 @@ def install(launch: Launch, cache: str) -> None:
 
 
 class _Forward:
-    """Called as the native entry of a kernel."""
+    """Replaces the native entry point of a kernel."""
 
     def __init__(self, kernel: Any, native: Any, launch: Launch, lock: threading.RLock) -> None:
         self._kernel, self._native, self._launch, self._lock = kernel, native, launch, lock

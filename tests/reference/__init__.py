@@ -1,1 +1,1 @@
-"""What the implementation is compared with: laws, solvers and problems written another way."""
+"""References for the implementation: laws, solvers and problems, implemented in another way."""

@@ -1,4 +1,4 @@
-"""Weights by formula: a hash of each tensor's name, so that no weight file needs to be shipped.
+"""Network weights computed by a formula from each tensor's name, so that tests need no weight file.
 
 The golden outputs of the original networks were made with exactly these weights.
 """
@@ -18,7 +18,8 @@ TINY = Option((32, 32, 64), (False, True, True), (64, 32), (True, False), 32, 16
 
 
 def uniform(key: str, count: int) -> np.ndarray:
-    """`count` numbers in [-1, 1), float64: a 32-bit finaliser over crc32(key) and the index."""
+    """Return `count` numbers in [-1, 1), float64: a 32-bit finaliser over crc32(key) and the
+    index."""
     x = np.arange(count, dtype=np.uint32) * np.uint32(0x9E3779B9) + np.uint32(
         zlib.crc32(key.encode())
     )
@@ -31,7 +32,7 @@ def uniform(key: str, count: int) -> np.ndarray:
 
 
 def weight(key: str, shape: tuple[int, ...]) -> np.ndarray:
-    """One tensor, float32 rounded through float16."""
+    """Return a tensor, float32 rounded through float16."""
     u = uniform(key, math.prod(shape))
     if key.endswith("running_var"):
         u = 1 + 0.5 * u
@@ -45,7 +46,7 @@ def weight(key: str, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def inputs(key: str, shape: tuple[int, ...], low: float, high: float) -> torch.Tensor:
-    """A network input in [low, high], float32 rounded through float16."""
+    """Return a network input in [low, high], float32 rounded through float16."""
     u = low + (high - low) * (uniform(key, math.prod(shape)) + 1) / 2
     return torch.from_numpy(
         u.astype(np.float32).astype(np.float16).astype(np.float32).reshape(shape)
@@ -53,7 +54,7 @@ def inputs(key: str, shape: tuple[int, ...], low: float, high: float) -> torch.T
 
 
 def state_dict(module: torch.nn.Module) -> dict[str, torch.Tensor]:
-    """Formula weights for every tensor of `module`, which may live on the meta device."""
+    """Return computed weights for every tensor of `module`, which may be on the meta device."""
     tensors = {}
     for key, value in module.state_dict().items():
         whole = not value.dtype.is_floating_point

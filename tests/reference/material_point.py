@@ -1,4 +1,4 @@
-"""Drives a law over many states at once, without particles or a grid."""
+"""Evaluates a law for many states at once, without particles or a grid."""
 
 from typing import Any, NamedTuple
 
@@ -23,7 +23,7 @@ LAWS: list[Material] = [
     *(kind(**OPTIONS.get(law, {})) for law, kind in KINDS.items() if kind is not Rigid),
     NeoHookean(damping=3.0),
 ]
-"""One of each law on the device; a rigid body is a stiff neo-Hookean solid."""
+"""One material of each law; a rigid body is a stiff neo-Hookean solid."""
 SOLIDS = [law for law in LAWS if not isinstance(law, Fluid)]
 PLASTIC = [law for law in SOLIDS if law.device_law.project is not None]
 
@@ -48,7 +48,8 @@ def transposed(a: NDArray) -> NDArray:
 
 
 def relative(a: NDArray, b: NDArray, floor: float) -> float:
-    """Largest difference of N matrices over the size of the second, at least `floor`."""
+    """Return the largest difference of N matrices, relative to the norm of the second or to
+    `floor`."""
     size = np.maximum(np.abs(b).reshape(len(b), -1).max(1), floor)
     return float((np.abs(a - b).reshape(len(b), -1).max(1) / size).max())
 
@@ -58,7 +59,7 @@ def deviator(a: NDArray) -> NDArray:
 
 
 class Point(NamedTuple):
-    """What a law says about N states."""
+    """Results of a law for N states."""
 
     stress: NDArray
     """tau [N,3,3], Pa."""
@@ -82,7 +83,7 @@ def evaluate(
     precision: str = "float64",
     theta: NDArray | None = None,
 ) -> Point:
-    """What the device law of a material says about the states F [N,3,3]."""
+    """Evaluate the device law of a material for the states F [N,3,3]."""
     real, law = REALS[precision], material.device_law
     t, scalar, n = types(real), np.dtype(precision), len(F)
     C = np.zeros((n, 3, 3)) if C is None else C

@@ -1,7 +1,7 @@
-"""NumPy float64 twins of every constitutive law, by singular values, as the papers write them.
+"""Every constitutive law in NumPy, float64, by singular values as in the papers.
 
-Each takes F [N,3,3], the velocity gradient C [N,3,3], history h [N,2] and one row theta, and knows
-nothing of the device code: no series, no closed-form eigenvalues, no Newton iteration.
+Each takes F [N,3,3], the velocity gradient C [N,3,3], history h [N,2] and one row theta, and shares
+nothing with the device code: no series, no closed-form eigenvalues, no Newton iteration.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Twin(NamedTuple):
 
 
 def signed_svd(F: Array) -> tuple[Array, Array, Array]:
-    """U, s, V^T with rotations U, V; the smallest s carries the sign of det F."""
+    """Return U, s and V^T with rotations U and V; the smallest s has the sign of det F."""
     U, s, Vt = np.linalg.svd(F)
     for M in (U, Vt):
         flip = np.linalg.det(M) < 0
@@ -178,13 +178,13 @@ def snow_return(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
 
 
 def squeezed(F: Array) -> tuple[Array, Array]:
-    """J down to 0.8, and the log of what it is squeezed beyond."""
+    """Return J, but at least 0.8, and the logarithm of any compression beyond 0.8."""
     J = np.maximum(np.linalg.det(F), MIN_J)
     return np.maximum(J, 0.8), np.log(np.minimum(J / 0.8, 1))
 
 
 def lag(F: Array, h: Array) -> Array:
-    """log of J over what it was about a relaxation time ago."""
+    """Return the logarithm of J divided by its value about one relaxation time ago."""
     return np.log(np.maximum(np.linalg.det(F), MIN_J) / np.maximum(h[:, 0], MIN_J))
 
 

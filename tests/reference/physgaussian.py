@@ -1,7 +1,9 @@
-"""The original solver's substep in NumPy float64, from the description beside the golden data.
+"""The substep of PhysGaussian's solver in NumPy, float64, from the description next to the golden
+data.
 
-Explicit APIC with B-spline gradients (not MLS): F evolves with sum v gradW, which is not C. Its
-mistakes are kept: a slip plane is sticky, the StVK stress lacks 1 / sigma, snow has no stress.
+Explicit APIC with B-spline gradients (not MLS): F evolves with sum v gradW, which is not C.
+PhysGaussian's errors are reproduced: a slip plane is sticky, the StVK stress lacks 1 / sigma, snow
+has no stress.
 """
 
 from __future__ import annotations
@@ -47,7 +49,8 @@ def strains(F: Array, minimum: float) -> tuple[Array, Array, Array]:
 
 
 def yields(e: Array, mu: Array, limit: Array) -> tuple[Array, Array, Array]:
-    """Where von Mises flows, deviator and its norm plus 1e-6 as the original has it."""
+    """Return where von Mises material yields, the deviator, and its norm plus 1e-6, as in
+    PhysGaussian."""
     dev = e - e.mean(1, keepdims=True)
     size = np.linalg.norm(dev, axis=1)
     return 2 * mu * size > limit, dev, size + 1e-6
@@ -95,7 +98,7 @@ def jelly_stress(s: Original, F: Array) -> Array:
 
 
 def stvk_stress(s: Original, F: Array) -> Array:
-    """The original's StVK stress: a Kirchhoff value times the stretch once more."""
+    """Return PhysGaussian's StVK stress, which is the Kirchhoff stress times the stretch."""
     U, sigma, _ = signed_svd(F)
     sigma = np.maximum(sigma, 0.01)
     e = np.log(sigma)
@@ -134,10 +137,11 @@ STRESSES = {
 
 
 class Original:
-    """State and substep of the original solver."""
+    """State and substep of PhysGaussian's solver."""
 
     def __init__(self, recording: Recording, step: int = 0, *, mls: bool = False) -> None:
-        """Begin at a saved step; `mls` swaps the B-spline gradients for those of MLS-MPM."""
+        """Begin at a saved step; with `mls`, the gradients of MLS-MPM replace the B-spline
+        gradients."""
         self.mls = mls
         meta, at = recording.meta, recording.at
         self.params, self.bcs, self.dt = meta["params"], meta["bcs"], meta["dt"]
@@ -153,17 +157,17 @@ class Original:
         self.F = self.stress = np.zeros_like(self.F_trial)
 
     def run(self, until: int) -> None:
-        """Substeps up to a step."""
+        """Take substeps up to a step."""
         while self.count < until:
             self.step()
 
     def constitute(self) -> None:
-        """F = map(F_trial) and its stress, as the substep to come uses them."""
+        """Compute F = map(F_trial) and its stress for the next substep."""
         self.F = MAPS.get(self.material, lambda _, F: F)(self, self.F_trial)
         self.stress = STRESSES[self.material](self, self.F)
 
     def step(self) -> None:
-        """One substep in the order of the description."""
+        """Take one substep, in the order of the description."""
         time = self.count * self.dt
         self._push(time)
         self.constitute()

@@ -1,4 +1,4 @@
-"""Seeded tensors, from which the original programs and ours compute the same outputs."""
+"""Seeded tensors, for which the original programs and phy124 compute the same outputs."""
 
 import numpy as np
 

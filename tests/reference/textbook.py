@@ -1,4 +1,4 @@
-"""MLS-MPM in Warp as one writes it down from the papers: the twin to compare the solver with.
+"""A simple MLS-MPM in Warp, written directly from the papers, with which the solver is compared.
 
 Hu et al. 2018 with fixed corotated elasticity (Stomakhin et al. 2012) by singular values, a dense
 grid, one launch from Python per stage, a sticky floor (nodes below it stand still). No window, no
@@ -142,7 +142,7 @@ class Textbook:
         self.substeps = 0
 
     def step(self, dt: float) -> None:
-        """One substep; the first kick is half of one, as in the solver."""
+        """Take a substep; the first kick has half the length, as in the solver."""
         kick = dt if self.substeps else dt / 2
         state = [self.x, self.v, self.C, self.F]
         self.momentum.zero_()

@@ -1,1 +1,1 @@
-"""What several tests need: small objects, servers, hostile files, stand-ins for ROS 2."""
+"""Code that several tests share: small objects, servers, hostile files, mocks of ROS 2."""

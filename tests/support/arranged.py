@@ -1,4 +1,4 @@
-"""Solids of glass as the device puts them in order for a camera."""
+"""Glass solids in the order into which the device sorts them for a camera."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ BLACK = Backdrop((0, 0, 0), (0, 0, 0))
 
 
 class Arranged(NamedTuple):
-    """Solids in their order, how many have each rank, and the outlines of all."""
+    """The sorted solids, the number of solids of each rank, and all outlines."""
 
     solids: np.ndarray
     counts: list[int]
@@ -24,7 +24,7 @@ class Arranged(NamedTuple):
 
 
 def arranged(solids: list[Solid], camera: Camera, box: Box) -> Arranged:
-    """What the kernel makes of solids, around Gaussians in a box."""
+    """Run the kernel on solids around Gaussians in a box."""
     options = Uploaded(StageFrame(BLACK, None, tuple(solids)), "cpu")
     kinds = glass.Solid, glass.Outline, int
     made = [wp.zeros(max(len(solids), 3), dtype=kind, device="cpu") for kind in kinds]

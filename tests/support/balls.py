@@ -1,4 +1,5 @@
-"""Two equal balls, pressed on each other or colliding: by particles and by finite elements.
+"""Two equal balls that are pressed together or collide, computed by particles and by finite
+elements.
 
 Finite elements (phy124/studies/validation/experiments/elastic_ball.py) give the force of a ball
 between two plates, which by symmetry is the force between two balls.
@@ -18,40 +19,42 @@ from support.shapes import trimmed_ball
 
 RUBBER = NeoHookean(E=E, nu=NU, damping=30.0)
 BOX = FreeBody("box", "box", (RADIUS, RADIUS, 0.3), (0, 0, -0.3), density=1e9, friction=0.0)
-"""So heavy that it stays where it is, with its top at z = 0."""
+"""A box so heavy that it does not move, with its top at z = 0."""
 
 
 def elements(depth: float) -> float:
-    """Force by finite elements [N], of a ball pressed by a depth [m]."""
+    """Return the force [N], by finite elements, on a ball that is pressed by a depth [m]."""
     return E * RADIUS**2 * fit_law(NU, whole=False).force(depth / RADIUS)
 
 
 def upper_half(cells: int, per_axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Particles [P,3], m, of the upper half of a ball about the origin, and their volumes."""
+    """Return the particles [P,3], m, of the upper half of a ball about the origin, and their
+    volumes."""
     x, volume = trimmed_ball(RADIUS, 2 * RADIUS / cells / per_axis)
     above = x[:, 2] > 0
     return x[above], volume[above]
 
 
 def plate(side: int, depth: float) -> HalfSpace:
-    """The middle of the upper or lower ball (side 1, -1), which comes to z = 0 by a depth."""
+    """Return the centre of the upper or lower ball (side 1 or -1), which is pressed to z = 0 by a
+    depth."""
     path = Path(times=(0.0, MOVE), points=((0, 0, 0), (0, 0, -side * depth)))
     return HalfSpace(point=(0, 0, side * RADIUS), normal=(0, 0, -side), contact="slip", motion=path)
 
 
 def _origin(cells: int, phase: float) -> tuple[float, float, float]:
-    """Where the lattice starts, so that z = 0 is `phase` of a cell from a node [m]."""
+    """Return the origin of the lattice [m], such that z = 0 is `phase` cells from a node."""
     dx, first = 2 * RADIUS / cells, -(math.ceil(cells / 2) + 5)
     return (first - 0.25) * dx, (first - 0.25) * dx, (first - phase) * dx
 
 
 def pressed(cells: int, depth: float, phase: float = 0.5, per_axis: int = 2) -> float:
-    """Mean force between two balls at rest [N].
+    """Return the mean force between two balls at rest [N].
 
     Args:
         cells: Cells across a ball.
-        depth: How far each is pressed [m].
-        phase: Where the contact is between two nodes, from 0 to 1.
+        depth: Depth by which each ball is pressed [m].
+        phase: Position of the contact between two nodes, from 0 to 1.
         per_axis: Particles per cell and axis.
     """
     x, volume = upper_half(cells, per_axis)
@@ -73,7 +76,7 @@ def pressed(cells: int, depth: float, phase: float = 0.5, per_axis: int = 2) -> 
 
 
 def pressed_on_box(cells: int, depth: float, phase: float = 0.5, per_axis: int = 2) -> float:
-    """Mean force of a ball on the box at rest [N]; arguments are those of `pressed`."""
+    """Return the mean force of a ball on the box at rest [N]; for the arguments see `pressed`."""
     x, volume = upper_half(cells, per_axis)
     model = Model.of(
         x * [1, 1, -1] + [0, 0, RADIUS],
@@ -90,14 +93,15 @@ def pressed_on_box(cells: int, depth: float, phase: float = 0.5, per_axis: int =
 
 
 COURANT = 0.3
-"""Part of the time in which a wave passes the smallest element."""
+"""Substep as a fraction of the time in which a wave crosses the smallest element."""
 
 
 def collision(radius, approach, *, E, nu, density, fine=6):
-    """Largest force [N], and how long one acts [s], of neo-Hookean balls.
+    """Return the largest force [N] between colliding neo-Hookean balls, and its duration [s].
 
     Explicit central differences of the mesh of `experiments.elastic_ball`; nodes beyond the plate
-    are put back on it. Force and places have the radius and E as units, means over 5 ms.
+    are put back on it. Lengths are in units of the radius and stresses in units of E; the force is
+    averaged over 5 ms.
 
     Args:
         approach: Speed of one ball towards the other [m/s].

@@ -11,18 +11,19 @@ DX = 1 / 16
 E = 1e5
 WIDTH = 4 * DX
 PULL = 0.01 * E * WIDTH**2
-"""What stretches the stiffest bar by 1 % [N]."""
+"""Force that stretches the stiffest bar by 1 % [N]."""
 AT = np.array([0.25, 0.75])
-"""Marks on the bar between which it is measured, beyond what the ends see [m]."""
+"""Positions of two marks, away from the ends, between which the bar is measured [m]."""
 
 
 def bar() -> np.ndarray:
-    """A bar of length 1 m along z, two particles per cell and axis."""
+    """Return a bar of length 1 m along z, with two particles per cell and axis."""
     return lattice((8, 8, 32), DX / 2)
 
 
 def pulled(fraction: np.ndarray | None) -> np.ndarray:
-    """Where the marks are once both ends are pulled and all has come to rest [m]."""
+    """Return the positions of the marks [m] after both ends were pulled and the bar has come to
+    rest."""
     x = bar()
     ends = [Region(upper=(9, 9, 2 * DX)), Region(lower=(-9, -9, 1 - 2 * DX))]
     pull = [TotalForce(f=(0, 0, f), region=at) for f, at in zip((-PULL, PULL), ends, strict=True)]
@@ -44,7 +45,7 @@ def stretch(fraction: np.ndarray) -> np.ndarray:
 
 
 def length(fraction) -> float:
-    """Distance of the marks in equilibrium: the integral of the stretch."""
+    """Return the distance of the marks in equilibrium, which is the integral of the stretch."""
     z = np.linspace(*AT, 20_001)
     s = stretch(fraction(z))
     return float(((s[1:] + s[:-1]) / 2 * np.diff(z)).sum())

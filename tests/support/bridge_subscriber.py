@@ -1,4 +1,4 @@
-"""A subscriber in a process of its own: one JSON line per message it receives over DDS.
+"""A subscriber in a separate process, which prints one JSON line per message received over DDS.
 
 Independent of the bridge's encoder: types come from cyclonedds, decoding from rosbags.
 """
@@ -69,7 +69,7 @@ class PointCloud2(IdlStruct, typename="sensor_msgs::msg::dds_::PointCloud2_"):
 
 @dataclass
 class Raw:
-    """The bytes as they came; cyclonedds would need 50 ms to make a list of them."""
+    """The received bytes; cyclonedds would need 50 ms to convert them to a list."""
 
     data: bytes
     sample_info: object = None

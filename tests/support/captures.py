@@ -1,4 +1,5 @@
-"""Captures of a small place, as 3DGS trainings make them: any unit, any orientation, floaters."""
+"""Synthetic captures of a small place, like those of 3DGS training: any unit and orientation, with
+floaters."""
 
 from typing import NamedTuple
 
@@ -10,20 +11,20 @@ from support.shapes import ball
 
 
 class Place(NamedTuple):
-    """What was captured, and what is true of it."""
+    """A synthetic capture, with its true values."""
 
     gaussians: Gaussians
-    """Those of the ball, then of the floor, then floaters; to be written with `write_ply`."""
+    """Gaussians of the ball, then of the floor, then floaters; they are written by `write_ply`."""
     kind: np.ndarray
     """0 ball, 1 floor, 2 floater [N]."""
     up: np.ndarray
-    """Up in the axes of the file that `write_ply` makes [3]."""
+    """Up direction in the axes of the file that `write_ply` writes [3]."""
     rotation: np.ndarray
-    """From the upright place to the file's axes [3,3]."""
+    """Rotation from the axes of the upright place to those of the file [3,3]."""
     scale: float
     """File units per metre of the upright place, where the ball measures 1 m."""
     offset: np.ndarray
-    """Of the place's origin, on the floor under the ball, in the file."""
+    """Position, in the file, of the place's origin, which is on the floor under the ball."""
 
     def in_file(self, points) -> np.ndarray:
         """Points of the upright place [N,3] in the file's axes and units."""

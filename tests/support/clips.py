@@ -1,4 +1,4 @@
-"""Small clips that no simulation made."""
+"""Small clips that are made without a simulation."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from phy124.io.clip import Clip
 from support.shapes import ball
 
 AWAY = [(0, 0.2 * i, 0) for i in range(8)]
-"""To the right of the front camera."""
+"""Direction to the right of the front camera."""
 FIT = {
     "target": "a<b.mp4", "cells": 24, "notes": [],
     "found": {"material.E": {"value": 5e4, "interval": [4e4, 6e4],
@@ -48,7 +48,7 @@ def random_clip(
 
 
 def flight(steps, *, count: int = 500) -> Clip:
-    """A ball of 1 m that is moved by so many metres in each frame [T,3]."""
+    """Return a clip of a ball of 1 m that is displaced by `steps` [T,3], m, in the frames."""
     rest = ball(count)
     frames = [
         Frame(i, i / 24, rest.transform(1.0, np.array(step, float))) for i, step in enumerate(steps)
@@ -57,7 +57,7 @@ def flight(steps, *, count: int = 500) -> Clip:
 
 
 def falling(count=5):
-    """A clip of a cube of Gaussians that falls, and their places in the first frame."""
+    """Return a clip of a falling cube of Gaussians, and the positions in the first frame."""
     rest = np.stack(np.meshgrid(*[np.linspace(0, 1, 4)] * 3), -1).reshape(-1, 3)
     times = np.arange(count) / 24
     means = rest[None] - 4.9 * times[:, None, None] ** 2 * [0, 0, 1]

@@ -1,9 +1,10 @@
-"""What a kernel takes of a GPU: compiled for it here, read from the machine code, nothing run.
+"""Resources that a kernel needs on a GPU, read from its machine code; the kernel is compiled but
+not run.
 
-NVRTC comes with Warp and makes the very code that a GPU of that generation would be given. How many
-registers a thread has and how many bytes of stack stands in the code's ELF section .nv.info. The
-stack holds arrays that are indexed by what is computed, which the PTX declares, and registers that
-were spilled: what is more than declared is spilled.
+NVRTC, which comes with Warp, generates the same code that a GPU of this generation would run. The
+ELF section .nv.info of the code states the registers and the bytes of stack per thread. The stack
+contains arrays with computed indices, which the PTX declares, and spilled registers: all bytes
+beyond the declared arrays are spilled.
 """
 
 import re
@@ -22,17 +23,17 @@ REGISTERS, STACK = 0x2F, 0x11
 
 
 class Usage(NamedTuple):
-    """Of one thread of a kernel."""
+    """Resources of one thread of a kernel."""
 
     registers: int
     stack: int
     """Bytes of local memory."""
     spilled: int
-    """Bytes of it that hold registers for which there was no room."""
+    """Bytes of local memory that contain spilled registers."""
 
 
 def usage(kernel: Any, architecture: int) -> dict[str, Usage]:
-    """What the kernels of a module take, by kernel, when compiled for an architecture."""
+    """Return the resources of each kernel of a module, compiled for an architecture."""
     with TemporaryDirectory() as folder:
         code = _compiled(kernel.module, architecture, folder, ptx=False)
         result = dict(_functions(code))
@@ -46,7 +47,7 @@ def usage(kernel: Any, architecture: int) -> dict[str, Usage]:
 
 
 def registers(kernel: Any, architecture: int) -> int:
-    """Registers per thread, most of all kernels in its module."""
+    """Return the largest number of registers per thread of the kernels in a module."""
     return max(taken.registers for taken in usage(kernel, architecture).values())
 
 
@@ -56,12 +57,12 @@ def _compiled(module: Any, architecture: int, folder: str, *, ptx: bool) -> byte
 
 
 def _declared(ptx: bytes) -> int:
-    """Bytes of arrays in local memory that PTX declares, over all its functions."""
+    """Return the bytes of arrays in local memory that all functions of a PTX text declare."""
     return sum(int(size) for size in re.findall(rb"__local_depot\d+\[(\d+)\]", ptx))
 
 
 def _functions(code: bytes) -> Iterator[tuple[str, tuple[int, int]]]:
-    """Name, registers and bytes of stack of each kernel."""
+    """Return name, registers and bytes of stack of each kernel."""
     sections = dict(_sections(code))
     symbols, names = sections[".symtab"][0], sections[".strtab"][0]
     taken: dict[int, dict[int, int]] = {}
@@ -74,7 +75,7 @@ def _functions(code: bytes) -> Iterator[tuple[str, tuple[int, int]]]:
 
 
 def _attributes(code: bytes, at: int, length: int) -> Iterator[tuple[int, int, int]]:
-    """Attribute, symbol and value of each entry with two numbers."""
+    """Yield attribute, symbol and value of each entry with two numbers."""
     end = at + length
     while at < end:
         form, attribute, extent = struct.unpack_from("<BBH", code, at)
@@ -85,7 +86,7 @@ def _attributes(code: bytes, at: int, length: int) -> Iterator[tuple[int, int, i
 
 
 def _sections(code: bytes) -> Iterator[tuple[str, tuple[int, int]]]:
-    """Name, place and length of each section of an ELF file of 64 bits."""
+    """Return name, position and length of each section of a 64-bit ELF file."""
     (start,) = struct.unpack_from("<Q", code, 0x28)
     size, count, names = struct.unpack_from("<HHH", code, 0x3A)
     result = [struct.unpack_from("<IIQQQQ", code, start + i * size) for i in range(count)]

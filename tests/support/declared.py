@@ -1,4 +1,4 @@
-"""Every value that a scene declares: found by walking, so that a new field is among them."""
+"""All values that a scene declares, collected from the schema, so that new fields are included."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from phy124.schema.declaration import Declaration, Node
 Wrap = Callable[[Any], Any]
 DECLARED = Declaration(Scene)
 ODD = [None, True, "text", "", [], {}, [1], math.nan, math.inf, -math.inf, 10**400, object()]
-"""Given to every field, whatever it wants."""
+"""Values that are tried for every field, whatever its type."""
 HUGE = [0.0, 1e-300, 1e9, 1e308, -1e308]
 PICKED = {"region": {}}
-"""What a part needs to be one."""
+"""The fields without which a part is invalid."""
 
 
 class Leaf(NamedTuple):
@@ -24,13 +24,13 @@ class Leaf(NamedTuple):
 
     path: str
     wrap: Wrap
-    """A scene's data with another value there."""
+    """Return a scene's data with another value at this path."""
     node: Node
-    """What is declared of it."""
+    """The JSON schema of the value."""
 
 
 def leaves(files: dict[str, str]) -> list[Leaf]:
-    """All of them; `files` by kind for fields that must name one."""
+    """Return all values; `files` maps kinds to files for fields that must name a file."""
     return list(_walk(DECLARED.schema, "", lambda value: value, files))
 
 
@@ -84,7 +84,7 @@ def _with_key(wrap: Wrap, base: dict[str, Any], key: str, value: Any) -> Any:
 
 
 def legal(node: Node) -> list[Any]:
-    """Values at and within the bounds of a leaf."""
+    """Return values at the bounds and between the bounds of a leaf."""
     result = [node["default"]] if node.get("default") is not None else []
     result += node.get("enum", [])
     result += [True, False] if node.get("type") == "boolean" else []
@@ -95,7 +95,7 @@ def legal(node: Node) -> list[Any]:
 
 
 def beyond(node: Node) -> list[Any]:
-    """Values that are mostly wrong there."""
+    """Return values most of which are invalid for a leaf."""
     result = [*ODD, *HUGE]
     for key in ("minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum"):
         if key in node:

@@ -1,4 +1,4 @@
-"""Every kernel that a GPU may run, by what it belongs to."""
+"""All kernels that a GPU may run, grouped by their purpose."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -35,17 +35,17 @@ Named = tuple[str, Any]
 
 
 def laws() -> dict[str, Law]:
-    """Every law by its name; a rigid body is moved by the kernels of neo-Hookean solids."""
+    """All laws by name; rigid bodies use the kernels of neo-Hookean solids."""
     return {name_of(section): section.device_law for section in MATERIALS}
 
 
 def name_of(section: Any) -> str:
-    """As tables call it."""
+    """Name of the kernel in tables."""
     return section.law + (", damped" if getattr(section, "damping", 0) else "")
 
 
 def main(law: Law, real: Any = wp.float32) -> dict[str, Any]:
-    """What takes nearly all of the time of a substep."""
+    """Yield the kernels that take nearly all of the time of a substep."""
     return {
         "p2g": transfer.make_p2g(law, real, "plain"),
         "g2p": transfer.make_g2p(law, real, "plain"),
@@ -53,7 +53,7 @@ def main(law: Law, real: Any = wp.float32) -> dict[str, Any]:
 
 
 def of_law(law: Law, real: Any = wp.float32) -> dict[str, Any]:
-    """Every kernel that is built for a law."""
+    """Yield all kernels that are built for a law."""
     return {
         **main(law, real),
         "measure": measure.make_measure(law, real),
@@ -63,7 +63,7 @@ def of_law(law: Law, real: Any = wp.float32) -> dict[str, Any]:
 
 
 def others(real: Any = wp.float32) -> Iterator[Named]:
-    """Kernels for all laws; of walls, those that move."""
+    """Yield the kernels for all laws, and those of moving walls."""
     makers = (
         grid.make_update, grid.make_merge, grid.make_grid_speed, profile.make_sampler,
         measure.make_measure_speeds, timestep.make_timestep,

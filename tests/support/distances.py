@@ -1,4 +1,4 @@
-"""Signed distances of walls, asked of their device functions."""
+"""Signed distances from walls, computed by the device functions of the walls."""
 
 from functools import cache
 
@@ -21,7 +21,7 @@ def make_distances(shape: str):
 
 
 def distances(shape: str, geometry, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normals [N,3] and signed distances [N] of points [N,3]."""
+    """Return normals [N,3] and signed distances [N] of points [N,3]."""
     out = wp.zeros(len(x), dtype=wp.vec4d)
     inputs = [wp.mat33d(*np.ravel(geometry)), wp.array(x, dtype=wp.vec3d)]
     wp.launch(make_distances(shape), len(x), inputs=inputs, outputs=[out])

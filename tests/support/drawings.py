@@ -13,7 +13,7 @@ def picture(mask, rgb=(200, 120, 60)):
 
 
 def face():
-    """A yellow disc with two black eyes well inside."""
+    """Draw a yellow disc with two black eyes away from the rim."""
     mask = np.hypot(X - 96, Y - 96) < 80
     eyes = np.minimum(np.hypot(X - 66, Y - 76), np.hypot(X - 126, Y - 76)) < 12
     rgb = np.where(eyes[..., None], 10, np.array([240, 200, 40])).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The duck pressed on the page, and a video of it when it is stiffer."""
+"""The duck pressed on the page, and a video of a stiffer duck."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from support.twins import twin
 
 DUCK = Path(__file__).parents[2] / "demo/examples/duck.png"
 GROUND = (0.35, 0.5, 0.62)
-"""A colour that the duck does not have."""
+"""Colour of the background, which differs from all colours of the duck."""
 
 
 CELLS = 28
-"""Cells across the object of the film's grid, finer than those of a fit."""
+"""Cells across the object on the grid of the film, which is finer than the grids of a fit."""
 
 
 def video(folder: Path, truth: float, cells: int = CELLS) -> Path:
-    """A video of the pressed duck, from a finer grid and other particles than a fit uses."""
+    """Make a video of the pressed duck, with a finer grid and other particles than those of a
+    fit."""
     folder.mkdir(exist_ok=True)
     scene = Scene.named("press").replaced({"material.E": truth})
     clip: Clip = twin(make_gaussians(DUCK, Scene(), count=5000).gaussians, scene, cells)
@@ -34,7 +35,8 @@ def video(folder: Path, truth: float, cells: int = CELLS) -> Path:
 
 
 def pressed(studio: Studio, folder: Path, *, truth: float, guess: float) -> tuple[Done, Path]:
-    """A visitor's finished run with a guess, and the video of the truth."""
+    """Return a visitor's finished run with a guessed stiffness, and the video with the true
+    stiffness."""
     studio.visitors.get("a")
     sent = str(studio.visitors.store("a", DUCK.read_bytes(), ".png"))
     cut = studio.cut_out("a", sent)

@@ -1,4 +1,4 @@
-"""Readers of Gaussians that are not ours, which judge what we write.
+"""Readers of Gaussians from other projects, which check the files that phy124 writes.
 
 None of them is part of the test extra: numba behind gsply is large, and one needs Node.js.
 
@@ -6,8 +6,8 @@ None of them is part of the test extra: numba behind gsply is large, and one nee
     npm install --prefix FOLDER @playcanvas/splat-transform
     PHY124_NODE_MODULES=FOLDER/node_modules python -m pytest -m slow tests/test_formats_foreign.py
 
-npm's spz-js cannot judge: it reads version 2 alone, and we write 3 and 4. What it writes is read by
-tests/test_formats.py.
+npm's spz-js cannot be used as a reader: it reads only version 2, and phy124 writes 3 and 4. Files
+that spz-js wrote are read in tests/test_formats.py.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Judge:
     read: Callable[[Path], Gaussians]
     """The Gaussians in the axes of the file."""
     missing: Callable[[], str]
-    """Why it cannot judge here; nothing if it can."""
+    """Return why this program cannot be used here; an empty text if it can."""
 
 
 def _node(path: str) -> Callable[[], str]:
@@ -71,7 +71,7 @@ def _gsply(path: Path) -> Gaussians:
 
 
 def _activated(data: Any) -> Gaussians:
-    """Gaussians of logarithms and logits."""
+    """Convert logarithms and logits to Gaussians."""
     first = data.sh0[:, None]
     sh = first if data.shN is None else np.concatenate([first, data.shN], axis=1)
     quats = data.quats / np.linalg.norm(data.quats, axis=1, keepdims=True)

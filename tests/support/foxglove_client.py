@@ -20,7 +20,7 @@ class Client(WebSocket):
         self.info = self.text("serverInfo")
 
     def receive(self):
-        """The next text message as an object, or binary message as bytes."""
+        """Return the next message: an object from text, or bytes."""
         kind, payload = self.frame()
         if kind != TEXT:
             return payload
@@ -56,7 +56,7 @@ class Client(WebSocket):
         self.send(body + struct.pack("<I", len(name)) + name, kind=BINARY)
 
     def data(self):
-        """Subscription, log time and payload of the next message."""
+        """Return subscription, log time and payload of the next message."""
         message = self.binary(MESSAGE_DATA)
         return *struct.unpack("<IQ", message[:12]), message[12:]
 
@@ -68,7 +68,7 @@ class Client(WebSocket):
         self.send(struct.pack("<BI", CLIENT_DATA, number) + text.encode(), kind=BINARY)
 
     def call(self, service, request, encoding="json"):
-        """The response, or the reason of a failure."""
+        """Return the response, or the reason of a failure."""
         while service not in self.services:
             self.receive()
         number, name = self.services[service]["id"], encoding.encode()
@@ -88,7 +88,7 @@ def upward(newtons):
 
 
 def steer(port):
-    """Do to a run what a viewer may do, and what it should not; prints what came back."""
+    """Send valid and invalid requests of a viewer to a run, and print the responses."""
     client, said = Client(port), {}
     client.advertise(1, f"{NODE}/push", "geometry_msgs/msg/WrenchStamped")
     client.advertise(2, f"{NODE}/grab", "geometry_msgs/msg/PointStamped")

@@ -5,7 +5,7 @@ import struct
 
 
 def edited(data: bytes, change) -> bytes:
-    """A GLB with another description."""
+    """Return a GLB with another JSON description."""
     (size,) = struct.unpack_from("<I", data, 12)
     tree = json.loads(data[20 : 20 + size])
     change(tree)

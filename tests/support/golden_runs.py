@@ -1,4 +1,4 @@
-"""The recorded runs of PhysGaussian in our terms."""
+"""The recorded runs of PhysGaussian, converted to phy124's classes."""
 
 from typing import ClassVar, Literal
 
@@ -14,7 +14,7 @@ from reference.physgaussian import Recording
 
 
 class Exact(HalfSpace):
-    """A plane as the original has it: nodes behind it answer, wherever the material comes to."""
+    """A plane as in PhysGaussian: it acts on all nodes behind it, wherever the material is."""
 
     kind: Literal["exact"] = "exact"  # type: ignore[assignment]
     shape: ClassVar[str] = "half_space"
@@ -25,7 +25,7 @@ class Exact(HalfSpace):
 
 
 class Undamped(Fluid):
-    """A fluid as the original has it: its sound does not die away."""
+    """A fluid as in PhysGaussian, without damping of sound."""
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
         del dx, cfl
@@ -33,7 +33,7 @@ class Undamped(Fluid):
 
 
 def material_of(params: dict) -> Material:
-    """The original's material in our terms."""
+    """Return the phy124 material for a material of PhysGaussian."""
     common = {"density": params["density"]}
     if params["material"] == "fluid":
         # Its p = -K (J^-1.1 - 1) is our Tait pressure with K' = 1.1 K and gamma = 1.1.
@@ -51,7 +51,7 @@ def material_of(params: dict) -> Material:
 
 
 def solver_of(recording: Recording, **options) -> Solver:
-    """Our solver at the start of a recorded run."""
+    """Return phy124's solver at the start of a recorded run."""
     meta, data = recording.meta, recording.data
     params, dt, dx = meta["params"], meta["dt"], meta["dx"]
     forces: list[Force] = [Gravity(g=tuple(params["g"]))]
@@ -87,6 +87,6 @@ def solver_of(recording: Recording, **options) -> Solver:
 
 
 def run(solver: Solver, dt: float, steps: int) -> None:
-    """Symplectic Euler, as the original: kick and drift by the same substep."""
+    """Advance by symplectic Euler as PhysGaussian does: kick and drift have the same length."""
     for _ in range(steps):
         solver.step(dt, dt)

@@ -1,4 +1,4 @@
-"""Test files of a run of the GPU tests alone, on a machine without some packages."""
+"""Test files for running only the GPU tests, on a machine without some packages."""
 
 from collections.abc import Iterable
 

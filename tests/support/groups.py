@@ -1,4 +1,4 @@
-"""Control groups of Linux, for what happens when memory or processors are scarce."""
+"""Linux control groups, to test runs with little memory or few processors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 @contextmanager
 def limited(controller: str, limits: Mapping[str, int]) -> Iterator[Path]:
-    """A real group of either version; skips where none can be made."""
+    """Provide a control group of either version; skip the test if none can be created."""
     first = Path("/sys/fs/cgroup")
     mount = first / controller if (first / controller).is_dir() else first
     group = mount / f"phy124-test-{os.getpid()}"
@@ -35,7 +35,7 @@ def limited(controller: str, limits: Mapping[str, int]) -> Iterator[Path]:
 
 
 def within(group: Path, *command: object) -> subprocess.CompletedProcess:
-    """Run Python in a group."""
+    """Run Python in a control group."""
     enter = f'echo $$ > {group}/cgroup.procs && exec "$0" "$@"'
     whole = ["sh", "-c", enter, sys.executable, *map(str, command)]
     return subprocess.run(whole, check=False, capture_output=True, text=True, timeout=300)

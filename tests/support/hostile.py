@@ -1,4 +1,4 @@
-"""Pictures that would do harm or claim to be what they are not, and damage to any file."""
+"""Harmful pictures, pictures with false headers, and functions that damage a file."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from functools import cache
 from pathlib import Path
 
 PHONE = Path(__file__).parent / "pictures" / "phone.heic"
-"""The duck, 256 x 320 as stored and turned by its header; written by pillow-heif 1.8."""
+"""The duck, stored as 256 x 320 pixels and rotated by the header; written by pillow-heif 1.8."""
 
 
 @cache
 def bomb(side: int) -> bytes:
-    """A PNG of one colour: a few kilobytes however large it is."""
+    """Return a PNG of one colour, which has a few kilobytes for any number of pixels."""
     packer = zlib.compressobj(9)
     rows = b"".join(packer.compress(b"\0" * (1 + side // 8)) for _ in range(side))
     return _png(side, side, rows + packer.flush())
@@ -43,12 +43,12 @@ def heic_claiming(width: int, height: int) -> bytes:
 
 
 def cut(data: bytes, rng: random.Random) -> bytes:
-    """The end is missing."""
+    """Cut off the end."""
     return data[: rng.randrange(len(data))]
 
 
 def flip(data: bytes, rng: random.Random) -> bytes:
-    """A few bytes are others."""
+    """Change a few bytes."""
     damaged = bytearray(data)
     for _ in range(rng.choice([1, 4, 64])):
         damaged[rng.randrange(len(damaged))] = rng.randrange(256)

@@ -1,4 +1,4 @@
-"""Workers of a sweep that are killed while it runs."""
+"""Kills workers of a sweep while the sweep runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ def clips_of(out: Path) -> dict[str, bytes]:
 
 
 def is_ours(process: int) -> bool:
-    """Whether this process is its ancestor: others may run sweeps, too."""
+    """Return whether this process is an ancestor of another, since other programs may run sweeps,
+    too."""
     while process > 1 and process != os.getpid():
         status = Path(f"/proc/{process}/stat").read_text()
         process = int(status.rpartition(")")[2].split()[1])
@@ -28,7 +29,7 @@ def is_ours(process: int) -> bool:
 
 @contextmanager
 def killer(out: Path, every: float) -> Iterator[list[int]]:
-    """Within this context a worker that makes a clip is killed now and then.
+    """Within this context, workers that make clips are killed at intervals.
 
     On a machine that is so busy that no clip is made in between, it waits for one.
     """

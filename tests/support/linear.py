@@ -13,7 +13,7 @@ E = 1e5
 
 
 class Statics:
-    """A solid with nu = 0, whose nodes are held where `held` is true of their positions [cells]."""
+    """A solid with nu = 0; nodes are held if `held` is true for their positions [cells]."""
 
     def __init__(self, solid, held, *, whole=False):
         points = lattice_of(solid, density=1000, dx=DX)

@@ -1,4 +1,4 @@
-"""Blocks of liquid, their solver, and what is measured of it."""
+"""Blocks of liquid, their solver, and measurements."""
 
 from dataclasses import replace
 
@@ -38,7 +38,8 @@ def liquid(
     pushes=(),
     **solids,
 ) -> LiquidSolver:
-    """A liquid of particles, with 8 in each cell, in walls; the grid is off by some cells."""
+    """Return the solver of a liquid between walls, with 8 particles per cell; the grid is shifted
+    by some cells."""
     dx = 1 / cells
     volume = np.full(len(x), dx**3 / 8)
     origin = (-offset * dx,) * 3
@@ -64,7 +65,7 @@ def field(solver: LiquidSolver, name: str) -> np.ndarray:
 
 
 def heights(solver: LiquidSolver) -> np.ndarray:
-    """Height of the surface in every column of cells with liquid [m]."""
+    """Return the height of the surface in each column of cells that contains liquid [m]."""
     dx, wet, phi = solver.model.dx, field(solver, "liquid"), field(solver, "phi")
     results = []
     for i, j in np.argwhere(wet.any(axis=2)):

@@ -1,4 +1,4 @@
-"""Orders to the page's work that take a second."""
+"""Orders of the page whose jobs take about a second."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ FEW = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 3, "v
 
 
 def small_order(folder: Path, device: str = "cpu") -> Order:
-    """A small ball instead of a generator's work."""
+    """Return a small ball in place of a generator's result."""
     write_ply(folder / "ball.ply", ball(400))
     visitor = Visitor(folder / "visitor")
     cutout = visitor.folder / "cutouts" / "a.png"

@@ -15,12 +15,12 @@ PAGES = [
     ),
     ROOT / "CONTRIBUTING.md",
 ]
-"""Written by hand: the API reference is made from docstrings."""
+"""Pages that are written by hand; the API reference is made from docstrings."""
 BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```", re.M | re.S)
 
 
 class Block(NamedTuple):
-    """Code on a page, and the words behind its fence."""
+    """A block of code on a page, and the words after the opening fence."""
 
     page: Path
     words: list[str]
@@ -28,7 +28,7 @@ class Block(NamedTuple):
 
 
 def blocks() -> list[Block]:
-    """All of them, in the order of the pages."""
+    """Return all blocks, in the order of the pages."""
     return [
         Block(page, info.split(), text)
         for page in PAGES

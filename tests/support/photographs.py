@@ -14,7 +14,7 @@ ORIENTATION, SHORT = 0x0112, 3
 
 
 class Entry(NamedTuple):
-    """A tag of EXIF as its bytes are stored; type and count may contradict them."""
+    """An EXIF tag with its stored bytes, which type and count may contradict."""
 
     tag: int
     type: int
@@ -47,7 +47,7 @@ def file_of(picture: Image.Image, kind: str, **options: object) -> bytes:
 
 
 def with_segment(jpeg: bytes, marker: int, data: bytes) -> bytes:
-    """A JPEG with a segment at its start."""
+    """Return a JPEG with an additional segment at its start."""
     return jpeg[:2] + bytes([0xFF, marker]) + struct.pack(">H", len(data) + 2) + data + jpeg[2:]
 
 
@@ -62,13 +62,13 @@ def tiff_of(grey: np.ndarray, *entries: Entry) -> bytes:
 
 
 def segment_of(jpeg: bytes, start: bytes) -> bytes:
-    """The data of the first segment of a JPEG that begins so."""
+    """Return the data of the first segment of a JPEG that begins with these bytes."""
     place = jpeg.index(start)
     return jpeg[place : place + int.from_bytes(jpeg[place - 2 : place], "big") - 2]
 
 
 def fixed(value: float) -> bytes:
-    """A number as ICC profiles store it, in steps of 1 / 65536."""
+    """Encode a number as ICC profiles do, in steps of 1 / 65536."""
     return struct.pack(">i", round(value * 65536))
 
 

@@ -1,4 +1,4 @@
-"""A network of one's own for a test: loopback and one LAN-like interface, seen by nobody else.
+"""A private network for a test: loopback and one interface like a LAN, invisible to other programs.
 
 Run as a program it is the test's other half: it plays frames through DdsSink and lets stock ROS 2
 peers, each a process of its own, listen: `private_network.py RANGE PEER...`, one JSON line each.
@@ -36,13 +36,13 @@ STOCK = {
 
 
 def inside(command: list[str]) -> list[str]:
-    """The command that runs another one in a private network."""
+    """The command that runs another command in a private network."""
     script = f"{SETUP}; exec {shlex.join(command)}"
     return ["unshare", "--map-root-user", "--net", "sh", "-ec", script]
 
 
 def is_possible() -> bool:
-    """Whether this machine lets us make one."""
+    """Return whether this machine permits private networks."""
     try:
         made = subprocess.run(inside(["true"]), capture_output=True, check=False, timeout=20)
     except (OSError, subprocess.TimeoutExpired):
@@ -65,7 +65,7 @@ def main(reach: str, *peers: str) -> None:
 
 
 def listen(sink, peer: str) -> int:
-    """How many of the four frames a late peer with stock settings gets."""
+    """Return how many of four frames a late peer with default settings receives."""
     settings = ["--domain", "7", "--config", STOCK[peer], "--count", "4", "--first", "8"]
     command = [sys.executable, str(HERE / "bridge_subscriber.py"), *settings]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

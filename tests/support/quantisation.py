@@ -1,4 +1,4 @@
-"""How far a format may move what it holds, from the steps that its layout has."""
+"""Bounds on the quantisation errors of a format, derived from the steps in its layout."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from scipy.spatial import cKDTree
 from phy124.gaussians import SH_C0, Gaussians
 
 BYTE = 0.5 / 255
-"""Rounding to a byte of 0..1."""
+"""Error of rounding a number in 0..1 to a byte."""
 FLOAT = 3e-6
-"""Rounding of logarithms and exponentials in float32."""
+"""Rounding error of logarithms and exponentials in float32."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Largest differences between Gaussians, or bounds of them."""
+    """Largest differences between two sets of Gaussians, or bounds on these differences."""
 
     means: float
-    """Along an axis, m."""
+    """Difference of the centres along an axis, m."""
     angle: float
-    """Between orientations, rad."""
+    """Angle between the orientations, rad."""
     scales: float
-    """Of the logarithms."""
+    """Difference of the logarithms."""
     opacities: float
     first: float
-    """Of coefficients of degree 0."""
+    """Difference of the coefficients of degree 0."""
     rest: float
-    """Of coefficients of higher degrees, where both have them."""
+    """Difference of the coefficients of higher degrees, where both sets have them."""
 
     def within(self, bound: Errors) -> list[str]:
-        """What is larger than its bound."""
+        """Return the differences that are larger than their bounds."""
         return [
             f"{name} {value:.3g} > {getattr(bound, name):.3g}"
             for name, value in vars(self).items()
@@ -45,17 +45,18 @@ class Errors:
 
 
 def smallest_three(step: float) -> float:
-    """Angle that rounding the three smallest components to `step / 2` may make.
+    """Return a bound on the angle [rad] by which rounding three components to `step / 2` rotates.
 
-    The others together are off by sqrt(3) step / 2; the largest, the root of what they lack of 1,
-    by at most sqrt(3) times that, since each other is no larger than it; a quaternion's distance is
-    half an angle.
+    The three smaller components together are off by sqrt(3) step / 2. The largest follows from the
+    length 1 and is off by at most sqrt(3) times that, since no other component is larger. The
+    distance of two quaternions is half the angle between them.
     """
     return 2 * np.sqrt(3) * step / 2 * np.sqrt(1 + 3)
 
 
 def bound(name: str, g: Gaussians, data: bytes = b"") -> Errors:
-    """The bound of a format for given Gaussians; SOG has its codebooks in the file itself."""
+    """Return the bounds of a format for some Gaussians; those of SOG depend on the codebooks in the
+    file."""
     reach = float(np.abs(g.means).max())
     if name in ("ply", "glb"):
         return Errors(FLOAT * reach, 1e-6, FLOAT, 1e-6, FLOAT, FLOAT)
@@ -111,12 +112,13 @@ def _sog(g: Gaussians, data: bytes) -> Errors:
 
 
 def _nearest(codes: NDArray, values: NDArray) -> float:
-    """Largest distance of a value from its nearest code."""
+    """Return the largest distance of a value from its nearest code."""
     return float(cKDTree(codes[:, None]).query(values.reshape(-1, 1))[0].max())
 
 
 def errors(result: Gaussians, wanted: Gaussians, *, ordered: bool = True) -> Errors:
-    """The largest differences; writers that reorder are matched by their centres."""
+    """Return the largest differences; if a writer changes the order, Gaussians are matched by their
+    centres."""
     assert len(result) == len(wanted)
     if not ordered:
         result = result.select(cKDTree(result.means).query(wanted.means)[1])
@@ -134,7 +136,8 @@ def errors(result: Gaussians, wanted: Gaussians, *, ordered: bool = True) -> Err
 
 
 def many(rng: np.random.Generator, count: int, degree: int) -> Gaussians:
-    """Gaussians of all orientations and many sizes, with colours and harmonics that bytes hold."""
+    """Return Gaussians of all orientations and many sizes, whose colours and harmonics fit into
+    bytes."""
     quats = rng.normal(size=(count, 4))
     sh = rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.2
     return Gaussians(

@@ -1,4 +1,4 @@
-"""What the double of rclpy was given to publish, decoded by a reader that is not ours."""
+"""Decodes, by rosbags, the messages that the mock of rclpy was asked to publish."""
 
 from rosbags.typesys import Stores, get_typestore
 

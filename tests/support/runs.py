@@ -1,4 +1,4 @@
-"""Small runs, and what they leave."""
+"""Small runs, and comparisons of their results."""
 
 import shutil
 from pathlib import Path
@@ -48,7 +48,7 @@ def names(folder: Path) -> set[str]:
 
 
 def same(first: Path, other: Path) -> None:
-    """Assert that two runs left the same, apart from what they took."""
+    """Assert that two runs have equal results, except for times."""
     assert names(first) == names(other)
     for name in names(first) - {"clip.safetensors", "report.json"}:
         assert (first / name).read_bytes() == (other / name).read_bytes(), name
@@ -59,7 +59,7 @@ def same(first: Path, other: Path) -> None:
 
 
 def copied_at(frame_number: int, out: Path, copy: Path):
-    """A function that copies the folder of a run at a frame: what a kill would leave there."""
+    """Return a function that copies the folder of a run at a frame, as a kill would leave it."""
 
     def each(run, frame) -> None:
         if frame.index == frame_number:

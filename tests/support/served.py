@@ -18,9 +18,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 TIMEOUT = 600
-"""Longest wait for a condition, s: for a machine that does ten other things, too."""
+"""Longest wait for a condition [s], chosen for a machine that runs ten other programs."""
 TAIL = 4000
-"""Letters of the server's log that a failure shows."""
+"""Number of characters of the server's log that a failure shows."""
 
 
 class Server:
@@ -36,7 +36,7 @@ class Server:
             return json.load(answer)
 
     def threads(self) -> int:
-        """Threads of ours that do work."""
+        """Return the threads of the server that do work."""
         names = [
             path.joinpath("comm").read_text().strip()
             for path in Path(f"/proc/{self.process.pid}/task").iterdir()
@@ -44,19 +44,19 @@ class Server:
         return sum(name.startswith(("work", "render")) for name in names)
 
     def children(self) -> list[str]:
-        """Programs of all processes that it has started and that go on."""
+        """Return the programs of all running processes that the server has started."""
         listed = Path(f"/proc/{self.process.pid}/task").glob("*/children")
         result = [pid for path in listed for pid in path.read_text().split()]
         return [Path(f"/proc/{pid}/comm").read_text().strip() for pid in result]
 
     def files(self) -> list[Path]:
-        """Files of visitors; not those that nobody has claimed yet, which are kept for a while."""
+        """Return the files of visitors, without uploads that no visitor has claimed yet."""
         visitors = self.folder / "visitors"
         result = (path for path in visitors.rglob("*") if path.parent.name != "arrivals")
         return [path for path in result if path.is_file()]
 
     def peak_memory(self) -> int:
-        """Largest resident size so far, bytes."""
+        """Return the largest resident size so far [bytes]."""
         return self._status("VmHWM")
 
     def _status(self, name: str) -> int:
@@ -66,7 +66,7 @@ class Server:
         return int(match[1]) * 1024
 
     def memory(self) -> int:
-        """Resident size now, bytes."""
+        """Return the current resident size [bytes]."""
         return self._status("VmRSS")
 
     def said(self) -> str:
@@ -74,12 +74,12 @@ class Server:
         return self.log.read_text(errors="replace")[-TAIL:]
 
     def check_running(self) -> None:
-        """Assert that the server runs; otherwise show how it ended and what it said last."""
+        """Assert that the server runs; otherwise show its exit status and the end of its log."""
         status = self.process.poll()
         assert status is None, f"the server ended with status {status}:\n{self.said()}"
 
     def until(self, condition, what: str = "it") -> None:
-        """Wait for something to become true; a failure shows what the server said meanwhile."""
+        """Wait until a condition is true; a failure shows the server's log."""
         end = time.monotonic() + TIMEOUT
         while not condition():
             self.check_running()
@@ -102,8 +102,9 @@ def serving(
 ) -> Iterator[Server]:
     """Serve until the block ends; settings are those of demo.settings.Settings.
 
-    `files` is how many files and connections the server may have open. A server that need not be
-    `warm` is used while it still loads kernels and measures the machine. `port` 0 is a free one.
+    `files` is how many files and connections the server may have open. If the server need not be
+    `warm`, it is used while it still loads kernels and measures the machine. `port` 0 stands for
+    any free port.
     """
     port = port or free_port()
     # After a native crash the log has the stack of each thread.
@@ -129,7 +130,7 @@ def serving(
 
 
 def free_port() -> int:
-    """A port that nobody listens to, below those that connections of other programs are given."""
+    """Return a free port, below the range of ports that connections of other programs get."""
     while True:
         port = 20_000 + secrets.randbelow(12_000)
         with socket.socket() as probe, contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""Small objects made of Gaussians, clouds of particles, and runs that are watched."""
+"""Small objects made of Gaussians, clouds of particles, and observed runs."""
 
 from itertools import product
 
@@ -17,10 +17,12 @@ def ball(count: int = 2000, radius: float = 0.5) -> Gaussians:
 
 
 def trimmed_ball(radius: float, h: float, *, parts: int = 8) -> tuple[np.ndarray, np.ndarray]:
-    """Particles [P,3], m, with the volumes that a ball cuts out of cells of h [m]: no steps.
+    """Return particles [P,3], m, with the exact volumes that a ball cuts out of cells of side h
+    [m].
 
     Args:
-        parts: Points along each edge of a cell that say how much of it is in the ball.
+        parts: Sample points along each edge of a cell, which determine the fraction of the cell in
+        the ball.
     """
     axis = (np.arange(round(radius / h) + 1) + 0.5) * h
     x = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
@@ -38,7 +40,7 @@ def trimmed_ball(radius: float, h: float, *, parts: int = 8) -> tuple[np.ndarray
 
 
 def random_gaussians(rng: np.random.Generator, count: int = 50, degree: int = 0) -> Gaussians:
-    """Of any place, shape and colour; spherical harmonics up to `degree`."""
+    """Return random Gaussians of any position, shape and colour, with harmonics up to `degree`."""
     quats = rng.normal(size=(count, 4))
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     sh = rng.normal(size=(count, (degree + 1) ** 2, 3))
@@ -54,7 +56,7 @@ def splats(
     degree: int = 0,
     spread: float = 0.35,
 ) -> Gaussians:
-    """Gaussians of every shape in a ball, some faint, some nearly opaque."""
+    """Return Gaussians of all shapes in a ball, some of them faint, some nearly opaque."""
     means = rng.normal(size=(count, 3)) * spread
     quats = rng.normal(size=(count, 4))
     scales = sizes * np.exp(0.7 * rng.normal(size=(count, 3)))
@@ -70,7 +72,7 @@ def cloud(count: int, *, size: float, corner: float, dx: float) -> np.ndarray:
 
 
 def watch_run(solver: Solver, *observers: Observer) -> Watchdog:
-    """Return a watchdog of a solver and of what else observes it."""
+    """Return a watchdog of a solver, together with its other observers."""
     watchdog = Watchdog()
     watchdog.bind(solver, observers)
     return watchdog

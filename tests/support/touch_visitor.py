@@ -1,4 +1,4 @@
-"""A visitor of *Touch*, also as a process of its own: `python -m support.touch_visitor`."""
+"""A visitor who uses *Touch*, also as a separate process: `python -m support.touch_visitor`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Visitor(WebSocket):
         super().__init__(port, f"/phy124/touch/{ticket}", f"Cookie: {cookie}")
 
     def text(self) -> str:
-        """What the next text message says."""
+        """Return the next text message."""
         kind = None
         while kind != TEXT:
             kind, payload = self.frame()

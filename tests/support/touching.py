@@ -1,4 +1,4 @@
-"""What stands in for the process of a live run in tests of its relay; it imports nothing heavy."""
+"""Mocks of a live run's process for tests of the relay; they import no large packages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def say(line: Any, **what: Any) -> None:
 
 
 def flood(_: Any, line: Any) -> None:
-    """Many frames as fast as possible, then a word."""
+    """Send many frames as fast as possible, then a text."""
     line.tell(b"b", b"binding")
     for index in range(FRAMES):
         line.tell(b"f", struct.pack("<I", index) + bytes(1000))
@@ -25,7 +25,7 @@ def flood(_: Any, line: Any) -> None:
 
 
 def flood_after_a_word(_: Any, line: Any) -> None:
-    """A word, then large frames without an end."""
+    """Send a text, then large frames without end."""
     say(line, kind="said", text="ready")
     while True:
         line.tell(b"f", bytes(100_000))
@@ -33,13 +33,13 @@ def flood_after_a_word(_: Any, line: Any) -> None:
 
 
 def crash(_: Any, line: Any) -> None:
-    """A binding, and an end without a word."""
+    """Send a binding, then end without a message."""
     line.tell(b"b", b"binding")
     os._exit(3)
 
 
 def echo(_: Any, line: Any) -> None:
-    """What is heard, but of pauses; a session when it is to be saved."""
+    """Answer each message except pauses; send a session if it is to be saved."""
     say(line, kind="said", text="ready")
     while True:
         line.wait(5)

@@ -13,18 +13,18 @@ from phy124.simulation import Simulation, prepare
 
 POINTS = 80
 ACROSS = 12
-"""Of all Gaussians in a square of so many pixels only the nearest is seen."""
+"""Side of squares [pixels], in each of which only the nearest Gaussian is visible."""
 
 
 def twin(gaussians: Gaussians, scene: Scene, cells: int) -> Clip:
-    """The motion on a grid and on particles that no fit uses."""
+    """Compute the motion with a grid and particles that no fit uses."""
     finer = {"accuracy.cells": cells, "accuracy.particles_per_axis": 2.3, "wrenches": True}
     made = scene.replaced({**finer, "view.fit": False, "grains": False})
     return Simulation(prepare(gaussians, made, RunContext(threads=1))).run().surface
 
 
 def write_points(path, clip: Clip, *, seed: int, pixels: float = 1.0) -> None:
-    """Track some of what the front camera sees, with errors of some pixels."""
+    """Track some Gaussians that the front camera sees, with errors of some pixels."""
     random = np.random.default_rng(seed)
     seen = cameras(clip, Scene.from_data(clip.scene).view, "front")
     places, depth = seen[0].project(clip.means[0])
@@ -43,7 +43,7 @@ def write_points(path, clip: Clip, *, seed: int, pixels: float = 1.0) -> None:
 
 
 def write_forces(path, clip: Clip, *, seed: int, part: float = 0.03) -> None:
-    """The forces on the walls, with errors of a part of them."""
+    """Return the forces on the walls, with relative errors."""
     random = np.random.default_rng(seed)
     with open(path, "w", newline="") as file:
         rows = csv.writer(file)

@@ -14,13 +14,13 @@ def ffmpeg(*arguments, check: bool = True) -> subprocess.CompletedProcess:
 
 
 def stream(path: Path) -> str:
-    """What ffmpeg says of the video stream."""
+    """Return ffmpeg's description of the video stream."""
     answer = ffmpeg("-i", path, check=False).stderr.decode()  # it complains of no output file
     return next(line for line in answer.splitlines() if "Video:" in line)
 
 
 def read_video(path: Path) -> np.ndarray:
-    """All frames [T,H,W,3], decoded as the file's tags say."""
+    """Return all frames [T,H,W,3], decoded according to the file's tags."""
     width, height = map(int, re.search(r", (\d+)x(\d+)", stream(path)).groups())
     raw = ffmpeg("-v", "error", "-i", path, "-pix_fmt", "rgb24", "-f", "rawvideo", "-").stdout
     return np.frombuffer(raw, np.uint8).reshape(-1, height, width, 3)

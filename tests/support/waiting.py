@@ -1,14 +1,14 @@
-"""Waiting for what other threads and processes do."""
+"""Waits for other threads and processes."""
 
 import time
 from collections.abc import Callable
 
 LIMIT = 60.0
-"""Longest wait, s: for a machine that does ten other things, too."""
+"""Longest wait [s], chosen for a machine that runs ten other programs."""
 
 
 def until(condition: Callable[[], bool]) -> None:
-    """Wait for something to become true."""
+    """Wait until a condition is true."""
     end = time.monotonic() + LIMIT
     while not condition():
         assert time.monotonic() < end, "it did not happen"

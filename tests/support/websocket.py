@@ -1,4 +1,4 @@
-"""A websocket of a few lines (RFC 6455), which can vanish in ways that no good library has."""
+"""A minimal websocket (RFC 6455) that can break connections in ways that good libraries avoid."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class WebSocket:
         return first & 0x0F, self.stream.read(length)
 
     def send(self, *payloads: bytes, kind: int = TEXT) -> None:
-        """Several messages at once, masked as a browser's are."""
+        """Send several messages at once, masked like those of a browser."""
         frames = []
         for payload in payloads:
             mask = os.urandom(4)

@@ -1,4 +1,4 @@
-"""Everything that only a machine with a GPU can tell, as one folder: `make gpu`.
+"""Runs all measurements that need a GPU, and writes one folder: `make gpu`.
 
 `python tests/benchmarks/gpu [--device cuda:0] [--out out/gpu] [--only PIECE ...] [--physgaussian
 FOLDER]`. Each piece is a program of its own: what it prints goes into PIECE.jsonl, its complaints

@@ -1,4 +1,4 @@
-"""What the machine is: card, driver, toolkit, memory; what Warp, torch and gsplat make of it."""
+"""Describes the machine: card, driver, toolkit, memory, and how Warp, torch and gsplat see it."""
 
 import json
 import shutil
@@ -15,7 +15,7 @@ QUERY = "name,driver_version,compute_cap,memory.total,clocks.max.sm,clocks.max.m
 
 
 def smi() -> str | None:
-    """What the driver's own program says, or None."""
+    """Return the output of the driver's program, or None."""
     program = shutil.which("nvidia-smi")
     if program is None:
         return None

@@ -1,4 +1,4 @@
-"""The summary of a folder of evidence: what was measured, beside what was estimated."""
+"""Writes the summary of a folder of results: measured next to estimated values."""
 
 import json
 from pathlib import Path
@@ -69,7 +69,7 @@ def _text(value: Any) -> str:
 
 
 def _last_lines(path: Path) -> list[str]:
-    """What pytest says at its end."""
+    """Return the last line of pytest's output."""
     if not path.exists():
         return []
     return ["## Tests", *path.read_text("utf-8").strip().splitlines()[-1:]]

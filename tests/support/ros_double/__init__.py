@@ -1,6 +1,6 @@
-"""A recording double of rclpy 7.1.3 (ROS 2 Jazzy), as far as the bridge uses it.
+"""A recording mock of the parts of rclpy 7.1.3 (ROS 2 Jazzy) that the bridge uses.
 
-What it is strict about is what rclpy is strict about: parameters have a static type unless their
+The mock is as strict as rclpy: parameters have a static type unless their
 descriptor says otherwise, ranges and read-only are enforced, one line of code logs at one level,
 `publish` takes the message class or bytes, and nothing works once the context is shut down. It also
 behaves as Jazzy did over Cyclone DDS: one callback per spin, queues of limited depth, and
@@ -41,7 +41,7 @@ MESSAGES = {
 
 
 COST = 0.0003
-"""What rclpy needs for a callback [s]."""
+"""Time that rclpy takes for a callback [s]."""
 
 
 class Executor:
@@ -74,7 +74,8 @@ class Executor:
 
 
 def install(monkeypatch: Any) -> SimpleNamespace:
-    """Put modules in the shape of ROS 2 Jazzy's Python packages in place; returns what is seen."""
+    """Install modules that look like the Python packages of ROS 2 Jazzy; return the record of their
+    use."""
     state = SimpleNamespace(log=[], nodes=[], script=[], init=[], at_init=lambda: None)
     Node.made, Node.parameters, Node.others = state.nodes, {}, []
     Node.start = staticmethod(lambda: None)

@@ -26,7 +26,7 @@ STATES = {
 
 
 class LifecycleNode(Node):
-    """rclpy.lifecycle.LifecycleNode: its states, and what a failed transition leads to."""
+    """rclpy.lifecycle.LifecycleNode: its states, and the state after a failed transition."""
 
     def __init__(self, name: str, *, namespace: str) -> None:
         super().__init__(name, namespace=namespace)

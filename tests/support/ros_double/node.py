@@ -1,4 +1,4 @@
-"""The node, what it logs and what it publishes."""
+"""The mock of a node, with the records of its log and its publishers."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ HEARTBEAT = 0.1
 
 
 def heartbeat() -> float:
-    """What CYCLONEDDS_URI says when the first node of a process creates the DDS domain [s]."""
+    """Return the heartbeat interval [s] in CYCLONEDDS_URI when the first node of a process creates
+    the DDS domain."""
     settings = os.environ.get("CYCLONEDDS_URI", "")
     match = re.search(r"<HeartbeatInterval>(\d+) ms<", settings)
     return int(match[1]) / 1000 if match else HEARTBEAT
@@ -142,7 +143,7 @@ class ByName(dict):
 
 
 class Node:
-    """rclpy.node.Node; class members are what a test sets beforehand."""
+    """rclpy.node.Node; a test sets the class members before it creates a node."""
 
     made: list
     parameters: dict
@@ -261,7 +262,7 @@ class Node:
             raise InvalidParameterValueException(name, parameter.value, result.reason)
 
     def set_parameters(self, parameters: list[Parameter]) -> list[SetParametersResult]:
-        """Also what `ros2 param set` ends in."""
+        """Set parameters; `ros2 param set` ends in this call, too."""
         for before in self._before:
             parameters = before(parameters)
         for parameter in parameters:

@@ -1,4 +1,4 @@
-"""Known truths: what solids look like from every side, drawn by sphere tracing.
+"""Solids whose appearance from all sides is known, drawn by sphere tracing.
 
 `truth(name)` scales a solid so that the front camera of `relief` sees it exactly as large as
 `relief` will make it, and gives its picture, its silhouettes and pictures from `VIEWS`, its depth
@@ -20,15 +20,15 @@ from phy124.camera import Camera
 from support.truths.objects import OBJECTS, Part
 
 DISTANCE = 2.0
-"""Of every camera, in longest sides of the front silhouette."""
+"""Distance of all cameras, in longest sides of the front silhouette."""
 VIEWS = ((45, 0), (90, 0), (135, 20), (180, 0), (225, 0), (270, 20), (315, 0), (20, 60))
-"""Azimuth and elevation of the views that `relief` does not get to see, degrees."""
+"""Azimuth and elevation of the views that are hidden from `relief` [degrees]."""
 FRONT, SMALL = 160, 112
-"""Edges of the front picture and of the others, pixels."""
+"""Side of the front picture and of the other pictures [pixels]."""
 NARROW = 30
 """Field of view of the front picture, degrees."""
 WIDE = 38
-"""Of the other pictures: a solid as deep as long fits, turned by any angle."""
+"""Field of view of the other pictures, into which a solid as deep as long fits at any angle."""
 FINE = 2
 """Rays per pixel and axis of the front picture; the others have one."""
 LIGHT = np.array([0.6, -0.45, 0.66])
@@ -40,7 +40,7 @@ class Truth:
     """A solid as seen from all sides; the longest side of its front silhouette is 1 m."""
 
     front: NDArray[np.uint8]
-    """What `relief` gets [FRONT,FRONT,4]."""
+    """The input of `relief` [FRONT,FRONT,4]."""
     pictures: NDArray[np.float32]
     """Colour on white and alpha [V,SMALL,SMALL,4] from `VIEWS`."""
     depth: float
@@ -50,9 +50,9 @@ class Truth:
     distances: NDArray[np.float32]
     """Depth map of the front picture [FRONT,FRONT], m towards the viewer; NaN outside."""
     side: NDArray[np.uint8]
-    """From azimuth 90, so that the object looks to the left [FRONT,FRONT,4]."""
+    """The picture from azimuth 90, in which the object looks to the left [FRONT,FRONT,4]."""
     back: NDArray[np.uint8]
-    """From behind [FRONT,FRONT,4]."""
+    """The picture from behind [FRONT,FRONT,4]."""
 
 
 class Placed:
@@ -84,7 +84,7 @@ class Placed:
 
 
 def truth(name: str) -> Truth:
-    """One of `OBJECTS`; drawn at the first call, read from the temporary folder afterwards."""
+    """Return one of `OBJECTS`, drawn at the first call and read from the temporary folder later."""
     sources = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
     folder = (
         Path(tempfile.gettempdir()) / f"phy124-truths-{hashlib.sha256(sources).hexdigest()[:12]}"
@@ -128,7 +128,7 @@ def _drawn(parts: Sequence[Part]) -> Truth:
 
 
 def _placed(parts: Sequence[Part]) -> Placed:
-    """Its front silhouette 1 m long and centred, its depth centred."""
+    """Scale a solid to a front silhouette of 1 m, and centre its silhouette and its depth."""
     solid = Placed(parts, np.array([0.0, 0.0, 0.5]), 1.5)
     for _ in range(3):
         camera = Camera.orbit(0, 0, DISTANCE, 128, fov_y=60)
@@ -144,7 +144,7 @@ def _placed(parts: Sequence[Part]) -> Placed:
 
 
 def _traced(solid: Placed, camera: Camera) -> NDArray[np.float64]:
-    """Where the ray of each pixel hits [N,3], NaN where it misses."""
+    """Return the point that the ray of each pixel hits [N,3]; NaN if it hits nothing."""
     at = np.arange(camera.width) + 0.5 - camera.width / 2
     x, y = np.meshgrid(at, at)
     rays = np.stack([x, y, np.full_like(x, camera.focal)], axis=2).reshape(-1, 3)
@@ -164,7 +164,7 @@ def _traced(solid: Placed, camera: Camera) -> NDArray[np.float64]:
 
 
 def _picture(solid: Placed, camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Colour on white and hit [H,W,4], and x of what was hit, NaN elsewhere [H,W]."""
+    """Return colour on white and hits [H,W,4], and x of the hit points [H,W], NaN elsewhere."""
     points = _traced(solid, camera)
     hit = np.isfinite(points[:, 0])
     picture = np.ones((len(points), 4))

@@ -83,7 +83,7 @@ def prism(outline: Sequence[tuple[float, float]], depth: float) -> Distance:
 
 
 def without(solid: Distance, hole: Distance) -> Distance:
-    """What is left of a solid."""
+    """Return the distance from a solid with another solid cut out."""
     return lambda p: np.maximum(solid(p), -hole(p))
 
 

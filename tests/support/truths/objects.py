@@ -1,4 +1,4 @@
-"""Solids whose every side is known: name -> parts, each a distance and a colour.
+"""Solids that are known from all sides: name -> parts, each with a distance function and a colour.
 
 Units are arbitrary; x is towards the viewer, y to the right, z up.
 """
@@ -40,7 +40,7 @@ class Part(NamedTuple):
 
 
 def part(distance: Distance, colour: tuple[float, float, float] | Paint) -> Part:
-    """A piece, its colour plain or a function of place."""
+    """Return a piece whose colour is constant or a function of the position."""
     if callable(colour):
         return Part(distance, colour)
     return Part(distance, lambda p: np.broadcast_to(np.asarray(colour), p.shape))
