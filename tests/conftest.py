@@ -1,4 +1,4 @@
-"""What all tests share: golden data, tiny objects, one quiet Warp."""
+"""Fixtures that all tests share: golden data, tiny objects, Warp without messages."""
 
 import gc
 import os

@@ -161,7 +161,7 @@ def test_torn_object_meets_no_goal(quick):
 
 
 def test_a_grid_that_tears_the_object_is_not_taken(quick, monkeypatch):
-    """What was whole is returned, and why nothing finer was."""
+    """Return the finest level without tears, and why there is no finer one."""
     likely = property(lambda self: self._model.dx < 1 / 13)
     monkeypatch.setattr(Tearing, "likely", likely)
     about = run_for_goal(Goal.error("0.2%"), ball(600), quick).about

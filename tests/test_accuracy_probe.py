@@ -1,4 +1,4 @@
-"""What a scene needs compiled: all that a run launches, and nothing that is there already."""
+"""The kernels to compile for a scene: all that a run launches, except those in the cache."""
 
 from __future__ import annotations
 

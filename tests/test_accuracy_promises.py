@@ -344,7 +344,7 @@ def test_simulate_prints_what_is_promised(tmp_path, capsys):
 
 
 def test_no_one_else_words_a_promise():
-    """What is said of promised and measured errors stands in one file only."""
+    """Sentences about promised and measured errors are in a single file."""
     words = ("can be promised", "Expected error", "Error of this run", "error not measured")
     sources = [
         path

@@ -9,7 +9,7 @@ from phy124.rendering.stage.frame import Solid
 from support.arranged import arranged
 
 CAMERA = Camera.orbit(0, 0, 2.0, 65)
-"""It looks along -x from (2, 0, 0)."""
+"""A camera that looks along -x from (2, 0, 0)."""
 BOX = np.full(3, -0.2), np.full(3, 0.2)
 TILTED = np.array([[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1.0]])
 

@@ -66,7 +66,7 @@ def test_the_front_of_a_slanted_up_is_that_of_the_nearest_axis():
 
 
 def test_rotate_comes_first(rng):
-    """What was turned by a rotation is read as before if that is undone."""
+    """A rotated file is read like the original if the rotation is undone."""
     rotation = euler([20, -35, 50])
     quaternion = "0.2,0.4,-0.1,0.3"
     assert np.allclose(orientation(rotate="20,-35,50"), orientation() @ rotation)

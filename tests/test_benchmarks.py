@@ -10,7 +10,7 @@ PROGRAMS = sorted((ROOT / "tests/benchmarks").rglob("*.py"))
 OURS = ("support", "reference")
 """Folders of tests/ that no installation has."""
 PATHS = {depth: f"sys.path.insert(0, str(Path(__file__).parents[{depth}]))" for depth in (1, 2)}
-"""How far up tests/ is -> what makes it known."""
+"""Levels up to tests/ -> expression that names the folder."""
 
 
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda path: path.stem)

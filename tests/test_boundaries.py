@@ -408,7 +408,8 @@ def test_walls_do_not_depend_on_where_the_threads_part(walls):
 
 
 def test_a_pad_does_not_magnify_rounding(rng):
-    """What is hardly pushed must not count suddenly, or results depend on the order of threads."""
+    """A node that is hardly pushed must not count suddenly; otherwise results depend on the thread
+    order."""
     pads = Gripper(centre=(0.2, 0.2, 0.2), opening=0.5, closed=0.3, thick=0.3, close=0.05)
     x = block()
     ends = []

@@ -1,4 +1,4 @@
-"""What a bag's metadata says, read by rosbags elsewhere; topics and their hashes."""
+"""The metadata of a bag, which other tests read by rosbags; topics and their hashes."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What cameras see, read back from bags by rosbags, and over Foxglove and DDS."""
+"""Images of cameras, read from bags by rosbags, and received over Foxglove and DDS."""
 
 import io
 import os

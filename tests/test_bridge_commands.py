@@ -224,7 +224,7 @@ def test_doctor_says_which_packages_a_node_would_get(monkeypatch):
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_stopped_recording_is_whole(tmp_path, number):
-    """As a supervisor or Ctrl-C stops it, in the middle of a clip of twenty seconds."""
+    """A supervisor, or Ctrl-C, stops the player in the middle of a clip of twenty seconds."""
     random_clip(frames=600).save(tmp_path / "clip.safetensors")
     bag = tmp_path / "bag"
     play = ["play", "--backend", "foxglove", "--port", "0", "--record", str(bag)]

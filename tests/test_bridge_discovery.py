@@ -1,4 +1,5 @@
-"""Who hears the DDS sink: ROS 2's environment variables, and stock peers in a private network."""
+"""Receivers of the DDS sink: ROS 2's environment variables, and default peers in a private
+network."""
 
 import json
 import os

@@ -75,7 +75,7 @@ def test_every_option_is_a_parameter_with_a_description(ros, tmp_path):
     [("speed", 2), ("rate", 10), ("epoch", 1_700_000_000), ("translation", [1, 0, 0])],
 )
 def test_whole_numbers_do_for_numbers(ros, tmp_path, name, whole):
-    """What `-p speed:=2` gives: ROS makes an integer of it."""
+    """The value of `-p speed:=2`, which is an integer for ROS."""
     made = run_node(ros, tmp_path, 50, **{name: whole})
     assert made.publishers["points"].sent
     kept = made.declared[name].value

@@ -29,7 +29,7 @@ LAUNCH = BRIDGE / "launch" / "player.launch.py"
 
 @pytest.fixture
 def setup_arguments(monkeypatch):
-    """What setup.py hands to setuptools."""
+    """Return the arguments that setup.py passes to setuptools."""
     caught = {}
     monkeypatch.setattr(setuptools, "setup", caught.update)
     monkeypatch.chdir(BRIDGE)
@@ -138,7 +138,7 @@ class Missing(Exception):
 
 @pytest.fixture
 def launched(monkeypatch):
-    """What the launch file starts for given arguments, against stand-ins of launch.
+    """Return the actions of the launch file for given arguments, with mocks of launch.
 
     Every class remembers how it was called; nothing of launch is on a package index.
     """

@@ -338,7 +338,7 @@ def test_without_ros_it_says_what_to_do():
 
 
 def standing():
-    """What a steered run offers, without a run."""
+    """The controls of a steered run, without a run."""
     log = []
 
     def steps(count):

@@ -16,7 +16,7 @@ EPOCH = 1_700_000_000
 
 @dataclass
 class Playback:
-    """What reports see of a player that shows a clip at half speed from second 1000 on."""
+    """The state of a player that shows a clip at half speed from second 1000 on."""
 
     paused: bool = False
     finished: bool = False

@@ -162,7 +162,7 @@ def test_a_controller_closes_the_loop_and_may_die(domain):
                 run.enter(State.QUITTING)
 
         def send(self, message):
-            """What a record keeps besides frames."""
+            """Store a message that is not part of a frame."""
 
     watch, (settings, *_) = Watch(), Discovery.from_environment().configurations()
     environment = {**os.environ, "CYCLONEDDS_URI": settings}

@@ -80,7 +80,8 @@ def test_which_gaussians_are_the_floors(rng):
 
 
 def test_the_object_stands_on_its_floor(tmp_path):
-    """It falls nowhere, the floor stays bit for bit; the object alone is simulated and framed."""
+    """The object does not fall, and the floor stays the same bit for bit; only the object is
+    simulated and framed."""
     place = captured(4)
     read = capture(PlyFile(saved(tmp_path, place), FLOOR), scene("drop", **{"time.frames": 6}))
     run = Simulation(prepare(read.gaussians, read.scene))
@@ -138,7 +139,7 @@ def test_capture_without_a_floor_is_refused(points, words):
 
 
 def test_a_box_alone_has_no_floor(rng):
-    """Its faces are planes, but reach no farther than the box."""
+    """The faces of the box are planes that end at the box."""
     faces = rng.uniform(-1, 1, (6000, 3))
     axis = rng.integers(0, 3, 6000)
     faces[np.arange(6000), axis] = np.sign(faces[np.arange(6000), axis])
@@ -180,7 +181,7 @@ def test_a_region_in_the_files_own_units(tmp_path):
 
 @pytest.mark.parametrize("floor", [False, True])
 def test_a_cylinder_turned_in_the_files_own_units(tmp_path, rng, floor):
-    """It stays a cylinder, and what it is turned by itself adds to the turn of the file."""
+    """The region stays a cylinder, and its own rotation adds to that of the file."""
     place = captured(7, floaters=0)
     path = saved(tmp_path, place)
     as_file = PlyFile(path, Reading(up="z", front="x")).open().gaussians.means
@@ -265,7 +266,8 @@ OPTIONS = [
 
 
 def test_interrupted_capture_resumes_with_the_same_command(tmp_path, capsys):
-    """Its floor is found again, the same to the bit; without --floor it would be another run."""
+    """The floor is detected again, equal bit for bit; without --floor the run would be another
+    one."""
 
     def cancel(stage: str, done: int, total: int) -> None:
         if (stage, done) == ("simulate", 2):

@@ -28,7 +28,7 @@ def test_every_kind_of_file_gives_its_tensors(tmp_path, tensors, kind):
 
 
 class Attack:
-    """What a pickle could do."""
+    """An action that a pickle could perform."""
 
     def __reduce__(self):
         return os.mkdir, ("attacked",)

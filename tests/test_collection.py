@@ -31,7 +31,7 @@ def test_absent_module_of_the_checkout_is_an_error(module):
 
 
 def test_no_test_file_imports_another():
-    """What several need is in tests/support."""
+    """Code that several tests need is in tests/support."""
     imports = re.compile(r"^\s*(?:from|import) test_\w+", re.MULTILINE)
     paths = Path(__file__).parent.rglob("*.py")
     named = {path.name: imports.findall(path.read_text()) for path in paths}

@@ -1,4 +1,4 @@
-"""What is typed wrongly is refused in plain sentences; what every command can do."""
+"""Wrong command lines are refused with plain sentences; options of every command."""
 
 import inspect
 import os
@@ -231,7 +231,7 @@ def test_a_reader_that_has_read_enough_is_no_error(name, monkeypatch, capfd):
 @pytest.mark.parametrize("program", [[], ["generate"]])
 @pytest.mark.parametrize("columns", ["5", "39"])
 def test_help_in_a_narrow_terminal_has_forty_columns(program, columns, monkeypatch, capsys):
-    """It would not end with five."""
+    """At a width of five, tyro would not end."""
     monkeypatch.setenv("COLUMNS", columns)
     with pytest.raises(SystemExit):
         main([*program, "--help"])

@@ -137,7 +137,8 @@ def test_a_clip_or_a_picture_is_not_converted(clip, capsys):
 
 
 def test_every_format_that_is_read_is_an_object(tmp_path, rng):
-    """As a `.ply` file is: by `--generator`, `simulate` and the bridge, by its content too."""
+    """Like a `.ply` file, the format is accepted by `--generator`, `simulate` and the bridge, also
+    by content."""
     wanted = many(rng, 200, 1)
     wanted = replace(wanted, opacities=wanted.opacities.clip(0.2))
     for name in ("spz", "spz4", "sog", "glb", "splat", "ply"):

@@ -37,7 +37,7 @@ def patched(count: int = 3000) -> Gaussians:
 
 
 def photographed(gaussians: Gaussians, camera: Camera) -> Photograph:
-    """What the camera sees, on a table in two greys."""
+    """Return the camera's picture of the object on a table in two greys."""
     image = Renderer(device="cpu")(gaussians, camera, (0, 0, 0), alpha=True)
     table = np.where(np.arange(camera.height)[:, None, None] < 70, 0.7, 0.5)
     rgb = image[..., :3] + (1 - image[..., 3:]) * table

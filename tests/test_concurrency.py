@@ -30,7 +30,7 @@ KERNELS = ROOT / "phy124/kernels"
 MOTIONS = ("moving", "still")
 EXTREMES = ("maxima_out", "fastest_out", "range_out", "low_out", "high_out")
 HARMLESS = {f"read-atomic {array}" for array in EXTREMES}
-"""What may race: a value is compared with a maximum before it is raised, atomically."""
+"""Allowed races: a value is compared with a maximum before the maximum is raised atomically."""
 MASSES = {
     *(f"phy124_pair_float32/pair: read-write {nodes}" for nodes in ("first_out", "second_out")),
     "phy124_liquid_spread_float32/spread: read-write velocity_out",
@@ -57,7 +57,7 @@ needs_memory = pytest.mark.skipif(unusable() is not None, reason=str(unusable())
 
 
 def asked(what: str, group: str, cache: Path) -> dict[str, Any]:
-    """What a process of its own finds, whose kernels are not those of this one."""
+    """Return the results of a separate process, whose kernels differ from those of this process."""
     command = [sys.executable, "-m", "races", what, group, str(cache)]
     paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
     environment = {**os.environ, "PYTHONPATH": paths}
@@ -75,7 +75,7 @@ def cache(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def races(cache):
-    """What a group of runs shows; each runs once."""
+    """Return the results of a group of runs; each group runs once."""
     known: dict[str, dict[str, Any]] = {}
 
     def of(group: str) -> dict[str, Any]:

@@ -33,7 +33,7 @@ def saved(folder, picture, name="it.png", **options):
 
 @pytest.fixture(autouse=True)
 def no_weights(monkeypatch):
-    """As on a machine without the weights of the full network, whatever this one has."""
+    """Simulate a machine without the weights of the full network."""
     monkeypatch.setattr(cutout.u2net, "weights_file", lambda: None)
 
 

@@ -326,7 +326,8 @@ def stretched_gaussians(count: int, rng) -> Gaussians:
 
 @pytest.mark.parametrize("count", [1, 8, 1003])
 def test_eight_at_a_time_are_deformed_as_one_by_one(rng, count):
-    """Of torn material, of what flows, needles, discs, points, turned over and turned far."""
+    """Gaussians of torn and of flowing material, needles, discs and points, with small and large
+    rotations."""
     rest = stretched_gaussians(count, rng)
     rest.scales[::11, 1] = 0
     rest.scales[::13, 2] = 1e-20

@@ -44,7 +44,7 @@ def _event(**data: Any) -> Any:
 
 
 def test_a_forgotten_job_is_answered(studio, handlers):
-    """As after a restart between the end of a job and the question for its result."""
+    """The state after a restart between the end of a job and the request for its result."""
     lost = _event(job="forgotten", option="side", ask=3)
     shown, source, _ = handlers.on_cut_end(studio)({"job": "forgotten"}, None, lost, None)
     assert GONE in shown["message"] and shown["job"] is None and source is None
@@ -70,7 +70,7 @@ def test_a_result_without_its_clip_is_not_listed(studio, handlers):
 
 
 def _chosen(studio: Studio, handlers, path: Path) -> dict[str, Any]:
-    """What the panel shows of a picture once its cut-out has ended, well or not."""
+    """Return the panel's value for a picture after its cut-out has ended or failed."""
     studio.visitors.get("a")
     sent = str(studio.visitors.store("a", path.read_bytes(), ".png"))
     request = SimpleNamespace(client=None, headers={})
@@ -86,7 +86,7 @@ def test_a_broken_picture_is_not_shown(studio, handlers, tmp_path):
 
 
 def test_a_picture_without_an_object_stays(studio, handlers, tmp_path):
-    """It can be marked by brush."""
+    """The object can be marked by the brush."""
     Image.new("RGB", (64, 64), "grey").save(tmp_path / "grey.png")
     shown = _chosen(studio, handlers, tmp_path / "grey.png")
     assert "No object" in shown["message"] and shown["picture"]["orig_name"]

@@ -116,7 +116,7 @@ def test_the_page_knows_who_asks(tmp_path, monkeypatch):
 
 
 def test_excess_connections_are_closed(monkeypatch):
-    """As uvicorn makes them: each knows how many there may be."""
+    """Create connections as uvicorn does; each knows the largest number of connections."""
     closed: list[Patient] = []
     monkeypatch.setattr(connections.H11Protocol, "__init__", lambda self: None)
     monkeypatch.setattr(connections.H11Protocol, "connection_made", lambda self, transport: None)

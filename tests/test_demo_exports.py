@@ -138,7 +138,7 @@ def test_each_format_is_offered_with_size_and_program(export, done, name, result
 
 
 def studio_of(visitors: Visitors) -> SimpleNamespace:
-    """As much of a studio as links need."""
+    """The parts of a studio that links need."""
     return SimpleNamespace(visitors=visitors, settings=SimpleNamespace(room=visitors.room))
 
 

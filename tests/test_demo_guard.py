@@ -1,4 +1,4 @@
-"""What stands before the page: names, origins, headers."""
+"""The page's guard: host names, origins, headers."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_addresses_that_would_be_fetched_are_known(path, fetches):
 
 
 def _answer(embedded: bool = False, cookie: bytes = b"", kind: bytes = b"text/html") -> dict:
-    """What a browser gets of an answer in two pieces, the second with a script."""
+    """Return what a browser receives of an answer in two pieces, the second with a script."""
 
     async def page(scope, receive, send):
         head = [(b"content-type", kind), (b"content-length", b"99")]

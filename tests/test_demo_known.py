@@ -1,4 +1,4 @@
-"""What a visitor tells of the object beside its picture."""
+"""A visitor's inputs about the object in addition to its picture."""
 
 from __future__ import annotations
 

@@ -11,7 +11,8 @@ gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
 
 
 def _asked(answer: Any, value: Any) -> tuple[list[Any], list[Any]]:
-    """What two equal requests are answered to a panel and a number, and what the handler got."""
+    """Return the answers to two equal requests, for a panel and for a number, and the handler's
+    inputs."""
     from demo.panels import mark_answers
 
     got = []

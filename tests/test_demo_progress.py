@@ -1,4 +1,4 @@
-"""What the progress panel shows follows the events of the work."""
+"""The progress panel follows the events of the job."""
 
 import json
 

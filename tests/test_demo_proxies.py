@@ -1,4 +1,4 @@
-"""Whatever proxies the environment names, the page reaches itself."""
+"""The page reaches itself, whatever proxies the environment names."""
 
 import os
 import threading

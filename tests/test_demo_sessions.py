@@ -1,4 +1,4 @@
-"""What Gradio keeps of each page: little of each, few of each address, none of who has left."""
+"""Gradio's sessions are small, few per address, and removed when their visitor has left."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def visitors(tmp_path) -> Visitors:
 
 @pytest.fixture
 def page() -> Any:
-    """As much of a page as sessions need; a real one opens event loops."""
+    """The parts of a page that sessions need; a real page opens event loops."""
     root: Any = SimpleNamespace(renderables=[])
     config = BlocksConfig(root)
     config.blocks = {1: gradio.State(None, render=False), 2: gradio.HTML("", render=False)}

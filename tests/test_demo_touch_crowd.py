@@ -28,7 +28,7 @@ from support.touch_visitor import Visitor
 HERE = Path(__file__).parent
 ORDER = SimpleNamespace(gaussians=1000, scene=SimpleNamespace(names=["object"]))
 WAYS = ("close", "reset", "half-open", "killed", "deaf")
-"""How visitors vanish; the last two take long."""
+"""Ways in which visitors disappear; the last two take long."""
 QUIET = 0.4
 """Time of a run without a touch [min]: it ends who neither reads nor leaves."""
 

@@ -1,4 +1,4 @@
-"""Where the energy lost goes: friction inside, flow, friction at walls, and the numerics."""
+"""Energy losses by cause: viscosity, plastic flow, friction at walls, and numerics."""
 
 import math
 

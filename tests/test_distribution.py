@@ -1,4 +1,4 @@
-"""What `make dist` builds, installed into a fresh environment and tried outside the checkout."""
+"""The result of `make dist`, installed into a new environment and used outside the checkout."""
 
 import os
 import re
@@ -28,7 +28,7 @@ FOLDERS = {"phy124": "phy124", "phy124_demo": "demo", "phy124_bridge": "bridge"}
 
 
 def run(*command: object, cwd: Path = ROOT, fails: bool = False) -> str:
-    """What a command prints that nobody has told where the checkout is."""
+    """Return the output of a command that does not know the checkout."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
         [*map(str, command)], cwd=cwd, env=environment, capture_output=True, text=True, check=False

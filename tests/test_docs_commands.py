@@ -118,7 +118,7 @@ def test_a_wrong_command_is_found():
 
 @pytest.fixture(scope="module")
 def clone(tmp_path_factory) -> Path:
-    """What `git clone`, `make demo` and `make bridge` give."""
+    """Make a clone, with the packages of `make demo` and `make bridge`."""
     folder = tmp_path_factory.mktemp("newcomer") / "phy124"
     subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
     typed(folder, "make demo\nmake bridge")
@@ -147,7 +147,7 @@ def typed(folder: Path, text: str) -> None:
 
 RUN = [block for block in SHELL if not block.words[1:]]
 READY = ("http://", "Sending ")
-"""What a server prints when it is there: the page its address, the bridge what it publishes."""
+"""Output that shows that a server runs: the page's address, the bridge's topics."""
 
 
 @pytest.mark.slow

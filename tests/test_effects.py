@@ -1,4 +1,4 @@
-"""What a scene calls for, and what is left out and why."""
+"""Effects that a scene requires, and effects that are left out, with reasons."""
 
 import numpy as np
 import pytest

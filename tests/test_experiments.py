@@ -66,7 +66,7 @@ def made(**changes) -> Experiment:
 
 
 def result(experiment: Experiment) -> Outcome:
-    """What it finds, without a process of its own."""
+    """Return the outcome of an experiment, computed in this process."""
     grids = [
         Measured(Run(experiment.name, n, False), experiment.run(n), 1.0) for n in experiment.grids
     ]
@@ -242,7 +242,7 @@ def test_experiments_that_are_done_survive_an_error(tmp_path, monkeypatch, capsy
 
 
 def both() -> list[Outcome]:
-    """Of an experiment with rows and of one with a curve."""
+    """Pages of an experiment with rows and of an experiment with a curve."""
     curve = made(
         name="other",
         title="Other",
@@ -283,7 +283,7 @@ def test_a_falling_block_comes_to_its_terminal_speed():
 
 
 def test_a_pressed_block_is_as_stiff_as_its_law():
-    """Its forces come from the impulses that a plate gives."""
+    """The forces come from the impulses of a plate."""
     stress, ratio = pressed_block.press(4, 1, 0, pressed_block.NU)
     assert stress / pressed_block.E == pytest.approx(1.0, rel=0.01)
     assert ratio == pytest.approx(pressed_block.NU, rel=0.01)
@@ -309,7 +309,7 @@ def test_names_are_refused_with_those_that_exist(capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [each.name for each in EXPERIMENTS])
 def test_an_experiment_comes_out_as_the_page_says(name, capsys):
-    """Its control leaves the band, and what misses it is known to."""
+    """The control leaves the band, and every value outside the band is a known deviation."""
     assert Validate(name=name, json=True).run() == 0
     output = json.loads(capsys.readouterr().out)
     assert output["good"] and output["experiments"][0]["control_holds"]

@@ -17,7 +17,8 @@ from phy124.io.ply import read_ply
 from phy124.io.sequence import write_ply_sequence
 
 SUPERSPLAT = re.compile(r"(.*?)(\d+)(?:\.compressed)?\.ply$")
-"""How the SuperSplat editor recognises a sequence: same first group, rising second."""
+"""Pattern by which the SuperSplat editor recognises a sequence: equal first group, rising second
+group."""
 
 
 @pytest.fixture

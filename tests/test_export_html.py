@@ -39,7 +39,7 @@ def clip(rng) -> Clip:
 
 
 def _unpacked(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
-    """What pack.js does, in NumPy."""
+    """Decode a pack as pack.js does, in NumPy."""
     raw = gzip.decompress(data)
     length = int.from_bytes(raw[:4], "little")
     head = json.loads(raw[4 : 4 + length])

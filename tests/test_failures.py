@@ -91,7 +91,7 @@ def test_problem_at_any_stage_is_reported_in_a_sentence(
 
 
 def refuse_broken(folder):
-    """Whatever is left in a folder is whole."""
+    """All files that remain in a folder are complete."""
     for path in folder.iterdir():
         assert not path.name.startswith("."), "half-written"
         if path.name == PAUSE:

@@ -96,7 +96,7 @@ def test_transparent_pictures_look_alike_on_any_background(tmp_path, clip):
 
 
 def test_a_transparent_gif_leaves_no_trail(tmp_path):
-    """Where the object has been is clear again in the next frame."""
+    """The place where the object was is transparent again in the next frame."""
     clip = flight([(0, -0.4, 0), (0, 0.4, 0)], count=300)
     film(clip, view(formats=["gif"], stage="transparent", azimuths=[]), tmp_path, device="cpu")
     first, last = frames(tmp_path / "front.gif")
@@ -176,7 +176,8 @@ def test_other_films_stay_if_an_encoder_fails(tmp_path, clip, monkeypatch, forma
 
 
 def _probe(path) -> dict:
-    """What ffmpeg's own prober, or ffmpeg where only that is installed, reads of a film."""
+    """Return the properties of a film, read by ffprobe, or by ffmpeg if only ffmpeg is
+    installed."""
     command = [shutil.which("ffprobe") or "", "-v", "error", "-of", "json", "-show_streams"]
     if command[0]:
         done = subprocess.run([*command, str(path)], capture_output=True, check=True)

@@ -85,7 +85,7 @@ def test_a_damped_oscillator_is_found_on_an_infinitely_fine_grid():
 
 
 def covered(seeds):
-    """How many intervals from measurements alone hold the truth, for each value."""
+    """Return, for each value, how many intervals from measurements alone contain the true value."""
     held = np.zeros(2, int)
     for seed in seeds:
         problem = Oscillator(seed, grids=(1_000_000,))

@@ -80,7 +80,8 @@ def test_the_page_of_a_fit_leads_the_film_picture_by_picture(tmp_path):
 
 
 def test_a_film_is_laid_on_the_object(tmp_path):
-    """Its camera stood elsewhere: what it shows is smaller, off the middle, in a wide picture."""
+    """The film's camera stood elsewhere: the object is smaller, off the centre, and the picture is
+    wide."""
     shape = np.zeros((240, 240), bool)
     shape[60:180, 80:160] = shape[60:100, 80:200] = True
     moved = np.array([[0.6, 0, 42.0], [0, 0.6, 19.7]])

@@ -228,7 +228,7 @@ def grab(*targets: tuple[float, float, float], every: float = 0.01, **fields: ob
 
 
 def centre(s: Solver, held: Grab) -> np.ndarray:
-    """Where the point is now."""
+    """Return the current position of the point."""
     share = weights(s.model.rest, held.point, held.radius) * s.model.mass.numpy()
     return share @ s.state.x.numpy() / share.sum()
 

@@ -74,7 +74,7 @@ def noise(data: bytes, rng: random.Random) -> bytes:
 
 
 def inside(data: bytes, rng: random.Random) -> bytes:
-    """What is compressed is damaged, and then compressed again as if nothing were wrong."""
+    """Damage the decompressed content, and compress it again correctly."""
     damage = rng.choice([cut, flip, flip_head, huge, digits])
     if data[:2] == b"\x1f\x8b":
         return spz._gzip(damage(zlib.decompress(data, 31), rng))
@@ -198,7 +198,7 @@ def test_broken_files_are_refused_in_a_sentence(tmp_path, kind):
 
 
 def limited(folder: Path, count: int) -> str:
-    """What `main` prints in a process whose memory is limited."""
+    """Return the output of `main` in a process with limited memory."""
     command = [sys.executable, __file__, str(folder), str(count)]
     paths = {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}", "OMP_NUM_THREADS": "1"}
     run = subprocess.run(command, cwd=ROOT, env=paths, capture_output=True, text=True, check=False)

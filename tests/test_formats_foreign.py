@@ -1,4 +1,4 @@
-"""What we write, read by programs that are not ours: within the steps of each format."""
+"""Files of phy124, read by other programs with errors within the steps of each format."""
 
 from dataclasses import replace
 

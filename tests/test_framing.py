@@ -25,7 +25,7 @@ def view(**changes) -> View:
 
 
 def seen(clip, chosen, side="front") -> list[np.ndarray]:
-    """Where the middle of the ball is in each frame, in pixels."""
+    """Return the position of the ball's centre in each frame [pixels]."""
     moved = clip.means.mean(axis=1)
     pairs = zip(cameras(clip, chosen, side), moved, strict=True)
     return [camera.project(middle[None])[0][0] for camera, middle in pairs]

@@ -306,7 +306,8 @@ def test_free_solid_resumes_bit_for_bit():
 
 
 def floating(density):
-    """How deep a cube is in a tank of water [sides], and its weight on the water [weights]."""
+    """Return the depth of a cube in a tank of water [sides], and its weight on the water
+    [weights]."""
     tank, side = (0.8, 0.8, 0.5), 0.3
     walls = [Ground(friction=0, contact="slip")]
     for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):

@@ -75,7 +75,7 @@ def samples(tmp_path_factory) -> dict[str, bytes]:
 
 
 def arguments_for(name: str, folder: Path) -> list[str]:
-    """How a user hands such a file to the program."""
+    """Return the command with which a user passes such a file to the program."""
     path, out = str(folder / name), ["--out", str(folder / "out"), "--device", "cpu", "--json"]
     if name.endswith(".ply"):
         return ["simulate", path, *QUICK, *out]

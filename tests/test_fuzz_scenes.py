@@ -238,7 +238,7 @@ COMMON = {
     "phases": [Phase.generate],
 }
 OUTCOMES: Counter[str] = Counter()
-"""How many of the scenes ended how."""
+"""Number of scenes with each outcome."""
 
 
 def most_are_complete() -> None:

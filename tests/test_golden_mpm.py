@@ -36,7 +36,7 @@ MORE = [
     "case", [*QUICK, *(pytest.param(case, marks=pytest.mark.slow) for case in MORE)]
 )
 def test_the_description_reproduces_the_recording(golden, case):
-    """What the other tests lean on: `Original` is the program that made the golden data."""
+    """The other tests rely on this: `Original` is the program that made the golden data."""
     recording = Recording.load(golden, case)
     original = Original(recording, 20)
     original.run(100)

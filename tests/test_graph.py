@@ -83,7 +83,7 @@ def test_graph_leaves_moving_windows_and_violence_to_host():
 
 
 def captured_names(monkeypatch, solver: Solver) -> list[list[str]]:
-    """What a graph captures, in each of its branches."""
+    """Return the launches that a graph captures, in each of its branches."""
     names: list[str] = []
     branches = []
 

@@ -73,7 +73,8 @@ def test_missing_package_is_named(monkeypatch):
 
 @reads
 def test_odd_exif_and_a_profile_of_a_phone(tmp_path):
-    """Its own header turns it, EXIF states another turn, and its colours are Display P3."""
+    """The file's header rotates the picture, EXIF states another rotation, and colours are Display
+    P3."""
     odd = exif_of([upright(3), Entry(0x0131, 5, 1, bytes(8)), Entry(0x011A, 10, 1, bytes(8))])
     (tmp_path / "a.heic").write_bytes(heic_with(PHONE.read_bytes(), display_p3(), odd))
     plain, result = open_image(PHONE), open_image(tmp_path / "a.heic")

@@ -18,7 +18,7 @@ NOTE_AND_SLEEP = "import os, time; open({!r}, 'w').write(str(os.getpid())); time
 
 
 def appears(path: Path) -> str:
-    """What is written to a file that comes into being."""
+    """Return the content of a file, after waiting until the file exists."""
     until(lambda: path.exists() and path.read_text())
     return path.read_text()
 

@@ -83,7 +83,7 @@ def test_a_broken_module_is_compiled_again_with_one_line(kind, cache, capfd):
 
 
 def test_a_module_that_warp_cannot_load_is_compiled_again(cache, monkeypatch):
-    """As on systems whose object files are not looked into."""
+    """Simulate a system whose object files are not examined."""
     assert works(adding("unloadable"))
     stored(cache, ".o").write_bytes(b"")
     monkeypatch.setattr(kernel_cache, "_is_whole", lambda file: True)

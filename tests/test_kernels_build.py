@@ -1,4 +1,4 @@
-"""How kernels are built: contracted, forward only, beside whatever flags the user has set."""
+"""Compilation of kernels: contracted, forward only, in addition to the user's flags."""
 
 from concurrent.futures import ThreadPoolExecutor
 

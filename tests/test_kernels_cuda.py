@@ -115,7 +115,8 @@ def test_the_substep_is_measured_without_float64(law, tmp_path):
 
 @pytest.mark.slow
 def test_every_module_of_the_presets_compiles_for_cuda(tmp_path):
-    """What runs on the CPU here, but for the rows of its vector units, would run there."""
+    """Return the kernels that run on the CPU here, except vectorised forms, and would run on a
+    GPU."""
     for name in preset_names():
         scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 3})
         Simulation(prepare(ball(300), scene)).run()

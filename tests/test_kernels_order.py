@@ -58,7 +58,7 @@ def rank(name: str, annotation: str) -> int | None:
 
 
 def problems(kernel: Kernel) -> list[str]:
-    """What is not as `phy124.kernels` says."""
+    """Yield deviations from the order of arguments that `phy124.kernels` describes."""
     names = list(kernel.arguments)
     ranks = [rank(name, annotation) for name, annotation in kernel.arguments.items()]
     results = []

@@ -1,4 +1,4 @@
-"""Where the energy of bodies on lattices goes: works by cause, with known results."""
+"""Energy losses of bodies on lattices by cause, compared with known results."""
 
 import math
 

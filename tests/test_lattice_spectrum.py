@@ -1,4 +1,4 @@
-"""What limits a lattice's substep: frequencies, damping, shocks."""
+"""Limits of a lattice's substep: frequencies, damping, shocks."""
 
 import math
 

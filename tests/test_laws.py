@@ -231,7 +231,8 @@ DISSIPATIVE = [Metal(), Foam(), Sand(), Snow(), Snow(nu=0.49, extension=0.4, com
 
 @pytest.mark.parametrize("material", DISSIPATIVE)
 def test_no_return_mapping_gains_energy(material, rng):
-    """What flows only dissipates; snow near nu = 1/2 would gain if it broke where it is pressed."""
+    """Flow only dissipates energy; snow near nu = 1/2 would gain energy if it broke under
+    pressure."""
     F = np.einsum("ni,ij->nij", np.exp(rng.uniform(-0.6, 0.6, (2000, 3))), EYE)
     trial = evaluate(material, F)
     kept = evaluate(material, trial.F, h=trial.history).energy

@@ -265,7 +265,8 @@ def test_front_is_found_where_the_picture_was_taken(rng):
 
 
 def test_front_view_arrives_as_our_front(rng):
-    """What LGM's camera 0 sees is what our camera on +x sees: right stays right, up stays up."""
+    """LGM's camera 0 and phy124's camera on +x see the same picture: right stays right, up stays
+    up."""
     rows = np.zeros((1, 14), np.float32)
     rows[0, :4] = 0.3, 0.2, 0.1, 1  # right, up, towards the camera
     rows[0, 4:8] = 0.1, 0.2, 0.3, 1

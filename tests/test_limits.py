@@ -48,7 +48,8 @@ def test_durations_below_a_second_are_not_rounded_to_zero():
     ],
 )
 def test_the_setting_that_would_fit_fits(hard):
-    """What is named is what makes the substeps short, and the value given runs in time."""
+    """The message names the setting that shortens the substeps, and the suggested value runs in
+    time."""
     hard = {**hard, "time.frames": 200, "time.budget": 60.0}
     with pytest.raises(InputError) as refusal:
         run(**hard)

@@ -1,4 +1,4 @@
-"""Where the energy of a projected liquid goes: works by cause, with known results."""
+"""Energy losses of a projected liquid by cause, compared with known results."""
 
 import numpy as np
 import pytest

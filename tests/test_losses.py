@@ -1,4 +1,4 @@
-"""What is there if a run cannot end as it should: no room, no encoder, a film that fails."""
+"""Results of runs that cannot end normally: no disk space, no encoder, a film that fails."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_a_missing_encoder_is_refused_before_work(tmp_path, monkeypatch, capsys,
 
 
 def test_an_encoder_whose_program_is_gone_is_refused(tmp_path, monkeypatch):
-    """As imageio-ffmpeg says it where its wheel holds no program."""
+    """The error of imageio-ffmpeg if its wheel contains no program."""
 
     def missing() -> str:
         raise RuntimeError("No ffmpeg exe could be found. Install ffmpeg on your system.\nOr so.")

@@ -31,7 +31,7 @@ def test_a_coarse_mask_is_fitted_to_the_edge_of_the_picture(side):
 
 
 def share_of_green(rgb, where):
-    """How much of the background's colour pixels show."""
+    """Return the fraction of the background's colour in pixels."""
     return ((rgb[where] - RED) @ (GREEN - RED)).mean() / ((GREEN - RED) ** 2).sum()
 
 

@@ -28,7 +28,7 @@ BYTE = 0xFF
 
 
 class Poisoned:
-    """How many arrays were filled."""
+    """Number of arrays that were filled."""
 
     def __init__(self) -> None:
         self.warp = self.numpy = 0
@@ -86,7 +86,7 @@ EVERYTHING = {
     **{name: (name, {}) for name in preset_names()},
 }
 FIRST = ("drop",)
-"""Those that every run of the tests looks at."""
+"""Runs that the default tests examine."""
 
 
 def results(preset, changes) -> dict[str, np.ndarray]:

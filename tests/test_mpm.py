@@ -174,7 +174,7 @@ def test_two_threads_do_as_one(rng):
 
 
 def test_each_thread_measures_its_own_particles(rng):
-    """What limits the substep is found by both threads, each among its half."""
+    """Both threads determine the limits of the substep, each for half of the particles."""
     v = rng.normal(size=(4096, 3))
     runs = {threads: solver(block(16), v=v, dx=DX / 2, threads=threads) for threads in (1, 2)}
     for s in runs.values():

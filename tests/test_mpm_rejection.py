@@ -134,7 +134,7 @@ def test_flight_at_speed_is_not_tried():
 
 
 def counted(s) -> dict[str, int]:
-    """How often a solver measures speeds alone, and everything, from now on."""
+    """Count how often a solver measures only speeds, and all limits, from now on."""
     counts = {"glance": 0, "measure": 0}
     (worker,) = s.workers
 

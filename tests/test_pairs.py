@@ -250,7 +250,7 @@ def unanswered(s, body):
 
 
 def skew(s):
-    """How far one of two bodies is from the mirror image of the other [m]."""
+    """Return the distance of a body from the mirror image of the other body [m]."""
     first, second = (s.state.x.numpy()[s.model.particles(body)] for body in (0, 1))
     first = first * [-1, 1, 1]
     order = [np.lexsort(np.round(x, 9).T) for x in (first, second)]
@@ -340,7 +340,7 @@ def tower(E, **contact):
 
 
 def seen(s, until):
-    """Where the middles of the cubes are then, in sizes [5,3], and all energy, J."""
+    """Return the final centres of the cubes, in sizes [5,3], and the total energy, J."""
     s.advance(until)
     now = diagnose(s)
     lifted = 9.81 * now.middle[2]

@@ -262,7 +262,7 @@ def test_faint_floaters_are_no_part_of_the_object(rng):
 
 
 def test_a_wide_sky_does_not_make_strays_of_the_object(rng):
-    """Its Gaussians are as large as the object, and show ten thousand times as much."""
+    """Its Gaussians are as large as the object, and ten thousand times as visible."""
     ways = rng.normal(size=(4000, 3))
     ways *= 30 / np.linalg.norm(ways, axis=1, keepdims=True)
     quats = np.tile([1.0, 0, 0, 0], (4000, 1))

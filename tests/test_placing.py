@@ -10,7 +10,7 @@ from phy124.simulation.placing import belongs, number_among_all, place, placing,
 from support.shapes import ball
 
 SIGMA = 0.05
-"""How much farther than the centres of these balls their Gaussians reach, in their sizes."""
+"""Distance by which the Gaussians of these balls extend beyond their centres, in sizes."""
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""What a run shall achieve and what is predicted of it: one declaration for both commands."""
+"""Goals and predictions of a run, declared once for both commands."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What docs/guide/platforms.md offers besides a clone: the notebook and the Dockerfile."""
+"""The notebook and the Dockerfile of docs/guide/platforms.md."""
 
 import json
 import re

@@ -164,7 +164,7 @@ def test_plugin_material_survives_scene_changes():
 
 
 def test_interrupted_run_with_own_classes_leaves_no_pause(tmp_path):
-    """Its first frames are kept, but no file could say how the run goes on."""
+    """The first frames are kept, but no file can describe how to continue the run."""
 
     def cancel(stage, done, total):
         if (stage, done) == ("simulate", 2):
@@ -258,7 +258,7 @@ def test_missing_methods_of_a_sink_are_named(monkeypatch):
 
 
 def examples(monkeypatch) -> dict:
-    """What the guide defines: a material, a force, a boundary, a format and a sink."""
+    """The plug-ins that the guide defines: a material, a force, a boundary, a format and a sink."""
     monkeypatch.setitem(sys.modules, "phy124_bridge", bridge)
     monkeypatch.setitem(sys.modules, "phy124_bridge.sink", bridge.sink)
     guide = Path(__file__).parents[1] / "docs/guide"

@@ -102,7 +102,7 @@ def test_failed_write_leaves_the_old_file(tmp_path, three_gaussians, monkeypatch
 
 @pytest.mark.parametrize(("dialect", "axes"), DIALECTS.items())
 def test_axes_of_each_dialect(tmp_path, dialect, axes):
-    """What lies up in the file lies at +z, what lies in front at +x; nothing is mirrored."""
+    """The file's up direction becomes +z and its front +x; nothing is mirrored."""
     units = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
     up, front = (np.array(units[a[-1]]) * (-1 if a[0] == "-" else 1) for a in axes)
     values = rows(3)

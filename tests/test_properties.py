@@ -28,13 +28,13 @@ VOMP = [
     ("density", "<f4"),
     ("segment_id", "<U32"),
 ]
-"""How VoMP lays out the array voxel_data of its .npz files."""
+"""Layout of the array voxel_data in the .npz files of VoMP."""
 PIXIE = [
     ("x", "f4"), ("y", "f4"), ("z", "f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
     ("alpha", "u1"), ("part_label", "i4"), ("density", "f4"), ("E", "f4"), ("nu", "f4"),
     ("material_id", "i4"), ("conf", "f4"),
 ]  # fmt: skip
-"""How Pixie lays out the vertices of its .ply files."""
+"""Layout of the vertices in the .ply files of Pixie."""
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 QUICK = {"accuracy": {"cells": 12}, "time.frames": 4}
 
@@ -280,7 +280,8 @@ def test_a_fraction_of_e_per_gaussian_is_a_file_of_numbers(tmp_path):
 
 
 def test_fractions_multiply_e_as_stiffness_does(tmp_path):
-    """Of a file, of a gradient, and of both; laws that have no E that may vary refuse them."""
+    """Fractions from a file, from a gradient, and from both; laws without an E that may vary refuse
+    them."""
     gaussians = ball(200)
     fractions = np.linspace(0.2, 1, len(gaussians))
     np.save(tmp_path / "f.npy", fractions)

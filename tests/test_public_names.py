@@ -44,7 +44,8 @@ def test_completion_shows_them():
 
 
 def test_type_checkers_see_each_name_where_it_is_imported_from():
-    """They read the imports under TYPE_CHECKING, Python the table: both say the same."""
+    """Type checkers read the imports under TYPE_CHECKING, Python reads the table; both are
+    equal."""
     tree = ast.parse(Path(phy124.__file__).read_text("utf-8"))
     block = next(node for node in tree.body if isinstance(node, ast.If))
     options = {

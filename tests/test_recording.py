@@ -1,4 +1,4 @@
-"""What is computed stays, whatever ends a run: a kill, an error; and the run goes on."""
+"""Computed frames remain, whatever ends a run (a kill, an error), and the run can be continued."""
 
 import os
 import shutil
@@ -110,7 +110,7 @@ def test_an_error_leaves_the_frames_so_far(tmp_path, error):
 
 
 def test_a_run_of_the_page_that_fails_leaves_nothing(tmp_path, every_frame, temporary):
-    """Its visitor has no command to go on with, and must not see the server's folders."""
+    """A visitor of the page has no command to continue, and must not see the server's folders."""
 
     def each(run, frame) -> None:
         if frame.index == 3:

@@ -35,7 +35,8 @@ def a_mug():
 
 
 def test_a_disc_becomes_a_ball(a_face):
-    """As deep as wide, and as large as a ball that the front camera sees as that disc."""
+    """The object is as deep as wide, and as large as a ball whose image in the front camera is the
+    disc."""
     low, high = a_face.means.min(axis=0), a_face.means.max(axis=0)
     radius = VIEW_DISTANCE * np.sin(np.arctan(0.5 / VIEW_DISTANCE))
     assert 45_000 < len(a_face) < 55_000
@@ -242,7 +243,8 @@ def test_seated_figure_has_a_flat_base_and_both_feet(renderer):
 
 
 def outlines(renderer, gaussians, inputs):
-    """What is object in a picture [H,W], and what the front camera sees of it, as large."""
+    """Return the object's mask in a picture [H,W], and in the front camera's rendering of the same
+    size."""
     wanted = np.asarray(inputs)[..., 3] > 127
     rows, columns = np.nonzero(wanted)
     longest = max(np.ptp(rows), np.ptp(columns)) + 1
@@ -282,7 +284,7 @@ def test_compact_round_shapes_are_turned():
 
 
 def test_steep_sides_have_no_streaks():
-    """Where the picture is stretched along the surface, its noise is blurred."""
+    """The noise of the picture is blurred where the picture is stretched along the surface."""
     mask = np.hypot(X - 96, Y - 96) < 80
     noise = np.random.default_rng(0).integers(0, 255, (SIZE, SIZE, 3), dtype=np.uint8)
     gaussians = relief(picture(mask, noise), count=10_000)
@@ -340,7 +342,7 @@ def lit_can(turned):
 
 
 def test_flat_top_has_one_shade():
-    """Its near half does not show the front's colours, and its far half the back's."""
+    """The near half of the top does not have the front's colours, nor the far half the back's."""
     gaussians = relief(lit_can((X - 96) / 50), count=10_000)
     top = gaussians.select(rotation_matrices(gaussians.quats)[:, 2, 2] > 0.95)
     middle = abs(top.means[:, 1]) < 0.1

@@ -111,7 +111,7 @@ def test_a_face_is_not_painted_behind_the_tail():
 
 
 def test_a_thickness_makes_it_flatter():
-    """As deep as said, and as wide."""
+    """The object is as deep as requested, and as wide as before."""
     thick, thin = (relief(picture(ellipse(60)), count=2000, thickness=t) for t in (1.0, 0.5))
     ratio = np.ptp(thin.means, axis=0) / np.ptp(thick.means, axis=0)
     np.testing.assert_allclose(ratio, [0.5, 1.0, 1.0], atol=0.05)

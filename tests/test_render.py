@@ -141,7 +141,7 @@ JUDGED = {
 @pytest.mark.parametrize("filter", FILTERS)
 @pytest.mark.parametrize("name", JUDGED)
 def test_single_precision_costs_less_than_80_db(name, filter, rng):
-    """Of the image; a contribution right at 1/255 may fall on either side."""
+    """Tolerance of the image; a contribution of exactly 1/255 may be drawn or skipped."""
     gaussians, camera = JUDGED[name](rng), Camera.orbit(30, 15, 1.5, (96, 80))
     wanted = reference(gaussians, camera, filter=filter)
     assert wanted[..., 3].max() > 0.1

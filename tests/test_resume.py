@@ -120,7 +120,7 @@ def test_notes_and_seconds_of_a_paused_run_are_kept(tmp_path):
 
 
 def test_pauses_of_other_versions_are_refused(tmp_path):
-    """What they hold is not the state of today, so going on would be another run."""
+    """Their content differs from the present state, so a continued run would be another run."""
     run = Simulation(prepare(ball(200), Scene.named("press").replaced(SCENE)))
     resume.save(run, tmp_path / "run")
     with safe_open(tmp_path / "run", framework="np") as file:

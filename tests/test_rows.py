@@ -1,4 +1,4 @@
-"""What is done to rows of nodes, against NumPy; with one node each, too, as on a GPU."""
+"""Operations on rows of nodes, compared with NumPy, also with one node per row, as on a GPU."""
 
 import numpy as np
 import pytest

@@ -56,7 +56,8 @@ def test_strain_dies_away_as_the_exponential_and_spin_stays(rng):
 
 
 def growth(fraction):
-    """How much a lone particle's vibration grows in 100 substeps, a fraction of the limit long."""
+    """Return the growth of a single particle's vibration in 100 substeps of a fraction of the
+    limit."""
     E, density, dx, first = 1e4, 1000.0, 0.2, 1e-6
     solver = make_solver(
         np.zeros((1, 3)),
@@ -159,7 +160,8 @@ def test_a_bar_loses_what_the_viscosity_of_the_same_rate_takes(cells):
 
 
 def test_the_number_of_physgaussian_is_a_rate(golden):
-    """Its r in every substep dt is the rate -ln(1 - r) / dt: the same run to rounding."""
+    """PhysGaussian's r in every substep dt equals the rate -ln(1 - r) / dt: both runs agree to
+    rounding."""
     recording, share, steps = Recording.load(golden, "b_jelly_free_spin"), 0.5, 40
     recording.meta["params"]["rpic_damping"] = share
     original, dt = Original(recording, mls=True), recording.meta["dt"]

@@ -130,7 +130,8 @@ def test_a_real_group_limits_the_cores():
 
 
 def test_a_run_too_large_for_its_group_is_refused(tmp_path):
-    """As a machine with so little memory refuses it: before work, by the number of cells."""
+    """The run is refused before work, as on a machine with so little memory, by the number of
+    cells."""
     write_ply(tmp_path / "ball.ply", ball(2000))
     command = ["-m", "phy124", "simulate", tmp_path / "ball.ply", "--scene", "drop", "--json"]
     options = [

@@ -142,7 +142,7 @@ def test_an_unknown_preset_names_the_nearest():
 
 @pytest.mark.parametrize("law", sorted(KINDS))
 def test_a_new_law_takes_its_own_defaults(law):
-    """Whatever the preset's law was given means nothing to another one."""
+    """The values of the preset's law have no meaning for another law."""
     for name in preset_names():
         scene = Scene.named(name)
         if scene.material.law != law:

@@ -23,7 +23,7 @@ TINY = {
     "time": {"frames": 2, "fps": 240, "budget": 0.1},
 }
 FOREIGN = re.compile(r"Input should|validation|pydantic|literal\[|Value error|type=|Traceback")
-"""What only pydantic or Python says."""
+"""Phrases that only pydantic or Python uses."""
 OBJECT = ball(30)
 
 

@@ -396,7 +396,7 @@ def test_scenery_with_a_track_is_shifted_and_the_rest_stays():
 
 @pytest.mark.slow
 def test_a_moved_object_pushes_and_what_it_gives_is_known(tmp_path):
-    """It gives the ball the momentum that the ball has, and goes where its path goes."""
+    """The wall's impulse equals the ball's momentum, and the wall follows its path."""
     changes = {"objects": [PUSHER], "forces": [], "boundaries": [], "time.frames": 13}
     declared = scene(**changes, **{"time.fps": 24, "velocities": True, "wrenches": True})
     made = Simulation(prepare(ball(400), declared, RunContext(threads=1)))

@@ -60,7 +60,7 @@ def test_the_reference_as_json_is_the_schema(capsys):
 
 
 def test_examples_are_legal():
-    """What the page shows as an example is taken."""
+    """The examples on the page are valid."""
     shown = [(leaf, example) for leaf in leaves({}) for example in leaf.node.get("examples", [])]
     assert len(shown) >= 8
     for leaf, example in shown:

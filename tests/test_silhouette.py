@@ -1,4 +1,4 @@
-"""What a mask tells of itself, on masks whose answer is known."""
+"""Measures of a mask's plausibility, for masks with known results."""
 
 import numpy as np
 import pytest

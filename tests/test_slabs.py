@@ -84,7 +84,7 @@ def test_any_number_of_threads_agrees_and_repeats(threads):
 
 @pytest.mark.parametrize("threads", COUNTS)
 def test_mass_and_momentum_of_all_slabs_come_together(threads):
-    """What several threads scatter adds up, node by node, to what one scatters."""
+    """The sums scattered by several threads equal those of one thread, node by node."""
     grids = []
     for count in (1, threads):
         s = make_solver(*bar_and_volume(), [NeoHookean(E=1e4)], v=bar()[1], dx=DX, threads=count)

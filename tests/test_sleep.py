@@ -170,7 +170,7 @@ def test_a_run_paused_asleep_goes_on_bit_for_bit(tmp_path, pause):
 
 
 def test_colours_of_a_run_resumed_asleep_stay_turned(tmp_path, rng):
-    """It was turned at first, then held at rest: the frame shown again has the turned colours."""
+    """The object was rotated and then held at rest: the repeated frame has the rotated colours."""
     gaussians = ball(200)
     gaussians = replace(gaussians, sh=rng.normal(size=(200, 4, 3)).astype(np.float32))
     turn = {"kind": "set_velocity", "spin": [0, 0, 1.0], "centre": [0, 0, 0], "end": 0.25}
@@ -217,7 +217,7 @@ def left_out(path, frames: int, acts: Track | None = None) -> list[int]:
 
 
 def test_no_even_acceleration_goes_astray_further_than_promised(rng):
-    """Whatever is left out, the particle is nowhere further than `STILL` from where it is seen."""
+    """In all skipped substeps, the particle is within `STILL` of its displayed position."""
     worst, asleep = 0.0, 0
     for _ in range(400):
         speed, gain = rng.choice([-1, 1], 2) * 10 ** rng.uniform([-7, -9], [-4, -6])

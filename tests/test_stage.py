@@ -277,7 +277,7 @@ def test_every_form_of_the_renderer_draws_the_same_stage(blend, distance):
 
 
 def test_reused_renderer_draws_as_a_new_one():
-    """What it keeps of a stage belongs to that stage."""
+    """Stored data of a stage is used only for this stage."""
     bounded = [{"kind": "ground"}, {"kind": "press"}]
     walled = [{"kind": "container", "inside": {"lower": [-1, -1, 0], "upper": [1, 1, 1e9]}}]
     frames = [at(staged(bounded), 0), at(staged(bounded), 2), at(staged(walled), 0)]
@@ -310,7 +310,8 @@ def test_gaussians_that_are_nowhere_leave_the_floor_as_it_is():
 
 
 def test_a_box_that_stands_on_the_floor_has_one_shade():
-    """Its lower face lies on the floor: not before it at some pixels and behind it at others."""
+    """The lower face lies on the floor: it is not in front of the floor at some pixels and behind
+    it at others."""
     box = Solid(np.array([0.0, 0.0, 0.37]), np.eye(3), np.array([0.4, 0.4, 0.27]))
     floor = Floor(0.1, (0.0, 0.0), 2.0, np.zeros((8, 8), np.float32), pool=0.0)
     stage = StageFrame(Backdrop((0.8, 0.8, 0.8), (0.8, 0.8, 0.8)), floor, (box,))
@@ -353,7 +354,8 @@ def test_shadows_are_made_once_for_all_sides():
 
 
 def test_the_shadow_of_a_flat_object_in_the_air_has_room():
-    """Its penumbra is as wide as it is high above the floor, not as the object is tall."""
+    """The width of the penumbra follows the height above the floor, not the height of the
+    object."""
     still = flight([(0, 0, 0)])
     flat = replace(still, means=still.means * np.float32([1, 1, 0.05]) + np.float32([0, 0, 1.4]))
     scene = Scene.from_data({"boundaries": [{"kind": "ground"}]}).data()

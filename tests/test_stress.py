@@ -158,7 +158,7 @@ def test_every_case_has_a_sabotage():
 
 @pytest.mark.parametrize("number", SABOTAGE)
 def test_sabotages_fit_the_source(number):
-    """What they replace is still there; without this the slow test below would prove nothing."""
+    """The replaced code still exists; otherwise the slow test below would prove nothing."""
     sabotage = SABOTAGE[number]
     assert sabotage.old in (PACKAGE / sabotage.file).read_text()
 

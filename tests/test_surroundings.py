@@ -1,4 +1,4 @@
-"""What is around an object in a file is said, with the box that leaves it out."""
+"""The surroundings of an object in a file are reported, with the box that excludes them."""
 
 import re
 

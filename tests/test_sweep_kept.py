@@ -32,7 +32,7 @@ def named(out: Path) -> list[str]:
 
 
 def test_a_worker_killed_within_a_clip_goes_on_with_it(tmp_path, plan, monkeypatch):
-    """Its folder is copied within a frame of the second clip, as a kill would leave it."""
+    """The sweep's folder is copied during a frame of the second clip, as a kill would leave it."""
     monkeypatch.setattr(recording, "COST", 1e9)
     whole, killed, begun, left = tmp_path / "whole", tmp_path / "killed", [], []
     step = Simulation._take_frame

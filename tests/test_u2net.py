@@ -171,7 +171,7 @@ def test_auto_takes_alpha_then_full_then_small_network(no_weights, small):
 
 
 def test_the_small_network_cuts_photographs_out(no_weights):
-    """Where GrabCut takes half the cat, and all of the sky around the rocket."""
+    """Pictures in which GrabCut selects half of the cat, and all of the sky around the rocket."""
     path = SHIPPED["u2netp.onnx"]
     assert compute_sha256(path) == KNOWN["u2netp"][0].sha256
     for photo, shown, hidden in (

@@ -39,7 +39,8 @@ def channel(material: Material, width: float, height: float, dx: float, friction
 
 
 def front(solver: Solver) -> float:
-    """Where all but the last half per cent has come [m]; single grains fly further."""
+    """Return the position that 99.5 % of the grains have not passed [m]; single grains fly
+    further."""
     return float(np.quantile(solver.state.x.numpy()[:, 0], 0.995))
 
 
@@ -52,7 +53,8 @@ def slope(solver: Solver, width: float) -> float:
 
 
 def run_out(friction_angle: float, cells: int) -> tuple[float, float]:
-    """How far 98 % of a square column came, in widths, and the slope of its heap [degrees]."""
+    """Return the run-out of 98 % of a square column, in widths, and the slope of its heap
+    [degrees]."""
     width = 0.4
     s = channel(Sand(friction_angle=friction_angle), width, width, width / cells, friction=0.6)
     s.advance(1.0)

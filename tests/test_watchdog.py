@@ -184,7 +184,8 @@ def test_energies_are_those_of_one_instant(cfl):
     [(Hencky, 0.3, 1, 40), (Hencky, 0.4999, 2, 5), (FixedCorotated, 0.3, 1, 1)],
 )
 def test_a_few_particles_thrown_apart_at_mach_1_add_up(law, nu, seed, count):
-    """They fly beyond the domain and back, thin out to 1:1e5, and spin: nobody is to blame."""
+    """Particles fly beyond the domain and back, thin out to 1:1e5, and spin, without a
+    violation."""
     rng, dx = np.random.default_rng(seed), 0.1
     material, external = law(E=1e5, nu=nu), ExternalWork()
     x = rng.uniform(-0.15, 0.15, (count, 3)) + [0, 0, 0.35]

@@ -1,4 +1,4 @@
-"""What differs on Windows: without fcntl and resource, commands run and the page starts."""
+"""Windows: without fcntl and resource, commands run and the page starts."""
 
 import json
 import subprocess

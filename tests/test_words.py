@@ -34,7 +34,7 @@ FILLERS = re.compile(
 )
 """Fillers, and words for which the field has others."""
 CODE = re.compile(r"```.*?```|`[^`\n]*`|\"\w+\"|^## 0\..*", re.S | re.M)
-"""What is not prose: code, strings of a single word, past versions of the changelog."""
+"""Text that is not prose: code, strings of a single word, past versions of the changelog."""
 
 
 def list_rooms() -> dict[str, list[Path]]:

@@ -69,7 +69,7 @@ class Record:
     answers: Counter[str] = field(default_factory=Counter)
     """Number of attempts of each attack."""
     tries: list[int] = field(default_factory=list)
-    """Of each honest visitor: how often until the run was there."""
+    """For each honest visitor, the number of attempts until the run existed."""
 
     def lines(self) -> list[str]:
         """In sentences."""

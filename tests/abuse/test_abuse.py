@@ -82,7 +82,7 @@ def attacker(server) -> Attacker:
 
 @pytest.fixture(autouse=True)
 def alive(server):
-    """Whatever was tried, the server answers afterwards."""
+    """After all attacks, the server still answers."""
     yield
     assert server.health()["status"] == "ok", server.said()
 

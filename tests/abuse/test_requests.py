@@ -121,7 +121,7 @@ HEADERS = {"Accept": "application/json, text/event-stream"}
 
 
 def _with_client(server, use) -> Any:
-    """What `use` returns for an MCP client of this server."""
+    """Return the result of `use` for an MCP client of this server."""
     from mcp import ClientSession
     from mcp.client.streamable_http import streamable_http_client
 

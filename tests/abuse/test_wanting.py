@@ -51,7 +51,7 @@ def attacker(server) -> Attacker:
 
 @pytest.fixture(autouse=True)
 def others_are_served(server):
-    """Whatever was tried, there is room for a visitor from elsewhere afterwards."""
+    """After all attacks, there is room for a visitor from another address."""
     yield
     visitor = Attacker(server, address="10.9.9.9")
     server.until(lambda: visitor.upload(DUCK)[0] == 200, "room for somebody else")

@@ -37,7 +37,7 @@ RIGHT = 0.85
 """Overlap (intersection over union) with the true mask from which a cut-out is right."""
 EXAMPLES = Path(__file__).parents[2] / "demo/examples"
 SIDE = 512
-"""Of the grounds, pixels."""
+"""Side of the backgrounds [pixels]."""
 NETWORK = u2net.load(require("u2netp")["u2netp.onnx"])
 
 
@@ -48,7 +48,7 @@ class Known(NamedTuple):
     rgb: NDArray[np.uint8]
     alpha: Alpha
     object: NDArray[np.uint8] | None = None
-    """Its colours without the ground [H,W,3], where they are known."""
+    """The object's colours without the background [H,W,3], if they are known."""
 
 
 def alone(rgb: NDArray[np.uint8]) -> Alpha:

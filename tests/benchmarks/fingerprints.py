@@ -51,7 +51,8 @@ def body(count: int = 3000) -> Gaussians:
 
 
 def fingerprint(scene: Scene, threads: int) -> str:
-    """Of a clip: its places, orientations and scales, and how many substeps it took."""
+    """Return the fingerprint of a clip: positions, orientations, scales and the number of
+    substeps."""
     run = Simulation(prepare(body(), scene, RunContext(threads=threads)))
     clip, result = run.run(), hashlib.sha256()
     for array in (clip.means, clip.quats, clip.scales):

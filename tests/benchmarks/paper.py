@@ -37,7 +37,8 @@ def pushed(gaussians: Gaussians, name: str) -> tuple[Clip, Scene]:
 
 
 def row(clip: Clip, scene: Scene, name: str) -> list[str]:
-    """Its way against a t^2 / 2, what it moved aside, and how its box has changed."""
+    """Return the path compared with a t^2 / 2, the sideways motion, and the change of the bounding
+    box."""
     force, axis, where = CONTROLS[name]
     way = clip.means[-1].astype(float).mean(axis=0) - clip.means[0].astype(float).mean(axis=0)
     a, time = scene.forces[0].a, clip.times[-1]

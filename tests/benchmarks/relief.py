@@ -30,7 +30,7 @@ EXAMPLES = Path(__file__).parents[2] / "demo" / "examples"
 GAUSSIANS = 15_000
 MEANS, RATIOS = ("iou", "side", "psnr", "seconds"), ("depth", "volume")
 SPACING = 0.02
-"""Of the particles that measure the volume, m."""
+"""Spacing of the particles that measure the volume, m."""
 
 
 def compared(truth: Truth, gaussians: Gaussians, renderer: Renderer) -> tuple[dict, np.ndarray]:
@@ -120,7 +120,7 @@ def turntables(renderer: Renderer) -> np.ndarray:
 
 
 def save(sheet: np.ndarray, file: Path) -> None:
-    """As its name ends; a WebP of this quality is small."""
+    """Save a picture in the format of its file name; a WebP of this quality is small."""
     Image.fromarray(sheet).save(file, quality=80)
 
 

@@ -97,7 +97,8 @@ def counted(name: str, threads: int, *, ball: bool, rounds: int = 5) -> dict[str
 
 
 def lock_us() -> float:
-    """How long one launch by a worker holds Python's lock [us], from launches over a few nodes."""
+    """Return how long a launch by a worker holds Python's lock [us], from launches over a few
+    nodes."""
     s = make_solver(
         np.random.default_rng(0).uniform(size=(16, 3)),
         np.full(16, 1 / 16),

@@ -43,7 +43,7 @@ class Made(NamedTuple):
 
     wall: float
     seconds: np.ndarray
-    """Of each clip; of the first of a picture with its Gaussians."""
+    """Time of each clip; that of the first clip of a picture includes the Gaussians."""
     bytes: float
     """Per clip."""
     files: dict[str, str]
