@@ -114,7 +114,7 @@ def monitors() -> Runs:
         "sleep": lambda: simulate(**{"time.frames": 12, "time.fps": 24.0}),
         "a violent blow": lambda: simulate(**{**FALLING, "object.velocity": [0, 0, -60.0]}),
         "tearing sand": lambda: simulate("sand"),
-        "torn rubber": lambda: simulate("drop", **TORN, **{"time.fps": 24.0}),
+        "torn rubber": lambda: simulate("drop", **{**TORN, "time.fps": 24.0}),
         "particles far away": far_away,
         "stress at a point": probed,
         "a vortex": lambda: problems.vortex(6, time=0.01),
