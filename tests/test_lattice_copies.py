@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.boundaries import Held
-from phy124.forces import TotalForce
+from phy124.forces import Grab, TotalForce, WrenchForce
 from phy124.lattice.rest import RestLattice
 from phy124.materials import NeoHookean
 from phy124.monitor.lattice import LatticeTotals
@@ -130,3 +130,21 @@ def test_clamp_holds_each_prong_by_its_own_nodes():
     x = solver.model.rest
     low, high = ((x[:, 0] > 0.75) & (x[:, 2] * side > 0.12 * side) for side in (-1, 1))
     assert np.abs(moved[low]).max() < 0.05 * np.abs(moved[high, 2]).mean()
+
+
+@pytest.mark.parametrize("kind", ["grab", "wrench"])
+def test_hand_on_one_prong_leaves_the_other_at_rest(kind):
+    """The hand holds all of the upper prong's tip, and its radius ends before the lower prong."""
+    clamp, tip = Held(lower=(-1, -1, -1), upper=(0.25, 1, 1)), (0.85, 0.1, 0.22)
+    path = {"times": (0, 0.1), "targets": (tip, (0.85, 0.1, 0.42))}
+    hands = {
+        "grab": Grab(point=tip, radius=0.06, stiffness=500.0, damping=5.0, **path),
+        "wrench": WrenchForce(point=tip, radius=0.06, force=(0, 0, 50.0)),
+    }
+    solver = make(fork(root=3, long=6, per=5), DAMPED, boundaries=[clamp], forces=[hands[kind]])
+    solver.advance(0.05)
+    x = solver.model.rest
+    moved = np.abs(solver.state.x.numpy() - x).max(axis=1)
+    lower, upper = ((x[:, 0] > 0.6) & ((x[:, 2] > 0.12) == high) for high in (False, True))
+    assert moved[upper].max() > 0.1 * DX
+    assert moved[lower].max() < 0.05 * moved[upper].max()
