@@ -339,18 +339,22 @@ class _Contact:
         if work is not None:
             known = self._gap, self.force, self._slot if self._moving else 0
             self._of_all.append(work.of(WALLS, self._list, points, *known))
-        self._count()
         (yields, *sums), (first, second, *works) = self._of_each, self._of_all
+        # Those of all points; later they change only where clamps hold or release nodes.
+        self._list.assign(np.arange(self._points.count, dtype=np.int32))
+        yields.launch()
+        if len(self._near):
+            self._list[: len(self._near)].assign(self._near)
+        self._count()
         sums += works
         return [touch, lambda: second.launch() if len(self._near) else None, account]
 
     def _count(self) -> None:
-        """Pass the number of listed points to the launches, and compute the points' response."""
+        """Pass the number of listed points to the launches."""
         for launch in self._of_all:
             launch.set_param_at_index(1, len(self._near))
         for launch in self._of_each:
             launch.set_dim(max(1, len(self._near)))
-        self._of_each[0].launch()
 
     def _yield(self) -> wp.Launch:
         """Record the launch that computes how impulses change the points' velocities."""
