@@ -95,7 +95,7 @@ def test_grab_before_the_first_frame_acts_from_the_second():
 
 
 def test_grabbed_object_follows_the_hand_and_falls_on_release():
-    run = live(boundaries=[])
+    run = live(boundaries=[], **{"material.E": 1e6})  # stiff enough for a pull of three weights
     run.step()
     run.grab((0, 0, 1.0))
     for frame in run.frames(40):  # noqa: B007
@@ -449,3 +449,28 @@ def test_softness_changes_next_frame_and_replays():
     for wrong in (0, 1e30, float("nan"), None):
         with pytest.raises(InputError, match=r"from 0\.01 to 100"):
             run.soften(wrong)
+
+
+def swing(run: Live) -> None:
+    """Hold the top and draw it to and fro by 0.3 m in each frame."""
+    run.step()
+    run.grab((0, 0, 1.0))
+    for step in range(4):
+        run.move_to((0, 0.3 if step % 2 else -0.3, 1.0))
+        run.step()
+
+
+def test_a_hand_pulls_soft_material_slower_than_sound():
+    soft = live(**{"material.E": 2e4})
+    swing(soft)
+    assert not soft.notes and soft.holds, "with three weights it would drop the inputs"
+    assert soft.session().forces[-1].strength < 2 * soft.limits.weight
+    stiff = live(**{"material.E": 1e6})
+    swing(stiff)
+    assert stiff.session().forces[-1].strength == pytest.approx(3 * stiff.limits.weight)
+
+
+def test_trial_of_real_time_outlives_a_frame_that_drops_its_hand(monkeypatch):
+    monkeypatch.setattr(engine, "SLOWEST", 1.0)
+    held = held_rate(thing(), scene(**{"material.E": 2e4}))
+    assert held.scene.resolution.cells in choose.CELLS

@@ -136,8 +136,11 @@ def _trial(
         show(live.step())
         substeps = watch.seconds.get("simulate", 0.0) - before
         frames.append((time.perf_counter() - begun, substeps))
-        if sum(whole for whole, _ in frames[WARM:]) > SECONDS:
+        dropped = (
+            not live.holds
+        )  # The frame was too violent, and was computed again without a hand.
+        if dropped or sum(whole for whole, _ in frames[WARM:]) > SECONDS:
             break
-    counted = sorted(frames[WARM:])
+    counted = sorted(frames[WARM:] or frames[-1:])
     whole, substeps = counted[len(counted) // 2]
     return Cost(scene.resolution.cells, substeps, whole - substeps)

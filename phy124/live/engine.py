@@ -24,7 +24,6 @@ from phy124.live import places
 from phy124.live.inputs import GrabRecord, Inputs, WallPath, is_movable
 from phy124.live.limits import (
     FASTEST,
-    LIFTS,
     PUSHES,
     STANDARD_GRAVITY,
     STRONGEST,
@@ -196,7 +195,8 @@ class Live:
             object: Name of the object, if there are several; None: the nearest.
             radius: Radius of the held material [m]; the hold weakens towards the rim.
             stiffness: Stiffness of the spring between hand and object [N/m].
-            strength: Largest force [N].
+            strength: Largest force [N]; None: three times the object's weight, less on soft
+                material.
 
         Raises:
             InputError: A number cannot be used, or no part of the object is near `point`.
@@ -207,9 +207,10 @@ class Live:
         radius = check_number("grab.radius", radius, 0.01 * limits.size, 2 * limits.size)
         stiffness = limits.stiffness if stiffness is None else stiffness
         stiffness = check_number("grab.stiffness", stiffness, 0, 1e4 * limits.stiffness)
-        strength = LIFTS * limits.weight if strength is None else strength
-        strength = check_number("grab.strength", strength, 0, STRONGEST * limits.weight)
         held = places.find_material(self._run, "grab.point", place, radius, object)
+        softened = held.modulus * self._inputs.softness[-1][1]
+        strength = limits.strength(softened, radius) if strength is None else strength
+        strength = check_number("grab.strength", strength, 0, STRONGEST * limits.weight)
         self.release()
         options = {
             "point": held.rest,
@@ -286,7 +287,7 @@ class Live:
         place = None if at is None else check_vector("push.at", at)
         point, of = None, places.check_object(self._scene, "push.object", object)
         if place is not None:
-            point, of = places.find_material(self._run, "push.at", place, radius, object)
+            point, of, _ = places.find_material(self._run, "push.at", place, radius, object)
         push = WrenchForce(
             force=self._note_change(*limits.force("push.force", force)),
             torque=self._note_change(*limits.torque("push.torque", torque)),

@@ -1,8 +1,10 @@
 """Limits and defaults of a hand's inputs.
 
-By default a hand pulls with three times the object's weight. A pull of three weights lifts and
-throws the object, but cannot make the object explode. The object's weight stretches the hand's
-spring by a few hundredths of the object's size.
+By default a hand pulls with three times the object's weight, which lifts and throws the object. On
+soft material it pulls with less: with the strain `STRAIN`, the material that the hand holds gains
+about a quarter of the speed of sound before its neighbours feel the pull. Material that is pulled
+faster than sound would be squeezed flat. The object's weight stretches the hand's spring by a few
+hundredths of the object's size.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from phy124.schema.region import Vector
 
 STANDARD_GRAVITY = 9.81
 LIFTS = 3.0
-"""Default strength of a hand, relative to the object's weight."""
+"""Default strength of a hand on stiff material, relative to the object's weight."""
+STRAIN = 0.3
+"""Strain of the held material under the default strength of a hand, at most."""
 STRONGEST = 30.0
 """Largest strength of a hand, relative to the object's weight."""
 TWIST = 0.2
@@ -70,6 +74,15 @@ class Limits:
     def radius(self) -> float:
         """Radius of the material that a hand holds [m]."""
         return 0.2 * self.size
+
+    def strength(self, modulus: float, radius: float) -> float:
+        """Return the default strength of a hand [N].
+
+        Args:
+            modulus: Modulus of pressure waves in the held material [Pa].
+            radius: Radius of the held material [m].
+        """
+        return min(LIFTS * self.weight, STRAIN * modulus * math.pi * radius**2)
 
     def force(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
         """Return a force [N], reduced to the limit, and a sentence if it was reduced."""

@@ -16,7 +16,7 @@ from phy124.monitor.wrenches import pair_names
 from phy124.motion.scenery import INSTANT
 from phy124.scene import Scene
 from phy124.schema.region import Vector
-from phy124.simulation import Simulation
+from phy124.simulation import Setup, Simulation
 
 if TYPE_CHECKING:
     from phy124.lattice.solver import LatticeSolver
@@ -31,6 +31,8 @@ class NearestMaterial(NamedTuple):
     """Position at rest [m]."""
     object: str | None
     """Name of the particle's object; None if there is only one object."""
+    modulus: float
+    """Modulus of pressure waves at the start of the run [Pa]."""
 
 
 def find_material(
@@ -61,9 +63,15 @@ def find_material(
         near = [round(float(c), 4) for c in x[index]]
         raise InputError(field, [*place], limit, f"The object's nearest point is now {near}.")
     px, py, pz = run.solver.model.rest[index].tolist()
-    return NearestMaterial(
-        (px, py, pz), run.scene.names[body[index]] if run.scene.objects else None
-    )
+    of = run.scene.names[body[index]] if run.scene.objects else None
+    return NearestMaterial((px, py, pz), of, _modulus(run.setup, index))
+
+
+def _modulus(setup: Setup, index: int) -> float:
+    """Return the modulus of pressure waves in a particle [Pa]."""
+    section = setup.materials[setup.particles.material[index]]
+    factor = 1.0 if setup.stiffness is None else float(setup.stiffness[index])
+    return factor * section.density * section.sound_speed() ** 2
 
 
 def list_points(run: Simulation) -> dict[str, NDArray[np.float64]]:
