@@ -33,8 +33,8 @@ def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
         return tomllib.loads(Path(path).read_text("utf-8-sig"))
     except (OSError, UnicodeDecodeError) as error:
         preset = " or a preset name" if field == "scene" else ""
-        why = error.strerror if isinstance(error, OSError) else error
-        limit, remedy = f"it cannot be read ({why}).", f"Give a TOML file{preset}."
+        why = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
+        limit, remedy = f"it cannot be read: {why}.", f"Give a TOML file{preset}."
         if isinstance(error, FileNotFoundError):
             limit = "there is no such file."
     except RecursionError:
