@@ -126,7 +126,7 @@
 
     take(job, told) {
       if (this.job !== job) return false;
-      if (told.state === 'lost') this.say('The connection was lost. The fit continues; reconnecting …');
+      if (told.state === 'lost') this.say('The connection was lost. Reconnecting …');
       else if (told.state === 'waiting') this.say(told.place ? `Waiting: ${told.place} before you` : 'Waiting');
       else if (told.state === 'running') this.progress(told);
       return true;

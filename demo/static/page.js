@@ -72,12 +72,18 @@
   const unforecast = () => state.opening || (state.picture ? 'the time is being estimated' : 'no picture yet');
   /** `opening`: what is being done with a picture or file that was chosen, in words; empty afterwards. */
   const state = { picture: false, opening: '', running: false, result: false, touching: false };
+  /** Neither the pointer nor keys reach what only shows a fact, or is covered. */
+  const still = (part, on) => { for (const node of document.querySelectorAll(part)) node.inert = on; };
   function mark(changes) {
     Object.assign(state, changes);
+    // On a phone the report, which follows, is at the top, too.
+    if (changes.running || changes.touching) for (const part of document.querySelectorAll('#side, #scroll')) part.scrollTo(0, 0);
     for (const none of document.querySelectorAll('#forecast .none')) none.textContent = unforecast();
     if (!state.running) document.body.classList.remove('kept');
     document.body.dataset.state = state.touching ? 'touch' : state.running ? 'running' : state.result ? 'result' : state.picture ? 'chosen' : 'first';
     document.body.dataset.picture = state.picture;
+    still('#side', state.running || state.touching);
+    still('#viewer', state.touching);
     for (const button of document.querySelectorAll('#go, #begin-touch')) button.setAttribute('aria-disabled', !state.picture);
   }
 
@@ -161,7 +167,7 @@
 
     take(job, told) {
       if (this.job !== job) return false;
-      if (told.state === 'lost') { this.say('lost', 'The connection was lost. Your run continues; reconnecting …'); return true; }
+      if (told.state === 'lost') { this.say('lost', 'The connection was lost. Reconnecting …'); return true; }
       if (told.glimpses?.length) globalThis.Phy124.live.glimpse(told.glimpses.at(-1));
       for (const file of told.live || []) globalThis.Phy124.live.add(`gradio_api/file=${file}`);
       if (told.state === 'waiting' || told.state === 'running') this.draw(told);

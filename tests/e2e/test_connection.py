@@ -11,7 +11,8 @@ def test_a_lost_connection_and_a_reload_lose_nothing(visit):
     page = visit.page
     visit.begin(frames=40)
     visit.context.set_offline(True)
-    page.get_by_text("The connection was lost. Your run continues").wait_for()
+    page.get_by_text("The connection was lost. Reconnecting").wait_for()
+    assert not page.get_by_text("run continues").count(), "the page cannot know that"
     page.wait_for_timeout(3000)
     visit.context.set_offline(False)
     visit.finished()

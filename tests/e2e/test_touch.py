@@ -36,6 +36,7 @@ def visit(browser, server):
     visit.page.locator("dialog .leaf", has_text="Damping").locator("input").first.fill("400")
     visit.page.get_by_role("button", name="Done", exact=True).click()
     visit.wait_for_scene("(scene) => scene.material.damping === 400")
+    visit.page.locator("#side").evaluate("(e) => e.scrollTo(0, 9999)")
     visit.page.locator("#begin-touch").click()
     visit.page.wait_for_selector(".touch canvas.ready")
     visit.page.wait_for_function(f"{HAND}.frames > 5")
@@ -45,6 +46,16 @@ def visit(browser, server):
 
 def test_the_object_follows_the_pointer_and_comes_back(visit):
     page = visit.page
+    seen = {
+        name: page.locator(f"#side {name}").first.is_visible()
+        for name in ("#cutout img", ".card:has(:checked)", ".another", "#correct", "#adjust")
+    }
+    assert [name for name, visible in seen.items() if visible] == [
+        "#cutout img",
+        ".card:has(:checked)",
+    ]
+    assert page.locator("#cutout img").bounding_box()["y"] > 0, "the rail is scrolled up"
+    assert page.evaluate("['#side', '#viewer'].every((e) => document.querySelector(e).inert)")
     assert "Drag the object" in page.locator(".touch-status").inner_text()
     start = page.evaluate(AWAY)
     x, y = page.evaluate(TOP)
