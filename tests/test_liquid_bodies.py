@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from phy124.boundaries import Container
+from phy124.boundaries import Container, Press
 from phy124.forces import Gravity, ZoneForce
 from phy124.liquid.clock import LiquidClock
 from phy124.liquid.mixed import MixedSolver
@@ -188,6 +188,24 @@ def test_ball_that_lands_in_a_pool_is_pushed_by_the_water():
     assert clip.report["balance"]["energy_gain"] < 0.05
     assert clip.report["pairs"]["object_on_pool"]["largest_force"] > 100
     assert clip.report["walls"]["container_z_low"]["largest_force"] > 1000
+
+
+def test_press_starts_above_all_bodies_and_not_at_the_surface_of_the_liquid():
+    solver = with_block(0.5 * DENSITY, 0.35, walls=(TANK, Press()))
+    press = solver.liquid.walls.all[-2]
+    assert press.name == "tank_1"
+    highest = solver.state.x.numpy()[:, 2].max()
+    assert highest > LEVEL + DX
+    assert np.array(press.geometry)[2] == pytest.approx(highest)
+
+
+def test_run_stops_where_walls_leave_too_little_room_for_liquid_and_body():
+    press = {"kind": "press", "depth": 0.85, "down": 0.2}
+    walls = [*pool().data()["boundaries"], press]
+    scene = pool(boundaries=walls, accuracy={"cells": 5})
+    report = Simulation(prepare(ball(), scene, RunContext(threads=1))).run().report
+    assert not report["complete"]
+    assert "too little room for the liquid and the bodies in it" in report["stopped"]
 
 
 def test_liquid_on_a_block_that_fills_its_tank_gains_no_energy():

@@ -96,7 +96,7 @@ class MixedSolver(Solver):
         self._liquid = LiquidSolver(
             part, _liquid_state(state, span), forces=uniform, boundaries=walls, free=self.free.all,
             ceiling=self.clock.ceiling, threads=threads, bodies=self._bodies,
-            advance_bodies=self._advance_bodies,
+            advance_bodies=self._advance_bodies, whole=model,
         )  # fmt: skip
         assert isinstance(self.clock, MixedClock)
         self.clock.liquid = self._liquid.clock

@@ -87,6 +87,7 @@ class LiquidSolver:
         threads: int | None = None,
         bodies: Bodies | None = None,
         advance_bodies: Advance | None = None,
+        whole: Model | None = None,
     ) -> None:
         """Connect forces and walls to the particles of a liquid.
 
@@ -102,11 +103,12 @@ class LiquidSolver:
             threads: Number of CPU threads; None: as many as save time.
             bodies: Bodies of other materials.
             advance_bodies: Moves the bodies up to a time [s].
+            whole: All particles of the run, relative to which walls are placed; None: `model`.
 
         Raises:
             InputError: The region of a force holds no particle, or a wall is too thin for the grid.
         """
-        self.model = model
+        self.model, self._whole = model, whole or model
         self.state = State.of(model) if state is None else state
         self.clock = LiquidClock(model, ceiling=ceiling)
         self.grids = grids_of(model)
@@ -170,7 +172,7 @@ class LiquidSolver:
         tracks = Tracks(real=model.real, device=model.device)
         acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
-        fixed = list(walls_of(boundaries, model, tracks))
+        fixed = list(walls_of(boundaries, self._whole, tracks))
         surfaces = [*walls_of_solids(self.free, model)]
         if self._bodies is not None:
             surfaces += walls_of_bodies(self._bodies.names, model)

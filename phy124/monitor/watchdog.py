@@ -182,7 +182,8 @@ class Watchdog(Observer):
         """Check a frame; return the violation, or None."""
         now = self._totals.read(self.clock)
         balanced = self.external is not None
-        problem = self._check_deformation(now) or (self._check_balance(now) if balanced else None)
+        problem = self._check_room() or self._check_deformation(now)
+        problem = problem or (self._check_balance(now) if balanced else None)
         if problem is None:
             self.last = now
             self.min_J, self.max_J = min(self.min_J, now.min_J), max(self.max_J, now.max_J)
@@ -290,6 +291,21 @@ class Watchdog(Observer):
         loss = self._dissipation.loss(gained, rubbed, stored)
         details = self._dissipation.details(loss, self.last.energy - self.first.energy)
         return {"energy": {"turnover": turnover, "lost": loss.total, **loss._asdict(), **details}}
+
+    def _check_room(self) -> Violation | None:
+        """Return the violation if a liquid with other bodies in it has too little room, or None.
+
+        Without other bodies, a liquid in a small space is only denser.
+        """
+        solver: Any = self._solver
+        others = hasattr(solver, "liquid") or solver.free.all
+        if not (solver.projects and others and solver.crowding > CROWDED):
+            return None
+        return Violation(
+            "the walls leave too little room for the liquid and the bodies in it, and the liquid's "
+            f"density rose by {solver.crowding:.0%}; move the walls less, or use less liquid",
+            (),
+        )
 
     def _check_deformation(self, now: Diagnostics) -> Violation | None:
         what, index = "", 0
