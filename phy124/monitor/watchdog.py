@@ -295,11 +295,11 @@ class Watchdog(Observer):
     def _check_room(self) -> Violation | None:
         """Return the violation if a liquid with other bodies in it has too little room, or None.
 
-        Without other bodies, a liquid in a small space is only denser.
+        Without other bodies, a liquid in a small space becomes denser, and nothing else happens.
         """
         solver: Any = self._solver
-        others = hasattr(solver, "liquid") or solver.free.all
-        if not (solver.projects and others and solver.crowding > CROWDED):
+        mixed = hasattr(solver, "liquid") or solver.free.all
+        if not (solver.projects and mixed and solver.crowding > CROWDED):
             return None
         return Violation(
             "the walls leave too little room for the liquid and the bodies in it, and the liquid's "
