@@ -306,7 +306,8 @@ def test_live_grab_and_its_session_take_the_same_object():
     assert list(frame.wrenches or {}) == list(live.contacts()) == ["ground", "ball_on_box"]
     assert live.pairs == {"ball_on_box": "box"} and set(live.centres) == {"ball", "box"}
     x, y, top = live.centres["box"] + (0, 0, 0.24)
-    live.grab((x, y, top))  # the ball is above it, within the radius of the hand
+    # The ball is above it, within the radius of the hand, which is strong enough to tear the box.
+    live.grab((x, y, top), strength=3 * live.limits.weight)
     live.move_to((x, y + 0.5, top))
     live.push((0, 0, 300), object="ball")
     frames = [frame, *live.frames(4)]
