@@ -136,10 +136,8 @@ def _trial(
         show(live.step())
         substeps = watch.seconds.get("simulate", 0.0) - before
         frames.append((time.perf_counter() - begun, substeps))
-        dropped = (
-            not live.holds
-        )  # The frame was too violent, and was computed again without a hand.
-        if dropped or sum(whole for whole, _ in frames[WARM:]) > SECONDS:
+        # After too violent a frame, which is computed again without a hand, nothing is held.
+        if not live.holds or sum(whole for whole, _ in frames[WARM:]) > SECONDS:
             break
     counted = sorted(frames[WARM:] or frames[-1:])
     whole, substeps = counted[len(counted) // 2]
