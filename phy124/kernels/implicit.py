@@ -1,4 +1,4 @@
-"""Evaluates implicit surfaces F = 0, projects points onto them, and spreads the points evenly.
+"""Implicit surfaces F = 0: values and gradients, projection of points, repulsion of neighbours.
 
 Lengths are in pixels of the picture from which the surface was made. All values are in float64.
 """
@@ -11,17 +11,17 @@ from phy124.kernels.build import kernel
 
 Fields = wp.array3d[wp.float64]
 REACH = wp.constant(wp.float64(1.25))
-"""Distance up to which neighbours repel each other, in units of the target spacing."""
+"""Distance up to which neighbours repel each other, in target spacings."""
 STRENGTH = wp.constant(wp.float64(0.45))
-"""Neighbours that are too close move apart by this fraction of the missing distance in one round."""
+"""Fraction of the missing distance by which neighbours move apart in one round."""
 SAME_SIDE = wp.constant(wp.float64(0.3))
 """Smallest cosine between the normals of neighbours. Points with a smaller cosine are on opposite
 sides of a thin part.
 """
 COUNTED = wp.constant(6)
-"""Number of nearest neighbours over which distances are averaged to get the spacing of a point."""
+"""A point's spacing is the mean distance to this number of nearest neighbours."""
 LEAST, MOST = wp.constant(wp.float64(0.6)), wp.constant(wp.float64(1.6))
-"""Smallest and largest spacing of points, in units of the target spacing."""
+"""Smallest and largest spacing of points, in target spacings."""
 
 
 @wp.struct
@@ -29,7 +29,7 @@ class Inflated:
     """F(x, y, z) = w(x, y) - (z - m(x, y))^2."""
 
     fields: Fields
-    """Values of w and m, and the slopes of both along x and y [H,W,6]."""
+    """w, m, and the slopes of both along x and y [H,W,6]."""
 
 
 @wp.struct
@@ -37,11 +37,11 @@ class Hull:
     """F = w(x, y) + s(z, y), but negative beyond the end planes, which are normal to y."""
 
     front: Fields
-    """Values of w and its slopes along x and y [H,W,3]; x = 0 is at the middle column."""
+    """w and its slopes along x and y [H,W,3]; x = 0 is at the middle column."""
     side: Fields
-    """Values of s and its slopes along z and y [H,D,3]; z = 0 is at the middle column."""
+    """s and its slopes along z and y [H,D,3]; z = 0 is at the middle column."""
     first: wp.float64
-    """The y coordinate of the first row."""
+    """y of the first row."""
     pitch: wp.float64
     """Distance between two rows [px]."""
     planes: wp.array[wp.vec3d]
@@ -50,7 +50,7 @@ class Hull:
 
 @wp.struct
 class Corner:
-    """Position of a point between four pixels: the pixel at the upper left, and the offset from this pixel."""
+    """Position of a point among four pixels: the upper left pixel, and the offset from it."""
 
     row: int
     column: int
@@ -60,12 +60,12 @@ class Corner:
 
 @wp.func
 def corner(fields: Fields, x: wp.float64, y: wp.float64) -> Corner:
-    """Return the pixel at the upper left of a point, clamped to the image, and the point's offset from it."""
+    """Return the pixel at the upper left of a point, clamped to the image, and the offset."""
     last_row, last_column = fields.shape[0] - 1, fields.shape[1] - 1
     x = wp.clamp(x, wp.float64(0.0), wp.float64(last_column))
     y = wp.clamp(y, wp.float64(0.0), wp.float64(last_row))
     at = Corner()
-    # The last pixel has no next pixel with which to interpolate.
+    # The last pixel has no next one to interpolate with.
     at.row = wp.clamp(int(y), 0, last_row - 1)
     at.column = wp.clamp(int(x), 0, last_column - 1)
     at.down = y - wp.float64(at.row)
@@ -75,7 +75,7 @@ def corner(fields: Fields, x: wp.float64, y: wp.float64) -> Corner:
 
 @wp.func
 def sample(fields: Fields, at: Corner, channel: int) -> wp.float64:
-    """Return the value of one channel of a field, interpolated bilinearly between four pixels."""
+    """Return a channel of a field, interpolated linearly between pixels."""
     above = wp.lerp(
         fields[at.row, at.column, channel], fields[at.row, at.column + 1, channel], at.right
     )

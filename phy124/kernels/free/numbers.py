@@ -1,30 +1,32 @@
-"""Defines the layout of the arrays that hold the state and the solution of a free body, and derived quantities."""
+"""Layout of the arrays of a free body's state and solution, and quantities derived from them."""
 
 from typing import Any
 
 import warp as wp
 
 PLACE, TURN, VELOCITY, ANGULAR, KICKED, SIZE = 0, 3, 7, 10, 13, 14
-"""Offsets in the array of a body: X [m], q (wxyz), V [m/s], L [kg m^2/s], and 1 if V includes the kick of this substep. The last number is the length of the array.
+"""Offsets in a body's array: X [m], q (wxyz), V [m/s], L [kg m^2/s], 1 if V includes the kick of
+this substep; and the array's length.
 """
 GUESS, PRIOR, WALLS, TRIAL = 0, 6, 12, 18
-"""Offsets in a solution: V and w, the previous V and w, and the impulse and moment of the walls. The last number is the length of the array.
+"""Offsets in a solution: V and w, the previous V and w, the walls' impulse and moment; and the
+array's length.
 """
 A, B, C, LINEAR, TURNING, SYSTEM = 0, 9, 18, 27, 30, 33
-"""Offsets in the six equations: the [3,3] blocks of the matrix, then the right-hand side. The last number is the length of the array."""
+"""Offsets in the six equations: [3,3] blocks of the matrix, then the right-hand side; length."""
 IMPULSE, MOMENT, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 6, 7, 8, 9
-"""Offsets of the sums of impulses on nodes, as in phy124/kernels/work.py, and the number of sums."""
+"""Offsets of the sums of impulses on nodes, as in phy124/kernels/work.py; and their number."""
 
 
 @wp.func
 def at3(values: wp.array(dtype=wp.float64), i: int):
-    """Return three consecutive numbers of an array as a vector."""
+    """Return three numbers, starting at an index."""
     return wp.vec3d(values[i], values[i + 1], values[i + 2])
 
 
 @wp.func
 def put3(values: wp.array(dtype=wp.float64), i: int, a: wp.vec3d):
-    """Write a vector to three consecutive numbers of an array."""
+    """Set three numbers, starting at an index."""
     values[i] = a[0]
     values[i + 1] = a[1]
     values[i + 2] = a[2]
@@ -32,7 +34,7 @@ def put3(values: wp.array(dtype=wp.float64), i: int, a: wp.vec3d):
 
 @wp.func
 def at33(values: wp.array(dtype=wp.float64), i: int):
-    """Return nine consecutive numbers of an array as a matrix, row by row."""
+    """Return nine numbers as rows of a matrix, starting at an index."""
     return wp.matrix_from_rows(at3(values, i), at3(values, i + 3), at3(values, i + 6))
 
 
@@ -51,7 +53,7 @@ def inertia_of(R: wp.mat33d, moments: wp.vec3d):
 
 @wp.func
 def spin_of(R: wp.mat33d, moments: wp.vec3d, L: wp.vec3d):
-    """Return the angular velocity [rad/s] of a body with a given angular momentum."""
+    """Return the angular velocity that belongs to an angular momentum [rad/s]."""
     return R @ wp.cw_div(wp.transpose(R) @ L, moments)
 
 
@@ -65,14 +67,14 @@ def turn_after(body: wp.array(dtype=wp.float64), w: wp.vec3d, dt: wp.float64):
 
 @wp.func
 def put_turn(body: wp.array(dtype=wp.float64), q: wp.quatd):
-    """Write the orientation to the array of a body."""
+    """Set the orientation."""
     body[TURN] = q[3]
     put3(body, TURN + 1, wp.vec3d(q[0], q[1], q[2]))
 
 
 @wp.func
 def moving(trial: wp.array(dtype=wp.float64), which: int, r: wp.vec3d):
-    """Return the velocity [m/s] of the body, according to a solution, at a point r relative to its centre."""
+    """Return the velocity that a solution gives the body at r from its centre [m/s]."""
     return at3(trial, which) + wp.cross(at3(trial, which + 3), r)
 
 
