@@ -101,17 +101,30 @@ def find_copies(
         volume: Volumes of the voxels [V]. The largest connected piece in the support of a node
             uses the node's first copy.
     """
+    # Voxels without neighbours, such as traces of material, separate nothing.
+    used, piece = np.zeros(len(place), bool), pieces.of_voxel
+    used[pieces.pairs] = True
+    if not used.any():
+        return None
+    of_used = np.zeros(len(cell), bool)
+    of_used[piece[used]] = True
+    used |= of_used[piece] & (place == cell[piece]).all(axis=1)
+    number = np.cumsum(used) - 1
+    place, piece, volume = place[used], piece[used], volume[used]
     low, shape = place.min(axis=0), np.ptp(place, axis=0) + 1
-    keys = np.asarray(np.ravel_multi_index((place - low).T, shape)) * len(cell) + pieces.of_voxel
+    keys = np.asarray(np.ravel_multi_index((place - low).T, shape)) * len(cell) + piece
     _, first, part = np.unique(keys, return_index=True, return_inverse=True)
-    places, piece = place[first], pieces.of_voxel[first]
+    places, piece = place[first], piece[first]
     size = np.bincount(part, volume)
-    copies = _copies_of_parts(places, piece, part[pieces.pairs], size)
+    copies = _copies_of_parts(places, piece, part[number[pieces.pairs]], size)
     if copies is None:
         return None
     # A node of a piece is that of the largest part of the piece in the node's support.
     result = np.zeros((len(cell), 27), np.int8)
+    copied = np.zeros(len(cell), bool)
+    copied[piece[copies.any(axis=1)]] = True
     order = np.argsort(size, kind="stable")
+    order = order[copied[piece[order]]]
     copies, piece, places = copies[order], piece[order], places[order]
     for k, step in enumerate(AROUND):
         way = cell[piece] + step - places
@@ -153,9 +166,10 @@ def _copies_of_parts(
     user = np.nonzero(chosen)[0]
     using = np.asarray(chosen.any(axis=1))
     a, b = links[using[links].all(axis=1)].T
-    way = cell[a][:, None] + AROUND - cell[b][:, None]
-    link, at = np.nonzero((np.abs(way) <= 1).all(axis=2) & (entry[a] >= 0))
-    uses = np.stack([entry[a[link], at], entry[b[link], (way[link, at] + 1) @ [9, 3, 1]]], axis=1)
+    there = _same_nodes(cell[a] - cell[b])
+    common = (there >= 0) & (entry[a] >= 0)
+    link, _ = np.nonzero(common)
+    uses = np.stack([entry[a][common], entry[b[link], there[common]]], axis=1)
     number, group = _components(uses, len(user))
     _, island = _components(links, count)
     rank = _rank(group, nodes[chosen], island[user], volume[user], number)
@@ -164,6 +178,19 @@ def _copies_of_parts(
     copies = np.zeros(nodes.shape, np.int8)
     copies[chosen] = rank
     return copies
+
+
+def _same_nodes(step: NDArray[np.int64]) -> NDArray[np.int8]:
+    """Return which nodes of one cell are the 27 nodes of another one [L,27]; -1: it has no such.
+
+    Args:
+        step: Steps from the first cell to the other one [L,3].
+    """
+    ways = np.array(list(np.ndindex(5, 5, 5)))[:, None] - 2 + AROUND
+    table = np.where((np.abs(ways) <= 1).all(axis=2), (ways + 1) @ [9, 3, 1], -1).astype(np.int8)
+    near = np.asarray((np.abs(step) <= 2).all(axis=1))
+    code = np.where(near, (step + 2) @ [25, 5, 1], 0)
+    return np.where(near[:, None], table[code], np.int8(-1))
 
 
 def _doubtful_nodes(
