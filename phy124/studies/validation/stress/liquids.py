@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,8 @@ from phy124.forces import Gravity, ZoneForce
 from phy124.liquid.mixed import MixedSolver
 from phy124.liquid.solver import LiquidSolver
 from phy124.materials import Fluid, NeoHookean
+from phy124.monitor.diagnostics import diagnose
+from phy124.monitor.external_work import MeanWork
 from phy124.mpm import Model, State
 from phy124.schema.region import Region
 from phy124.studies.validation.stress.bodies import Array, host
@@ -34,20 +36,23 @@ def tanks(setting: Setting) -> list[Check]:
     full = _block((0, 0, 0), (1, 1, 0.875))
     film, drop = _block((0, 0, 0), (1, 1, DX / 2)), np.array([[0.5, 0.5, 0.4]])
     checks = []
-    for name, x, forces, walls, time, speed in (
-        ("fountain", pool, [blow], still, 20.0 if setting.long else 2.0, 12.0),
-        ("wave machine", pool, [], [waves], 60.0 if setting.long else 2.0, 6.0),
-        ("no room", full, [], [lid], 2.0, 4.0),
-        ("film of half a cell", film, [], still, 1.0, 0.05),
-        ("one particle", drop, [], still, 1.0, 0.01),
+    for name, x, forces, walls, time, speed, energy, momentum in (
+        ("fountain", pool, [blow], still, 20.0 if setting.long else 2.0, 12.0, 1e-3, 0.05),
+        ("wave machine", pool, [], [waves], 60.0 if setting.long else 2.0, 6.0, 1e-3, 0.01),
+        ("no room", full, [], [lid], 2.0, 4.0, 1e-3, 0.01),
+        ("film of half a cell", film, [], still, 1.0, 0.05, 1e-3, 0.05),
+        ("one particle", drop, [], still, 1.0, 0.01, 0.25, 1e-3),
     ):
-        solver = _liquid(setting, x, forces, [TANK, *walls])
-        fastest = _advance(solver, time)
+        balance = Balance()
+        solver = _liquid(setting, x, forces, [TANK, *walls], balance)
+        fastest = _advance(solver, time, balance.compare)
         x = host(solver.state.x)
         out = -min(float(np.quantile(x, 0.001)), float(np.quantile(1 - x[:, :2], 0.001)))
         checks += [
             at_most(f"{name}: beyond the tank [cells]", out / DX, 0.25),
             at_most(f"{name}: largest speed, at last [m/s]", fastest, speed),
+            at_most(f"{name}: energy without work", balance.energy, energy),
+            at_most(f"{name}: momentum without impulse", balance.momentum, momentum),
         ]
     return checks
 
@@ -93,11 +98,40 @@ def _model(setting: Setting, x: Array, materials: list[Any], **options: Any) -> 
     return Model.of(x, volume, materials, dx=DX, **options, **setting.options)
 
 
-def _liquid(setting: Setting, x: Array, forces: list[Any], walls: list[Boundary]) -> LiquidSolver:
+class Balance(MeanWork):
+    """Compares energy and momentum of a liquid with work and impulse of forces and walls."""
+
+    energy = momentum = 0.0
+    """Largest energy without work, as a fraction of the work that lifts the liquid by half a metre;
+    largest momentum without impulse, as a fraction of all impulses.
+    """
+
+    def follow(self, solver: LiquidSolver) -> None:
+        """Start the comparison in the present state."""
+        self.bind(solver)
+        self.open(solver.clock)
+        self._solver, self._first = solver, diagnose(solver)
+
+    def compare(self) -> None:
+        """Compare the present state with the first."""
+        now, first = diagnose(self._solver), self._first
+        exchange = self.total(self._solver.clock, now.middle - first.middle, now.momentum)
+        lift = 0.5 * 9.81 * self._solver.model.total_mass
+        gain = now.energy - first.energy - exchange.work
+        missing = float(np.linalg.norm(now.momentum - exchange.impulse))
+        self.energy = max(self.energy, gain / lift)
+        self.momentum = max(self.momentum, missing / exchange.moved)
+
+
+def _liquid(
+    setting: Setting, x: Array, forces: list[Any], walls: list[Boundary], balance: Balance
+) -> LiquidSolver:
     model = _model(setting, x, [WATER])
     named = [(f"wall_{index}", wall) for index, wall in enumerate(walls)]
-    acting = [Gravity(), *forces]
-    return LiquidSolver(model, State.of(model), forces=acting, boundaries=named, threads=1)
+    options = {"forces": [Gravity(), *forces], "boundaries": named, "accumulators": [balance]}
+    solver = LiquidSolver(model, State.of(model), **options, threads=1)
+    balance.follow(solver)
+    return solver
 
 
 def _join(setting: Setting, water: Array, body: Array, material: NeoHookean) -> MixedSolver:
@@ -109,11 +143,16 @@ def _join(setting: Setting, water: Array, body: Array, material: NeoHookean) -> 
     return MixedSolver(model, State.of(model), **options, threads=1)
 
 
-def _advance(solver: LiquidSolver | MixedSolver, time: float) -> float:
-    """Simulate a duration [s] in frames; return the largest speed in its last quarter [m/s]."""
+def _advance(
+    solver: LiquidSolver | MixedSolver, time: float, after: Callable[[], None] = lambda: None
+) -> float:
+    """Simulate a duration [s] in frames, and call a function after each; return the largest speed
+    in its last quarter [m/s].
+    """
     fastest, frames = 0.0, round(24 * time)
     for frame in range(frames):
         solver.advance((frame + 1) / 24)
+        after()
         if frame >= 3 * frames // 4:
             fastest = max(fastest, float(np.linalg.norm(host(solver.state.v), axis=1).max()))
     return fastest
