@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from phy124.runtime.signals import ending, handling
 
-with handling(ending(130)):  # instead of a traceback
+with handling(ending(130)):  # an error message instead of a traceback
     import inspect
     import os
     import sys
@@ -25,7 +25,7 @@ with handling(ending(130)):  # instead of a traceback
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Serve the page until it is interrupted; return the exit status."""
+    """Serve the page until it is interrupted; return the exit status of the process."""
     chosen = read_options(arguments)
     with steady_streams():
         try:
@@ -42,11 +42,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def import_gradio() -> None:
-    """Import gradio, but keep it from writing .pyi files for editors; this saves a third of the
-    time.
+    """Import gradio without its generation of .pyi files; this saves a third of the import time.
 
-    Whenever it is imported, gradio derives a .pyi file from the source code of each component.
-    Gradio leaves out components whose source file is unknown.
+    Whenever it is imported, gradio derives a .pyi file (for editors) from the source code of each
+    component. Gradio skips components whose source file is unknown.
     """
     usual = inspect.getfile
 
@@ -88,7 +87,7 @@ def serve(settings: Settings) -> None:
 
 
 def read_options(arguments: Sequence[str] | None) -> dict[str, str]:
-    """Return the options of the command line as environment variables.
+    """Return the command-line options as environment variables.
 
     For example, --port 80 becomes PHY124_PORT=80.
     """

@@ -11,21 +11,22 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 DRAIN = 1 << 28
-"""Number of bytes of a refused request that are read before the connection is closed."""
+"""Number of bytes of a refused request that are read before its connection is closed."""
 VALUES, DEEPEST = 50_000, 40
-"""Largest number of values in the JSON of a request, and largest nesting depth."""
+"""Largest number of values in the JSON of a request, and the largest nesting depth of this JSON."""
 HELD, SMALL = 128_000_000, 64_000
-"""Limit on the memory for all incomplete bodies together, and size up to which a body does not
-count towards it [bytes]."""
-ODD = "This request cannot be read: it has too many values, or they are nested too deeply."
+"""Limit on the memory for all incomplete request bodies together, and the size up to which a body
+does not count towards this limit [bytes]."""
+ODD = "This request cannot be read: its JSON has too many values, or they are nested too deeply."
 
 
 class BodyLimit:
-    """Refuses bodies that are too large (also those that declare no size) and JSON with too many
-    values.
+    """Refuses request bodies that are too large, and JSON with too many values.
 
-    Gradio parses JSON in its main thread: three million numbers would block all visitors for a
-    second.
+    Bodies that declare no size are refused, too, once they become too large.
+
+    Gradio parses JSON in its main thread. A body with three million numbers would block all
+    visitors for a second.
     """
 
     def __init__(
@@ -34,17 +35,18 @@ class BodyLimit:
         """Wrap an application.
 
         Args:
-            app: The application.
-            uploads: URL of uploads, whose bodies are files, not JSON.
-            most: Largest upload [bytes], and the message for a larger one.
-            other: Largest body of other requests [bytes], and the message for a larger one.
+            app: The application to wrap.
+            uploads: URL of uploads. Their bodies are files, not JSON.
+            most: Size of the largest upload [bytes], and the message for a larger upload.
+            other: Size of the largest body of other requests [bytes], and the message for a larger
+                body.
         """
         self.app, self.uploads, self.most, self.other = app, uploads, most, other
         self._held = 0
-        """Size of all incomplete bodies [bytes]."""
+        """Size of all incomplete request bodies together [bytes]."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer 413 or 400, or pass the request on."""
+        """Answer with status 413 or 400, or pass the request on to the application."""
         if scope["type"] != "http":
             return await self.app(scope, receive, send)
         upload = scope["path"] == self.uploads
@@ -63,7 +65,7 @@ class BodyLimit:
         await self.app(scope, _replay(body, receive), send)
 
     async def _whole(self, receive: Receive) -> bytes | None:
-        """Read the body of a request; None if it is too large or incomplete."""
+        """Read the body of a request; return None if the body is too large or incomplete."""
         body, more = bytearray(), True
         try:
             while more:
@@ -81,10 +83,9 @@ class BodyLimit:
 
 
 def is_plain(body: bytes) -> bool:
-    """Return whether JSON has at most `VALUES` values, nested at most `DEEPEST` deep; the check is
-    fast.
+    """Return whether a JSON text has at most `VALUES` values, nested at most `DEEPEST` deep.
 
-    Commas and brackets inside texts are counted, too.
+    The check is fast because it counts commas and brackets, even those inside strings.
     """
     marks = sum(body.count(mark) for mark in (b",", b"[", b"{"))
     # A zero byte indicates UTF-16 or UTF-32, in which the search would miss quotes.
@@ -101,7 +102,7 @@ def is_plain(body: bytes) -> bool:
 
 
 def _limit(receive: Receive, most: int) -> Receive:
-    """Limit the bytes received; above the limit, the application gets a lost connection."""
+    """Limit the number of bytes received; above the limit, report a lost connection."""
     read = 0
 
     async def counted() -> Message:
@@ -114,7 +115,7 @@ def _limit(receive: Receive, most: int) -> Receive:
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
-    """Replay a body that was already read, then continue receiving."""
+    """Pass on a request body that was already read, then continue receiving."""
     unread = True
 
     async def again() -> Message:
@@ -132,7 +133,7 @@ def _too_large(said: str) -> PlainTextResponse:
 
 
 async def _drain(receive: Receive) -> None:
-    """Read and discard a body, because a client reads the answer only when it has sent the body."""
+    """Read and discard a body, because a client reads the answer only after sending the body."""
     read, more = 0, True
     while more and read < DRAIN:
         message = await receive()

@@ -1,7 +1,7 @@
 """Presets, controls and limits of the page, all derived from the scene's declaration.
 
-The page's editor (static/scene.js) builds its cards, sliders and forms from `catalogue`: new laws,
-forces and boundaries appear automatically, including plug-ins.
+The page's editor (static/scene.js) builds its cards, sliders and forms from `catalogue`. New laws,
+forces and boundaries therefore appear automatically, including those of plug-ins.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ from .source import SMALLER
 
 FOLDER = Path(__file__).parent
 FIRST = "press drop bounce wind spin push_right sway"
-"""Presets shown first. All others follow by name; those named after a material come last."""
+"""Presets that the page shows first. All other presets follow in alphabetical order; presets that
+are named after a material come last."""
 TITLES = {"push_right": "Push"}
-"""Preset -> title of its card, for presets whose names are unsuitable as titles."""
+"""Card title of each preset whose name is unsuitable as a title."""
 READY = {
     "press": ("Duck, pressed", "duck"),
     "bounce": ("Chick, thrown", "chick"),
@@ -35,14 +36,14 @@ READY = {
     "land_on_cushion": ("Pear, cushion", "pear"),
     "bury": ("Chick, sand", "chick"),
 }
-"""Preset -> title and example picture of its finished result, which `make_previews` creates."""
+"""Title and example picture of each preset whose finished result `make_previews` creates."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
-"""Force that the page's direction pad changes -> the field of the force that the pad sets."""
+"""Forces that the page's direction pad changes, each with the field that the pad sets."""
 LONGEST, LONGER = 20_000, 200
 """Largest length of a scene as text [characters], and the increase of this limit per frame. The
-limit increases because a saved live run has a position of the hand for each frame."""
+limit increases because a saved live run stores a position of the hand for each frame."""
 LISTS, PARTS = ("forces", "boundaries", "objects", "parts", "pairs"), 64
-"""Fields of a scene that are lists -> the largest number of entries."""
+"""Fields of a scene that are lists, each with the largest number of entries allowed."""
 WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}
 """Densities of familiar materials [kg/m^3]."""
 SUBSTANCES: dict[str, dict[str, Any]] = {
@@ -54,7 +55,8 @@ SUBSTANCES: dict[str, dict[str, Any]] = {
     "water": {"law": "fluid", "viscosity": 0.5, "tint": "#1f6fb8", "visibility": 0.1},
     "metal": {"law": "metal", "E": 1e6, "yield_stress": 2e4, "density": 2700},
 }
-"""Everyday name -> material. The metal is soft: real metal of a toy's size would hardly deform."""
+"""Everyday names of materials. The metal is soft: real metal of a toy's size would hardly
+deform."""
 PREVIEWS = Path(__file__).parent / "previews"
 
 
@@ -95,7 +97,7 @@ def _schema() -> dict[str, Any]:
     for section, names in fields.items():
         for name in names:
             del schema["$defs"][section]["properties"][name]
-    # The page shows MP4s, which cannot be transparent.
+    # The page shows MP4 videos, which cannot be transparent.
     schema["$defs"]["View"]["properties"]["stage"]["enum"].remove("transparent")
     return schema
 
@@ -115,7 +117,7 @@ def _card(name: str) -> dict[str, Any]:
 
 
 def ready() -> list[dict[str, Any]]:
-    """Return the finished results that the page shows before any run."""
+    """Return the finished results that the page shows before a visitor's first run."""
     made = PREVIEWS / "ready.json"
     seconds = json.loads(made.read_text("utf-8")) if made.exists() else {}
     return [
@@ -139,9 +141,9 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
     """Validate a visitor's scene within the page's limits.
 
     Args:
-        data: The scene as plain data.
+        data: The scene as plain data (dictionaries, lists, numbers and strings).
         settings: The page's limits.
-        uploads: Folder of the visitor's pictures; the scene must not name other files.
+        uploads: Folder of the visitor's pictures. The scene must not name other files.
 
     Raises:
         InputError: The data is not a scene, exceeds the page's limits, or names another file.
@@ -159,11 +161,11 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
 
 
 def check_length(field: str, data: Any, settings: Settings) -> None:
-    """Check that plain data, written as text, is not too long.
+    """Check that plain data is not too long when it is written as text.
 
     Args:
         field: Name of the data in error messages.
-        data: The data.
+        data: The data to check.
         settings: The page's limits.
 
     Raises:
@@ -176,7 +178,7 @@ def check_length(field: str, data: Any, settings: Settings) -> None:
 
 
 def _check_counts(data: dict[str, Any], settings: Settings) -> None:
-    """Raise InputError if a list of the scene is too long, before validation."""
+    """Raise InputError if a list of the scene is too long; this is checked before validation."""
     counts = {name: len(data[name]) for name in LISTS if isinstance(data.get(name), list)}
     pushes = counts.get("forces", 0) + counts.get("boundaries", 0)
     check_most(
@@ -190,7 +192,7 @@ def _check_counts(data: dict[str, Any], settings: Settings) -> None:
 
 
 def _refuse_makers(scene: Scene) -> None:
-    """Refuse further objects that a generator or a file makes: this process would read the file.
+    """Refuse objects from a generator or a file, because this process would read the file.
 
     Raises:
         InputError: The scene has such an object.
@@ -204,9 +206,9 @@ def _refuse_makers(scene: Scene) -> None:
 
 
 def _check_upload(field: str, path: Path, settings: Settings, uploads: Path | None) -> None:
-    # The path is compared as text: files outside the folder must not even be examined.
+    # The path is compared as text, because files outside the folder must not even be examined.
     if uploads is None or str(path) != str(uploads / path.name) or not is_plain_file(path):
-        limit = "On this page a scene cannot name a file, except a picture that you have sent."
+        limit = "On this page a scene cannot name a file, except a picture that you have uploaded."
         raise InputError(field, "a file", limit, "Remove the object, or choose a picture for it.")
     check_picture(path, settings, field)
 
@@ -215,7 +217,7 @@ def check_limits(scene: Scene, settings: Settings) -> None:
     """Check that a scene is within the page's limits.
 
     Raises:
-        InputError: It is larger than the page allows.
+        InputError: The scene is larger than the page allows.
     """
     pushes = len(scene.forces) + len(scene.boundaries)
     check_most(
@@ -232,10 +234,10 @@ def check_limits(scene: Scene, settings: Settings) -> None:
 
 
 def check_most(limits: dict[str, tuple[int, int]]) -> None:
-    """Refuse numbers above the page's limits.
+    """Refuse numbers in a scene that exceed the page's limits.
 
     Raises:
-        InputError: A number is above its limit.
+        InputError: A number exceeds its limit.
     """
     for name, (value, most) in limits.items():
         if value > most:
@@ -244,10 +246,10 @@ def check_most(limits: dict[str, tuple[int, int]]) -> None:
 
 
 def check_time(seconds: float, settings: Settings) -> None:
-    """Refuse a run that exceeds the time limit; `seconds` is its time on an idle machine.
+    """Refuse a run that exceeds the time limit; `seconds` is the run time on an idle machine.
 
     Raises:
-        InputError: The time limit is exceeded.
+        InputError: The run would exceed the time limit.
     """
     if seconds > settings.max_seconds:
         raise InputError(
@@ -260,7 +262,7 @@ def check_time(seconds: float, settings: Settings) -> None:
 
 
 def chips() -> list[dict[str, Any]]:
-    """Return name, material with all its values, and preview of each substance."""
+    """Return the name, the material with all its values, and the preview of each substance."""
     from pydantic import TypeAdapter
 
     from phy124.materials import AnyMaterial

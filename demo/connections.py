@@ -19,17 +19,17 @@ except ImportError:  # Windows
     resource = None
 
 HEAD, BODY, STALLED = 20.0, 120.0, 60.0
-"""Longest time to receive a request's head, to receive its body, and to wait until an answer is
-read [s]."""
+"""Time limits for receiving a request's head, for receiving its body, and for the client to read an
+answer [s]."""
 FILES, UNLIMITED = 16_384, 512
-"""Limit on open files and connections that the page requests from the system, and limit that is
-assumed if the system has none."""
+"""Limit on open files and connections that the page requests from the operating system, and the
+limit that is assumed if the system has none."""
 AT_ONCE = 2048
-"""Largest number of connections that are accepted at once; this is uvicorn's default."""
+"""Largest number of connections that are accepted at once (uvicorn's default)."""
 
 
 def allow_connections() -> int:
-    """Raise the limit of open files as far as possible; return half of it for connections."""
+    """Raise the limit of open files as far as possible; return half of it, for connections."""
     if resource is None:
         return UNLIMITED // 2
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -41,12 +41,12 @@ def allow_connections() -> int:
 
 @contextmanager
 def limit_connections(most: int) -> Iterator[None]:
-    """Within this context, servers start with a limited number of connections.
+    """Limit the number of connections of all servers that are started within this context.
 
-    Gradio starts uvicorn without options. If the protocol were replaced after the start, earlier
-    connections would have neither a deadline nor a limit. Up to three batches of new connections
-    are accepted before the excess connections of the first batch are closed. If a batch were as
-    large as the limit, a burst could use up all open files, and Gradio's start would fail.
+    Gradio starts uvicorn without options. If the protocol class were replaced after the start,
+    earlier connections would have neither a deadline nor a limit. Up to three batches of new
+    connections are accepted before the excess connections of the first batch are closed. If a batch
+    were as large as the limit, a burst could use up all open files, and Gradio's start would fail.
 
     Args:
         most: Largest number of connections.
@@ -61,7 +61,7 @@ def limit_connections(most: int) -> Iterator[None]:
 
 
 class Patient(H11Protocol):
-    """A connection that is closed if a request does not arrive in time or an answer is not read.
+    """A connection that is closed if a request or the reading of an answer takes too long.
 
     If there are too many connections, the connection with the earliest deadline is closed.
     """
@@ -75,29 +75,29 @@ class Patient(H11Protocol):
         self.most = most
 
     def connection_made(self, transport: Any) -> None:
-        """Start the timer at once, because a silent client counts as well."""
+        """Start the timer immediately, so that clients that send nothing are closed, too."""
         super().connection_made(transport)
         self._watch()
         if len(self.connections) > self.most:
             self._make_room()
 
     def data_received(self, data: bytes) -> None:
-        """Process the data, and restart the timer for the next part of the request."""
+        """Process received data, and restart the timer for the next part of the request."""
         super().data_received(data)
         self._watch()
 
     def pause_writing(self) -> None:
-        """Start a timer, because the client does not read the answer."""
+        """Start the timer for a client that does not read the answer."""
         super().pause_writing()
         self.stalled = self.loop.call_later(STALLED, self.transport.abort)
 
     def resume_writing(self) -> None:
-        """Stop the timer for reading, because the client is reading again."""
+        """Stop the timer, because the client is reading the answer again."""
         self._read()
         super().resume_writing()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop all timers."""
+        """Stop all timers of this connection."""
         self._stop()
         self._read()
         super().connection_lost(exc)
@@ -135,6 +135,6 @@ class Patient(H11Protocol):
 
 
 def _due(connection: Patient) -> float:
-    """Return a connection's deadline; infinite while its request is processed."""
+    """Return when a connection will be closed; infinite while its request is processed."""
     clocks = (connection.clock, connection.stalled, connection.timeout_keep_alive_task)
     return min((clock.when() for clock in clocks if clock), default=math.inf)

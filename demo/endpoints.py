@@ -41,7 +41,7 @@ NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 
 
 class MeasureRequest(BaseModel):
-    """Arguments of /measure; each is checked where it is used, and an error names the argument."""
+    """Arguments of /measure; each is checked where it is used, so that errors name the argument."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -66,7 +66,7 @@ class MeasureRequest(BaseModel):
 
     @property
     def extras(self) -> dict[str, Any]:
-        """Optional inputs in addition to the front picture, by option."""
+        """Optional inputs in addition to the front picture; the keys are option names."""
         return self.model_dump(include=set(EXTRAS))
 
     @property
@@ -88,10 +88,10 @@ def endpoints(studio: Studio) -> None:
         picture = photo(studio, label="image")
         preset = _unread(gr.Dropdown(preset_names(), value="press", label="preset"))
         accuracy = _unread(gr.Radio(list(PRESETS), value="standard", label="accuracy"))
-        # Without a number, the preset sets the number of frames.
+        # If no number is passed, the preset sets the number of frames.
         frames = _unread(gr.Number(None, label="frames", precision=0, minimum=1))
         changes = gr.JSON({}, label="changes")
-        pick = gr.JSON([], label="pick")  # with None, the argument would be required
+        pick = gr.JSON([], label="pick")  # with None, Gradio would make the argument required
         depth = photo(studio, label="depth")
         near = _choice(DepthMap, "near")
         side, back = photo(studio, label="side"), photo(studio, label="back")
@@ -110,7 +110,7 @@ def endpoints(studio: Studio) -> None:
         formats = _unread(gr.CheckboxGroup(list(EXPORTS), value=[], label="formats"))
         run = gr.State(None)
         files, report = gr.File(file_count="multiple", label="files"), gr.JSON(label="report")
-        # Each of these only follows a job; the jobs wait in the page's own queue.
+        # Each of these endpoints only waits for a job. The jobs wait in the page's own queue.
         shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
 
         inputs = [*scene, formats, *extras, compose, *others]
@@ -134,9 +134,9 @@ def _unpack(
     model: type[BaseModel],
     components: Sequence[Component],
 ) -> Handler:
-    """Return a handler that packs its arguments into a model.
+    """Return a handler that collects its arguments in a model.
 
-    Gradio reads names and defaults of the endpoint's arguments from the handler's signature.
+    Gradio reads the names and defaults of the endpoint's arguments from the handler's signature.
     """
     names = [str(component.label) for component in components]
 
@@ -161,14 +161,14 @@ def _unread(component: Component) -> Any:
 
 
 def _choice(section: type[Section], option: str) -> Any:
-    """Create a component for an option with a few choices."""
+    """Create a component for an option that has a few choices."""
     field = section.model_fields[option]
     words = list(get_args(field.annotation))
     return _unread(gr.Radio(words, value=field.default, label=option))
 
 
 def _component(section: type[Section], option: str) -> Any:
-    """Create a component for an option: a few choices, or a number."""
+    """Create a component for an option that has a few choices or is a number."""
     field = section.model_fields[option]
     if get_args(field.annotation):
         return _choice(section, option)
@@ -177,7 +177,7 @@ def _component(section: type[Section], option: str) -> Any:
 
 def _generate(studio: Studio) -> Callable[[gr.Request, GenerateRequest], Iterator[Any]]:
     def generate(request: gr.Request, asked: GenerateRequest) -> Iterator[tuple[Any, ...]]:
-        """Turn a picture or a file of Gaussians into a moving object; return files and report."""
+        """Turn a picture or a file of Gaussians into a moving object; return files and a report."""
         name = _admit(studio, request)
         kinds = _check_choices("formats", asked.formats or [], list(EXPORTS))
         scene, cutting = _cut_out(studio, name, asked)
@@ -231,7 +231,7 @@ def _refusing() -> Iterator[None]:
 
 
 def _admit(studio: Studio, request: gr.Request) -> str:
-    """Register the visitor of a request; raises gr.Error if the page is full."""
+    """Register the visitor who sent a request; raise gr.Error if the page is full."""
     name = visitor_of(request)
     with _refusing():
         studio.visitors.get(name, address_of(request))
@@ -240,7 +240,7 @@ def _admit(studio: Studio, request: gr.Request) -> str:
 
 def _cut_out(studio: Studio, name: str, asked: MeasureRequest) -> tuple[Scene, Job]:
     """Build the scene of a request, and start the job that opens its picture or file."""
-    # An unknown preset could otherwise be read as the path of a file.
+    # Without this check, an unknown preset could be read as the path of a file.
     _check_choices("preset", [asked.preset], preset_names())
     _check_choices("accuracy", [asked.accuracy], list(PRESETS))
     with _refusing():
@@ -260,7 +260,7 @@ def _cut_out(studio: Studio, name: str, asked: MeasureRequest) -> tuple[Scene, J
 
 
 def _with_pictures(studio: Studio, name: str, scene: Scene, sent: list[str]) -> Scene:
-    """Assign a program's pictures to those objects of the scene that need one."""
+    """Assign a program's pictures to the objects of the scene that need a picture."""
     check_sources(scene, sent)
     waiting = [index for index, object in enumerate(scene.objects) if object.waits]
     changes = {}
@@ -273,7 +273,7 @@ def _with_pictures(studio: Studio, name: str, scene: Scene, sent: list[str]) -> 
 
 
 def _check_choices(field: str, values: Any, choices: list[str]) -> list[str]:
-    """Return the values if all are among the choices, else raise gr.Error."""
+    """Return the values if all of them are among the choices; otherwise raise gr.Error."""
     wrong = [v for v in values if v not in choices] if isinstance(values, list) else [values]
     if wrong:
         raise refusal(f"{field}: There is no {shorten(wrong[0])}. Give {' or '.join(choices)}.")
@@ -290,7 +290,7 @@ def _render(studio: Studio) -> Handler:
         speed: float | None = None,
         compose: bool = False,
     ) -> Iterator[tuple[Any, ...]]:
-        """Film this session's last run again, without simulating it."""
+        """Film this session's last run again, without simulating the motion again."""
         if run is None:
             raise refusal(NOTHING_YET)
         _, source, data, extras = run
@@ -327,7 +327,7 @@ def _fit(studio: Studio) -> Handler:
 
 
 def _follow(job: Job, visitor: Visitor, field: str) -> Iterator[None]:
-    """Wait for a job; cancel it if the program disconnects; raise gr.Error if it fails."""
+    """Wait for a job; cancel it if the program disconnects; raise gr.Error if the job fails."""
     try:
         while not job.wait(BEAT):
             visitor.touch()
@@ -353,6 +353,6 @@ def _evaluate(run: Any) -> dict[str, Any]:
 
 def _paths(done: Done) -> list[str]:
     files = [*done.films.iterdir(), *done.clip.iterdir()]
-    # Both folders have a report; only the report in the folder of films is complete.
+    # Both folders contain a report. Only the report in the folder of films is complete.
     chosen = {path.name: str(path) for path in reversed(files) if path.name != "clip.pack"}
     return [chosen[name] for name in sorted(chosen)]

@@ -27,22 +27,23 @@ from .work import Done
 BRIDGE = __name__.partition("demo")[0] + "bridge"
 """Package name of the bridge: `bridge` in a checkout, `phy124_bridge` if installed."""
 TOGETHER = threading.BoundedSemaphore(2)
-"""Limits the number of simultaneous conversions, because each occupies a core for seconds."""
+"""Limits the number of simultaneous conversions, because each conversion occupies a core for
+seconds."""
 TAIL = 60.0
-"""Time limit for the bridge [s]."""
+"""Time limit for the bridge to record a bag [s]."""
 
 
 def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitors) -> list[Path]:
-    """Return files of a finished run in the requested formats; create those that are missing.
+    """Return the files of a finished run in the requested formats; create files that are missing.
 
     Args:
         kinds: Names of formats in `EXPORTS`.
-        done: The run.
-        visitor: The run's visitor, whose older files are removed if disk space is short.
+        done: The finished run.
+        visitor: The visitor who made the run. Their older files are removed if disk space is short.
         visitors: All visitors.
 
     Raises:
-        InputError: A format does not exist, cannot be made, or exceeds the disk space.
+        InputError: A format does not exist, cannot be written, or needs too much disk space.
     """
     for kind in kinds:
         if kind not in EXPORTS or not EXPORTS[kind].available():
@@ -62,14 +63,13 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
 
 
 def check_size(kinds: Sequence[str], frames: int, gaussians: int, most: float) -> None:
-    """Refuse formats whose files would exceed a visitor's disk space; this is checked before the
-    run.
+    """Refuse formats whose files would exceed a visitor's disk space; called before the run.
 
     Args:
         kinds: Names of the formats.
         frames: Number of frames.
         gaussians: Number of Gaussians.
-        most: Disk space of a visitor [bytes].
+        most: Disk space available to a visitor [bytes].
 
     Raises:
         InputError: The formats need more disk space.
@@ -81,7 +81,7 @@ def check_size(kinds: Sequence[str], frames: int, gaussians: int, most: float) -
 
 @dataclass(frozen=True)
 class Export:
-    """A format made on demand."""
+    """A file format that is written on request."""
 
     label: str
     hint: str
@@ -89,17 +89,17 @@ class Export:
     write: Callable[[Done, Path], None]
     available: Callable[[], bool] = lambda: True
     empty: int = 0
-    """Approximate size without any Gaussians [bytes]."""
+    """Approximate size of a file without any Gaussians [bytes]."""
     still: float = 0.0
-    """Approximate size per Gaussian [bytes]."""
+    """Approximate additional size per Gaussian [bytes]."""
     moving: float = 0.0
-    """Approximate size per Gaussian and frame [bytes]."""
+    """Approximate additional size per Gaussian and frame [bytes]."""
 
     frame: float = 0.0
-    """Approximate size per frame, whatever the number of Gaussians [bytes]."""
+    """Approximate additional size per frame, independent of the number of Gaussians [bytes]."""
 
     def about(self, frames: int, gaussians: int) -> int:
-        """Estimate the size of the file [bytes]."""
+        """Estimate the size of the file in this format [bytes]."""
         each = self.still + self.moving * frames
         return self.empty + round(self.frame * frames + each * gaussians)
 
@@ -117,7 +117,7 @@ def _ply(done: Done, path: Path) -> None:
 
 
 def _mcap(done: Done, path: Path) -> None:
-    """Record a bag by the bridge's command line, because the page must not import the bridge."""
+    """Record a bag with the bridge's command line, because the page must not import the bridge."""
     clip = (done.clip / "clip.safetensors").resolve()
     command = [sys.executable, "-m", BRIDGE, "record", str(clip), str(path.resolve())]
     root = Path(__file__).parents[1]
@@ -137,7 +137,7 @@ def _bridge() -> bool:
 
 
 def _write_format(format: Format, done: Done, path: Path) -> None:
-    """Write the clip if the format stores motion, otherwise the clip's first frame."""
+    """Write the whole clip if the format stores motion; otherwise write the first frame only."""
     clip = Clip.load(done.clip / "clip.safetensors")
     if format.write_clip is not None:
         format.write_clip(path, clip)
@@ -146,7 +146,7 @@ def _write_format(format: Format, done: Done, path: Path) -> None:
 
 
 def _export_of(format: Format) -> Export:
-    """Return the export for a format."""
+    """Return the page's export for a file format."""
     moves = format.write_clip is not None
     return Export(
         f"{format.title}, {'moving' if moves else 'at rest'}",
@@ -179,6 +179,6 @@ EXPORTS = {
         moving=FORMATS["ply"].bytes_each,
     ),
     "mcap": Export("MCAP", "Opens in Foxglove, ROS 2", "phy124.mcap", _mcap, _bridge, moving=60.0),
-    # The files of a run already include a PLY of the Gaussians at rest.
+    # The files of a run already include a PLY file of the Gaussians at rest.
     **{name: _export_of(format) for name, format in written_formats().items() if name != "ply"},
 }

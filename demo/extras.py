@@ -29,19 +29,19 @@ from .source import Cutout, Source
 from .visitors import Visitors
 
 PICTURES = ("side", "back", "depth")
-"""Options that name a picture."""
+"""Options whose value is the name of a picture."""
 AXES = ("up", "front")
-"""Options for a file of Gaussians: the axes that point up and to the front."""
+"""Options for a file of Gaussians: the axes that point upwards and to the front."""
 NO_DEPTH, NO_VIEWS, NO_READING = DepthMap(), OtherViews(), Reading()
 
 
 class Photographed(Section):
-    """Option to film the object in its photograph."""
+    """Option to film the object in the photograph that the visitor sent."""
 
     compose: bool = Field(
         default=False,
-        description="Also film the moving object inside its photograph, with its shadow; "
-        "takes longer.",
+        description="Also film the moving object inside its photograph, with its shadow; takes "
+        "longer.",
     )
 
 
@@ -49,7 +49,7 @@ NOT_PHOTOGRAPHED = Photographed()
 
 
 class Making(Section):
-    """Option for the generator of the object."""
+    """Option for the generator, which creates the object from the picture."""
 
     generator: Literal["relief", "triposr"] = Field(
         default="relief",
@@ -58,7 +58,7 @@ class Making(Section):
     )
 
     def seconds(self) -> float:
-        """Predict the time of the generator's network under the current load [s]."""
+        """Predict how long the generator's network takes under the current machine load [s]."""
         if self.generator == "relief":
             return 0.0
         effort = effort_of(make_generator(self.generator))
@@ -74,21 +74,21 @@ class ExtraInputs:
 
     depth: DepthMap = NO_DEPTH
     views: OtherViews = NO_VIEWS
-    """Cut-outs of the other views, which `cut_views` creates."""
+    """Cut-outs of the other views. The method `cut_views` creates them."""
     sent: tuple[Path, ...] = ()
-    """Pictures of the other views before the cut-out."""
+    """Pictures of the other views before the background is removed."""
     reading: Reading = NO_READING
     """Orientation of the file of Gaussians."""
     photographed: Photographed = NOT_PHOTOGRAPHED
-    """Whether to film the object in its photograph; this does not affect the Gaussians."""
+    """Whether to film the object in its photograph. This option does not affect the Gaussians."""
     making: Making = NOT_CHOSEN
-    """The generator of a picture's object."""
+    """The generator that creates the object from the picture."""
 
     def cut_views(self, deadline: Deadline) -> None:
-        """Create the missing cut-outs of the other views.
+        """Create the cut-outs of the other views that are still missing.
 
         Raises:
-            InputError: No object is found in a picture.
+            InputError: No object is found in one of the pictures.
         """
         for (field, path), picture in zip(self.views.pictures.items(), self.sent, strict=True):
             if path.exists():
@@ -100,7 +100,7 @@ class ExtraInputs:
                 raise InputError(field, error.value, limit, error.remedy) from error
 
     def suit(self, source: Source) -> ExtraInputs:
-        """Return the inputs adapted to the object; a file's axes default to the most likely axes.
+        """Return the inputs adapted to the object; unset axes of a file become the likely axes.
 
         Raises:
             InputError: An input does not apply to this kind of object.
@@ -117,7 +117,7 @@ class ExtraInputs:
         return replace(self, reading=Reading(up=up or source.axes.up, front=front))
 
     def about(self, source: Source) -> tuple[tuple[str, Any], ...]:
-        """Return entries of the report about the object's source."""
+        """Return the report's entries about the source of the object."""
         if isinstance(source, Cutout):
             return (("generator", self.making.generator),)
         file = {**self.reading.model_dump(include=set(AXES)), "program": source.axes.program}
@@ -125,14 +125,14 @@ class ExtraInputs:
         return tuple(about.items())
 
     def generator(self, name: str) -> Any:
-        """Create a generator, chosen by name or by a file's type, with these inputs."""
+        """Create a generator with these inputs; choose it by its name or by the file's type."""
         if self.reading != NO_READING:
             return make_generator(name, self.reading)
         generator = self.depth.bind(make_generator(name), name)
         return self.views.bind(generator, name, lambda field, path: open_view(path, field=field))
 
     def data(self) -> list[Any]:
-        """Return the inputs on which Gaussians depend, as plain data; a name identifies a file."""
+        """Return the inputs that determine the Gaussians, as plain data; names stand for files."""
         sections = (self.depth, self.views, self.reading)
         return [section.model_dump(mode="json") for section in sections]
 
@@ -141,7 +141,7 @@ NO_EXTRAS = ExtraInputs()
 
 
 def options() -> dict[str, Any]:
-    """Return the JSON schema of each input, by option."""
+    """Return the JSON schema of each optional input; the keys are option names."""
     sections: list[type[Section]] = [OtherViews, DepthMap, Photographed]
     sections += [Making] if is_present("triposr") else []
     return {
@@ -158,10 +158,11 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
         visitors: All visitors.
         settings: The page's limits.
         name: The visitor's name.
-        values: Values by option; None means the default.
+        values: Values of the options. None means the default.
 
     Raises:
-        InputError: An option has an invalid value, or names no upload of this visitor.
+        InputError: An option has an invalid value, or names a file that this visitor did not
+            upload.
     """
     if not isinstance(values, dict | None):
         limit = "It must be an object that maps options to values."
@@ -178,12 +179,12 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
     making = _validate(Making, {o: rest.pop(o) for o in Making.model_fields if o in rest})
     if making != NOT_CHOSEN and not is_present(making.generator):
         limit = "This server does not have the generator's weights."
-        raise InputError("generator", making.generator, limit, "Leave it out.")
+        raise InputError("generator", making.generator, limit, "Remove `generator`.")
     if "depth" in sent:
         depth["depth"] = str(sent.pop("depth"))
     cutouts = {option: cutout_file(visitors.get(name), path) for option, path in sent.items()}
     reading = _validate(Reading, axes)
-    orientation(reading.up, reading.front)  # refuses pairs that define no orientation
+    orientation(reading.up, reading.front)  # refuses pairs of axes that define no orientation
     return ExtraInputs(
         _validate(DepthMap, depth),
         _validate(OtherViews, rest | cutouts),
@@ -195,9 +196,9 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
 
 
 def _refuse(section: Section, why: str) -> None:
-    """Refuse a section if any of its options is set; raises InputError."""
+    """Raise InputError if any option of a section is set."""
     for option, value in section.model_dump(exclude_defaults=True).items():
-        raise InputError(option, value, why, "Leave it out.")
+        raise InputError(option, value, why, "Remove it.")
 
 
 def _validate(section: type[Any], values: dict[str, Any]) -> Any:

@@ -1,9 +1,9 @@
-"""The folder for visitors' files while the page runs.
+"""The folder that stores visitors' files while the page runs.
 
-The folder is removed when the page ends. If the page is killed, the next page removes its folder. A
-file lock, which ends with its process, shows which folders are in use. Windows has no locks that
-end with a process. There the folders of killed pages remain, and two pages can use the same folder
-by mistake.
+The folder is removed when the page ends. If the page is killed, the next page removes the folder.
+File locks show which folders are in use, because a lock is released when its process ends. Windows
+has no such locks. On Windows the folders of killed pages therefore remain, and two pages can use
+the same folder by mistake.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
 @contextmanager
 def lock_folder(wanted: str = "") -> Iterator[Path]:
-    """Lock a folder for this page, empty it, and remove it at the end.
+    """Lock a folder for this page, empty the folder, and remove it when the page ends.
 
     Args:
-        wanted: The folder; if empty, a new temporary folder.
+        wanted: Path of the folder. If it is empty, a new temporary folder is made.
 
     Raises:
         InputError: Another page uses the folder, or it contains other files.

@@ -1,7 +1,7 @@
-"""Forecast the time of a run and state its error bound, before the run starts.
+"""Predict the time and the error bound of a run before the run starts.
 
-phy124/budget/cost.py computes the work of a run. demo/rates.py learns the time that this machine
-takes per particle and substep, per rendered pixel and so on.
+phy124/budget/cost.py computes the work of a run. demo/rates.py measures how long this machine takes
+per particle and substep, per rendered pixel and so on.
 """
 
 from __future__ import annotations
@@ -28,32 +28,32 @@ from .studies import Measurement, on_grid
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 SET_UP = 0.4
-"""Time to set up one grid of a study and to compare its motion with others, as a fraction of the
-rate `rest`."""
+"""Time to set up one grid of a study and to compare its motion with that on other grids, as a
+fraction of the rate `rest`."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """The forecast time and error bound of a run."""
+    """The predicted time and the error bound of a run."""
 
     seconds: float
-    """Forecast time at the present load [s]."""
+    """Predicted time at the present machine load [s]."""
     substeps: int
     particles: int
     promise: Promise
-    """Error bound measured in similar scenes, or the reason why there is none."""
+    """Error bound measured in similar scenes, or the reason why there is no error bound."""
     caveat: str | None = None
-    """Reason why the time is uncertain, if any."""
+    """Reason why the predicted time is uncertain; empty if it is not."""
     load: Load = QUIET
-    """Load of this machine by other programs."""
+    """Load that other programs put on this machine."""
     measured: bool = False
-    """Whether the time was measured by a probe of this object."""
+    """Whether the time was measured by a short trial run with this object."""
     proportions: Proportions | None = None
-    """Proportions of the object, if it was probed."""
+    """Proportions of the object; None if no trial run was made."""
     compiling: float = 0.0
     """Time to compile missing kernels [s]."""
     unloaded: float = 0.0
-    """Forecast time without other load [s]; 0 if unknown."""
+    """Predicted time without load from other programs [s]; 0 if unknown."""
 
     @property
     def span(self) -> tuple[float, float]:
@@ -77,7 +77,7 @@ class Estimate:
 
 
 class Estimator:
-    """Forecasts runs, and learns from the reports of finished runs."""
+    """Predicts the time of runs, and learns from the reports of finished runs."""
 
     def __init__(self, occupied: Callable[[], bool] = lambda: False) -> None:
         self.learned = Learned()
@@ -86,7 +86,7 @@ class Estimator:
 
     @property
     def rates(self) -> Rates:
-        """The current rates: time per unit of work of each stage."""
+        """The current rates: the time that each stage takes per unit of work."""
         return self.learned.now
 
     def __call__(
@@ -102,7 +102,7 @@ class Estimator:
         network: float = 0.0,
         compiling: float = 0.0,
     ) -> Estimate:
-        """Forecast a run.
+        """Predict the time and the error bound of a run.
 
         Args:
             scene: The scene.
@@ -111,7 +111,7 @@ class Estimator:
             simulated: Whether the clip exists already.
             filmed: Whether the films exist already.
             pictures: Number of pictures from which Gaussians are generated.
-            composed: Number of pixels of the film in the photograph.
+            composed: Number of pixels of the film that shows the object in its photograph.
             network: Time of the generator's network under the current load [s].
             compiling: Time to compile missing kernels on an idle machine [s].
         """
@@ -143,11 +143,11 @@ class Estimator:
         generated: bool = False,
         compiling: float = 0.0,
     ) -> float:
-        """Forecast the time of measuring a scene's error on some grids [s].
+        """Predict how long it takes to measure a scene's error on several grids [s].
 
         Args:
             scene: The scene.
-            levels: Cells across the object of each grid.
+            levels: Number of cells across the object, for each grid.
             gaussians: Number of Gaussians.
             generated: Whether the Gaussians exist already.
             compiling: Time to compile missing kernels on an idle machine [s].
@@ -159,35 +159,35 @@ class Estimator:
         return simulate * load.simulation + (deform + rest + generate) * load.thread
 
     def load(self) -> Load:
-        """Return the load by other programs on this machine, measured every few seconds.
+        """Return the load from other programs on this machine, measured every few seconds.
 
-        During a run of this page the last measurement is returned, because a new one would include
-        the run.
+        During a run of this page, the last measurement is returned, because a new measurement would
+        include the run.
         """
         return self.meter.latest if self._occupied() else self.meter.load()
 
     def calibrate(self, small: Callable[[], Measured], usual: Callable[[], Measured]) -> None:
-        """Measure the rates by two runs; correct them for the load by other programs."""
+        """Measure the rates by two runs; correct the rates for the load from other programs."""
         self.learned.calibrate(self._alone(small), self._alone(usual))
 
     def _alone(self, run: Callable[[], Measured]) -> Measured:
-        """Make a run; return its times, corrected for the load by other programs, and its scene."""
+        """Make a run; return its scene and its times without the load from other programs."""
         before = self.meter.measure()
         report, scene = run()
         return _alone(report, before.mean(self.meter.measure())), scene
 
     def learn(self, report: dict[str, Any], scene: Scene, before: Load) -> None:
-        """Update the rates from a finished run; `before` is the load at its start."""
+        """Update the rates from a finished run; `before` is the machine load when it started."""
         self.learned.learn(_alone(report, before.mean(self.meter.measure())), scene)
 
     def minimum(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
-        """Return the time of a run at the fastest rates measured on this machine [s]."""
+        """Return the time that a run takes at the fastest rates measured on this machine [s]."""
         return sum(self.learned.minimum.seconds(Work.of(scene, gaussians)).values())
 
     def min_study(
         self, scene: Scene, levels: Sequence[int], *, gaussians: int = GAUSSIANS
     ) -> float:
-        """Return the time of an error study on these grids, at the fastest measured rates [s]."""
+        """Return the time of an error study on several grids, at the fastest measured rates [s]."""
         works = [Work.of(on_grid(scene, n), gaussians) for n in levels]
         return sum(self.learned.minimum.seconds(work)["simulate"] for work in works)
 
@@ -200,14 +200,14 @@ class Estimator:
         seconds: float | None = None,
         study: Measurement | None = None,
     ) -> list[Stop]:
-        """Return time and error bound of a scene at each named accuracy.
+        """Return the predicted time and the error bound of a scene at each named accuracy.
 
         Args:
             scene: The scene.
             gaussians: Number of Gaussians.
-            proportions: Proportions of the object, if known.
-            seconds: Time measured at the scene's own accuracy [s]; None: not measured.
-            study: Errors measured on this scene; None: not measured.
+            proportions: Proportions of the object; None if they are unknown.
+            seconds: Time measured at the scene's own accuracy [s]; None if it was not measured.
+            study: Errors measured on this scene; None if none were measured.
         """
         scale = 1.0 if seconds is None else seconds / self(scene, gaussians=gaussians).seconds
         stops = []
@@ -219,7 +219,7 @@ class Estimator:
 
 
 def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
-    """Divide the times of a report by the load."""
+    """Divide the times of a report by the machine load."""
     stages = [
         {**stage, "seconds": stage["seconds"] / load.of(stage["name"])}
         for stage in report["stages"]
@@ -228,13 +228,13 @@ def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
 
 
 def probe_estimate(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Estimate:
-    """Forecast a run by a probe of the object (`phy124.accuracy`), which takes half a second.
+    """Predict the time of a run by a short trial run with the object, which takes half a second.
 
     Args:
         gaussians: The object.
         scene: The scene.
         device: Warp device.
-        rest: Forecast time of all other stages [s].
+        rest: Predicted time of all other stages [s].
     """
     probe = Forecaster(RunContext(device=device)).forecast(gaussians, scene)
     return Estimate(
@@ -259,9 +259,9 @@ def promise_of(
 
     Args:
         scene: The scene.
-        proportions: Proportions of the object, if known.
-        study: Errors measured on this scene; None: errors of similar scenes are used.
-        report: Report of the scene's run, which may rule out an error bound.
+        proportions: Proportions of the object; None if they are unknown.
+        study: Errors measured on this scene. If None, errors of similar scenes are used.
+        report: Report of the scene's run, which may show that no error bound applies.
     """
     if study is None or why_broken(report or {}):
         return promise(scene, proportions, report)
@@ -281,7 +281,7 @@ _NOT_KNOWN = "Its error is not known."
 
 
 def stops_table(stops: list[Stop], chosen: object) -> str:
-    """Format time and error of each named accuracy as an HTML table."""
+    """Format the time and the error of each named accuracy as an HTML table."""
     mark = {chosen: " class=chosen"}
     rows = [
         f"<tr{mark.get(stop.name, '')}><td>{escape(stop.name.capitalize())}</td>"

@@ -1,4 +1,4 @@
-"""Protect the page: identify visitors, refuse unwanted requests, and add response headers."""
+"""Protect the page: identify visitors, refuse forbidden requests, and add response headers."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 from typing import Any
 
 FETCHES = re.compile(r"/gradio_api/(?:file=|proxy=)(?:https?:|ftp:|//)", re.IGNORECASE)
-"""URLs by which Gradio would fetch data from another site."""
+"""URLs at which Gradio would download data from another site."""
 CLOSED = re.compile(
     r"/gradio_api/(?:dev|deep_link|stream|component_server|process_recording|vibe|undo-vibe|runs"
     r"|run-history|profiling|login_check)\b|/monitoring\b"
 )
-"""URLs of Gradio that the page does not need, including endless streams."""
+"""URLs of Gradio that the page does not use, including streams that never end."""
 FORWARDED = ("x-forwarded-host", "x-gradio-server")
-"""Headers in which a proxy states the page's host name."""
+"""Request headers in which a proxy states the page's host name."""
 POLICY = (
     # Gradio compiles the panels' scripts with eval; scripts injected into the page do not run.
     "default-src 'self'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
@@ -32,8 +32,8 @@ POLICY = (
     "base-uri 'self'; form-action 'self'; frame-ancestors {frames}"
 )
 INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
-"""Content security policy of all responses except the page; it matters if a browser opens such a
-response as a page."""
+"""Content security policy of all responses except the page itself. The policy matters if a browser
+opens such a response as a page."""
 COOKIE = "phy124"
 NAME = re.compile(r"[A-Za-z0-9_-]{32}")
 NETWORK = 64
@@ -41,8 +41,10 @@ NETWORK = 64
 
 
 class Doorkeeper:
-    """Refuses requests with foreign host names, requests that would fetch from other sites, URLs
-    that the page does not need, and cross-site requests.
+    """Refuses requests that this page must not answer.
+
+    These are requests with foreign host names, requests that would download from other sites,
+    requests for URLs that the page does not use, and cross-site requests.
     """
 
     def __init__(
@@ -51,21 +53,21 @@ class Doorkeeper:
         """Wrap an application.
 
         Args:
-            app: The application.
+            app: The application to wrap.
             hosts: Host names of the page.
             origins: Public host names of the page that a proxy may replace in the Host header.
         """
         self.app, self.hosts, self.origins = app, hosts, origins
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer 421, 404 or 403, or pass the request on."""
+        """Answer with status 421, 404 or 403, or pass the request on to the application."""
         if scope["type"] == "http":
             refusal = self._refusal(scope)
             if refusal is not None:
                 return await refusal(scope, receive, send)
         if scope["type"] == "websocket":
             headers = Headers(scope=scope)
-            # Closing a websocket before it is accepted is answered by status 403.
+            # If a websocket is closed before it is accepted, the client receives status 403.
             if "origin" not in headers or not self._from_own_page(headers):
                 return await send({"type": "websocket.close", "code": 1008})
         await self.app(scope, receive, send)
@@ -83,10 +85,9 @@ class Doorkeeper:
         return _without_port(place) in self.origins or _usual(place) == _usual(host.lower())
 
     def _has_own_host(self, headers: Headers) -> bool:
-        """Return whether all host names in the request, including those from proxies, are names of
-        the page.
+        """Return whether all host names in a request, including those from proxies, are the page's.
 
-        Gradio writes the names from proxies into the page; they are therefore checked, too.
+        Gradio writes the host names from proxies into the page. They are therefore checked, too.
         """
         host = headers.get("host", "").lower()
         said = ",".join(headers.get(name, "") for name in FORWARDED).lower()
@@ -113,12 +114,12 @@ def _without_port(place: str) -> str:
 
 
 def _usual(place: str) -> str:
-    """Remove the default port from host names, since browsers omit it."""
+    """Remove the default port from host names, because browsers omit the default port."""
     return re.sub(r":(80|443)$", "", place)
 
 
 def split_names(more: str, space: str = "") -> frozenset[str]:
-    """Split a text of comma-separated names."""
+    """Split a comma-separated list of names."""
     return frozenset(filter(None, (name.strip().lower() for name in f"{more},{space}".split(","))))
 
 
@@ -153,7 +154,7 @@ class Headed:
         self.manner = "SameSite=None; Secure; Partitioned" if embedded else "SameSite=Lax"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on and complete the response."""
+        """Pass the request on and complete the response with the headers."""
         if scope["type"] != "http":
             return await self.app(scope, receive, send)
         await self.app(scope, receive, _Answer(self, scope, send))
@@ -222,7 +223,10 @@ def visitor_of(request: Any) -> str:
 
 
 def address_of(request: Any) -> str:
-    """Return the IP address of a request, for limits; for IPv6 the subscriber's network."""
+    """Return the IP address of a request; for IPv6, return the subscriber's network.
+
+    The page's limits per address use this value.
+    """
     host = getattr(getattr(request, "client", None), "host", None) or ""
     try:
         address = ipaddress.ip_address(host)

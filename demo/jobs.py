@@ -1,7 +1,7 @@
-"""Jobs behind the page's buttons, and their limits; a job survives a lost connection.
+"""The jobs that the page's buttons start, and their limits; a job survives a lost connection.
 
-This module does not depend on the page's layout. All slow work is a job in a queue (demo.line).
-There is one queue for the device, and one for cutting out pictures.
+This module does not depend on the page's layout. All slow work is done by jobs in a queue
+(demo.line). There is one queue for the device, and another for cutting out pictures.
 """
 
 from __future__ import annotations
@@ -58,17 +58,18 @@ CUTTERS = 2
 
 @dataclass
 class Studio:
-    """State shared by all visitors: limits, folders, forecasts, queues."""
+    """State that all visitors share: limits, folders, forecasts, queues."""
 
     settings: Settings
     visitors: Visitors
     forecaster: Estimator = field(default_factory=lambda: Estimator(DEVICE.locked))
     work: Callable[[Order], Iterator[Any]] = steps
-    """Function that carries out an order; on ZeroGPU it comes from demo.zerogpu."""
+    """Function that carries out an order (the request for a run). On ZeroGPU, demo.zerogpu provides
+    it."""
     searches: deque[float] = field(default_factory=lambda: deque(maxlen=5))
-    """Durations of the last segmentations [s]."""
+    """Durations of the latest segmentations [s]."""
     warm: threading.Event = field(default_factory=threading.Event)
-    """Set once all kernels are loaded."""
+    """Event that is set once all kernels are loaded."""
 
     def __post_init__(self) -> None:
         most = self.settings.max_queue
@@ -87,12 +88,12 @@ class Studio:
 
     @property
     def forks(self) -> bool:
-        """Whether jobs run in a forked process; Warp must then not start in this process."""
+        """Whether jobs run in a forked process. If they do, Warp must not start in this process."""
         return self.work is not steps
 
     @property
     def search_seconds(self) -> float | None:
-        """Median duration of a segmentation [s]; None before the first."""
+        """Median duration of a segmentation [s]; None before the first segmentation."""
         return median(self.searches) if self.searches else None
 
     def take(self, name: str, sent: Any, pick: Point | None = None) -> Job:
@@ -100,18 +101,18 @@ class Studio:
 
         Args:
             name: The visitor's name.
-            sent: The path of the upload in the request.
+            sent: The path of the uploaded file, as the request states it.
             pick: A point on the object, if the picture shows several objects.
 
         Raises:
-            InputError: The path is no upload of this visitor, or the queue is full.
+            InputError: The path is not an upload of this visitor, or the queue is full.
         """
         upload = self._upload(name, sent)
         if not is_file_of_gaussians(upload):
             return self.cut_out(name, sent, pick=pick)
         if pick is not None:
             limit = "A file of Gaussians contains only one object."
-            raise InputError("pick", pick, limit, "Leave it out.")
+            raise InputError("pick", pick, limit, "Remove the point.")
         check_file(upload, self.settings)
         visitor = self.visitors.get(name)
 
@@ -124,7 +125,7 @@ class Studio:
         return self._submit(visitor, job, self.cuts, work)
 
     def _upload(self, name: str, sent: Any) -> Path:
-        """Return the visitor's upload that a request names; raises InputError."""
+        """Return the visitor's upload that a request names; raise InputError if there is none."""
         if not sent:
             raise missing(None)
         return self.visitors.find_upload(name, sent)
@@ -141,13 +142,13 @@ class Studio:
 
         Args:
             name: The visitor's name.
-            picture: The path of the upload in the request.
+            picture: The path of the uploaded picture, as the request states it.
             strokes: Brush strokes that correct the cut-out.
             pick: A point on the object, if the picture shows several objects.
             kind: "cut" for the front picture, "view" for other pictures.
 
         Raises:
-            InputError: The path is no upload of this visitor, or the queue is full.
+            InputError: The path is not an upload of this visitor, or the queue is full.
         """
         upload = self._upload(name, picture)
         check_picture(upload, self.settings)
@@ -162,7 +163,7 @@ class Studio:
                 path, doubts, searched = cut_once(visitor, shown, strokes, pick, deadline)
             except InputError as error:
                 if error.field == "image":
-                    job.subject = ""  # the picture cannot be opened and therefore cannot be shown
+                    job.subject = ""  # pictures that cannot be opened cannot be shown either
                 raise
             if searched:
                 self.searches.append(time.monotonic() - start)
@@ -172,11 +173,11 @@ class Studio:
         return self._submit(visitor, job, self.cuts, work)
 
     def forecast(self, name: str, source: Source | None, data: Any, extras: Any = None) -> Estimate:
-        """Return the forecast of a run.
+        """Return the predicted time and error of a run.
 
         Args:
             name: The visitor's name.
-            source: The object's source; None if it no longer exists.
+            source: The source of the object; None if it no longer exists.
             data: The scene as plain data.
             extras: Optional inputs in addition to the front picture, by option.
 
@@ -193,12 +194,11 @@ class Studio:
     def refine(
         self, name: str, source: Source | None, data: Any, extras: Any = None
     ) -> Estimate | None:
-        """Return a forecast that a probe measured; None unless the Gaussians exist and the device
-        is free.
+        """Return a forecast from a trial run; None if the device is busy or Gaussians are missing.
 
         Args:
             name: The visitor's name.
-            source: The object's source; None if it no longer exists.
+            source: The source of the object; None if it no longer exists.
             data: The scene as plain data.
             extras: Optional inputs in addition to the front picture, by option.
 
@@ -230,13 +230,13 @@ class Studio:
     def _with_error(
         self, estimate: Estimate, name: str, source: Source | None, scene: Scene, extras: Any
     ) -> Estimate:
-        """Return a forecast with this object's error bound, or with the error measured on it."""
+        """Return a forecast with the error bound of this object, or with its measured error."""
         about = (name, source, scene, extras)
         promise = promise_of(scene, self.proportions(*about), self.study(*about))
         return replace(estimate, promise=promise)
 
     def check_extras(self, name: str, extras: Any) -> ExtraInputs:
-        """Validate a visitor's inputs in addition to the front picture; raises InputError."""
+        """Validate a visitor's optional inputs; raise InputError if one is invalid."""
         return extras_of(self.visitors, self.settings, name, extras)
 
     def run(
@@ -247,14 +247,14 @@ class Studio:
         extras: Any = None,
         limits: Settings | None = None,
     ) -> Job:
-        """Start a run: generation, simulation and filming.
+        """Start a run, which generates the Gaussians, simulates their motion and films it.
 
         Args:
             name: The visitor's name.
             source: The object's source.
             data: The scene as plain data.
             extras: Optional inputs in addition to the front picture, by option.
-            limits: Limits of this run; None: the limits of the page.
+            limits: Limits of this run. If None, the limits of the page apply.
 
         Raises:
             InputError: The source, the scene or an input is invalid.
@@ -302,11 +302,11 @@ class Studio:
     def study(
         self, name: str, source: Source | None, scene: Scene, extras: Any = None
     ) -> Measurement | None:
-        """Return the errors measured for this visitor's object in this scene, if any.
+        """Return the errors measured for this visitor's object in this scene; None if unknown.
 
         Args:
             name: The visitor's name.
-            source: The object's source; None if it no longer exists.
+            source: The source of the object; None if it no longer exists.
             scene: The scene.
             extras: Optional inputs in addition to the front picture, by option.
         """
@@ -319,11 +319,11 @@ class Studio:
     def proportions(
         self, name: str, source: Source | None, scene: Scene, extras: Any = None
     ) -> Proportions | None:
-        """Return the proportions of this visitor's object, if known.
+        """Return the proportions of this visitor's object, or None if they are unknown.
 
         Args:
             name: The visitor's name.
-            source: The object's source; None if it no longer exists.
+            source: The source of the object; None if it no longer exists.
             scene: The scene.
             extras: Optional inputs in addition to the front picture, by option.
         """
@@ -336,11 +336,11 @@ class Studio:
     def study_seconds(
         self, name: str, source: Source | None, scene: Scene, extras: Any = None
     ) -> float:
-        """Forecast the time to measure the errors of a scene [s].
+        """Predict how long it takes to measure the errors of a scene [s].
 
         Args:
             name: The visitor's name.
-            source: The object's source; None if it no longer exists.
+            source: The source of the object; None if it no longer exists.
             scene: The scene.
             extras: Optional inputs in addition to the front picture, by option.
         """
@@ -362,7 +362,7 @@ class Studio:
             name: The visitor's name.
             source: The object's source.
             data: The scene as plain data.
-            limits: Limits of this request; None: the limits of the page.
+            limits: Limits of this request. If None, the limits of the page apply.
 
         Raises:
             InputError: The source no longer exists, or the scene is invalid.
@@ -377,16 +377,14 @@ class Studio:
         return scene_of(data, limits or self.settings, visitor and visitor.folder / "uploads")
 
     def _ready(self, name: str, source: Source | None, scene: Scene, extras: Any) -> dict[str, Any]:
-        """Return the stages that are done for this visitor, as arguments of the forecast."""
+        """Return which stages are already done for this visitor, as arguments of the forecast."""
         visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
             return {}
         return stages_done(self.order((visitor, source, scene), self.check_extras(name, extras)))
 
     def _compiling(self, scene: Scene) -> float:
-        """Return the time to compile a scene's kernels [s]; 0 if a run may be compiling them
-        already.
-        """
+        """Return the time to compile a scene's kernels [s]; 0 if a run may be compiling them."""
         if self.forks or not DEVICE.acquire(blocking=False):
             return 0.0
         try:
@@ -403,7 +401,7 @@ class Studio:
         check_time(self.forecaster.minimum(scene, gaussians=count), self.settings)
 
     def order(self, asked: tuple[Visitor, Source, Scene], extras: ExtraInputs) -> Order:
-        """Create an order, which has no stop file yet; raises InputError for unsuitable inputs."""
+        """Create an order (the request for a run); raise InputError for unsuitable inputs."""
         return order_of(*asked, extras, self.settings)
 
     def _submit(self, visitor: Visitor, job: Job, line: Line, work: Callable[[Job], None]) -> Job:
@@ -423,13 +421,15 @@ class Studio:
                 close_now(events)
                 visitor.trim(self.visitors.room)
         if done is not None:
-            job.tell(done)  # after `writing`: the visitor may ask for more files at once
+            job.tell(
+                done
+            )  # after `writing`, since the visitor may ask for several files at the same time
             visitor.proportions[str(made_gaussians(order))] = Proportions.of_report(done.report)
             if "simulate" not in job.progress.reused:
                 self.forecaster.learn(done.report, order.scene, load)
 
     def warm_up(self) -> None:
-        """Load all kernels, and calibrate the forecast with small runs; called in a thread."""
+        """Load all kernels, and calibrate the forecast by small runs; called in a thread."""
         from .warm import example_run, search_seconds, tiny_run, warm_up
 
         if self.settings.warm_up:

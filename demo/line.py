@@ -1,6 +1,6 @@
-"""A queue of jobs in order of arrival, and the messages with which jobs end.
+"""A queue that runs jobs in order of arrival, and the messages with which jobs end.
 
-Jobs continue when their visitor disconnects. A job is identified by a name that cannot be guessed.
+A job continues when its visitor disconnects. Each job has a name that cannot be guessed.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from .progress import STAGES, Progress
 
 LOG = logging.getLogger("phy124.web")
 RECENT = 5
-"""Number of finished jobs, the latest ones, that correct the forecast of the waiting time."""
+"""Number of latest finished jobs that are used to correct the predicted waiting time."""
 STOPPED = "Stopped. Nothing was changed."
 FAILED = "The server failed to do this; its log has the reason. Try again, or change the scene."
 SERVER = {
     Kind.MEMORY: "This server has too little memory for that. Choose a coarser accuracy.",
     Kind.DISK: "The disk of this server is full. Try again later.",
 }
-"""Kind of failure -> message for the visitor; `FAILED` for all other kinds."""
+"""Messages for the visitor by kind of failure. All other kinds have the message `FAILED`."""
 
 
 SUBJECTS = {"image": "The file", "video": "The video", "depth": "The depth map"}
-"""Field of an error -> the field's name in the message to the visitor."""
+"""Names that messages use for the field of an error."""
 
 
 class Job:
@@ -49,14 +49,14 @@ class Job:
     ) -> None:
         self.kind = kind
         self.subject = subject
-        """Path of the file on which the job works."""
+        """Path of the input file of the job."""
         self.name = secrets.token_urlsafe(18)
         self.stop = stop
-        """File whose existence asks the job to stop."""
+        """File whose existence tells the job to stop."""
         self.progress = Progress(expected=expected, names=stages)
         self.line: Line | None = None
         self.asked: tuple[Any, Any, Any] = (None, None, None)
-        """Source, scene and further inputs of a run, for a finer run of the same motion."""
+        """Source, scene and further inputs of a run. A finer run of the same motion needs them."""
         self._changed = threading.Condition()
 
     @property
@@ -71,11 +71,11 @@ class Job:
             self._changed.notify_all()
 
     def end(self, state: str, message: str = "", result: object = None) -> None:
-        """End the job; later calls have no effect.
+        """End the job; later calls of this method have no effect.
 
         Args:
             state: done, stopped, refused, full or failed.
-            message: A sentence for the visitor.
+            message: A sentence that the visitor reads.
             result: Result of the job.
         """
         with self._changed:
@@ -85,31 +85,31 @@ class Job:
             self._changed.notify_all()
 
     def wait(self, seconds: float) -> bool:
-        """Wait for the end for up to `seconds`; return whether the job is over."""
+        """Wait for the job to end for up to `seconds`; return whether it has ended."""
         with self._changed:
             self._changed.wait_for(lambda: self.over, seconds)
             return self.over
 
     def cancel(self) -> None:
-        """Remove the job from the queue, or ask it to stop if it is running."""
+        """Remove the job from the queue; if it is running, request it to stop."""
         if self.line is not None and self.line.drop(self):
             self.end("stopped", STOPPED)
         elif not self.over and self.stop.parent.is_dir():
             self.stop.touch()
 
     def check(self) -> None:
-        """Raise Cancelled if the job has been asked to stop."""
+        """Raise Cancelled if the job has been requested to stop."""
         if self.stop.exists():
             raise Cancelled
 
     @property
     def place(self) -> int:
-        """Number of jobs that start before this job; 0 once it has started."""
+        """Number of jobs that will start before this job; 0 once this job has started."""
         return 0 if self.line is None else self.line.place(self)
 
     @property
     def seconds_to_start(self) -> float:
-        """Forecast time until this job starts [s]; 0 once it has started."""
+        """Predicted time until this job starts [s]; 0 once it has started."""
         return 0.0 if self.line is None else self.line.seconds_to_start(self)
 
 
@@ -121,8 +121,8 @@ class Line:
         self._waiting: deque[tuple[Job, Callable[[], None]]] = deque()
         self._running: set[Job] = set()
         self._slowdowns: deque[float] = deque(maxlen=RECENT)
-        """Durations of the last jobs, each divided by its forecast for a machine without other
-        load."""
+        """Durations of the latest jobs, each divided by its predicted duration on a machine without
+        other load."""
         self._changed = threading.Condition()
         self._threads: list[threading.Thread] = []
 
@@ -153,16 +153,16 @@ class Line:
         return job
 
     def place(self, job: Job) -> int:
-        """Return the number of jobs before this job; 0 once it has started."""
+        """Return the number of jobs before a job; 0 once the job has started."""
         with self._changed:
             names = [waiting.name for waiting, _ in self._waiting]
         return names.index(job.name) + self.running if job.name in names else 0
 
     def seconds_to_start(self, job: Job) -> float:
-        """Forecast the time until a job starts [s]; 0 once it has started.
+        """Predict the time until a job starts [s]; 0 once it has started.
 
-        The forecast of each earlier job, made for an idle machine, is multiplied by the slowdown of
-        recent jobs.
+        The predicted duration of each earlier job holds for an idle machine. It is therefore
+        multiplied by the slowdown of recent jobs.
         """
         with self._changed:
             jobs = [waiting for waiting, _ in self._waiting]
@@ -174,7 +174,7 @@ class Line:
         return (running + waiting) / self.workers
 
     def drop(self, job: Job) -> bool:
-        """Remove a job from the queue; return False if it has started."""
+        """Remove a job from the queue; return False if the job has already started."""
         with self._changed:
             entry = next((entry for entry in self._waiting if entry[0] is job), None)
             if entry is None:
@@ -198,7 +198,7 @@ class Line:
             try:
                 work()
             except BaseException as problem:
-                # The thread must survive any exception, because it runs the next jobs.
+                # The thread must survive any exception, because it runs the following jobs.
                 end(job, problem)
             job.end("failed", FAILED)
             with self._changed:
@@ -208,7 +208,7 @@ class Line:
 
 
 def run_guarded(job: Job, work: Callable[[Job], None]) -> None:
-    """Run a job; end it with a message if it raises an exception."""
+    """Run a job; if the job raises an exception, end it with a message."""
     job.progress.begin()
     try:
         job.check()
@@ -220,7 +220,7 @@ def run_guarded(job: Job, work: Callable[[Job], None]) -> None:
 
 
 def end(job: Job, problem: BaseException) -> None:
-    """End a job that raised an exception; log errors of the server."""
+    """End a job that raised an exception; log the exception if the server is at fault."""
     state, message = describe_failure(problem)
     if state == "failed":
         LOG.error("a job failed", exc_info=problem)
@@ -238,14 +238,14 @@ def describe_failure(problem: BaseException) -> tuple[str, str]:
 
 
 def user_message(error: InputError) -> str:
-    """Return an error's message for the visitor, without paths of the server."""
+    """Return an error's message for the visitor, without the paths of files on the server."""
     text = _text(error)
     subject = "The file" if error.field.endswith(" file") else SUBJECTS.get(error.field)
     return f"{subject} {text[3:]}" if subject and text.startswith("It ") else text
 
 
 def api_message(error: InputError) -> str:
-    """Return an error's message for a program; it begins with the field."""
+    """Return an error's message for a program; the message begins with the field."""
     return f"{error.field}: {_text(error)}"
 
 

@@ -1,8 +1,7 @@
-"""Render the previews of preset cards and material chips, and the finished results of the page.
+"""Render the previews of preset cards and materials, and the finished results on the page.
 
 Run `python -m demo.make_previews` again after changes of presets or their physics. Each preview
-takes some seconds. A finished result is a film for the page's stage and, for some presets, a
-player.
+takes a few seconds. A finished result consists of a film and, for some presets, a 3D player.
 """
 
 from __future__ import annotations
@@ -41,25 +40,27 @@ OBJECTS = {
     "snow": "teddy", "water": "pear", "jelly": "cupcake", "wind": "sunflower", "foam": "mushroom",
     "land_on_cushion": "pear", "bury": "chick", "stack": "cupcake", "honey": "pear", "oil": "pear",
 }  # fmt: skip
-"""Preset -> example picture; all other presets use the duck."""
+"""Example picture of each preset. Presets that are not listed use the duck."""
 FALL = 36
-"""Number of frames of a material's preview: the object lands but does not topple."""
+"""Number of frames of a material's preview. In this time the object lands but does not topple."""
 FRAMES = {"water": 11}
-"""Number of frames for materials that would otherwise spread beyond their card."""
+"""Number of frames for materials that would otherwise spread beyond the edge of their card."""
 LONGEST = 24
-"""Largest number of pictures in a preview; longer clips are subsampled."""
+"""Largest number of pictures in a preview. Longer clips are subsampled."""
 SIZE, CHIP = 200, 128
-"""Width and height of a preset's and of a material's preview [pixels]."""
+"""Width and height of a preset's preview, and those of a material's preview [pixels]."""
 CLOSE = 0.72
-"""Field of view of a material's preview, relative to that of a preset."""
+"""Field of view of a material's preview, as a fraction of the field of view of a preset's
+preview.
+"""
 FILM = (800, 600)
 """Width and height of a finished result's film [pixels]."""
 PLAYERS, SPLATS = ("press", "bounce", "jelly"), 9_000
-"""Presets whose finished results have a player, and number of Gaussians in each player."""
+"""Presets whose finished results have a 3D player, with the number of Gaussians in the player."""
 
 
 def main() -> None:
-    """Render the previews of the presets and materials named on the command line, or of all."""
+    """Render the previews of the presets and materials that the command line names, or all."""
     parser = argparse.ArgumentParser(description=__doc__)
     materials = [f"material_{name}" for name in SUBSTANCES]
     ready = [f"ready_{name}" for name in READY]
@@ -76,13 +77,13 @@ def main() -> None:
 
 
 def substance_scene(name: str) -> Scene:
-    """Return the scene of a material's preview: a fall to the ground."""
+    """Return the scene of a material's preview, in which the object falls to the ground."""
     drop = Scene.named("drop").replaced({"accuracy": "draft", "material": SUBSTANCES[name]})
     return drop.replaced({"time.frames": FRAMES.get(name, FALL)})
 
 
 def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
-    """Simulate a scene and film it from the front and slightly above.
+    """Simulate a scene, and film it from the front and slightly above.
 
     Args:
         scene: The scene.
@@ -101,7 +102,7 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
 
 
 def make_ready(name: str) -> None:
-    """Make a preset's finished result: film, processor time, and for some presets a player."""
+    """Make a preset's finished result: film, processor time, and for some presets a 3D player."""
     scene = Scene.named(name).replaced({"accuracy": "draft"})
     start = time.process_time()
     clip = _simulate(scene, READY[name][1])
@@ -155,7 +156,7 @@ def _save(images: list[Image.Image], scene: Scene, step: int, path: Path, qualit
 
 
 def _film(clip: Clip, view: View, camera: Camera, step: int) -> list[Image.Image]:
-    """Render every `step`-th frame, with shadow, walls and gloss; the film ends with a pause.
+    """Render every `step`-th frame with shadow, walls and gloss; let the film end with a pause.
 
     The background is transparent, because the page may be light or dark.
     """
@@ -168,7 +169,7 @@ def _film(clip: Clip, view: View, camera: Camera, step: int) -> list[Image.Image
 
 
 def _draw_on(grey: float, clip: Clip, frames: list[Frame], camera: Camera, view: View) -> Pictures:
-    """Render the frames on a shade of grey."""
+    """Render the frames on a grey background."""
     colour = (grey, grey, grey)
     plain = {"background": colour, "gradient": None, "picture": None}
     stage = make_stage(clip, view.model_copy(update=plain))
@@ -177,7 +178,7 @@ def _draw_on(grey: float, clip: Clip, frames: list[Frame], camera: Camera, view:
 
 
 def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
-    """Compute a transparent picture from its versions on black and on white."""
+    """Compute a transparent picture from its renderings on black and on white."""
     dark, light = on_black.astype(np.float32), on_white.astype(np.float32)
     alpha = 255 - (light - dark).mean(axis=2, keepdims=True).clip(0, 255)
     colour = np.where(alpha > 0, dark * 255 / np.maximum(alpha, 1), 0).clip(0, 255)
@@ -185,8 +186,9 @@ def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
 
 
 def _telling(images: list[Image.Image]) -> list[Image.Image]:
-    """Rotate the frames of the loop so that it starts with the frame that differs most from the
-    clip's first frame.
+    """Rotate the order of the frames in the loop.
+
+    The loop then starts with the frame that differs most from the clip's first frame.
     """
     pixels = np.array([np.asarray(image, np.int16) for image in images])
     changed = np.abs(pixels - pixels[0]).sum(axis=(1, 2, 3))

@@ -12,7 +12,7 @@ from .handlers import Handler
 
 HEAD = '<script src="phy124/static/server.js"></script>'
 MARK = "mark"
-"""Key of an entry in a panel's value that differs in every answer (see `mark_answers`)."""
+"""Key of an entry in a panel's value. Its content differs in every answer (see `mark_answers`)."""
 
 
 HEAD += '<script src="phy124/static/page.js"></script>'
@@ -49,7 +49,10 @@ PLAYER = (
 
 
 def scene() -> gr.HTML:
-    """Create the scene editor; its value is a scene as plain data; "change" sends a new scene."""
+    """Create the scene editor.
+
+    Its value is a scene as plain data; its event "change" sends a new scene.
+    """
     return _panel("scene", EDITOR, events="'change'")
 
 
@@ -63,7 +66,7 @@ def picture() -> gr.HTML:
 
 
 def extras() -> gr.HTML:
-    """Create the panel of optional inputs; its value holds the inputs by option.
+    """Create the panel of optional inputs; its value contains the inputs by option name.
 
     Events: "choose" names a picture uploaded for an option, "view" reports the end of its cut-out,
     "change" a new value. Handlers set an answer, or the orientations of a file of Gaussians, as the
@@ -73,7 +76,7 @@ def extras() -> gr.HTML:
 
 
 def others() -> gr.HTML:
-    """Create the panel for pictures of further objects; empty if no object needs a picture.
+    """Create the panel for pictures of further objects; it is empty if no object needs a picture.
 
     Events: "choose" names a picture uploaded for an object, "view" reports the end of its cut-out.
     Handlers set an answer as the value; the scene holds the pictures.
@@ -82,25 +85,25 @@ def others() -> gr.HTML:
 
 
 def progress() -> gr.HTML:
-    """Create the progress panel; its events "finished" and "again" report the end."""
+    """Create the progress panel; its events "finished" and "again" report the end of a job."""
     return _panel("progress", HEAD, events="'finished' 'again'")
 
 
 def viewer() -> gr.HTML:
-    """Create the stage: ready results, the cut-out, the growing clip, the result in 3D."""
+    """Create the stage, which shows ready results, the cut-out, the growing clip and the player."""
     return _panel("viewer", PLAYER)
 
 
 def touch() -> gr.HTML:
-    """Create the panel of the live run; its value holds the ticket or a message.
+    """Create the panel of the live run; its value is the ticket for a live run or a message.
 
-    Events: "begin" asks for a live run, "save" for the clip of its session.
+    The event "begin" requests a live run. The event "save" requests the clip of its session.
     """
     return _panel("touch", TOUCH, events="'begin' 'save'")
 
 
 def forecast() -> gr.HTML:
-    """Create the forecast; the event "measure" asks to measure the scene's error.
+    """Create the forecast panel; the event "measure" requests a measurement of the scene's error.
 
     The value contains the forecast as HTML, and the number of the scene change for which it was
     made.
@@ -109,33 +112,34 @@ def forecast() -> gr.HTML:
 
 
 def history() -> gr.HTML:
-    """Create the list of earlier results; the event "show" selects a result."""
+    """Create the list of earlier results; its event "show" selects a result."""
     return _panel("history", HEAD, events="'show'")
 
 
 def report() -> gr.HTML:
-    """Create the report panel; the event "finer" asks for the same motion at a finer accuracy."""
+    """Create the report panel; its event "finer" requests the same motion at a finer accuracy."""
     return _panel("report", HEAD, events="'finer'")
 
 
 def takeaway() -> gr.HTML:
-    """Create the download panel; the event "prepare" asks for a file that is made on demand."""
+    """Create the download panel; its event "prepare" requests a file that is created on request."""
     return _panel("takeaway", HEAD, events="'prepare'")
 
 
 def fit() -> gr.HTML:
-    """Create the panel of fits to a video; its value holds the offer or the finished fit.
+    """Create the panel of fits to a video; its value is the offer of a fit or the finished fit.
 
-    Events: "begin" names an uploaded video, "stop" cancels its fit, "ended" reports its end.
+    The event "begin" names an uploaded video, "stop" cancels its fit, and "ended" reports that the
+        fit has ended.
     """
     return _panel("fit", FIT, events="'begin' 'stop' 'ended'")
 
 
 def _panel(name: str, head: str, events: str = "") -> gr.HTML:
-    """Create a panel that is drawn by the function `name` of the script object `Phy124`."""
+    """Create a panel; the function `name` of the script object `Phy124` draws it."""
     call = f"Phy124.{name}(element, props, watch, trigger);"
     value: Any = None
-    # Gradio searches the script's text for event names.
+    # Gradio searches the text of the script for event names.
     return gr.HTML(
         value,
         html_template="",
@@ -147,7 +151,7 @@ def _panel(name: str, head: str, events: str = "") -> gr.HTML:
 
 
 def mark_answers(page: Any) -> None:
-    """Wrap the handlers of a `gr.Blocks`, so that all answers to the same panel differ.
+    """Wrap the handlers of a `gr.Blocks`, so that no two answers to the same panel are equal.
 
     Gradio does not send a panel a value that equals the previous value. Each answer therefore gets
     a mark. Without the mark, a panel would wait forever if a request were refused twice with the
@@ -160,7 +164,8 @@ def mark_answers(page: Any) -> None:
 
 
 def _marking(handle: Handler, panels: list[bool]) -> Handler:
-    # Gradio creates new components for each session; therefore the handlers are wrapped instead.
+    # Gradio creates new components for each session. Therefore the handlers are wrapped, not the
+    # components.
     @wraps(handle)
     def marking(*arguments: Any) -> Any:
         answer = handle(*map(_unmark, arguments))

@@ -1,8 +1,7 @@
-"""Components for the files that programs upload; files are decoded only after the limits are
-checked.
+"""Components for files that programs upload; files are decoded only after their limits are checked.
 
-Gradio itself would decode a picture before any check, fetch it from any URL, and accept data: URLs
-beyond its `max_file_size`.
+Gradio itself would decode a picture before any check, download it from any URL, and accept data:
+URLs beyond its `max_file_size`.
 """
 
 from __future__ import annotations
@@ -21,21 +20,22 @@ from phy124.errors import InputError
 if TYPE_CHECKING:
     from .jobs import Studio
 
-NO_FILE = "This is no file. Send the file itself, by handle_file(PATH) in Python."
+NO_FILE = "This is not a file. Send the file itself, by handle_file(PATH) in Python."
 BROKEN = "The picture's data: URL is broken. Send the file itself."
 FETCHES_NOTHING = "This page downloads nothing from an address. Send the file itself."
 
 
 class Sent(ImageData):
-    """A picture that a program sent; any value that is not a file is refused with a message."""
+    """A picture that a program sent; a value that is not a file is refused with a message."""
 
     name: ClassVar[str] = "image"
-    """Name of the argument."""
+    """Name of the argument, for error messages."""
 
-    # Not a pydantic validator: its exceptions would be wrapped and not shown to the program.
+    # This is not a pydantic validator, because the program would not see the exceptions of a
+    # validator.
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Sent:
-        """Validate the picture; raises gr.Error if it is not a file."""
+        """Validate the picture; raise gr.Error if it is not a file."""
         try:
             return super().model_validate(obj, **options)
         except ValidationError:
@@ -46,8 +46,8 @@ def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
     """Create a `gr.Image` whose value is the path of the uploaded file, undecoded.
 
     Args:
-        studio: Stores pictures that are sent inside a request.
-        label: Name of the argument, with which refusals begin.
+        studio: Stores the pictures that requests contain.
+        label: Name of the argument. Error messages begin with it.
         options: Options of `gr.Image`.
     """
 
@@ -58,7 +58,7 @@ def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
     image.data_model = Named
 
     def preprocess(payload: Any) -> str | None:
-        """Return the file's path; raises gr.Error if a data: URL is broken or too large."""
+        """Return the file's path; raise gr.Error if a data: URL is broken or too large."""
         if payload is None:
             return None
         if payload.url and payload.url.startswith("data:"):
@@ -70,11 +70,11 @@ def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
 
 
 class SentVideo(FileData):
-    """A video that a program sent; any value that is not a file is refused with a message."""
+    """A video that a program sent; a value that is not a file is refused with a message."""
 
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> SentVideo:
-        """Validate the video; raises gr.Error if it is not a file."""
+        """Validate the video; raise gr.Error if it is not a file."""
         try:
             return super().model_validate(obj, **options)
         except ValidationError:
@@ -87,7 +87,7 @@ def film(**options: Any) -> gr.File:
     file.data_model = SentVideo
 
     def preprocess(payload: Any) -> str | None:
-        """Return the file's path; raises gr.Error if it is a data: URL."""
+        """Return the file's path; raise gr.Error if it is a data: URL."""
         if payload is None:
             return None
         if (payload.url or payload.path or "").startswith("data:"):
@@ -99,7 +99,7 @@ def film(**options: Any) -> gr.File:
 
 
 def _describe_as_file(component: Any, name: str) -> Any:
-    """Describe a component in the API as a file, for which no URL is accepted."""
+    """Describe a component in the API as a file; the component accepts no URL."""
     example = {"path": name, "meta": {"_type": "gradio.FileData"}}
     component.api_info = FileData.model_json_schema
     component.example_payload = lambda: example
@@ -107,17 +107,18 @@ def _describe_as_file(component: Any, name: str) -> Any:
 
 
 def refusal(text: str) -> gr.Error:
-    """Create an error for a program; it is not logged, because the server did not fail."""
+    """Create an error for a program; the error is not logged, because the server did not fail."""
     return gr.Error(text, print_exception=False)
 
 
 def fetch_nothing(page: gr.Blocks) -> None:
-    """Prevent the page from downloading URLs in a request."""
+    """Prevent the page from downloading URLs that a request contains."""
 
     async def refuse(url: str) -> Any:
         raise refusal(f"file: {FETCHES_NOTHING}")
 
-    # Gradio copies unchanged panels for each session; the module's function is replaced, too.
+    # Gradio copies unchanged panels for each session. Therefore the module's function is replaced,
+    # too.
     processing_utils.async_ssrf_protected_get = refuse
     for block in page.blocks.values():
         moved = block.async_move_resource_to_block_cache
@@ -132,15 +133,15 @@ def fetch_nothing(page: gr.Blocks) -> None:
 
 
 def save_data_url(url: str, studio: Studio, name: str) -> str:
-    """Store the picture of a data: URL as an upload; return its path.
+    """Store the picture of a data: URL as an upload; return the path of the upload.
 
     Args:
-        url: The URL.
+        url: The data: URL.
         studio: Stores the picture.
-        name: Name of the argument, with which refusals begin.
+        name: Name of the argument. Error messages begin with it.
 
     Raises:
-        gr.Error: The URL is broken or too large, or there is no space.
+        gr.Error: The URL is broken or too large, or there is not enough disk space.
     """
     limits = studio.settings
     head, comma, text = url.partition(",")

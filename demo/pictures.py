@@ -29,12 +29,12 @@ from .settings import Settings
 from .visitors import Visitor, key
 
 MISSING = "Part of the object may be missing."
-"""First sentence about a doubtful cut-out; reasons follow."""
+"""First sentence of a warning about a doubtful cut-out. The reasons follow this sentence."""
 REMEDIES = {
     "foreground": "Mark the object with the brush, or use a picture with a plain background.",
     "pick": "Click the middle of the object, or mark it with the brush.",
 }
-"""Field of an error -> what a visitor can do about it on the page."""
+"""Advice to a visitor by the field of an error."""
 HOW = "cutout"
 """Key of the PNG text that stores the method and quality of a cut-out."""
 Fraction = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
@@ -44,12 +44,12 @@ def check_picture(path: Path, settings: Settings, field: str = "image") -> None:
     """Check a picture's file size and number of pixels from its header, without decoding it.
 
     Args:
-        path: The picture.
+        path: Path of the picture.
         settings: The page's limits.
         field: Name of the picture in error messages.
 
     Raises:
-        InputError: The picture is too large, or the file is no picture.
+        InputError: The picture is too large, or the file is not a picture.
     """
     size = path.stat().st_size
     if size > settings.max_bytes:
@@ -61,7 +61,7 @@ def check_picture(path: Path, settings: Settings, field: str = "image") -> None:
 
 
 def is_shown(picture: Path) -> bool:
-    """Return whether browsers can show a picture."""
+    """Return whether browsers can show the format of a picture."""
     with open(picture, "rb") as file:
         return read_kind(file.read(HEAD)) != "HEIC"
 
@@ -81,8 +81,7 @@ def viewable(picture: Path, deadline: Deadline = PATIENT) -> Path:
 def cut_out(
     picture: Path, path: Path, pick: Point | None = None, deadline: Deadline = PATIENT
 ) -> tuple[str, ...]:
-    """Write the cut-out of a picture; return a warning and its reasons or, without these, its
-    notes.
+    """Write the cut-out of a picture; return a warning and its reasons, or else the notes.
 
     Args:
         picture: The picture.
@@ -116,11 +115,11 @@ def cut_once(
 ) -> tuple[Path, tuple[str, ...], bool]:
     """Cut out an upload if its cut-out does not exist yet; correct the cut-out by strokes.
 
-    Return the cut-out, doubts about it, and whether the object had to be segmented.
+    Return the cut-out, reasons to doubt it, and whether the object had to be segmented.
 
     Args:
-        visitor: The upload's visitor.
-        upload: The picture.
+        visitor: The visitor who uploaded the picture.
+        upload: The uploaded picture.
         strokes: The brush strokes.
         pick: A point on the object, if the picture shows several objects.
         deadline: Time limit.
@@ -147,12 +146,12 @@ def correct_cutout(
 ) -> None:
     """Write a cut-out that is corrected by brush strokes.
 
-    Pixels under a stroke are kept or removed, depending on the stroke; near the strokes, the
-    outline follows the edges of the picture.
+    Pixels under a stroke are kept or removed, depending on the kind of stroke. Near the strokes,
+    the outline follows the edges in the picture.
 
     Args:
         picture: The picture.
-        first: The cut-out to start from, if any.
+        first: The cut-out to start from; None if there is none.
         strokes: The brush strokes.
         path: The PNG to write.
         deadline: Time limit.
@@ -164,7 +163,7 @@ def correct_cutout(
         with Image.open(first) as cut:
             alpha = np.array(cut.getchannel("A"))
     if not has_alpha(image):
-        # If the outline takes too long, the painted pixels are still applied.
+        # If the computation of the outline takes too long, only the painted pixels change.
         with suppress(Unfinished):
             rgb = np.asarray(image.convert("RGB"))
             alpha = np.array(isolated.run(apply_marks, rgb, alpha, marks, deadline=deadline))
@@ -174,13 +173,13 @@ def correct_cutout(
 
 
 def how_cut(picture: Image.Image) -> dict[str, Any] | None:
-    """Return method and quality of a cut-out that this module wrote, else None."""
+    """Return the method and quality of a cut-out; None if this module did not write the cut-out."""
     text = picture.info.get(HOW)
     return text and json.loads(text)
 
 
 def cut_by(path: Path) -> str:
-    """Return the title of a cut-out's method; empty if unknown."""
+    """Return the title of the method of a cut-out; empty if the method is unknown."""
     with Image.open(path) as picture:
         how = how_cut(picture)
     return title_of(how["method"]) if how else ""
@@ -204,7 +203,7 @@ class Stroke(Section):
     """A line painted on the picture; lengths are fractions of the picture's longer side."""
 
     keep: bool
-    """True if the painted area belongs to the object."""
+    """True if the painted area belongs to the object, False if it belongs to the background."""
     width: float = Field(gt=0, le=0.5)
     points: tuple[tuple[Fraction, Fraction], ...] = Field(min_length=1, max_length=2000)
 
@@ -234,7 +233,7 @@ def read_strokes(data: Any) -> list[Stroke]:
 
 
 def read_place(data: Any) -> Point | None:
-    """Read a point of the picture, as fractions of width and height; None if empty.
+    """Read a point of the picture, as fractions of width and height; None if `data` is empty.
 
     Raises:
         InputError: The data is neither a point nor empty.
@@ -253,7 +252,7 @@ def read_place(data: Any) -> Point | None:
 
 
 def paint(strokes: list[Stroke] | tuple[Stroke, ...], size: tuple[int, int]) -> Image.Image:
-    """Paint the strokes: 0 nothing, 1 remove, 2 keep; later strokes cover earlier strokes."""
+    """Paint the strokes into a map (0: nothing, 1: remove, 2: keep), later ones on top."""
     marks = Image.new("L", size)
     draw, side = ImageDraw.Draw(marks), max(size)
     for stroke in strokes:

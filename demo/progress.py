@@ -1,4 +1,4 @@
-"""Events of a job, and the job's progress in the form that the page shows."""
+"""Events of a job, and the progress of the job in the form that the page shows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 STAGES = {"generate": "Picture to 3D", "simulate": "Physics", "render": "Videos", "save": "Files"}
 READING = {"generate": "File to 3D"}
-"""Title of the first stage for a file of Gaussians."""
+"""Title of the first stage if the visitor sent a file of Gaussians."""
 FITTING = {"read": "Video", "fit": "Search"}
 MEASURING = {"generate": "Picture to 3D", "measure": "Grids"}
 
@@ -26,23 +26,23 @@ class Progress:
     """waiting or running, then done, stopped, refused, full or failed."""
     message: str = ""
     expected: float = 0.0
-    """Forecast duration [s]."""
+    """Predicted duration of the job [s]."""
     unloaded: float = 0.0
-    """Forecast duration without other load [s]; 0 if unknown."""
+    """Predicted duration without load from other programs [s]; 0 if unknown."""
     names: Mapping[str, str] = field(default_factory=lambda: STAGES)
-    """Stages and their titles."""
+    """Stages of the job, each with its title."""
     start: float = field(default_factory=time.monotonic)
     stages: dict[str, Step] = field(default_factory=dict)
     reused: list[str] = field(default_factory=list)
     glimpses: list[bytes] = field(default_factory=list)
-    """Small JPEGs of the frames so far."""
+    """Small JPEG pictures of the frames that are done."""
     live: list[str] = field(default_factory=list)
-    """Files of the frames so far, for the viewer."""
+    """Files of the frames that are done, for the 3D viewer."""
     result: Any = None
     """Result of the job."""
 
     def take(self, event: Any) -> None:
-        """Process an event of the job; None means only that time has passed."""
+        """Update the progress from an event of the job; None means only that time has passed."""
         if isinstance(event, Step):
             self.stages[event.stage] = event
         elif isinstance(event, Reused):
@@ -55,25 +55,26 @@ class Progress:
             self.result, self.state = event, "done"
 
     def begin(self) -> None:
-        """Mark the job as running."""
+        """Record that the job has started to run."""
         self.state, self.start = "running", time.monotonic()
 
     def duration(self, slowdowns: Sequence[float]) -> float:
-        """Forecast the duration of the job [s].
+        """Predict the duration of the job [s].
 
         Args:
-            slowdowns: Durations of the last jobs relative to their forecasts without other load.
+            slowdowns: Durations of the latest jobs, each divided by its predicted duration without
+                other load.
         """
         if slowdowns and self.unloaded:
             return median(slowdowns) * self.unloaded
         return self.expected
 
     def seconds_left(self, slowdowns: Sequence[float]) -> float:
-        """Forecast the time until the running job ends [s]."""
+        """Predict the time until the running job ends [s]."""
         return max(self.duration(slowdowns) - (time.monotonic() - self.start), 0.0)
 
     def data(self, seen: int = 0) -> dict[str, Any]:
-        """Return plain data for the page, with the frames from index `seen` on."""
+        """Return plain data for the page; of the frames, include those from index `seen` on."""
         return {
             "state": self.state,
             "message": self.message,
@@ -116,32 +117,32 @@ class Glimpse:
 
 @dataclass(frozen=True)
 class Live:
-    """A file with the frame that was just simulated, for the viewer."""
+    """A file with the frame that was just simulated, for the 3D viewer."""
 
     file: str
 
 
 @dataclass(frozen=True)
 class Reused:
-    """A stage whose stored result was reused."""
+    """A stage that was skipped because its stored result could be reused."""
 
     stage: str
 
 
 @dataclass(frozen=True)
 class Done:
-    """End of a run, with its folders."""
+    """The run has ended; these are its folders."""
 
     clip: Path
     """Folder of the clip, its Gaussians and its scene."""
     films: Path
     """Folder of the videos, the player's pack and the report."""
     study: Path
-    """File for the error measured on this scene."""
+    """File in which the error measured on this scene is stored."""
 
     @property
     def exports(self) -> Path:
-        """Folder of formats that are made on demand."""
+        """Folder of the formats that are created on request."""
         return self.films.parent.parent / "exports" / self.films.name
 
     @property
@@ -152,10 +153,10 @@ class Done:
 
 @dataclass(frozen=True)
 class Measured:
-    """End of a study of the scene's error."""
+    """The study of the scene's error has ended."""
 
     study: Path
-    """File of a `demo.studies.Measurement`."""
+    """File that stores a `demo.studies.Measurement`."""
 
 
 Event = Step | Glimpse | Live | Reused | Done | Measured
@@ -163,7 +164,7 @@ Tell = Callable[[Event], None]
 
 
 def close_now(events: Iterator[Any]) -> None:
-    """Close the generator of a job's events now, instead of at garbage collection."""
+    """Close the generator of a job's events immediately, without waiting for garbage collection."""
     close = getattr(events, "close", None)
     if close is not None:
         close()

@@ -1,9 +1,9 @@
-"""Costs of a run's stages on this machine: measured at the start, corrected by finished runs.
+"""Costs of a run's stages on this machine, measured at the start and corrected by finished runs.
 
 A substep, a frame and a video each have a fixed cost and a cost per particle or pixel. All costs
-are measured before the first visitor comes; finished runs then correct the costs per particle and
-pixel. No visitor can distort the costs: runs too small to show a cost are ignored. The median of
-the last runs is used, limited to a factor of the first measurement.
+are measured before the first visitor comes. Finished runs then correct the costs per particle and
+pixel. No visitor can distort the costs, because runs that are too small to measure a cost are
+ignored. The median of the latest runs is used, limited to a factor of the first measurement.
 """
 
 from __future__ import annotations
@@ -18,14 +18,16 @@ from phy124.budget.cost import Rates, Work
 from phy124.scene import Scene
 
 READ = 0.2
-"""If making the Gaussians took at most this time, they count as read from a file, not as generated
-[s]."""
+"""If the Gaussians were available within this time, they were probably read from a file, so they do
+not count as generated [s]."""
 SPREAD = 3.0
-"""Largest factor by which a learned cost may be above, or below, the cost measured at the start."""
+"""Largest factor by which a corrected cost may be above, or below, the cost measured at the
+start.
+"""
 WINDOW = 5
 """Number of runs from which the median is computed."""
 FIXED = 0.7
-"""Largest fraction of a usual run's time that is attributed to fixed costs."""
+"""Largest fraction of a usual run's time that may be attributed to fixed costs."""
 MINIMUM = 0.2
 """A run corrects a cost only if the run's work is at least this fraction of the work in the first
 measurement."""
@@ -37,7 +39,7 @@ class Learned:
     def __init__(self) -> None:
         self.now = Rates()
         self.measured: Rates | None = None
-        """Rates of the first measurement; None before it."""
+        """Rates of the first measurement; None before the first measurement."""
         self._first: Work | None = None
         self._seen: dict[str, deque[float]] = {}
         self._lock = threading.Lock()
@@ -45,7 +47,7 @@ class Learned:
     def calibrate(
         self, small: tuple[dict[str, Any], Scene], usual: tuple[dict[str, Any], Scene]
     ) -> None:
-        """Compute the rates from the reports of a tiny and a usual run."""
+        """Compute the rates from the reports of a tiny run and of a usual run."""
         (little, spent_little), (much, spent) = _observe(*small), _observe(*usual)
         substep = _per(spent_little["simulate"], little.substeps) or self.now.substep
         video = _per(spent_little["film"], little.videos) or self.now.video
@@ -58,7 +60,8 @@ class Learned:
         with self._lock:
             self.now = self.measured = replace(fixed, **costs)
             self._first = much
-            # Entered twice, so that the first run of a visitor alone does not determine the median.
+            # The measurement is entered twice, so that the first run of a visitor alone does not
+            # determine the median.
             self._seen = {name: deque([value] * 2, WINDOW) for name, value in costs.items()}
 
     def assume(self, rates: Rates, work: Work) -> None:
@@ -66,7 +69,7 @@ class Learned:
         them.
 
         Args:
-            rates: The rates.
+            rates: The rates to use.
             work: Work of a usual run.
         """
         with self._lock:
@@ -74,7 +77,7 @@ class Learned:
             self._first = work
 
     def learn(self, report: dict[str, Any], scene: Scene) -> None:
-        """Correct the rates by a finished run."""
+        """Correct the rates by the report of a finished run."""
         work, spent = _observe(report, scene)
         with self._lock:
             if self.measured is None or self._first is None:
@@ -93,7 +96,7 @@ class Learned:
 
     @property
     def minimum(self) -> Rates:
-        """For each rate, the smallest of the built-in, measured and current values."""
+        """For each rate, the smallest of the built-in, the measured and the current value."""
         return Rates().minimum(self.measured or self.now).minimum(self.now)
 
 
@@ -109,13 +112,13 @@ def _observe(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, floa
 
 
 def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, float]:
-    """Return the costs per unit of work of a run, after subtracting fixed costs."""
+    """Return the costs per unit of work of a run, after subtracting the fixed costs."""
     fixed = {
         "particle": rates.substep * work.substeps + rates.node * work.nodes,
         "pixel": rates.video * work.videos,
     }
     costs = {
-        # Gaussians that are read from a file take little time and do not count.
+        # Gaussians that are read from a file take little time, so they are ignored.
         "generate": spent["generate"] if spent["generate"] > READ else None,
         "particle": _per(spent["simulate"] - fixed["particle"], work.particles),
         "frame": _per(spent["deform"], work.frames),
@@ -125,7 +128,7 @@ def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, fl
 
 
 def _per(seconds: float, amount: float) -> float | None:
-    """Return seconds per unit, or None if they cannot be determined."""
+    """Return the seconds per unit of work, or None if they cannot be determined."""
     return seconds / amount if amount > 0 and seconds > 0 else None
 
 
@@ -133,10 +136,10 @@ def _at_most(fraction: float, seconds: float, amount: float, cost: float) -> flo
     """Limit a cost per unit, so that all units together take at most a fraction of the time.
 
     Args:
-        fraction: The largest fraction.
-        seconds: Time taken [s].
-        amount: Number of units.
-        cost: The cost per unit [s].
+        fraction: The largest fraction of the time.
+        seconds: Time that the stage took [s].
+        amount: Number of units of work.
+        cost: The cost per unit of work [s].
     """
     usual = _per(seconds, amount)
     return cost if usual is None else min(cost, fraction * usual)

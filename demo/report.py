@@ -1,4 +1,4 @@
-"""Format a run's report as HTML: stage times, effects that were computed or left out, stability."""
+"""Format a run's report as HTML: stage times, effects that were computed or omitted, stability."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WIDTH, HEIGHT, TALL, MARGIN = 280, 84, 130, 4
 
 
 def summarise(report: dict[str, Any], promise: Promise) -> list[dict[str, Any]]:
-    """Summarise a run for a visitor: its time, its error, and the worst strain or a problem.
+    """Summarise a run for a visitor: its time, its error, and the largest strain or a problem.
 
     Args:
         report: The content of report.json.
@@ -37,9 +37,7 @@ def summarise(report: dict[str, Any], promise: Promise) -> list[dict[str, Any]]:
 
 
 def _describe_squeeze(volume: float) -> str:
-    """Describe how far the most compressed part of the material shrank, relative to its volume at
-    rest.
-    """
+    """Describe by how much the most compressed material shrank, relative to its volume at rest."""
     if volume > 0.97:
         return "No part of the object was noticeably compressed."
     size = "half its volume" if 0.45 < volume < 0.55 else f"{volume:.0%} of its volume"
@@ -53,14 +51,14 @@ def as_html(
     stops: Sequence[Stop] = (),
     study: Measurement | None = None,
 ) -> str:
-    """Format a report for the page; all text is escaped.
+    """Format a report for the page; all text in it is escaped.
 
     Args:
         report: The content of report.json.
         scene: The scene as plain data.
         predicted: Predicted time [s].
         stops: Time and error of each named accuracy.
-        study: Errors measured on this scene, if any.
+        study: Errors measured on this scene; None if none were measured.
     """
     promise, parts = promise_of(Scene.from_data(scene), None, study, report), []
     if report.get("stopped"):
@@ -90,7 +88,7 @@ def _accuracy(
 
 
 def _pareto(report: dict[str, Any], promise: Promise, stops: Sequence[Stop]) -> str:
-    """Plot error over time for the named accuracies and this run."""
+    """Plot the error of the named accuracies and of this run against their time."""
     reached = promise.error
     known = [(stop, stop.error) for stop in stops if stop.error]
     if not known or not reached:
@@ -141,7 +139,7 @@ def _stages(report: dict[str, Any]) -> str:
 
 
 def _cut_out(report: dict[str, Any]) -> str:
-    """Format the method of the cut-out, and reasons to doubt it."""
+    """Format the method that made the cut-out, and the reasons to doubt the cut-out."""
     cutout = report.get("cutout")
     if not cutout:
         return ""
@@ -165,7 +163,7 @@ def _file(report: dict[str, Any]) -> str:
 
 
 def _objects(report: dict[str, Any]) -> str:
-    """Format the sources of several objects, and the largest force of each pair."""
+    """Format the sources of several objects, and the largest force between each pair of objects."""
     rows = []
     for name, body in (report.get("objects") or {}).items():
         cutout = (report.get("sources") or {}).get(name, {}).get("cutout")
@@ -222,7 +220,7 @@ def _section(title: str, body: str) -> str:
 
 
 def _table(rows: Sequence[tuple[str, Any]]) -> str:
-    # Values of the same name share a row.
+    # Values that have the same name share a row.
     table: dict[str, list[str]] = {}
     for name, value in rows:
         table.setdefault(name, []).append(str(value))
@@ -233,7 +231,7 @@ def _table(rows: Sequence[tuple[str, Any]]) -> str:
 
 
 def _plot(x: Sequence[float], y: Sequence[float], label: str) -> str:
-    """Return a small plot, labelled with the smallest and the largest value."""
+    """Return a small plot, labelled with its smallest and largest value."""
     low, high, span = min(y), max(y), (x[-1] - x[0]) or 1.0
     height = (high - low) or 1.0
     top, bottom = 16, HEIGHT - 14

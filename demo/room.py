@@ -1,4 +1,4 @@
-"""Limits the disk space of visitors' files, and keeps uploads whose visitor is unknown."""
+"""Limit the disk space of visitors' files, and keep uploads whose visitor is unknown."""
 
 from __future__ import annotations
 
@@ -16,37 +16,35 @@ from pathlib import Path
 from phy124.errors import InputError
 
 EACH = 64
-"""Largest number of waiting uploads per address; above it, the oldest are removed."""
+"""Largest number of unclaimed uploads per address. If there are more, the oldest are removed."""
 ARRIVED = 600.0
 """Longest time between an upload and the request that names it [s]."""
 
 
 @dataclass(frozen=True)
 class Room:
-    """Limits of number, size and age of stored files."""
+    """Limits on the number, the size and the age of stored files."""
 
     visitors: int = 64
     clips: int = 3
-    """Number of results per visitor."""
+    """Largest number of results per visitor."""
     grace: float = 900.0
-    """Time after which the files of a silent visitor are removed [s]."""
+    """Time without requests after which the files of a visitor are removed [s]."""
     each: float = 1e9
-    """Size of the files of a visitor [bytes]."""
+    """Largest size of the files of a visitor [bytes]."""
     all: float = 8e9
-    """Size of the files of all visitors [bytes]."""
+    """Largest size of the files of all visitors [bytes]."""
     address: int = 32
-    """Number of visitors per address."""
+    """Largest number of visitors per address."""
 
     @property
     def runs(self) -> float:
-        """Limit for uploads, runs and exports [bytes]; the rest of the disk space is for new
-        visitors.
-        """
+        """Size limit of uploads, runs and exports [bytes]; other disk space is for new visitors."""
         return 0.9 * self.all
 
     @property
     def arrivals(self) -> float:
-        """Limit for uploads whose visitor is not known yet [bytes]."""
+        """Size limit for uploads whose visitor is not known yet [bytes]."""
         return 0.25 * self.all
 
 
@@ -60,7 +58,7 @@ def all_taken(size: float, each: float, remedy: str) -> InputError:
 
 
 def is_plain_file(path: Path) -> bool:
-    """Return whether the path is a regular file and no link."""
+    """Return whether the path is a regular file (and not a link)."""
     try:
         return stat.S_ISREG(os.lstat(path).st_mode)
     except (OSError, ValueError):
@@ -82,7 +80,7 @@ def _sizes(folder: Path) -> Iterator[int]:
 
 
 def newest_first(folder: Path) -> list[Path]:
-    """List the entries of a folder, the most recently changed first."""
+    """List the entries of a folder, with the most recently changed entry first."""
     try:
         return sorted(folder.iterdir(), key=change_time, reverse=True)
     except OSError:
@@ -90,7 +88,7 @@ def newest_first(folder: Path) -> list[Path]:
 
 
 def change_time(path: Path) -> float:
-    """Return the time of a file's last change [s]; 0 if the file is gone."""
+    """Return the time of a file's last change [s]; 0 if the file no longer exists."""
     try:
         return path.stat().st_mtime
     except OSError:
@@ -113,17 +111,17 @@ class _Upload:
 
 
 class Arrivals:
-    """Uploads of programs without cookies, kept until a request names them.
+    """Uploads of programs without cookies, kept until a request names the upload.
 
-    The disk space for such uploads is small, and limited per address. Callers hold the lock of
+    The disk space for such uploads is small, and limited per address. Callers must hold the lock of
     `demo.visitors`.
     """
 
     def __init__(self, folder: Path, room: Room) -> None:
-        """Create the folder; `room` limits its size."""
+        """Create the folder for the uploads; `room` limits its size."""
         self.folder, self._room = folder, room
         self._uploads: dict[str, _Upload] = {}
-        """Uploads by file name, the oldest first."""
+        """Uploads by file name, with the oldest upload first."""
         folder.mkdir(parents=True, exist_ok=True)
 
     def __len__(self) -> int:
@@ -131,11 +129,11 @@ class Arrivals:
 
     @property
     def size(self) -> int:
-        """Total size [bytes]."""
+        """Total size of the uploads [bytes]."""
         return sum(upload.size for upload in self._uploads.values())
 
     def announce(self, address: str, size: int, suffix: str) -> Path:
-        """Return the path for an upload; remove older uploads beyond the limits."""
+        """Return the path for a new upload; remove the oldest uploads beyond the limits."""
         of_address = [name for name, u in self._uploads.items() if u.address == address]
         for name in of_address[: len(of_address) + 1 - EACH if len(of_address) >= EACH else 0]:
             self._drop(name)
@@ -153,9 +151,7 @@ class Arrivals:
         return upload.size if upload else 0
 
     def drop(self) -> bool:
-        """Remove the oldest upload of the address that has most bytes; return whether there was an
-        upload.
-        """
+        """Remove the oldest upload of the address with most bytes; return whether there was one."""
         if not self._uploads:
             return False
         sizes: Counter[str] = Counter()
@@ -166,7 +162,7 @@ class Arrivals:
         return True
 
     def sweep(self) -> None:
-        """Remove uploads that no request has named in time."""
+        """Remove uploads that no request has named within the time limit."""
         for name in [n for n, u in self._uploads.items() if time.time() - u.at > ARRIVED]:
             self._drop(name)
 

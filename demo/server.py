@@ -48,13 +48,14 @@ GONE = (
 )
 """Page for a link whose result has been removed."""
 DIGITS = 9
-"""Largest number of digits read from a URL, because Python refuses to parse thousands."""
+"""Largest number of digits that are read from a URL, because Python refuses to parse thousands of
+digits."""
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SWEEP = 5.0
-"""Interval between two checks for visitors who have left [s]."""
+"""Interval between two checks for visitors who have left the page [s]."""
 NAMES = ("NO_PROXY", "no_proxy")
-"""Environment variables that list the hosts to reach without a proxy; each program reads one of the
-two."""
+"""Environment variables that list the hosts to reach without a proxy. Some programs read the first
+variable, others the second."""
 
 
 def prepare(settings: Settings, root: Path) -> None:
@@ -72,7 +73,7 @@ def prepare(settings: Settings, root: Path) -> None:
 
 
 def check_address(settings: Settings) -> None:
-    """Check that the page can listen at its address.
+    """Check that the page can listen at the address in its settings.
 
     Raises:
         InputError: The port is in use, or this machine has no such address.
@@ -98,14 +99,14 @@ class Assets(StaticFiles):
     """Static files that a browser may cache for an hour."""
 
     def file_response(self, *arguments: Any, **options: Any) -> Response:
-        """Return the response of StaticFiles, with a maximum age."""
+        """Return the response of StaticFiles, with a header that states the maximum age."""
         answer = super().file_response(*arguments, **options)
         answer.headers["cache-control"] = "public, max-age=3600"
         return answer
 
 
 def shared_route(visitors: Visitors) -> Callable[[Request], Awaitable[Response]]:
-    """Return the route that shows a result's player to anyone with its link."""
+    """Return the route that shows the player of a result to anyone who has the link."""
 
     async def shared(request: Request) -> Response:
         path = visitors.find_shared(request.path_params["token"])
@@ -132,7 +133,7 @@ def routes(studio: Studio) -> list[BaseRoute]:
         )
 
     async def progress(request: Request) -> Response:
-        """Return the progress of a job; the request shows that the visitor is still there."""
+        """Return the progress of a job; the request shows that the visitor is still present."""
         job = studio.visitors.job(request.path_params["name"])
         if job is None:
             return JSONResponse({"state": "gone"}, 404)
@@ -142,7 +143,7 @@ def routes(studio: Studio) -> list[BaseRoute]:
         return JSONResponse({**data, **wait}, headers={"cache-control": "no-store"})
 
     async def here(request: Request) -> Response:
-        """Note that a page is open; answer whether its visitor's files still exist."""
+        """Record that a page is open; answer whether the visitor's files still exist."""
         visitor = studio.visitors.find(cookie_of(request) or "")
         data = {"known": visitor is not None, "visitor": visitor and visitor.folder.name}
         return JSONResponse(data, headers={"cache-control": "no-store"})
@@ -163,10 +164,10 @@ def routes(studio: Studio) -> list[BaseRoute]:
 
 
 def doors(studio: Studio, connections: int) -> list[Middleware]:
-    """Return the middleware that each request passes, in order.
+    """Return the middleware, in the order in which a request passes it.
 
     Args:
-        studio: State shared by all visitors.
+        studio: State that all visitors share.
         connections: Largest number of connections.
     """
     # Imported here, because it imports Gradio, whose environment must be prepared first.
@@ -191,7 +192,7 @@ def doors(studio: Studio, connections: int) -> list[Middleware]:
 
 
 def launch(page: Any, studio: Studio, **options: Any) -> None:
-    """Serve the page with the protections of a public server, until the process is to end."""
+    """Serve the page, with the protections of a public server, until the process is to end."""
     # Imported here, because it imports Gradio, whose environment must be prepared first.
     from .sessions import Sessions
 
@@ -203,8 +204,8 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
             server_name=settings.host,
             server_port=settings.port,
             share=False,
-            quiet=True,  # otherwise Gradio advises to share the page publicly
-            _frontend=False,  # otherwise Gradio gives up if its page takes 3 s on a busy machine
+            quiet=True,  # otherwise Gradio would advise to share the page publicly
+            _frontend=False,  # otherwise Gradio gives up if its page takes 3 s
             show_error=False,
             max_file_size=settings.max_file_bytes,
             allowed_paths=[],
@@ -212,7 +213,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
             ssr_mode=False,
             footer_links=["api"],
             enable_monitoring=False,
-            mcp_server=False,  # demo/tools.py is used instead
+            mcp_server=False,  # demo/tools.py replaces Gradio's own MCP server
             pwa=False,
             prevent_thread_lock=True,
             app_kwargs={
@@ -221,11 +222,13 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
             },
             **options,
         )
-    print(f"The page is at {page.local_url}", flush=True)  # at once, even into a file
+    print(
+        f"The page is at {page.local_url}", flush=True
+    )  # immediately, even if the output goes to a file
     sessions = page.app.state_holder = page.state_holder = Sessions(page, studio.visitors)
     # uvicorn reads these attributes for each new connection.
     page.server.config.ws_max_size = LARGEST_MESSAGE
-    # The data sent is already compressed or dense.
+    # The data that the page sends is already compressed or hardly compressible.
     page.server.config.ws_per_message_deflate = False
     try:
         while page.server.thread.is_alive():
@@ -239,13 +242,13 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
 
 
 def tool_routes(page: Any, studio: Studio) -> list[BaseRoute]:
-    """Return the routes of the tools for agents; none if they are off or `mcp` is missing."""
+    """Return the routes of the tools for agents; empty if the tools are off or `mcp` is missing."""
     if not studio.settings.mcp:
         return []
     if find_spec("mcp") is None:
         LOG.warning("Agents get no tools: the package mcp is not installed.")
         return []
-    # Imported here, because it takes a second.
+    # This module is imported here, because its import takes a second.
     from .tools import ToolServer
 
     return ToolServer(page, studio).routes()
@@ -253,11 +256,12 @@ def tool_routes(page: Any, studio: Studio) -> list[BaseRoute]:
 
 @contextmanager
 def without_cors() -> Iterator[None]:
-    """Within this context, apps are created without Gradio's middleware that lets other sites read
-    answers.
+    """Create apps without Gradio's CORS middleware within this context.
 
-    If that middleware were removed after the start, all middleware would be built a second time,
-    and would forget the streams and requests counted before.
+    Gradio's middleware would let other sites read the page's answers.
+
+    If Gradio's middleware were removed after the start, all middleware would be built a second
+    time. The second version would not know the streams and requests that the first version counted.
     """
     from gradio import routes
 
@@ -273,12 +277,12 @@ def _sweep(studio: Studio) -> None:
     try:
         studio.visitors.sweep()
     except OSError:
-        # The page continues; the next sweep tries again.
+        # The page continues; the next removal of inactive visitors tries again.
         LOG.exception("inactive visitors could not be removed")
 
 
 def end_on_signals() -> None:
-    """Make SIGTERM end the page as Ctrl-C does, so that all files are removed."""
+    """Make SIGTERM end the page like Ctrl-C, so that all files are removed."""
     import signal
 
     def end(number: int, _: Any) -> None:
@@ -289,11 +293,12 @@ def end_on_signals() -> None:
 
 
 def reach_itself(host: str) -> None:
-    """Let this process reach the page at `host` without a proxy: Gradio requests the page at its
-    start.
+    """Let this process reach the page at `host` without a proxy.
 
-    Proxies that httpx cannot use, such as SOCKS without its package, are removed with a warning,
-    because Gradio's client would fail to start.
+    This is necessary because Gradio requests the page when it starts.
+
+    Proxies that httpx cannot use, such as SOCKS without its package, are removed with a warning.
+    Gradio's client would otherwise fail to start.
     """
     known = ",".join(filter(None, (os.environ.get(name) for name in NAMES))).split(",")
     excepted = [*(name.strip() for name in known), *LOOPBACK, host]
@@ -306,7 +311,7 @@ def reach_itself(host: str) -> None:
 
 
 def _problem() -> str:
-    """Return why httpx cannot use the proxies; empty if it can use them."""
+    """Return the reason why httpx cannot use the proxies; empty if it can use them."""
     import httpx
 
     try:

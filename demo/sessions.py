@@ -1,7 +1,8 @@
 """Limit the number and size of Gradio's sessions.
 
 Gradio keeps up to 10,000 sessions until the server ends. Any request with a new name starts a
-session; its description of the page, used only for deep links, takes 0.3 MB and 0.1 s.
+session. In each session Gradio describes the page, which takes 0.3 MB and 0.1 s. Only deep links
+use this description.
 """
 
 from __future__ import annotations
@@ -24,21 +25,21 @@ if TYPE_CHECKING:
     from .visitors import Visitors
 
 ADDRESS = 64
-"""Number of sessions per address; each open page has a session."""
+"""Largest number of sessions per address. Each open page has a session."""
 UNCLAIMED = 60.0
-"""Time after which a session without a known visitor is removed [s]."""
+"""Time after which a session is removed if its visitor is unknown [s]."""
 ASKER: ContextVar[tuple[str | None, str]] = ContextVar("ASKER", default=(None, ""))
-"""Cookie and address of the current request."""
+"""Cookie and address of the request that is being processed."""
 
 
 class Asked:
-    """Records visitor and address of the current request."""
+    """Records the visitor and the address of the request that is being processed."""
 
     def __init__(self, app: ASGIApp) -> None:
         self.app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on."""
+        """Record the request's visitor and address, and pass the request on."""
         if scope["type"] == "http":
             request = HTTPConnection(scope)
             ASKER.set((cookie_of(request), address_of(request)))
@@ -46,7 +47,7 @@ class Asked:
 
 
 class Session(SessionState):
-    """The state of an open page, without a description of all its components."""
+    """The state of an open page, without Gradio's description of all its components."""
 
     def __init__(self, blocks: Any) -> None:
         known: Any = SimpleNamespace(default_config=blocks.default_config, blocks={})
@@ -57,7 +58,7 @@ class Session(SessionState):
 
 @dataclass
 class _Origin:
-    """Visitor and address of a session, and the time of its last use [s]."""
+    """Visitor and address of a session, and the time at which the session was last used [s]."""
 
     visitor: str
     address: str
@@ -65,7 +66,7 @@ class _Origin:
 
 
 class Sessions(StateHolder):
-    """Sessions by name, limited per address, and kept while their visitor is known."""
+    """Sessions by name; limited per address, and kept while their visitor is known."""
 
     def __init__(self, blocks: Any, visitors: Visitors) -> None:
         super().__init__()
@@ -74,7 +75,7 @@ class Sessions(StateHolder):
         self._origins: dict[str, _Origin] = {}
 
     def __getitem__(self, session_id: str) -> SessionState:
-        """Return the session of a name, created if necessary; the call counts as a use."""
+        """Return the session with a name; create it if necessary; count the call as a use of it."""
         with self.lock:
             if session_id not in self.session_data:
                 cookie, address = ASKER.get()
@@ -86,7 +87,7 @@ class Sessions(StateHolder):
             return self.session_data[session_id]
 
     def sweep(self) -> None:
-        """Remove sessions of unknown visitors, except new sessions."""
+        """Remove the sessions of unknown visitors, except sessions that are new."""
         with self.lock:
             for name, origin in list(self._origins.items()):
                 new = time.monotonic() - origin.used < UNCLAIMED
@@ -94,9 +95,9 @@ class Sessions(StateHolder):
                     self._remove(name)
 
     def _make_room(self, address: str) -> None:
-        """If an address has too many sessions, remove one, preferably of an absent visitor.
+        """If an address has too many sessions, remove one, preferably that of an absent visitor.
 
-        If no visitor is absent, one session of the visitor with the most sessions is removed.
+        If no visitor is absent, one session of the visitor who has most sessions is removed.
         """
         origins = {k: origin for k, origin in self._origins.items() if origin.address == address}
         if len(origins) < ADDRESS:

@@ -1,6 +1,6 @@
 """Settings of the hosted page, declared in a class and read from `PHY124_*` environment variables.
 
-`python -m demo.settings` writes the table in docs/guide/hosting.md from this class.
+The command `python -m demo.settings` writes the table in docs/guide/hosting.md from this class.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from phy124.schema.section import Section
 from .room import Room
 
 SLACK = 64_000
-"""Allowance for a request's size in addition to the upload itself [bytes]."""
+"""Number of bytes by which a request may exceed the size limit of the upload that it contains."""
 PREFIX = "PHY124_"
 ALIASES = (("host", "GRADIO_SERVER_NAME"), ("port", "GRADIO_SERVER_PORT"))
-"""Gradio's own variables; variables with the prefix PHY124_ take precedence."""
+"""Environment variables that Gradio itself reads. Variables with the prefix PHY124_ take
+precedence."""
 
 
 class Settings(Section):
-    """Limits for visitors, and the address of the page."""
+    """Limits for visitors, and the address at which the page listens."""
 
     AS_TEXT = True
 
@@ -112,7 +113,7 @@ class Settings(Section):
             if PREFIX + name.upper() in environment
         }
         if "SPACE_ID" in environment:
-            # A Hugging Face Space connects to the page from outside its container.
+            # A Hugging Face Space connects to the page from outside the page's container.
             values.setdefault("host", "0.0.0.0")
         try:
             return cls.model_validate(values)
@@ -125,33 +126,33 @@ class Settings(Section):
 
     @property
     def max_bytes(self) -> int:
-        """Largest upload [bytes]."""
+        """Size of the largest upload [bytes]."""
         return int(self.max_upload_mb * 1e6)
 
     @property
     def max_body(self) -> int:
-        """Largest size of a request that contains a picture as a data: URL [bytes]."""
+        """Size of the largest request that contains a picture as a data: URL [bytes]."""
         return int(self.max_bytes * 4 / 3) + SLACK
 
     @property
     def too_large(self) -> str:
-        """Message for a picture above the size limit."""
+        """Message about a picture that exceeds the size limit."""
         return f"The picture is larger than {self.max_upload_mb:g} MB, the limit of this page."
 
     @property
     def max_file_bytes(self) -> int:
-        """Largest upload of any kind [bytes]."""
+        """Size of the largest upload of any kind [bytes]."""
         return int(max(self.max_file_mb, self.max_video_mb, self.max_upload_mb) * 1e6)
 
     @property
     def file_too_large(self) -> str:
-        """Message for a file above the size limit."""
+        """Message about a file that exceeds the size limit."""
         most = self.max_file_bytes / 1e6
         return f"The file is larger than {most:g} MB, the limit of this page."
 
     @property
     def make_smaller(self) -> str:
-        """Remedy for a picture above the size limit."""
+        """Advice for a visitor whose picture exceeds the size limit."""
         return "Save the picture as JPEG, or reduce it to 2000 pixels."
 
     @property

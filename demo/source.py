@@ -29,21 +29,21 @@ from .settings import Settings
 MEMORY = 3 << 30
 """Memory limit of the process that reads a file [bytes]."""
 SIZE = 192
-"""Width and height of the pictures [pixels]."""
+"""Width and height of the pictures of the possible orientations [pixels]."""
 SMALLER = "Reduce the file in a splat editor, for example SuperSplat."
 
 
 @dataclass(frozen=True)
 class Cutout:
-    """A picture with its object cut out."""
+    """A picture whose object has been cut out."""
 
     path: str
     picture: str
     """The uploaded picture in a format that browsers can show."""
     doubts: tuple[str, ...] = ()
-    """Reasons to doubt the cut-out; shown only once."""
+    """Reasons to doubt the cut-out. They are shown only once."""
     by: str = ""
-    """Title of the method of segmentation."""
+    """Title of the method that made the cut-out."""
     pick: Point | None = None
     """Point on the object that the visitor clicked."""
 
@@ -53,29 +53,29 @@ class GaussianFile:
     """A file of Gaussians that has been read."""
 
     path: str
-    """PLY with the Gaussians kept from the file, in the file's axes."""
+    """PLY file of the Gaussians kept from the uploaded file, with that file's axes."""
     format: str
     """Title of the file's format."""
     count: int
-    """Number of Gaussians in `path`."""
+    """Number of Gaussians in the file at `path`."""
     axes: Axes
-    """The file's axes that most likely point up and to the front."""
+    """The axes of the file that most likely point up and to the front."""
     notes: tuple[str, ...] = ()
-    """Sentences about the removed Gaussians."""
+    """Sentences about the Gaussians that were removed."""
 
     @property
     def pictures(self) -> Path:
-        """Folder with a picture of each orientation, named by `way`."""
+        """Folder that contains a picture of each orientation; `way` returns the file names."""
         return Path(self.path).parent
 
     @property
     def picture(self) -> str:
-        """Picture of the object in its most likely orientation."""
+        """Picture of the object in the most likely orientation."""
         return str(self.pictures / way(self.axes.up, self.axes.front))
 
 
 def way(up: str, front: str) -> str:
-    """Return the file name of an orientation's picture."""
+    """Return the file name of the picture that shows an orientation."""
     return f"{up}_{front}.webp"
 
 
@@ -88,7 +88,7 @@ def is_there(source: Source | None) -> bool:
 
 
 def missing(source: Source | None) -> InputError:
-    """Return the error for a request that has no picture, or whose picture was deleted."""
+    """Return the error for a request without a picture, or with a picture that was deleted."""
     if source is None:
         return InputError("image", "none", "There is no picture yet.", "Choose one first.")
     limit = "The server no longer has your picture."
@@ -111,10 +111,11 @@ def open_gaussians(path: Path, out: Path, count: int, deadline: Deadline) -> Gau
     """Read a file, which may be malicious, in a separate process with limits of time and memory.
 
     Args:
-        path: The file.
-        out: The folder to create, with the kept Gaussians and their pictures.
+        path: The file to read.
+        out: The folder to create. It receives the kept Gaussians and the pictures of the
+            orientations.
         count: Largest number of Gaussians to keep.
-        deadline: Time limit.
+        deadline: Time at which reading is stopped.
 
     Raises:
         InputError: The file cannot be read within the limits.
@@ -146,14 +147,14 @@ def _open_gaussians(path: Path, out: Path, count: int) -> GaussianFile:
     up, front = file.axes
     axes = Axes(up, front or FRONTS[up], True) if is_mesh(path) else likely_axes(path, file.axes)
     stored = str(out / "gaussians.ply")
-    # Versions of a format are not distinguished in its title.
+    # The title of a format does not distinguish its versions.
     title = "Mesh" if is_mesh(path) else recognise(path).title.rstrip(" 0123456789")
     return GaussianFile(stored, title, len(kept), axes, tuple(notes))
 
 
 def _draw(gaussians: Gaussians, folder: Path) -> None:
-    """Render all orientations."""
-    renderer = Renderer(device="cpu")  # not on a GPU, which a run may be using
+    """Render the object in all possible orientations."""
+    renderer = Renderer(device="cpu")  # not on the GPU, which a run may be using
     for up in candidates(None):
         for reading in candidates(up.up):
             assert reading.up is not None and reading.front is not None

@@ -12,11 +12,11 @@ from phy124.scene import Scene
 from phy124.studies.validation.accuracy.report import Report, error_on
 
 GRIDS = (12, 16, 24)
-"""Grids of a study [cells across the object]."""
+"""Grids of an error study [number of cells across the object]."""
 
 
 class Level(BaseModel):
-    """Result of a study on one grid."""
+    """Result of an error study on one grid."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -24,32 +24,32 @@ class Level(BaseModel):
     seconds: float
     """Time of the simulation and of the Gaussians' shapes [s]."""
     error: float | None
-    """Error as a fraction of the object's size; None if the grids do not converge, or if the object
+    """Error as a fraction of the object's size. None if the grids do not converge, or if the object
     may be torn on this grid."""
     torn: bool
 
     @property
     def name(self) -> str:
-        """Name of the grid in the table."""
+        """Name of the grid in the table of results."""
         return f"D/{self.cells}"
 
 
 class Measurement(BaseModel):
-    """Errors of several grids for a scene, independent of the scene's own grid."""
+    """Errors of several grids for a scene; they do not depend on the scene's own grid."""
 
     model_config = ConfigDict(frozen=True)
 
     levels: tuple[Level, ...]
     order: float | None
     why_not: str
-    """Reason why errors are missing."""
+    """Reason why errors could not be determined."""
     skipped: tuple[str, ...]
     until: float | None = None
-    """Time up to which the errors hold [s]; None: the whole motion."""
+    """Time up to which the errors are valid [s]; None if they are valid for the whole motion."""
 
     @classmethod
     def of(cls, report: Report) -> Measurement:
-        """Return the part of a study's report that is stored."""
+        """Create a measurement from the parts of a study's report that are stored."""
         levels = tuple(
             Level(cells=row.cells, seconds=row.seconds, error=row.error, torn=bool(row.torn))
             for row in report.rows
@@ -64,7 +64,7 @@ class Measurement(BaseModel):
         )
 
     def promise(self, cells: int) -> Promise:
-        """Return the error on a grid, or a refusal if any grid may have torn the object."""
+        """Return the error on a grid, or an error message if the object may be torn on any grid."""
         torn = [level.name for level in self.levels if level.torn]
         if torn:
             return promises.refuse_promise(f"{promises.torn(torn)}.")
@@ -76,7 +76,7 @@ class Measurement(BaseModel):
         return promises.promise_measured(error, cells, sorted(errors), self.until)
 
     def table(self) -> str:
-        """Format grid, seconds and error as HTML."""
+        """Format the grid, the time and the error of each level as an HTML table."""
         rows = [
             f"<tr><td>{level.name}</td><td>{level.seconds:.1f} s</td>"
             f"<td>{promises.off(level.error, torn=level.torn)}</td></tr>"
@@ -85,7 +85,7 @@ class Measurement(BaseModel):
         return f'<table class="stops">{"".join(rows)}</table>'
 
     def rows(self) -> list[dict[str, float | str | bool | None]]:
-        """Return grid, time and error of each level, for programs."""
+        """Return the grid, the time and the error of each level, for programs."""
         return [{"name": level.name, **level.model_dump()} for level in self.levels]
 
 
@@ -98,7 +98,7 @@ def grids(scene: Scene) -> tuple[int, ...]:
 def on_grid(scene: Scene, cells: int) -> Scene:
     """Return the scene on another grid, with the same solver of elastic objects.
 
-    The scene is computed in single precision, which does not affect the error
+    The returned scene is computed in single precision, which does not affect the error
     (docs/lab/accuracy.md).
     """
     changes = {"cells": cells, "precision": "float32", "solver": scene.solver}
@@ -107,7 +107,7 @@ def on_grid(scene: Scene, cells: int) -> Scene:
 
 
 def read_study(path: Path) -> Measurement | None:
-    """Read the errors measured on a scene, if any."""
+    """Read the stored errors of a scene; None if no errors are stored."""
     try:
         return Measurement.model_validate_json(path.read_text("utf-8"))
     except FileNotFoundError:

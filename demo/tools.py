@@ -1,6 +1,7 @@
 """The named endpoints as tools of an MCP server (Model Context Protocol), for agents.
 
-The tools call the endpoints' own functions, whose checks and limits therefore apply. Gradio's own
+The tools call the functions of the endpoints. The checks and limits of the endpoints therefore
+apply. Gradio's own
 MCP server is not used for three reasons: it stores pictures of any size before they are checked,
 all agents share one session, and /render cannot use a run of /generate. Source of the protocol:
 modelcontextprotocol.io, revision 2025-06-18, transport "Streamable HTTP" without sessions.
@@ -52,9 +53,9 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("phy124.web")
 FILES = (gr.Image, gr.File)
-"""Components of arguments that are files."""
+"""The parts of the arguments that are file names."""
 FILE = "A data: URL with base64, or the path that POST gradio_api/upload of this server returned."
-RUN = "The run that generate returned."
+RUN = "The name of a run, as generate returned it."
 DESCRIPTIONS = {
     "image": f"A picture of one object, or a file of Gaussians. {FILE}",
     "accuracy": "draft is the fastest, fine the most accurate.",
@@ -68,12 +69,12 @@ DESCRIPTIONS = {
     "elevation": "Elevation of the camera above the horizon [degrees].",
     **dict.fromkeys(("second", "third", "fourth"), f"Picture of a further object. {FILE}"),
 }
-"""Descriptions of arguments that no section of options declares."""
+"""Descriptions of arguments that are not options, so no section declares them."""
 
 
 @dataclass(frozen=True)
 class Tool:
-    """A named endpoint, described for agents."""
+    """An endpoint with a name, described for agents."""
 
     name: str
     function: Any
@@ -82,13 +83,13 @@ class Tool:
     """JSON schema of each argument."""
     required: tuple[str, ...]
     files: frozenset[str]
-    """Arguments that are files."""
+    """Arguments whose values are files."""
     needs_run: bool
     outputs: tuple[str, ...]
     """Names of the results."""
 
     def schema(self) -> dict[str, Any]:
-        """Return the JSON schema of all arguments."""
+        """Return the JSON schema of all arguments together."""
         return {
             "type": "object",
             "properties": dict(self.parameters),
@@ -97,7 +98,7 @@ class Tool:
         }
 
     def bind(self, request: Any, values: Mapping[str, Any]) -> list[Any]:
-        """Return the function's arguments in their order."""
+        """Return the values of the function's arguments in the function's order."""
         parameters = inspect.signature(self.function).parameters.values()
         sent = {"request": request, **values}
         return [sent.get(each.name, self._default(each)) for each in parameters]
@@ -109,7 +110,7 @@ class Tool:
 
 
 def tools(page: gr.Blocks) -> dict[str, Tool]:
-    """Return the tools of a page by name: its public endpoints."""
+    """Return the tools of a page by name; each public endpoint is a tool."""
     described = page.get_api_info()["named_endpoints"]  # pyright: ignore[reportOptionalSubscript]
     public = [each for each in page.fns.values() if each.api_visibility == "public"]
     return {
@@ -147,7 +148,7 @@ def _schema(tool: str, argument: Mapping[str, Any], files: set[str]) -> dict[str
     name, kind = argument["parameter_name"], argument["type"]
     if name in files:
         schema: dict[str, Any] = {"type": "string"}
-    elif name in ("changes", "pick"):  # Gradio describes JSON as "any", in no valid schema.
+    elif name in ("changes", "pick"):  # "any", Gradio's type of JSON, is invalid
         schema = {"type": "object" if name == "changes" else "array"}
     else:
         schema = {key: kind[key] for key in ("type", "enum", "items") if key in kind}
@@ -169,22 +170,25 @@ def _describe(tool: str, name: str, files: set[str]) -> str:
 
 
 class ToolServer:
-    """Answers agents; each call of generate, or of measure without a run, begins a new visit."""
+    """Answers agents.
+
+    Each call of generate, or of measure without a run, begins a new visit.
+    """
 
     def __init__(self, page: gr.Blocks, studio: Studio) -> None:
         self.studio, self.tools = studio, tools(page)
         self._runs: WeakKeyDictionary[Visitor, Any] = WeakKeyDictionary()
-        """Last run of each visitor, as the endpoints store it."""
+        """Name of each visitor's last run, as the endpoints store it."""
         self._threads = anyio.CapacityLimiter(studio.settings.max_queue)
         self.server: Server[Any, Any] = Server("phy124")
-        logging.getLogger("mcp").setLevel(logging.ERROR)  # its warnings quote requests
+        logging.getLogger("mcp").setLevel(logging.ERROR)  # its warnings quote the text of requests
         self.server.list_tools()(self._list)
         self.server.call_tool()(self._call)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request; the tool ends when the agent disconnects."""
+        """Answer a request; a tool that is running ends when the agent disconnects."""
         if scope["method"] != "POST":
-            # Endless streams are not offered, and there is no session to delete.
+            # The server offers no endless streams and has no sessions to delete.
             answer = PlainTextResponse("This is an MCP server: POST JSON-RPC.", 405)
             return await answer(scope, receive, send)
         manager = StreamableHTTPSessionManager(
@@ -213,7 +217,10 @@ class ToolServer:
         ]
 
     async def _call(self, name: str, arguments: dict[str, Any]) -> types.CallToolResult:
-        """Call a tool; the agent gets errors as sentences, and errors of the server are logged."""
+        """Call a tool.
+
+        The agent receives errors as sentences. Errors of the server are logged.
+        """
         try:
             if name not in self.tools:
                 raise gr.Error(f"There is no tool {name[:40]}. Use {', '.join(self.tools)}.")
@@ -250,7 +257,7 @@ class ToolServer:
         return result
 
     async def _stored(self, tool: Tool, arguments: Mapping[str, Any]) -> dict[str, str]:
-        """Return the path of each file among the arguments; raises gr.Error."""
+        """Return the path of each file among the arguments; raise gr.Error if one is not a file."""
         sent = {name: arguments[name] for name in tool.files if arguments.get(name) is not None}
         for name, value in sent.items():
             if re.match(r"[a-z]+://", value, re.IGNORECASE):
@@ -262,7 +269,7 @@ class ToolServer:
         return sent
 
     async def _finish(self, steps: Iterator[Any], name: str, context: Any) -> Any:
-        """Return the last answer of an endpoint; report the progress of its job meanwhile."""
+        """Return the last answer of an endpoint; meanwhile, report the progress of its job."""
         token = context.meta.progressToken if context.meta else None
         last = None
         try:
@@ -303,7 +310,7 @@ def _answer(text: str, data: dict[str, Any], *, failed: bool = False) -> types.C
 def _summary(result: Mapping[str, Any]) -> str:
     """Return a result as text for the agent: run, links, sentences.
 
-    All other parts of the result are structured data.
+    All other parts of the result are returned as structured data.
     """
     lines = [f"run: {result['run']}"] if "run" in result else []
     lines += [str(result[name]) for name in ("sentence", "error") if result.get(name) is not None]

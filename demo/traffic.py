@@ -1,6 +1,7 @@
 """Limit the traffic of each address: requests that compute, uploads, and open streams.
 
-A single request may take tenths of a second, so only a few requests are processed in parallel.
+A single request may take tenths of a second. Therefore only a few requests are processed in
+parallel.
 """
 
 from __future__ import annotations
@@ -24,26 +25,26 @@ if TYPE_CHECKING:
 COMPUTES = re.compile(r"/gradio_api/(?:run|api|call|queue)\b")
 """URLs at which a POST request may take more than 0.2 s of processor time."""
 TOGETHER, EACH = 4, 2
-"""Largest number of computing requests in parallel, in total and per address."""
+"""Largest number of computing requests in parallel: in total, and per address."""
 UPLOADS = re.compile(r"/gradio_api/upload\b")
 """URLs of uploads, which occupy disk space until they are complete."""
 RECEIVED, RECEIVED_EACH = 64, 8
-"""Largest number of parallel uploads, in total and per address."""
+"""Largest number of parallel uploads: in total, and per address."""
 TOOLS = "/gradio_api/mcp"
 """URL of the tools for agents; Gradio's own MCP server uses the same URL."""
 TOOLS_EACH = 4
 """Largest number of tools that an address may use in parallel."""
 PRESENT = 64
-"""Largest number of unfinished requests per address; more are refused."""
+"""Largest number of unfinished requests per address. Further requests are refused."""
 LONGEST = 60.0
-"""Longest waiting time of a request [s]."""
+"""Longest time that a request may wait [s]."""
 TOO_MANY = "Too many requests from your address are waiting here. Try again in a minute."
 STREAMED = re.compile(r"/gradio_api/(?:heartbeat|queue/data|call|upload_progress)\b")
-"""URLs that are answered by streams."""
+"""URLs whose answer is a stream."""
 STREAMS_EACH, STREAMS_ADDRESS = 16, 64
-"""Largest number of streams per cookie and per address; a page needs one or two."""
+"""Largest number of streams: per cookie, and per address. A page needs one or two streams."""
 LIFE = 7200.0
-"""Time after which a stream ends unless its page is open [s]; the page may reconnect."""
+"""Time after which a stream ends unless its page is open [s]. The page may connect again."""
 TOO_MANY_STREAMS = "Too many streams are open here. Close some pages."
 
 
@@ -56,7 +57,7 @@ class _Address:
 
 
 class Turns:
-    """Queues requests; requests of the same address also wait for each other."""
+    """Lets requests wait in a queue; requests from the same address also wait for each other."""
 
     def __init__(
         self,
@@ -68,17 +69,18 @@ class Turns:
         """Wrap an application.
 
         Args:
-            app: The application.
-            at: URLs of the requests to queue; other requests are passed on at once.
-            together: Largest number of parallel requests.
-            each: Largest number of parallel requests per address.
+            app: The application to wrap.
+            at: URLs of the requests that wait in the queue. Other requests are passed on
+                immediately.
+            together: Largest number of requests that are processed in parallel.
+            each: Largest number of requests per address that are processed in parallel.
         """
         self.app, self.at, self.each = app, at, each
         self._turns = anyio.Semaphore(together)
         self._addresses: dict[str, _Address] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on when it is its turn, or answer 429."""
+        """Pass the request on when it is first in the queue, or answer with status 429."""
         posted = scope["type"] == "http" and scope["method"] == "POST"
         if not posted or not self.at.match(scope["path"]):
             return await self.app(scope, receive, send)
@@ -90,7 +92,7 @@ class Turns:
 
     @asynccontextmanager
     async def _turn(self, name: str) -> AsyncIterator[bool]:
-        """Wait for an address's turn; yield whether the turn came in time."""
+        """Wait until a request of an address may proceed; yield whether this happened in time."""
         address = self._addresses.setdefault(name, _Address(anyio.Semaphore(self.each)))
         if address.present >= PRESENT:
             yield False
@@ -115,18 +117,18 @@ class Streams:
         """Wrap an application.
 
         Args:
-            app: The application.
+            app: The application to wrap.
             most: Largest number of streams in total.
-            here: Returns whether the page of a visitor is open.
+            here: Function that returns whether the page of a visitor is open.
         """
         self.app, self.most, self.here = app, most, here
         self._open: list[_Stream] = []
-        """Open streams, the oldest first."""
+        """Open streams, with the oldest stream first."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on. Above the limit per cookie, end the oldest stream.
+        """Pass a request on; if a cookie has too many streams, end the oldest of them.
 
-        Above the other limits, answer 429.
+        If another limit is exceeded, answer with status 429.
         """
         asked = scope["type"] == "http" and scope["method"] == "GET"
         if not asked or not STREAMED.match(scope["path"]):
@@ -166,13 +168,13 @@ class _Stream:
         self._ended = self._begun = self._complete = False
 
     def end(self) -> None:
-        """End the stream as if its reader had disconnected."""
+        """End the stream as if the client had disconnected."""
         self._ended = True
         if self._answer is not None:
             self._answer.cancel()
 
     async def run(self, app: ASGIApp, scope: Scope, receive: Receive) -> None:
-        """Let the application answer until it is done or `end` is called."""
+        """Let the application answer until the answer is complete or `end` is called."""
         self._answer = asyncio.ensure_future(app(scope, receive, self._pass_on))
         try:
             await self._answer

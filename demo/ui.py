@@ -1,4 +1,4 @@
-"""Lays out the page: picture, scene and buttons on one side, stage and results on the other."""
+"""Lay out the page: picture, scene and buttons on one side, stage and results on the other."""
 
 from __future__ import annotations
 
@@ -25,15 +25,17 @@ QUIET: dict[str, Any] = {
     "show_progress": "hidden",
     "api_visibility": "private",
 }
-"""Options of events that are answered at once. Gradio drops further events until the first is
-answered, so a button that is pressed twice acts once."""
+"""Options of events that are answered immediately. Gradio drops further events until the first
+event is answered. A button that is pressed twice therefore acts only once."""
 EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
 """Options of events that must not be dropped, because each has different data."""
 LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}
-"""Options of events without data; the answer to the last event has the latest state."""
+"""Options of events without data. Only the last event needs an answer, because it shows the latest
+state."""
 CHANGE = "(globalThis.Phy124 ??= {}).change"
-"""JavaScript: how often the scene has changed, undefined before the first change. Events that set
-the forecast send this number instead of the forecast's value, and the answer names it."""
+"""JavaScript expression: the number of changes of the scene so far, undefined before the first
+change. Events that set the forecast send this number instead of the forecast's value, and the
+answer contains the number."""
 CHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} = ({CHANGE} ?? 0) + 1]"
 UNCHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} ?? 0]"
 MASTHEAD = """<div id="masthead"><p id="mark"><svg viewBox="0 0 42 42" aria-hidden="true">
@@ -44,7 +46,7 @@ phy124</p><h1>One picture in,<br>a moving 3D object out.</h1></div>"""
 
 
 def open_studio(settings: Settings, root: Path) -> Studio:
-    """Create the state shared by all visitors; on ZeroGPU, jobs are wrapped to get a GPU."""
+    """Create the state shared by all visitors; on ZeroGPU, wrap jobs so that they get a GPU."""
     visitors = Visitors(root / "visitors", settings.room)
     return Studio(settings, visitors, work=work_on_gpu(settings.max_seconds))
 
@@ -93,7 +95,7 @@ def build(studio: Studio) -> gr.Blocks:
 
 
 def theme() -> themes.Base:
-    """Return a theme with system fonts only: nothing is downloaded."""
+    """Return a theme that uses system fonts only, so that nothing is downloaded."""
     return themes.Base(
         primary_hue="teal",
         neutral_hue="slate",
@@ -112,7 +114,7 @@ def _bar() -> tuple[gr.HTML, gr.HTML, gr.Button, gr.Button, gr.Button]:
 
 
 def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, extras: Any) -> Any:
-    """Connect the pictures' events; return the event of a new source."""
+    """Connect the events of the picture panels; return the event of a new source."""
     picture.choose(handlers.on_choose(studio), None, [picture, source, extras], **EACH)
     picture.correct(handlers.on_correct(studio), [picture, source], picture, **EACH)
     shown = [picture, source]
@@ -125,7 +127,8 @@ def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, extras
 
 
 def _wire_forecast(studio: Studio, asked: list[Any], cut: Any, forecast: Any) -> None:
-    # Gradio reports no change of a state after an event without its queue: the cut-out is named.
+    # Gradio reports no change of a state after an event that bypasses its queue. Therefore the
+    # cut-out event is named.
     changes = [*(component.change for component in asked), cut.then]
     sent = [*asked, forecast]
     for change in changes:
@@ -143,7 +146,7 @@ def _wire_run(
     forecast: Any,
     results: list[Any],
 ) -> list[Any]:
-    """Connect the run's events; return the events after which another result may be shown."""
+    """Connect the events of runs; return the events after which another result may be shown."""
     start, started = handlers.on_generate(studio), [progress, go, cancel]
     for again in (go.click, progress.again):
         again(start, asked, started, **QUIET)
@@ -156,7 +159,7 @@ def _wire_run(
 
 
 def _wire_fit(studio: Studio, done: Any, fit: Any, takeaway: Any, shows: list[Any]) -> None:
-    # Not done.change: Gradio reports no change of a state after an event without its queue.
+    # Not done.change: Gradio reports no change of a state after an event that bypasses its queue.
     for shown in shows:
         shown.then(handlers.on_result_shown(studio), done, fit, **LAST)
     fit.begin(handlers.on_fit_begin(studio), [done, fit], fit, **EACH)

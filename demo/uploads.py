@@ -1,6 +1,6 @@
-"""Store uploads (pictures, videos, files of Gaussians) in their visitor's folder.
+"""Store uploads (pictures, videos, files of Gaussians) in the folder of their visitor.
 
-This route replaces Gradio's route, whose uploads belong to no visitor.
+This route replaces Gradio's route for uploads, whose uploads belong to no visitor.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 
 ADDRESS = "/gradio_api/upload"
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".heic", ".heif", ".avif", *FILMS, *object_endings()}
-"""Suffixes that uploads keep; other suffixes are removed."""
+"""File name suffixes that are kept. Other suffixes are removed from the name."""
 NOT_READ = {
     ".ksplat": "Save it as .ply or .spz in the program that made it, or convert it with"
     " splat-transform; then send the new file.",
 }
-"""Suffix of unreadable files -> remedy."""
+"""Advice for visitors who upload a file with one of these suffixes, which cannot be read."""
 MOST = 4
 """Largest number of files in a request."""
 
 
 def upload_route(studio: Studio) -> Route:
-    """Return the route that receives files and answers with their paths."""
+    """Return the route that stores files and answers with their paths."""
 
     async def receive(request: Request) -> Response:
         try:
@@ -56,7 +56,7 @@ def upload_route(studio: Studio) -> Route:
 
 async def _keep(studio: Studio, request: Request, part: UploadFile) -> str:
     limits = studio.settings
-    # Pictures have a lower limit, which is checked when they are used.
+    # Pictures have a lower size limit, which is checked when they are used.
     if (part.size or 0) > limits.max_file_bytes:
         raise InputError("image", "large", limits.file_too_large, SMALLER)
     suffix = Path(part.filename or "").suffix.lower()

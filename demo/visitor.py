@@ -1,4 +1,4 @@
-"""A visitor: the folder, the jobs, and the rules for removing old results."""
+"""The folder and the jobs of a visitor, and the rules for removing old results."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ if TYPE_CHECKING:
     from .line import Job
 
 STAGES = ("cutouts", "objects", "gaussians", "clips", "films", "exports", "studies", "fits")
-"""Folders of stage results (see `demo.visitors`)."""
+"""Folders that contain the results of stages (see `demo.visitors`)."""
 UPLOADS = 8
-"""Number of uploads kept per visitor."""
+"""Number of uploads that are kept per visitor."""
 
 
 class Visitor:
-    """Folder and jobs of a visitor."""
+    """The folder and the jobs of a visitor."""
 
     def __init__(self, folder: Path, address: str = "") -> None:
         self.folder, self.address = folder, address
         self.used = 0
-        """Size of the files at the last measurement [bytes]."""
+        """Size of the visitor's files at the last measurement [bytes]."""
         self.promised = 0.0
-        """Size of files being written [bytes]."""
+        """Size of files that are being written [bytes]."""
         self.seen = time.time()
         self.forecasts: dict[str, float] = {}
-        """Key of a scene -> time forecast by a probe [s]."""
+        """Run time predicted by a trial run [s], by the key of the scene."""
         self.proportions: dict[str, Proportions | None] = {}
-        """File of an object's Gaussians -> proportions of the object."""
+        """Proportions of the visitor's objects, by the file of the object's Gaussians."""
         self.jobs: dict[str, Job] = {}
-        """The latest jobs by name, in the order of their start."""
+        """The latest jobs by name, in the order in which they started."""
         self.shared: dict[str, Path] = {}
-        """Token of a link -> the file that anyone with the link may see."""
+        """Files that anyone with a link may see, by the token in the link."""
         for stage in ("uploads", *STAGES):
             (folder / stage).mkdir(parents=True, exist_ok=True)
 
     @property
     def busy(self) -> bool:
-        """Whether a job is running or waiting."""
+        """Whether a job of the visitor is running or waiting."""
         return self.unfinished > 0
 
     @property
     def unfinished(self) -> int:
-        """Number of jobs that are running or waiting."""
+        """Number of the visitor's jobs that are running or waiting."""
         return sum(not job.over for job in list(self.jobs.values()))
 
     @property
@@ -68,17 +68,17 @@ class Visitor:
         return time.time() - self.seen
 
     def remember(self, job: Job, most: int = 8) -> None:
-        """Store a job, and remove the oldest finished jobs beyond `most`."""
+        """Store a job, and remove the oldest finished jobs if there are more than `most`."""
         self.jobs[job.name] = job
         for name in [n for n, j in self.jobs.items() if j.over][: max(0, len(self.jobs) - most)]:
             del self.jobs[name]
 
     def latest(self, *kinds: str) -> Job | None:
-        """Return the latest job of these kinds, or None."""
+        """Return the latest job of the named kinds, or None if there is none."""
         return next((j for j in reversed(list(self.jobs.values())) if j.kind in kinds), None)
 
     def run_of(self, result: object) -> Job | None:
-        """Return the latest run with this result, or None."""
+        """Return the latest run that produced this result, or None if there is none."""
         runs = [job for job in self.jobs.values() if job.kind == "run"]
         return next((j for j in reversed(runs) if result and j.progress.result == result), None)
 
@@ -92,7 +92,10 @@ class Visitor:
         self.seen = time.time()
 
     def share(self, path: Path) -> str:
-        """Return the token of a link to a file; a file keeps its token, which cannot be guessed."""
+        """Return the token of a link to a file.
+
+        Each file has one token, which cannot be guessed.
+        """
         for token, known in self.shared.items():
             if known == path:
                 return token
@@ -101,14 +104,14 @@ class Visitor:
         return token
 
     def new_stop_file(self) -> Path:
-        """Return the path of a file whose existence asks a job to stop.
+        """Return the path of a file whose existence tells a job to stop.
 
         A file is used because the job may run in another process (on ZeroGPU).
         """
         return self.folder / f"stop-{secrets.token_hex(8)}"
 
     def measure(self) -> int:
-        """Measure and return the size of the files [bytes]."""
+        """Measure and return the size of the visitor's files [bytes]."""
         self.used = size_of(self.folder)
         return self.used
 
@@ -116,7 +119,7 @@ class Visitor:
         """Remove all but the latest results of each stage; if disk space is short, remove more."""
         for stage in ("uploads", *STAGES):
             entries = newest_first(self.folder / stage)
-            # A clip may have films of several views; cut-outs and uploads are small.
+            # A clip may have films of several views. Cut-outs and uploads are small.
             keep = {"uploads": UPLOADS, "clips": room.clips}.get(stage, 3 * room.clips)
             for entry in entries[keep:]:
                 remove(entry)
@@ -126,10 +129,10 @@ class Visitor:
         self.give_up(room.each)
 
     def give_up(self, most: float, keep: Collection[Path] = ()) -> bool:
-        """Remove exports, then results, the oldest first, until no more than `most` bytes are left.
+        """Remove exports and then results, the oldest first, until at most `most` bytes are left.
 
-        The latest result of each stage and paths in `keep` stay. Return whether the removal
-        suffices.
+        The latest result of each stage and the paths in `keep` are not removed. Return whether the
+        removal suffices.
         """
         for path in self._oldest():
             if self.measure() <= most:
@@ -139,7 +142,7 @@ class Visitor:
         return self.measure() <= most
 
     def _oldest(self) -> Iterator[Path]:
-        """Yield the paths that may be removed, in the order of removal."""
+        """Yield the paths that may be removed, in the order in which they should be removed."""
         if not self.busy:
             yield self.folder / "live"
         yield from sorted((self.folder / "exports").glob("*/*"), key=change_time)

@@ -2,7 +2,8 @@
 
 
 The folder caches results: the result of a stage is stored under a key of all its inputs. A stage
-therefore runs again exactly when an input has changed. Each line names a path and its inputs:
+therefore runs again exactly when an input has changed. Each line names a path and the inputs of its
+key:
 
     uploads/NAME                  pictures, videos and files of Gaussians, as sent
     cutouts/KEY.png               picture, brush strokes
@@ -14,8 +15,8 @@ therefore runs again exactly when an input has changed. Each line names a path a
     studies/KEY.json              Gaussians and the scene without its view and grid
     fits/CLIP-KEY/                clip, video, and options of the fit
 
-A folder is kept while its visitor sends requests (an open page does every minute), and for a grace
-period after the last request.
+A folder is kept while its visitor sends requests (an open page sends one every minute), and for a
+grace period after the last request.
 """
 
 from __future__ import annotations
@@ -42,9 +43,11 @@ if TYPE_CHECKING:
     from .line import Job
 
 AWAY = 150.0
-"""Time without requests after which a page counts as closed [s]; open pages send one a minute."""
+"""Time without requests after which a page counts as closed [s]. An open page sends a request every
+minute."""
 UNUSED = 16
-"""Largest number of idle visitors per address; the visitor that was silent longest is removed."""
+"""Largest number of idle visitors per address. If there are more, the visitor who has been idle
+longest is removed."""
 UNFINISHED = 3
 """Largest number of unfinished jobs per visitor."""
 FULL = "Too many visitors use this server at the moment."
@@ -66,7 +69,7 @@ class Visitors:
         return len(self._known)
 
     def find(self, name: str) -> Visitor | None:
-        """Return the visitor of a name, or None; the call counts as a request of the visitor."""
+        """Return the visitor with a name, or None; the call counts as a request of the visitor."""
         with self._lock:
             visitor = self._known.get(name)
             if visitor is not None:
@@ -74,7 +77,7 @@ class Visitors:
             return visitor
 
     def has(self, name: str) -> bool:
-        """Return whether a visitor is known.
+        """Return whether a visitor with this name is known.
 
         A call of this function does not count as a request of the visitor.
         """
@@ -86,7 +89,7 @@ class Visitors:
         return visitor is not None and visitor.silence < AWAY
 
     def job(self, name: str) -> Job | None:
-        """Return the job with a secret name; the call counts as a request of its visitor."""
+        """Return the job with a secret name; the call counts as a request of the job's visitor."""
         with self._lock:
             visitor = next((v for v in self._known.values() if name in v.jobs), None)
             if visitor is None:
@@ -95,16 +98,16 @@ class Visitors:
             return visitor.jobs[name]
 
     def find_shared(self, token: str) -> Path | None:
-        """Return the file of a link, or None; the call does not count as a visitor's request."""
+        """Return the file that a link shows, or None; does not count as a visitor's request."""
         with self._lock:
             paths = (v.shared[token] for v in self._known.values() if token in v.shared)
             path = next(paths, None)
         return path if path is not None and path.exists() else None
 
     def get(self, name: str, address: str = "") -> Visitor:
-        """Return the visitor of a name, created if necessary.
+        """Return the visitor with a name; create the visitor if necessary.
 
-        `address` is the address of the request; empty if unknown.
+        `address` is the address that sent the request; empty if it is unknown.
 
         Raises:
             InputError: There are too many visitors.
@@ -133,10 +136,10 @@ class Visitors:
             name: The visitor's name; None if the visitor is not known yet.
             data: The content, or a file that contains it.
             suffix: The suffix of the file's name.
-            address: Address of the request; empty if unknown.
+            address: Address that sent the request; empty if it is unknown.
 
         Raises:
-            InputError: The upload exceeds the disk space.
+            InputError: The upload does not fit into the disk space.
         """
         file = io.BytesIO(data) if isinstance(data, bytes) else data
         size = file.seek(0, os.SEEK_END)
@@ -162,16 +165,16 @@ class Visitors:
     def writing(
         self, visitor: Visitor, size: float, keep: Collection[Path] = (), most: float | None = None
     ) -> Iterator[None]:
-        """Reserve disk space for files while they are written; remove older files if necessary.
+        """Reserve disk space for files while they are written; if necessary, remove older files.
 
         Args:
             visitor: The visitor.
             size: Approximate size of the files [bytes].
-            keep: Files and folders that must stay.
-            most: Limit of all files [bytes]; None: the limit for runs.
+            keep: Files and folders that must not be removed.
+            most: Limit on the size of all files [bytes]. If None, the limit for runs applies.
 
         Raises:
-            InputError: The files exceed the disk space.
+            InputError: The files do not fit into the disk space.
         """
         each = self.room.each
         fits = size <= each and visitor.give_up(each - size - visitor.promised, keep)
@@ -191,12 +194,14 @@ class Visitors:
         """Return the visitor's upload at a path that a request names.
 
         Raises:
-            InputError: The path is no upload of the visitor; the message hides whether it exists.
+            InputError: The path is not an upload of the visitor. The message does not reveal
+                whether the path exists.
         """
         visitor = self.get(name)
         path = visitor.folder / "uploads" / Path(str(requested)).name
         if str(requested) == str(self.arrivals.folder / path.name):
-            # The first request for an upload moves it to this path; later requests find it there.
+            # The first request that names an upload moves the upload to this path. Later requests
+            # find it there.
             with self._lock:
                 visitor.used += self.arrivals.hand_over(path)
         elif str(requested) != str(path):
@@ -208,11 +213,11 @@ class Visitors:
         return path
 
     def check_work(self, visitor: Visitor, most: int) -> None:
-        """Check that neither the visitor nor the visitor's address has reached its limit of jobs.
+        """Check that neither the visitor nor the visitor's address has reached the limit of jobs.
 
         Args:
             visitor: The visitor.
-            most: Largest number of waiting jobs; an address may have up to half of them.
+            most: Largest number of waiting jobs. An address may have up to half of this number.
 
         Raises:
             InputError: There are too many unfinished jobs.
@@ -228,7 +233,7 @@ class Visitors:
             raise InputError("queue", "full", limit, "Try again soon.")
 
     def remove(self, name: str) -> None:
-        """Stop a visitor's jobs, and remove the folder."""
+        """Stop a visitor's jobs, and remove the visitor's folder."""
         with self._lock:
             visitor = self._known.pop(name, None)
         if visitor is not None:
@@ -248,7 +253,7 @@ class Visitors:
             remove(visitor.folder)
 
     def sweep(self) -> None:
-        """Remove silent visitors and unclaimed files, and measure the remaining visitors' files."""
+        """Remove idle visitors and unclaimed files, and measure the remaining visitors' files."""
         with self._lock:
             silent = [n for n, v in self._known.items() if v.silence > self.room.grace]
         for name in silent:
@@ -265,17 +270,19 @@ class Visitors:
             visitor.measure()
 
     def close(self) -> None:
-        """Stop all jobs and remove everything."""
+        """Stop all jobs and remove all files."""
         for name in list(self._known):
             self.remove(name)
         remove(self.root)
 
     def _admit(self, address: str) -> None:
-        """Make a place for a new visitor, if necessary by removing an idle visitor; raise an error
-        if none is idle.
+        """Make space for a new visitor.
+
+        If necessary, an idle visitor is removed.
 
         Raises:
-            InputError: All places are occupied, in total or for this address.
+            InputError: The limit of visitors is reached, in total or for this address, and no
+                visitor is idle.
         """
         present = [(n, v) for n, v in self._known.items() if address and v.address == address]
         idle = [(n, v) for n, v in present if not v.has_begun]
@@ -287,17 +294,17 @@ class Visitors:
             self._make_room()
 
     def _claim(self, size: float, most: float) -> None:
-        """Free `size` bytes of disk space by removing unclaimed uploads, then idle visitors.
+        """Free `size` bytes of disk space: remove unclaimed uploads, then idle visitors.
 
         Raises:
-            InputError: The removals do not free enough.
+            InputError: The removals do not free enough disk space.
         """
         while self.used + size > most:
             if not self.arrivals.drop():
                 self._make_room()
 
     def _make_room(self) -> None:
-        """Remove an idle visitor from the address with most idle visitors.
+        """Remove an idle visitor from the address that has most idle visitors.
 
         Raises:
             InputError: No visitor is idle.
@@ -324,7 +331,7 @@ def _write(path: Path, file: BinaryIO) -> None:
 
 
 def key(*parts: Any) -> str:
-    """Return a hash of parts (bytes or JSON-like data), for use as a name."""
+    """Return a hash of the parts (bytes or JSON-like data), for use as a file name."""
     digest = hashlib.sha256()
     for part in parts:
         data = part if isinstance(part, bytes) else json.dumps(part, sort_keys=True).encode()

@@ -31,7 +31,7 @@ def warm_up(device: str) -> None:
 
 
 def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
-    """Return report and scene of a run with hardly any work, to measure the fixed costs."""
+    """Return report and scene of a run with hardly any work, which shows the fixed costs."""
     few = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 2}
     scene = Scene.named("press").replaced({**few, "view.size": 32, "view.views": ["front"]})
     with tempfile.TemporaryDirectory() as folder:

@@ -1,8 +1,8 @@
-"""Run jobs on ZeroGPU, the shared GPUs of Hugging Face Spaces, reserved for the forecast time.
+"""Run jobs on ZeroGPU, the shared GPUs of Hugging Face Spaces, reserved for the predicted time.
 
 ZeroGPU refuses a job whose declared duration exceeds the visitor's remaining quota (anonymous
-visitors have about 120 s a day), and ends a job that takes longer than declared. Each job therefore
-declares its forecast time, which is also the job's limit. Source:
+visitors have about 120 s a day). It ends a job that takes longer than declared. Each job therefore
+declares its predicted time, which is also the job's limit. Source:
 huggingface.co/docs/hub/spaces-zerogpu and the package `spaces` 0.51.
 """
 
@@ -20,27 +20,28 @@ from .progress import Done, Measured
 from .work import Order, steps
 
 MARGIN = 1.5
-"""Declared time relative to the forecast; after 70 % of the declared time, no further frame is
-simulated."""
+"""Declared time as a multiple of the predicted time. After 70 % of the declared time, no further
+frame is simulated."""
 SHORTEST = 15
-"""Shortest declared time, which includes the start of the forked process [s]."""
+"""Shortest time that a job declares, which includes the start of the forked process [s]."""
 COMPILING = 20
-"""Additional time until the first job has ended, for the compilation of CUDA kernels [s]."""
+"""Additional time that is declared until the first job has ended, for the compilation of CUDA
+kernels [s]."""
 REMEDY = "Choose a coarser accuracy or fewer frames, sign in to Hugging Face, or try again later."
 
 Work = Callable[[Order], Iterator[Any]]
 
 
 class Durations:
-    """Declares the time of each job."""
+    """Declares to ZeroGPU how long each job will take."""
 
     def __init__(self, longest: float) -> None:
         self.longest = longest
         self.compiled = False
-        """Whether a job has ended, after which all kernels are probably compiled."""
+        """Whether a job has ended. After that, all kernels are probably compiled."""
 
     def __call__(self, order: Order) -> int:
-        """Return the time to declare for a job [s]."""
+        """Return the time that a job declares [s]."""
         compiling = 0 if self.compiled else COMPILING
         asked = max(MARGIN * order.expected, SHORTEST) + compiling
         return math.ceil(min(asked, self.longest))
@@ -53,7 +54,7 @@ def work_on_gpu(longest: float) -> Work:
         longest: Longest time of a job [s].
 
     Raises:
-        InputError: By the function: ZeroGPU refuses a job.
+        InputError: The returned function raises it when ZeroGPU refuses a job.
     """
     if find_spec("spaces") is None:
         return steps
@@ -61,7 +62,7 @@ def work_on_gpu(longest: float) -> Work:
 
     durations = Durations(longest)
     on_gpu: Work = spaces.GPU(duration=durations)(steps)
-    if on_gpu is steps:  # a Space without ZeroGPU
+    if on_gpu is steps:  # a Space that does not have ZeroGPU
         return steps
 
     def work(order: Order) -> Iterator[Any]:

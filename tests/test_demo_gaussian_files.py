@@ -170,7 +170,7 @@ def test_reading_options_must_suit_the_object(studio):
         ({"thickness": 0.5}, file, "thickness"),
         ({"near": "black"}, file, "near"),
     ):
-        with pytest.raises(InputError, match="Leave it out") as refused:
+        with pytest.raises(InputError, match="Remove it") as refused:
             studio.check_extras("a", answer).suit(source)
         assert refused.value.field == option
     for answer in ({"up": "w"}, {"up": "y", "front": "-y"}):

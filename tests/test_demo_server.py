@@ -190,8 +190,8 @@ def _refuses_what_is_no_video(client) -> None:
     for video, answer, sentence in (
         (handle_file(str(DUCK)), {}, "video: It is not an MP4"),
         (handle_file(str(DUCK)), {"speed": 0}, "speed"),
-        ({"path": "a.mp4", "url": "data:video/mp4;base64,AAAA"}, {}, "video: This is no file"),
-        ({"path": 5}, {}, "video: This is no file"),
+        ({"path": "a.mp4", "url": "data:video/mp4;base64,AAAA"}, {}, "video: This is not a file"),
+        ({"path": 5}, {}, "video: This is not a file"),
         ({"path": "/etc/passwd"}, {}, "."),
         (None, {}, "video: There is no video yet"),
     ):
@@ -408,9 +408,9 @@ def test_a_chunked_upload_without_a_length_is_cut_off(server):
         ({"changes": [1, 2]}, r"changes: They must be an object"),
         ({"changes": "text"}, "changes|JSON"),
         ({"picture": None}, "image: There is no picture yet"),
-        ({"picture": "duck.png"}, "image: This is no file. Send the file itself"),
-        ({"picture": ["duck.png"]}, "image: This is no file"),
-        ({"picture": {"path": 5}}, "image: This is no file"),
+        ({"picture": "duck.png"}, "image: This is not a file. Send the file itself"),
+        ({"picture": ["duck.png"]}, "image: This is not a file"),
+        ({"picture": {"path": 5}}, "image: This is not a file"),
     ],
 )
 def test_values_are_checked_on_the_server(client, options, message):

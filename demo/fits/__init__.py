@@ -1,6 +1,7 @@
 """Fits: estimate the material's stiffness for a finished result from a visitor's video.
 
-    upload -> video.py (decoded in a process) -> search.py (`phy124.studies.fit`, in a process)
+    upload -> video.py (decodes the video in a process) -> search.py (`phy124.studies.fit`, in a
+    process)
 
 `jobs.py` allows one fit per visitor at a time, and limits the number of fits on the server.
 """

@@ -36,12 +36,12 @@ Submit = Callable[[Visitor, Job, Line, Callable[[Job], None]], Job]
 STARTING = 6.0
 """Time to read a video and to start the search [s]."""
 ROOM = 1.5
-"""Suggested time budget, relative to the usual duration of a search."""
-NO_RESULT = "There is no result yet that could be fitted."
+"""Suggested time budget, as a multiple of the usual duration of a search."""
+NO_RESULT = "There is no result yet to which a fit could be made."
 
 
 class Fits:
-    """All fits of the server."""
+    """All fits that run on the server."""
 
     def __init__(
         self,
@@ -57,11 +57,10 @@ class Fits:
         self.line = Line("fit", workers=settings.max_fits, most=settings.max_queue)
 
     def offer(self, done: Done | None) -> dict[str, Any]:
-        """Forecast a fit of a result; return the forecast as a sentence, and the range of time
-        budgets [s].
+        """Predict how long a fit takes; return a sentence, and the range of time budgets [s].
 
         Raises:
-            InputError: The result cannot be fitted here.
+            InputError: The result cannot be fitted on this page.
         """
         if done is None or not (done.clip / "report.json").exists():
             raise InputError("run", "none", NO_RESULT, "Generate one first.")
@@ -82,16 +81,16 @@ class Fits:
         return {"sentence": f"A fit takes {span}.", "seconds": usual, "budget": budget}
 
     def begin(self, name: str, done: Done | None, video: Any, options: dict[str, Any]) -> Job:
-        """Start to fit a visitor's result to a video.
+        """Start a fit of a visitor's result to a video.
 
         Args:
             name: The visitor's name.
             done: The result to fit.
-            video: The path of the upload in the request.
+            video: The path of the uploaded video, as the request states it.
             options: Values of `FitOptions`.
 
         Raises:
-            InputError: The request cannot be used, or another fit of the visitor is running.
+            InputError: The request is invalid, or another fit of the visitor is running.
         """
         asked, expected = fit_options_of(options, self.settings), self.offer(done)["seconds"]
         visitor = self.visitors.get(name)
@@ -107,7 +106,7 @@ class Fits:
         return self._submit(visitor, job, self.line, work)
 
     def _upload(self, name: str, video: Any) -> Path:
-        """Return the visitor's upload that a request names; raises InputError."""
+        """Return the visitor's upload that a request names; raise InputError if there is none."""
         if not video:
             raise InputError("video", "none", "There is no video yet.", "Choose one first.")
         try:
@@ -140,13 +139,14 @@ def _watch(job: Job, out: Path) -> None:
         return
     made, runs, seconds = state
     job.progress.expected = STARTING + seconds
-    # The number of runs is an estimate, which the runs made so far may exceed.
+    # The number of expected runs is an estimate. The number of finished runs may exceed it.
     job.tell(Step("fit", min(made, runs - 1), runs, f"{made} runs, about {runs} expected"))
 
 
 def _folder(visitor: Visitor, done: Done, upload: Path, asked: FitOptions) -> Path:
-    """Return the folder of a fit; the same video gives the same folder, so an interrupted fit
-    continues.
+    """Return the folder of a fit.
+
+    The same video always leads to the same folder, so an interrupted fit can continue.
     """
     options = asked.model_dump(exclude={"seconds"})
     return visitor.folder / "fits" / f"{done.clip.name}-{key(upload.read_bytes(), options)}"

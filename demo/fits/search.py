@@ -26,29 +26,29 @@ from ..work import Done
 from .video import FitOptions, Seen
 
 GRIDS = (16, 24)
-"""Cells across the object in the search, and in its refinement."""
+"""Number of cells across the object in the search, and in the refinement that follows."""
 GAUSSIANS = 4000
-"""Number of Gaussians from which outlines are computed."""
+"""Number of Gaussians from which the outlines of the object are computed."""
 NAME = "material.E"
 TIMES = 10.0
 """Largest factor by which the result may be stiffer, or softer, than the filmed object."""
 SOFTEST, STIFFEST = 1e3, 1e10
-"""Range of the page's slider [Pa]."""
+"""Range of stiffnesses on the page's slider [Pa]."""
 PLAN, REPORT = "plan.json", "fit.json"
 LATE, SLACK = 2.0, 120.0
-"""A search is stopped after LATE times its time budget plus SLACK seconds."""
+"""A search is stopped after `LATE` times its time budget plus `SLACK` seconds."""
 Search = Callable[[Fit, Path, Deadline], dict[str, Any]]
 
 
 @dataclass(frozen=True)
 class FitResult:
-    """A finished fit."""
+    """The result of a finished fit."""
 
     folder: Path
 
     @property
     def report(self) -> dict[str, Any]:
-        """The report of `phy124 fit`."""
+        """The report that `phy124 fit` wrote."""
         return json.loads((self.folder / REPORT).read_text("utf-8"))
 
     @property
@@ -58,7 +58,7 @@ class FitResult:
 
     @property
     def files(self) -> list[Path]:
-        """The files offered for download."""
+        """The files that the page offers for download."""
         return sorted(path for path in self.folder.iterdir() if path.name != PLAN)
 
 
@@ -66,7 +66,7 @@ def softness(scene: Scene) -> float:
     """Return Young's modulus of a scene's material [Pa].
 
     Raises:
-        InputError: The material has none.
+        InputError: The material has no Young's modulus.
     """
     stiffness = getattr(scene.material, "E", None)
     if stiffness is None:
@@ -76,7 +76,7 @@ def softness(scene: Scene) -> float:
 
 
 def outlook(scene: Scene, rates: Rates) -> Outlook:
-    """Estimate the cost of a fit from the speed that was measured on this machine."""
+    """Estimate the time of a fit from the speed that was measured on this machine."""
     works = [Work.of(on_grid(scene, cells), GAUSSIANS) for cells in GRIDS]
     costs = [rates.seconds(work) for work in works]
     each = tuple(cost["simulate"] + cost["deform"] for cost in costs)
@@ -84,16 +84,16 @@ def outlook(scene: Scene, rates: Rates) -> Outlook:
 
 
 def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
-    """Declare the fit of a result's stiffness to a video.
+    """Create the declaration of a fit of a result's stiffness to a video.
 
     Args:
-        done: The result.
+        done: The result to fit.
         scene: The scene of the result.
-        seen: The video.
-        asked: Options of the fit.
+        seen: The decoded video.
+        asked: Options of the fit that the visitor chose.
 
     Raises:
-        InputError: The material has no stiffness to fit.
+        InputError: The material has no stiffness that could be fitted.
     """
     stiffness = softness(scene)
     low, high = max(stiffness / TIMES, SOFTEST), min(stiffness * TIMES, STIFFEST)
@@ -102,7 +102,8 @@ def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
             "target": str(seen.folder),
             "object": str(done.clip / "clip.safetensors"),
             "find": {NAME: {"log_uniform": (low, high)}},
-            # `fps` refers to filmed time; the run may have been filmed from other sides.
+            # `fps` refers to filmed time. The run may have been filmed from other sides than the
+            # video.
             "set": {"view.speed": 1.0, "view.views": [asked.side]},
             "fps": seen.fps,
             "side": asked.side,
@@ -116,10 +117,10 @@ def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
 
 
 def search_softness(wanted: Fit, out: Path, deadline: Deadline) -> dict[str, Any]:
-    """Fit in a separate process; a later call with the same folder reuses the finished runs.
+    """Make the fit in a separate process; reuse the runs that the folder already contains.
 
     Raises:
-        InputError: The stiffness cannot be determined, or the time is over.
+        InputError: The stiffness cannot be determined, or the time budget is exceeded.
     """
     longest = Deadline(LATE * wanted.seconds + SLACK, deadline.beat)
     try:
@@ -132,7 +133,7 @@ def search_softness(wanted: Fit, out: Path, deadline: Deadline) -> dict[str, Any
 
 
 def _search(wanted: Fit, out: Path) -> dict[str, Any]:
-    """Fit in this process."""
+    """Make the fit in this process."""
     out.mkdir(parents=True, exist_ok=True)
 
     def plan(expected: Outlook) -> None:
@@ -140,7 +141,7 @@ def _search(wanted: Fit, out: Path) -> dict[str, Any]:
             temporary.write_text(json.dumps(expected.data()), "utf-8")
 
     report = fit(wanted, out, on_forecast=plan).report
-    # Paths of the server are hidden from the visitor.
+    # Paths on the server are removed from the message that the visitor sees.
     names = {"target": "video", "object": Path(wanted.object or "").name}
     report |= {"target": "video", "declared": {**report["declared"], **names}}
     with replacing(out / REPORT) as temporary:
@@ -173,14 +174,14 @@ def progress(out: Path) -> tuple[int, int, float] | None:
 
 
 def newest(done: Done) -> FitResult | None:
-    """Return the latest fit of a result, or None."""
+    """Return the latest fit of a result, or None if there is none."""
     finished = (done.clip.parents[1] / "fits").glob(f"{done.clip.name}-*/found/{REPORT}")
     latest = max(finished, key=lambda path: path.stat().st_mtime, default=None)
     return FitResult(latest.parent) if latest else None
 
 
 def scene_of_result(done: Done) -> Scene:
-    """Return the scene of a result.
+    """Return the scene of a finished result.
 
     Raises:
         InputError: The scene depends on a picture, whose path is not stored in the clip.
@@ -189,5 +190,5 @@ def scene_of_result(done: Done) -> Scene:
     for field, _ in files_named(scene):
         if not field.startswith("view."):
             limit = f"The scene has a picture ({field}); this page cannot fit such scenes."
-            raise InputError(field, "a file", limit, "Leave the picture out, and generate again.")
+            raise InputError(field, "a file", limit, "Remove the picture, and generate again.")
     return scene

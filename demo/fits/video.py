@@ -27,7 +27,7 @@ except ImportError:  # Windows
     resource = None
 
 MEMORY = 3 << 30
-"""Memory limit of the reading process and its decoder [bytes]."""
+"""Memory limit of the process that reads a video, including its decoder [bytes]."""
 SHORTER = "Send a shorter or smaller video."
 Side = Literal["front", "right", "back", "left"]
 
@@ -39,17 +39,17 @@ class Seen:
     folder: Path
     """Folder of the pictures that fall within the scene's duration."""
     fps: float | None
-    """Pictures per second of filmed time; None if unknown."""
+    """Pictures per second of filmed time; None if this rate is unknown."""
     count: int
     whole: int
     """Number of pictures in the whole video."""
 
 
 def check_video(path: Path, settings: Settings) -> None:
-    """Check the size and the header of a video.
+    """Check the file size and the header of a video.
 
     Raises:
-        InputError: The file is too large, or is no video.
+        InputError: The file is too large, or is not a video.
     """
     if path.stat().st_size > settings.max_video_mb * 1e6:
         limit = f"The video is larger than {settings.max_video_mb:g} MB, the limit of this page."
@@ -63,11 +63,11 @@ def read_video(path: Path, out: Path, seconds: float, speed: float, deadline: De
     """Decode a video in a separate process.
 
     Args:
-        path: The video.
-        out: The folder for its pictures.
-        seconds: Duration of the scene [s]; later pictures are left out.
-        speed: Playback speed; 1 is real time.
-        deadline: Time limit.
+        path: Path of the video.
+        out: The folder for the decoded pictures.
+        seconds: Duration of the scene [s]. Later pictures are ignored.
+        speed: Playback speed of the video. 1 is real time.
+        deadline: Time at which decoding is stopped.
 
     Raises:
         InputError: The video cannot be read, or has fewer than two pictures.
@@ -94,7 +94,8 @@ def read_video(path: Path, out: Path, seconds: float, speed: float, deadline: De
 def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: float) -> Seen:
     """Decode a video in this process, whose CPU time is limited from now on.
 
-    The decoder inherits the limits of memory and CPU time: it ends even if this process is killed.
+    The decoder inherits the limits on memory and CPU time. It therefore ends even if this process
+    is killed.
     """
     if resource is not None:
         most = math.ceil(processor) + 1
@@ -102,7 +103,7 @@ def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: 
     film = read_film(path)
     fps = film.fps and film.fps / speed
     whole = len(film.pictures)
-    # Rounding errors must not exclude the last picture.
+    # Rounding errors must not exclude the last picture of the scene's duration.
     count = whole if fps is None else min(whole, math.floor(seconds * fps + 1e-3) + 1)
     if count < 2:
         limit = f"The scene lasts {seconds:.2f} s; the video has only {count} picture in this time."
@@ -129,18 +130,18 @@ class FitOptions(Section):
 
 
 def fit_options_of(data: Any, settings: Settings) -> FitOptions:
-    """Validate the options in a request.
+    """Validate the options of a fit that a request contains.
 
     Raises:
-        InputError: A value is invalid; the message names it.
+        InputError: A value is invalid. The message names the value.
     """
     most = settings.max_fit_seconds
     values = {"seconds": min(FitOptions.model_fields["seconds"].default, most)}
     values |= {name: data[name] for name in FitOptions.model_fields if data.get(name) is not None}
-    # Check the server's limit first, then the declared bounds.
+    # Check the server's time limit first, then the declared bounds.
     if isinstance(values["seconds"], int | float) and values["seconds"] > most:
         limit = f"A fit may take at most {most:g} s on this page."
-        raise InputError("seconds", shorten(values["seconds"]), limit, "Give it less time.")
+        raise InputError("seconds", shorten(values["seconds"]), limit, "Choose a shorter duration.")
     try:
         return FitOptions.model_validate(values)
     except ValidationError as error:

@@ -20,11 +20,11 @@ from .event import Handler, data_of, file_of, job_of, table_of
 from .results import takeaway_of
 
 DIGITS = 3
-"""Number of significant digits of a stiffness."""
+"""Number of significant digits with which a stiffness is shown."""
 
 
 def on_result_shown(studio: Studio) -> Handler:
-    """Handle a new result on the page: offer a fit of it, or show its latest fit."""
+    """Handle a new result on the page: offer a fit of the result, or show its latest fit."""
 
     def offer(done: Done | None, request: gr.Request) -> dict[str, Any]:
         return _panel(studio, done, studio.visitors.find(visitor_of(request)))
@@ -33,7 +33,7 @@ def on_result_shown(studio: Studio) -> Handler:
 
 
 def on_fit_begin(studio: Studio) -> Handler:
-    """Handle "begin" of the fit panel: start a fit to an uploaded video, or refuse it."""
+    """Handle "begin" of the fit panel: start a fit to an uploaded video, or refuse the request."""
 
     def start(
         done: Done | None, shown: Any, event: gr.EventData, request: gr.Request
@@ -49,7 +49,7 @@ def on_fit_begin(studio: Studio) -> Handler:
 
 
 def on_fit_stop(studio: Studio) -> Handler:
-    """Handle "stop" of the fit panel: cancel only the fit of this visitor."""
+    """Handle "stop" of the fit panel: cancel the fit of this visitor, but no other job."""
 
     def stop(request: gr.Request) -> None:
         visitor = studio.visitors.find(visitor_of(request))
@@ -61,7 +61,7 @@ def on_fit_stop(studio: Studio) -> Handler:
 
 
 def on_fit_end(studio: Studio) -> Handler:
-    """Handle "ended" of the fit panel: show the result with its files, or why the fit failed."""
+    """Handle "ended" of the fit panel: show the fit with its files, or why the fit failed."""
 
     def show(done: Done | None, event: gr.EventData, request: gr.Request) -> tuple[Any, Any]:
         visitor, job = studio.visitors.find(visitor_of(request)), job_of(studio, request, event)
@@ -76,7 +76,7 @@ def on_fit_end(studio: Studio) -> Handler:
 
 
 def _panel(studio: Studio, done: Done | None, visitor: Visitor | None) -> dict[str, Any]:
-    """Return the fit panel's value for a result."""
+    """Return the value to which the fit panel is set for a result."""
     try:
         offer = studio.fits.offer(done)
     except InputError as error:
@@ -98,7 +98,7 @@ def _is_of(job: Job, done: Done) -> bool:
 
 
 def _show_result(result: FitResult) -> dict[str, Any]:
-    """Return a finished fit for the panel: summary, figure, film, and the fitted material."""
+    """Return the panel's value for a finished fit: summary, figure, film and fitted material."""
     report = result.report
     return {
         "sentences": summarise(report),

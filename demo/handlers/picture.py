@@ -1,6 +1,7 @@
 """Handles the picture panel: choosing a picture, correcting its cut-out, showing the cut-out.
 
-Instead of a picture, a visitor may send a file of Gaussians; the page shows it in all orientations.
+Instead of a picture, a visitor may send a file of Gaussians. The page then shows the object in all
+possible orientations.
 """
 
 from __future__ import annotations
@@ -68,7 +69,8 @@ def on_cut_end(studio: Studio) -> Handler:
     def show(shown: Any, source: Any, event: gr.EventData, request: gr.Request) -> tuple[Any, ...]:
         job = job_of(studio, request, event)
         if job is None or not job.over:
-            # An answer is needed: until it arrives, the panel sends no other event.
+            # An answer is always necessary, because the panel sends no other event until it
+            # arrives.
             return {**table_of(shown), "job": None, "message": FORGOTTEN}, source, gr.skip()
         made = job.progress.result
         if made is None:
@@ -85,7 +87,7 @@ def on_cut_end(studio: Studio) -> Handler:
 
 
 def show_source(made: Source) -> dict[str, Any]:
-    """Return the picture panel's value for the object's source."""
+    """Return the value to which the picture panel is set for the object's source."""
     picture = file_of(Path(made.picture))
     if isinstance(made, Cutout):
         return {"picture": picture, "cutout": file_of(Path(made.path))}
@@ -94,12 +96,12 @@ def show_source(made: Source) -> dict[str, Any]:
 
 
 def _doubts(made: Cutout) -> dict[str, str]:
-    """Return the warning about a cut-out, and its reasons, which the page shows on request."""
+    """Return the warning about a cut-out, and the reasons, which the page shows on request."""
     return {"warning": "".join(made.doubts[:1]), "doubts": " ".join(made.doubts[1:])}
 
 
 def ways(made: GaussianFile) -> dict[str, Any]:
-    """Return the extras panel's value: the orientations of a file."""
+    """Return the value of the extras panel: the possible orientations of a file of Gaussians."""
     pictures = {path.stem: file_of(path) for path in sorted(made.pictures.glob("*.webp"))}
     ups = [reading.model_dump(include=set(AXES)) for reading in candidates(None)]
     return {"ways": {**made.axes._asdict(), "ups": ups, "pictures": pictures}}
@@ -114,7 +116,7 @@ def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
 
 
 def _picture(job: Job) -> dict[str, Any] | None:
-    """Return the picture that the job cuts out; None if browsers cannot show it."""
+    """Return the picture that the job cuts out; None if browsers cannot show its format."""
     path = Path(job.subject)
     shows = job.kind == "cut" and path.is_file() and is_shown(path)
     return file_of(path) if shows else None
@@ -164,7 +166,7 @@ def on_choose_object(studio: Studio) -> Handler:
 
 
 def on_view_cut(studio: Studio) -> Handler:
-    """Handle "view" of the extras and objects panels: show the finished cut-out, or an error."""
+    """Handle "view" of the extras and objects panels: show the cut-out or an error message."""
 
     def show(event: gr.EventData, request: gr.Request) -> Any:
         job = job_of(studio, request, event)
@@ -179,6 +181,6 @@ def on_view_cut(studio: Studio) -> Handler:
 
 
 def _answer(event: gr.EventData, **values: Any) -> dict[str, Any]:
-    """Answer an event and name its option; the panel ignores answers to earlier events."""
+    """Answer an event and name its option, so that the panel can ignore outdated answers."""
     asked = {name: value for name, value in data_of(event).items() if name in ("option", "ask")}
     return {"answer": {**asked, **values}}

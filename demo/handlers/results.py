@@ -1,4 +1,4 @@
-"""Events after a run: show its results, restore earlier results, create files on demand."""
+"""Handle the events after a run: show its results, restore earlier results, create files."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ from .run import (
 NOT_SHOWN = [gr.skip()] * 4
 """Leaves the result panels unchanged."""
 SHARE = "share"
-"""Value of `kind` that asks for a link instead of a format."""
+"""Value of the field `kind` in an event that asks for a link instead of a file format."""
 REPORT, TAKEAWAY = 1, 2
-"""Indices of the report and of the download panel among the result panels."""
+"""Indices of the report panel and of the download panel in the list of result panels."""
 FORGOTTEN = {"message": GONE}, {"runs": []}
-"""Values of download panel and history after a visitor's files were removed."""
+"""Values of the download panel and of the history after a visitor's files were removed."""
 FILES = {
     "clip.safetensors": ("Moving Gaussians", "The clip itself, for phy124", "experts", "clip"),
     "gaussians.ply": ("PLY, at rest", f"Opens in {FORMATS['ply'].opens_in}", "programs", "PLY"),
@@ -55,7 +55,7 @@ FILES = {
     "scene.toml": ("Scene", "Every setting, to run it again", "experts", "scene"),
     "report.json": ("Report", "Times, effects, stability", "experts", "report"),
 }
-"""File of a result -> its name, a hint, its group in the download panel, and its short name."""
+"""Files of a result. Each has a name, a hint, its group in the download panel, and a short name."""
 
 FITTED = {
     "comparison.mp4": ("Fit: video and simulation", "Side by side, MP4"),
@@ -80,7 +80,7 @@ def on_job_end(studio: Studio) -> Handler:
         request: gr.Request,
     ) -> tuple[Any, ...]:
         name, job = visitor_of(request), job_of(studio, request, event)
-        # An earlier result does not affect the buttons of a run in progress.
+        # If an earlier result is shown, the buttons of a run in progress must not change.
         buttons = (gr.skip(), gr.skip()) if data_of(event).get("earlier") else idle_buttons()
         if job is not None and isinstance(job.progress.result, Measured) and source and scene:
             html = forecast_of(studio, name, source, scene, extras, opened=True)
@@ -89,7 +89,8 @@ def on_job_end(studio: Studio) -> Handler:
         if job is None and not _is_there(shown):
             return gr.skip(), None, *buttons, *NOT_SHOWN[:TAKEAWAY], *FORGOTTEN
         if job is None or not job.over or not _is_there(job.progress.result):
-            # An answer is needed: until it arrives, the history sends no other event.
+            # An answer is always necessary, because the history sends no other event until it
+            # arrives.
             runs = {"runs": _earlier(studio, name, shown)}
             return gr.skip(), gr.skip(), *buttons, *NOT_SHOWN[:-1], runs
         return gr.skip(), job.progress.result, *buttons, *results(studio, name, job)
@@ -98,7 +99,7 @@ def on_job_end(studio: Studio) -> Handler:
 
 
 def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
-    """Return the result panels with a new report of the displayed run; others do not change."""
+    """Return the result panels with a new report of the displayed run; keep the other panels."""
     panels: list[Any] = list(NOT_SHOWN)
     visitor = studio.visitors.find(name)
     if visitor is not None and _is_there(shown):
@@ -115,7 +116,7 @@ def _is_there(done: Any) -> bool:
 
 
 def on_load(studio: Studio) -> Handler:
-    """Handle the opening of the page: restore everything that this visitor has."""
+    """Handle the opening of the page: restore the visitor's picture, jobs and results."""
 
     def greet(request: gr.Request) -> tuple[Any, ...]:
         visitor = studio.visitors.find(visitor_of(request))
@@ -131,7 +132,7 @@ def on_load(studio: Studio) -> Handler:
 
 
 def _restore_source(visitor: Visitor, taken: Job | None) -> tuple[Any, Any, Any]:
-    """Return picture panel, source and extras panel of a returning visitor."""
+    """Return the picture panel, the source and the extras panel of a returning visitor."""
     if taken is not None and not taken.over:
         return {"job": taken.name, "reads": taken.kind == "read"}, None, gr.skip()
     jobs = (job for job in reversed(list(visitor.jobs.values())) if job.kind in ("cut", "read"))
@@ -142,7 +143,7 @@ def _restore_source(visitor: Visitor, taken: Job | None) -> tuple[Any, Any, Any]
 
 
 def _restore_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
-    """Return progress, result, buttons and result panels of a returning visitor."""
+    """Return the progress, the result, the buttons and the result panels of a returning visitor."""
     if run is None:
         return gr.skip(), None, *idle_buttons(), *NOT_SHOWN
     if not run.over:
@@ -168,9 +169,10 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
 
 
 def report_of(studio: Studio, job: Job) -> dict[str, Any]:
-    """Return the report panel's value for a finished run, with the errors of its scene.
+    """Return the report panel's value for a finished run, with the measured errors of its scene.
 
-    The value has three sentences for a visitor, the cost of a finer run, and tables for experts.
+    The value contains three sentences for a visitor, the cost of a finer run, and tables for
+    experts.
     """
     done: Done = job.progress.result
     report, study = done.report, read_study(done.study)
@@ -187,7 +189,7 @@ def report_of(studio: Studio, job: Job) -> dict[str, Any]:
 
 
 def _describe_finer(job: Job, stops: list[Stop]) -> str:
-    """Describe time and error of the next finer accuracy; return an empty text if there is none."""
+    """Describe the time and error of the next finer accuracy; empty if there is none."""
     name = next_accuracy(job.asked[1]) if job.asked[1] else None
     stop = next((each for each in stops if each.name == name), None)
     if stop is None:
@@ -197,7 +199,7 @@ def _describe_finer(job: Job, stops: list[Stop]) -> str:
 
 
 def _earlier(studio: Studio, name: str, shown: Done | None) -> list[dict[str, Any]]:
-    """List a visitor's results, the newest first, without duplicates."""
+    """List a visitor's results without duplicates, the newest result first."""
     visitor, seen, runs = studio.visitors.find(name), set(), []
     for job in reversed(list(visitor.jobs.values()) if visitor else []):
         done = job.progress.result
@@ -221,7 +223,7 @@ def _earlier(studio: Studio, name: str, shown: Done | None) -> list[dict[str, An
 
 
 def _films(done: Done) -> list[Path]:
-    """List the videos, the standard views first."""
+    """List the videos of a result, the standard views first."""
     order = [*VIEWS, "orbit"]
     place = {name: number for number, name in enumerate(order)}
     films = sorted(done.films.glob("*.mp4"))
@@ -229,7 +231,7 @@ def _films(done: Done) -> list[Path]:
 
 
 def on_prepare(studio: Studio) -> Handler:
-    """Handle "prepare" of the download panel: create a format or a link."""
+    """Handle "prepare" of the download panel: create a file in another format, or a link."""
 
     def prepare(
         done: Done | None, shown: Any, event: gr.EventData, request: gr.Request
@@ -257,9 +259,10 @@ def on_prepare(studio: Studio) -> Handler:
 
 
 def takeaway_of(done: Done) -> dict[str, Any]:
-    """Return the download panel's value: files of a result, and formats made on demand.
+    """Return the download panel's value: files of a result, and formats created on request.
 
-    Handlers store the request under the key "asked"; the panel ignores answers for another result.
+    Handlers store the request under the key "asked". The panel ignores answers for a result that it
+    no longer shows.
     """
     files, offers = [], []
     frames, gaussians = read_shape(done.clip / "clip.safetensors")

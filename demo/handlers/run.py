@@ -1,4 +1,4 @@
-"""Handles the events of runs, studies and live runs: forecast, start, cancel, save."""
+"""Handle the events of runs, studies and live runs: forecast, start, cancel, save."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ INFO = """<svg viewBox="0 0 20 20" role="img" aria-label="More about the time an
 
 
 def on_scene_changed(studio: Studio) -> Handler:
-    """Handle a change of the scene: return its forecast."""
+    """Handle a change of the scene: return the predicted time of its run."""
 
     def forecast(
         source: Source | None, scene: Any, extras: Any, change: Any, request: gr.Request
@@ -43,11 +43,11 @@ def on_scene_changed(studio: Studio) -> Handler:
 
 
 def answer_change(change: Any, html: str | None) -> dict[str, Any]:
-    """Return the forecast panel's value; the panel ignores answers to earlier changes.
+    """Return the forecast panel's value; the panel ignores answers to earlier changes of the scene.
 
     Args:
-        change: Number of the change of the scene, as the page counts.
-        html: The forecast; None if there is no picture.
+        change: Number of the change of the scene, counted by the page.
+        html: The forecast as HTML; None if there is no picture.
     """
     return {"change": change, "html": html}
 
@@ -61,12 +61,12 @@ def forecast_of(
     *,
     opened: bool = False,
 ) -> str:
-    """Return the forecast of a run as HTML, or the refusal.
+    """Return the forecast of a run as HTML, or the reason why the run is refused.
 
     Args:
         studio: The state shared by all visitors.
         name: The visitor's name.
-        source: The object's source; None if it no longer exists.
+        source: The source of the object; None if it no longer exists.
         data: The scene as plain data.
         extras: Optional inputs in addition to the front picture, by option.
         opened: Whether the table of accuracies is open.
@@ -79,7 +79,7 @@ def forecast_of(
 
 
 def show_refusal(error: InputError) -> str:
-    """Format a refusal, which is shown in place of a forecast."""
+    """Format the reason why a run is refused; the page shows it in place of a forecast."""
     return f'<p class="refused">{escape(api_message(error))}</p>'
 
 
@@ -102,7 +102,7 @@ def with_stops(
         data: The scene as plain data.
         extras: Optional inputs in addition to the front picture, by option.
         estimate: The forecast.
-        opened: Whether the table is open.
+        opened: Whether the table of accuracies is open.
 
     Raises:
         InputError: The scene or an input is invalid.
@@ -137,7 +137,7 @@ def _error_line(
     extras: Any,
     promise: Promise,
 ) -> str:
-    """Format the error of a scene; if it has not been measured, add a button that measures it."""
+    """Format the measured error of a scene; without an error, add a button that measures it."""
     kind = ' class="measured"' if promise.of_scene else ""
     line = f"<p{kind}>{describe_error(promise, 'Off')}</p>"
     if not promise.missing or promise.of_scene:
@@ -150,7 +150,7 @@ def _error_line(
 
 
 def on_refine(studio: Studio) -> Handler:
-    """Handle the end of a series of changes: if possible, return a forecast from a probe."""
+    """Handle the end of a series of changes: if possible, forecast by a short trial run."""
 
     def refine(
         source: Source | None, scene: Any, extras: Any, change: Any, request: gr.Request
@@ -160,7 +160,8 @@ def on_refine(studio: Studio) -> Handler:
         name = visitor_of(request)
         try:
             estimate = studio.refine(name, source, scene, extras)
-            # An answer is needed: the probe of an older scene may have been shown meanwhile.
+            # An answer is always necessary, because the page may meanwhile show the forecast of an
+            # older scene.
             estimate = estimate or studio.forecast(name, source, scene, extras)
             html = with_stops(studio, name, source, scene, extras, estimate)
         except InputError as error:
@@ -171,7 +172,7 @@ def on_refine(studio: Studio) -> Handler:
 
 
 def on_generate(studio: Studio) -> Handler:
-    """Handle Generate: start a run, or refuse it; the progress panel follows the run."""
+    """Handle Generate: start a run, whose progress the progress panel shows, or refuse it."""
 
     def start(
         source: Source | None, scene: Any, extras: Any, request: gr.Request
@@ -187,7 +188,7 @@ def on_generate(studio: Studio) -> Handler:
 
 
 def on_finer(studio: Studio) -> Handler:
-    """Handle "finer" of the report panel: run the displayed motion again, at the next accuracy."""
+    """Handle "finer" of the report panel: run the displayed motion at the next finer accuracy."""
 
     def start(done: Done | None, request: gr.Request) -> tuple[Any, ...]:
         visitor = studio.visitors.find(visitor_of(request))
@@ -205,13 +206,13 @@ def on_finer(studio: Studio) -> Handler:
 
 
 def next_accuracy(data: Any) -> str | None:
-    """Return the next finer named accuracy of a scene as plain data; None at the finest."""
+    """Return a scene at the next finer named accuracy, as plain data; None if there is none."""
     cells = Scene.from_data(data).resolution.cells
     return next((name for name, each in PRESETS.items() if each.cells > cells), None)
 
 
 def on_measure(studio: Studio) -> Handler:
-    """Handle Measure: start to measure the scene's error, or refuse."""
+    """Handle Measure: start to measure the scene's error, or refuse to do so."""
 
     def start_study(
         source: Source | None, scene: Any, extras: Any, request: gr.Request
@@ -226,7 +227,7 @@ def on_measure(studio: Studio) -> Handler:
 
 
 def follow_job(job: Job) -> dict[str, Any]:
-    """Return the progress panel's value for a job; the panel then follows the job."""
+    """Return the progress panel's value for a job, whose progress the panel then shows."""
     return {**job.progress.data(), "job": job.name, "kind": job.kind}
 
 
@@ -252,7 +253,7 @@ def on_cancel(studio: Studio) -> Handler:
 
 
 def on_touch(studio: Studio) -> Handler:
-    """Handle Touch: return a ticket for a live run, or a message."""
+    """Handle Touch: return a ticket (permission) for a live run, or an error message."""
 
     def touch(source: Any, scene: Any, extras: Any, request: gr.Request) -> dict[str, Any]:
         name = visitor_of(request)
@@ -268,7 +269,7 @@ def on_touch(studio: Studio) -> Handler:
 
 
 def on_save(studio: Studio) -> Handler:
-    """Handle "save" of the touch panel: start a run that repeats the live run's session."""
+    """Handle "save" of the touch panel: start a run that repeats the session of the live run."""
 
     def save(source: Any, extras: Any, request: gr.Request) -> tuple[Any, ...]:
         name = visitor_of(request)

@@ -1,4 +1,4 @@
-"""The process of a live run, which is started by this file's path and ends when its pipe is closed.
+"""The process of a live run; it is started by the path of this file, and ends when its pipe closes.
 
 Standard input carries two pickles, `sys.path` and (function, arguments), then lines of text. The
 function reads the lines from a `Line`, and answers by messages: a letter, the length (uint32,
@@ -16,11 +16,11 @@ import threading
 from collections import deque
 
 WAITING = 256
-"""Largest number of unread lines; when it is exceeded, the oldest are dropped."""
+"""Largest number of unread lines. When it is exceeded, the oldest lines are dropped."""
 
 
 class Line:
-    """Pipe to the server."""
+    """Pipe that connects this process to the server."""
 
     def __init__(self, answers: int) -> None:
         self._answers = answers
@@ -28,7 +28,7 @@ class Line:
         self._any = threading.Event()
 
     def tell(self, letter: bytes, content: bytes) -> None:
-        """Send a message."""
+        """Send a message to the server."""
         data = letter + struct.pack("<I", len(content)) + content
         while data:
             data = data[os.write(self._answers, data) :]
@@ -39,7 +39,7 @@ class Line:
         return [self._heard.popleft() for _ in range(len(self._heard))]
 
     def wait(self, seconds: float) -> None:
-        """Wait for a line for up to `seconds`."""
+        """Wait up to `seconds` for a line."""
         self._any.wait(seconds)
 
     def listen(self) -> None:
@@ -52,10 +52,10 @@ class Line:
 
 def main() -> None:
     """Call the function that the server sends."""
-    # Ctrl-C reaches the whole process group, but the server ends this process.
+    # Ctrl-C signals the whole process group, but only the server should end this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.dup(1)
-    os.dup2(2, 1)  # what libraries print goes to standard error
+    os.dup2(2, 1)  # output that libraries print goes to standard error
     sys.path[:] = pickle.load(sys.stdin.buffer)
     function, arguments = pickle.load(sys.stdin.buffer)
     line = Line(answers)

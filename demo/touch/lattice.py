@@ -1,7 +1,7 @@
-"""Encode a live run for the browser: a binding once, then lattice and walls of each frame.
+"""Encode a live run for the browser: the binding once, lattice and walls in each frame.
 
-A binding holds the constant data of each Gaussian, a frame the data of each node. Both are
-little-endian and planar (array after array):
+A binding contains the constant data of each Gaussian. A frame contains the data of each node. Both
+are little-endian and planar (array after array):
 
     binding  position at rest [N,3] float32, covariance at rest [N,6] float32 (xx xy xz yy yz zz),
              largest stretch [N] float32, nodes at rest [P,3] float32, nodes of each Gaussian [N,8]
@@ -24,18 +24,18 @@ from phy124.motion.binding import find_carriers
 from phy124.rendering.stage.solids import floor_heights, place_walls
 
 MOST = 5000
-"""Largest number of nodes; at 24 frames per second they need 2.9 MB/s."""
+"""Largest number of nodes. At 24 frames per second, this number needs 2.9 MB/s."""
 REACH = 8.0
-"""Largest magnitude of an entry of F; larger entries are clipped."""
+"""Largest magnitude of an entry of F. Entries with a larger magnitude are clipped."""
 
 
 class Lattice:
-    """Nodes of a live run to which its visible Gaussians are bound."""
+    """Nodes of a live run to which the run's visible Gaussians are bound."""
 
     def __init__(self, live: Live, most: int = MOST) -> None:
         """Bind the Gaussians to the nearest particles, of which at most `most` are used."""
         look, rest = live.look, live.rest
-        # In random order: the first Gaussians are then a fair sample of all.
+        # In random order, the first Gaussians are an unbiased sample of all Gaussians.
         order = np.random.default_rng(0).permutation(len(look.gaussians))
         self.gaussians, moves = look.gaussians.select(order), look.moves[order]
         stretch = np.ones(len(order), np.float32)
@@ -43,13 +43,13 @@ class Lattice:
         self._stretch = np.minimum(stretch[order], 1e6)
         self.nodes, near, self.weights = _bound(self.gaussians, rest, most)
         self.neighbours = near.astype("<u2")
-        # Gaussians that do not move have no node.
+        # Gaussians that do not move are bound to no node.
         self.weights[~moves] = 0
         self.rest = rest[self.nodes]
         self._live = live
 
     def binding(self) -> bytes:
-        """Encode the constant data."""
+        """Encode the constant data of the binding."""
         g = self.gaussians
         sigma = g.covariances()[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
         floats = [g.means, sigma, self._stretch, self.rest]
@@ -59,7 +59,7 @@ class Lattice:
         return b"".join(part.tobytes() for part in [*parts, colours.astype(np.uint8)])
 
     def frame(self) -> bytes:
-        """Encode positions and deformation gradients of the nodes."""
+        """Encode the positions and deformation gradients of the nodes."""
         x, F = (values[self.nodes] for values in self._live.particles)
         low, high = x.min(axis=0), x.max(axis=0)
         steps = np.rint((x - low) / np.maximum(high - low, 1e-12) * 65535).astype("<u2")
@@ -71,9 +71,7 @@ class Lattice:
 def _bound(
     gaussians: Gaussians, rest: NDArray, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
-    """Return the particles that carry Gaussians, and for each Gaussian eight particles and
-    weights.
-    """
+    """Return the particles that carry Gaussians, and eight particles and weights per Gaussian."""
     nodes = np.arange(len(rest))
     near, weights = find_carriers(gaussians.means, rest)
     used = np.unique(near)
@@ -87,12 +85,12 @@ def _bound(
 class Walls:
     """The floor of a live run and its other boundaries, as solids that move without rotation.
 
-    A frame holds the height of the floor and the displacement of each solid, float32; NaN if a
-    floor or solid is absent.
+    A frame contains the height of the floor and the displacement of each solid, as float32. The
+    value is NaN if there is no floor, or if the solid is absent.
     """
 
     def __init__(self, live: Live) -> None:
-        """Place the walls of a live run."""
+        """Compute the positions of the walls of a live run."""
         self._live = live
         walls = place_walls(live.scene.boundaries, live.rest)
         self._floors = [wall for wall in walls if wall.is_floor]
@@ -100,13 +98,13 @@ class Walls:
 
     @property
     def floor(self) -> float | None:
-        """Current height of the floor [m]; None without a floor."""
+        """Current height of the floor [m]; None if there is no floor."""
         if not self._floors:
             return None
         return float(floor_heights(self._floors, self._live.rest, np.array([self._live.time]))[0])
 
     def data(self) -> list[dict[str, Any]]:
-        """Return the solids at rest, as plain data."""
+        """Return the solids in their initial position, as plain data."""
         solids = [wall.solid() for wall in self._others]
         return [
             {
@@ -119,7 +117,7 @@ class Walls:
         ]
 
     def frame(self) -> bytes:
-        """Encode the current positions."""
+        """Encode the current positions of the floor and of the solids."""
         now = np.array([self._live.time])
         moved = [
             wall.displacements(now)[0] if wall.present(now)[0] else np.full(3, np.nan)

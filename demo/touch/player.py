@@ -1,4 +1,4 @@
-"""The process of a live run, which makes the object, simulates it, and applies inputs."""
+"""The process of a live run: make the object, simulate it, and apply the visitor's inputs."""
 
 from __future__ import annotations
 
@@ -25,29 +25,33 @@ from .lattice import Lattice, Walls
 from .table import FPS, shorten_session
 
 REST = 0.25
-"""Interval between two checks for messages during a pause [s]."""
+"""Interval between two checks for messages while the run is paused [s]."""
 PREPARING = 120.0
 """Time limit for cutting out other views of the object [s]."""
 RATE = 1.6
-"""Real-time factor that the grid must reach. It is above 1 to leave time for a browser on the same
-machine; the chosen grid is therefore a tenth coarser."""
+"""Real-time factor that the grid must reach. The factor is above 1, because a browser on the same
+machine needs time, too. The chosen grid is therefore a tenth coarser."""
 TEXT, BINDING, FRAME, SESSION = b"t", b"b", b"f", b"s"
-"""First letters of messages: plain data for the page, a binding, a frame, a session."""
+"""First letters of the kinds of messages: plain data for the page, a binding, a frame, a
+session.
+"""
 HEAD = struct.Struct("<IIff")
-"""Head of a frame: its index, the last message's number, its time [s], the real-time factor."""
+"""Head of a frame: its index, the number of the last message, the time [s], the real-time
+factor.
+"""
 
 
 @dataclass(frozen=True)
 class Play:
-    """A live run that a visitor ordered, and its limits."""
+    """A live run that a visitor requested, and its limits."""
 
     order: Order
     most: Settings
-    """Limits of a saved session."""
+    """Limits on a saved session."""
 
 
 def play(what: Play, line: Line) -> None:
-    """Run until the pipe is closed."""
+    """Run until the server closes the pipe."""
     try:
         player = Player(what, line)
         while True:
@@ -59,7 +63,7 @@ def play(what: Play, line: Line) -> None:
 
 
 class Player:
-    """A live run, controlled by the messages of its visitor."""
+    """A live run that is controlled by the messages of its visitor."""
 
     def __init__(self, what: Play, line: Line) -> None:
         """Make the object, choose a grid and send the binding to the browser.
@@ -69,7 +73,7 @@ class Player:
         """
         self._line, self._what = line, what
         order = what.order
-        # The browser deforms the Gaussians, and needs a core if it runs on this machine.
+        # The browser deforms the Gaussians. If it runs on this machine, it needs a core.
         context = RunContext(device=pick_device(order.device), threads=1)
         _say(line, kind="doing", text="Making the 3D object …")
         order.cut_views(Deadline(PREPARING))
@@ -99,7 +103,7 @@ class Player:
         self._clock.wait()
 
     def _do(self, message: dict[str, Any]) -> None:
-        """Carry out a message, or send the reason why it is refused."""
+        """Carry out a message; if it is refused, send the reason."""
         seq, value = message.get("seq"), message.get("value")
         self._heard = seq % 2**32 if isinstance(seq, int) else self._heard
         try:
@@ -136,7 +140,7 @@ class Player:
         self._pause(False)
 
     def _save(self, _: Any) -> None:
-        """Send the session as a scene, shortened to the limits."""
+        """Send the session as a scene, which is shortened to the limits."""
         self._paused = True
         scene = self.live.session()
         kept = shorten_session(scene, self._what.most)
@@ -147,7 +151,7 @@ class Player:
         _say(self._line, kind="saved", text=text)
 
     def _tell_notes(self) -> None:
-        """Send new notes of the live run."""
+        """Send the notes that the live run has made since the last call."""
         for note in self.live.notes[self._sent_notes :]:
             _say(self._line, kind="said", text=note)
         self._sent_notes = len(self.live.notes)
@@ -169,7 +173,7 @@ class Player:
 
 
 def _newest_targets(lines: list[str]) -> list[dict[str, Any]]:
-    """Return the messages in order; of consecutive targets only the last is kept."""
+    """Return the messages in order; if targets follow each other, keep only the last of them."""
     messages: list[dict[str, Any]] = []
     for message in map(json.loads, lines):
         if messages and message["do"] == "to" == messages[-1]["do"]:

@@ -1,7 +1,7 @@
-"""Relay messages between a browser and the process of its live run, within limits.
+"""Relay messages between a browser and the process of the browser's live run, within limits.
 
-A browser acknowledges each rendered frame. Up to two frames are in transit. Of the frames that
-arrive meanwhile, only the newest is kept, so a slow browser skips frames.
+A browser acknowledges each frame that it has rendered. Up to two frames are in transit. If more
+frames arrive, only the newest is kept, so a slow browser skips frames.
 """
 
 from __future__ import annotations
@@ -34,14 +34,16 @@ from .table import Table, Ticket, limits_of
 LOG = logging.getLogger("phy124.web")
 CHILD = Path(__file__).with_name("child.py")
 ON_THE_WAY = 2
-"""Largest number of frames in transit."""
+"""Largest number of frames that are sent but not yet acknowledged."""
 PENDING = 1 << 16
-"""If the messages that the process has not read are larger than this, new ones are dropped
-[bytes]."""
+"""Largest total size of messages that the process has not read [bytes]. Above this size, new
+messages are dropped."""
 LARGEST = 1 << 26
 """Largest size of a message from the process [bytes]."""
 SAYINGS = 32
-"""If more sentences than this wait to be sent, new ones are dropped."""
+"""Largest number of sentences that wait to be sent. Above this number, new sentences are
+dropped.
+"""
 PARTING = 10.0
 """Time limit for sending the last sentence to a browser [s]."""
 BROKEN = "The live run failed. Start it again."
@@ -49,19 +51,20 @@ IDLE = "The live run ended, because it was not touched for {:g} minutes."
 OVER = "A live run lasts {:g} minutes here. Start another one."
 REPLACED = "The live run ended, because you started another one."
 GONE = 4404
-"""Close code of a socket without a live run."""
+"""Code with which a socket is closed if it has no live run."""
 WORDS = ("grab", "to", "release", "gravity", "soften", "speed", "pause", "reset", "save", "seen")
-"""Allowed values of a message's field `do`."""
+"""Allowed values of the field `do` of a message."""
 PER_SECOND, AT_ONCE = 150.0, 300.0
-"""Messages per second, and largest burst. A pointer sends a message per screen refresh."""
+"""Largest number of messages per second, and of messages in a burst. A pointer sends a message per
+screen refresh."""
 LARGEST_MESSAGE = 1024
-"""Largest length of a browser's message [bytes]."""
+"""Largest length of a message from the browser [bytes]."""
 NOT_UNDERSTOOD = "The page sent an invalid message. Reload it."
 TOO_MANY = "The page sent too many messages; some were ignored."
 
 
 def socket_route(table: Table, settings: Settings) -> WebSocketRoute:
-    """Return the route of the WebSocket of live runs."""
+    """Return the route of the WebSocket for live runs."""
 
     async def touched(socket: WebSocket) -> None:
         await socket.accept()
@@ -80,7 +83,7 @@ def socket_route(table: Table, settings: Settings) -> WebSocketRoute:
 
 
 async def _part(socket: WebSocket, text: str) -> None:
-    """Send the last sentence, and close the socket."""
+    """Send the last sentence to the browser, and close the socket."""
     await socket.send_text(json.dumps({"kind": "ended", "text": text}))
     await socket.close()
 
@@ -92,7 +95,7 @@ def _call(loop: asyncio.AbstractEventLoop, act: Callable[[], None]) -> None:
 
 
 async def _closed(process: asyncio.subprocess.Process, tasks: list[asyncio.Task[None]]) -> None:
-    """Wait until a process has ended, and read its pipes to the end; this closes the pipes."""
+    """Wait until a process has ended; read its pipes to the end, and close them."""
     await asyncio.gather(*tasks, return_exceptions=True)
     assert process.stdin is not None
     process.stdin.close()
@@ -100,23 +103,23 @@ async def _closed(process: asyncio.subprocess.Process, tasks: list[asyncio.Task[
 
 
 class Relay:
-    """Connection of a live run's browser with its process."""
+    """The connection between a live run's browser and its process."""
 
     def __init__(self, socket: WebSocket, ticket: Ticket, settings: Settings) -> None:
         self._socket, self._ticket, self._settings = socket, ticket, settings
         self._frame: bytes | None = None
-        """The newest frame that has not been sent."""
+        """The newest frame that has not been sent yet."""
         self._texts: asyncio.Queue[str] = asyncio.Queue(SAYINGS)
         self._binding: bytes | None = None
         self._news = asyncio.Event()
         self._sent = self._seen = 0
-        """Number of frames sent, and number of frames acknowledged."""
+        """Number of frames sent, and number of frames acknowledged by the browser."""
         self._budget = Budget()
         self._touched = self._begun = time.monotonic()
         self._ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
     async def run(self) -> None:
-        """Relay messages until one side disconnects or the time is up."""
+        """Relay messages until the browser or the process disconnects, or the time is over."""
         loop = asyncio.get_running_loop()
         self._ticket.end = partial(_call, loop, partial(self._end, REPLACED))
         pipe = asyncio.subprocess.PIPE
@@ -132,18 +135,18 @@ class Relay:
                 task.cancel()
             with suppress(ProcessLookupError):
                 process.kill()
-            # Shielded, because this task may be cancelled repeatedly.
+            # The call is shielded, because this task may be cancelled repeatedly.
             with CancelScope(shield=True):
                 await _closed(process, tasks)
         await self._goodbye(last)
 
     def _end(self, text: str) -> None:
-        """End the run; later calls have no effect."""
+        """End the run; later calls of this method have no effect."""
         if not self._ended.done():
             self._ended.set_result(text)
 
     async def _guarded(self, part: Coroutine[Any, Any, str]) -> None:
-        """Run a task of the relay; the end of any task ends the run."""
+        """Run a task of the relay; when any task ends, the run ends."""
         try:
             self._end(await part)
         except (WebSocketDisconnect, RuntimeError):
@@ -156,14 +159,14 @@ class Relay:
             self._end(BROKEN)
 
     async def _goodbye(self, text: str) -> None:
-        """Send the browser the reason for the end, if it is still connected."""
+        """Send the browser the reason why the run ended, if the browser is still connected."""
         if self._socket.application_state is not WebSocketState.CONNECTED:
             return
         with suppress(RuntimeError, WebSocketDisconnect, asyncio.TimeoutError, OSError):
             await asyncio.wait_for(_part(self._socket, text), PARTING)
 
     async def _hear(self, process: asyncio.subprocess.Process) -> str:
-        """Receive messages from the process; of unsent frames, only the newest is kept."""
+        """Receive messages from the process; of the frames not yet sent, keep only the newest."""
         assert process.stdin is not None and process.stdout is not None
         order = self._ticket.order
         gaussians = order.gaussians * len(order.scene.names)
@@ -185,13 +188,13 @@ class Relay:
             self._news.set()
 
     def _say(self, text: str) -> None:
-        """Queue plain data for the browser."""
+        """Append plain data to the queue of messages for the browser."""
         with suppress(asyncio.QueueFull):
             self._texts.put_nowait(text)
         self._news.set()
 
     async def _tell(self) -> str:
-        """Send queued messages to the browser."""
+        """Send the queued messages to the browser."""
         while True:
             await self._news.wait()
             self._news.clear()
@@ -206,7 +209,7 @@ class Relay:
                 await self._socket.send_bytes(FRAME + frame)
 
     async def _listen(self, process: asyncio.subprocess.Process) -> str:
-        """Receive messages from the browser; answer invalid messages with a sentence."""
+        """Receive messages from the browser; answer an invalid message with a sentence."""
         assert process.stdin is not None
         while True:
             received = await self._socket.receive()
@@ -226,15 +229,13 @@ class Relay:
                 process.stdin.write(json.dumps(message).encode() + b"\n")
 
     def _acknowledge(self, count: Any) -> None:
-        """Record that the browser has rendered frame `count`; the browser may have skipped earlier
-        frames.
-        """
+        """Record that the browser has rendered frame `count`; earlier frames may be skipped."""
         if isinstance(count, int):
             self._seen = min(max(count, self._seen), self._sent)
         self._news.set()
 
     async def _watch(self) -> str:
-        """End the run when it has been idle too long or its time is over."""
+        """End the run when the visitor has been idle too long, or when its time is over."""
         idle, longest = self._settings.touch_idle_minutes, self._settings.touch_minutes
         while True:
             now = time.monotonic()
@@ -247,12 +248,12 @@ class Relay:
 
 
 class Refused(Exception):
-    """Raised if a browser's message is refused."""
+    """Raised if a message from the browser is refused."""
 
     def __init__(self, text: str = "") -> None:
         super().__init__(text)
         self.text = text
-        """Sentence for the visitor; empty if it was already sent."""
+        """Sentence for the visitor; empty if the sentence was already sent."""
 
 
 class Budget:
@@ -263,7 +264,7 @@ class Budget:
         self._left, self._at, self._warned = AT_ONCE, clock(), False
 
     def spend(self) -> None:
-        """Count a message.
+        """Count a message, and check that the rate is within the limit.
 
         Raises:
             Refused: There were too many messages.
@@ -278,10 +279,10 @@ class Budget:
 
 
 def parse_message(text: str, budget: Budget) -> dict[str, Any]:
-    """Parse a browser's message.
+    """Parse a message from the browser.
 
     Raises:
-        Refused: The message is too long or invalid, or exceeds the budget.
+        Refused: The message is too long or invalid, or there are too many messages.
     """
     budget.spend()
     if len(text) > LARGEST_MESSAGE:

@@ -1,7 +1,7 @@
 """Tickets, which limit the number of live runs per visitor and in total; limits of saved sessions.
 
-A ticket occupies a place as soon as a page presents it; a ticket that is never presented occupies
-no place.
+A ticket is the permission for a live run. It counts as a live run as soon as a page presents it. A
+ticket that is never presented does not count.
 """
 
 from __future__ import annotations
@@ -21,43 +21,43 @@ from ..work import Order
 from ..work.order import BYTES_MOVED, BYTES_SHOWN
 
 WAITS = 60.0
-"""Time within which a page must show its ticket [s]."""
+"""Time within which a page must present its ticket [s]."""
 FULL = "This server cannot run more live runs at the same time."
 FPS = 24.0
 """Frames per second of a live run."""
 ROOM, TIME = 0.5, 0.1
-"""Fractions that limit a saved clip: the size of the clip with the viewer's file is at most the
-first fraction of a visitor's disk space, and the duration is at most the second fraction of a run's
+"""Two fractions that limit a saved clip. The size of the clip with the viewer's file is at most the
+first fraction of a visitor's disk space. The duration is at most the second fraction of a run's
 time limit."""
 FORCES = 64
-"""At least this number of forces and boundaries is allowed, because each grab and each change of
+"""Number of forces and boundaries that is always allowed, because each grab and each change of
 gravity needs one."""
 
 
 def nothing() -> None:
-    """Do nothing: no run has started yet."""
+    """Do nothing, because no run has started yet."""
 
 
 @dataclass
 class Ticket:
-    """The right to a live run."""
+    """The permission of a visitor to start a live run."""
 
     visitor: str
     """The visitor's name."""
     order: Order
     name: str = field(default_factory=lambda: secrets.token_urlsafe(18))
-    """A name that cannot be guessed."""
+    """Name of the ticket, which cannot be guessed."""
     created: float = field(default_factory=time.monotonic)
     taken: bool = False
-    """Whether a page has shown the ticket."""
+    """Whether a page has presented the ticket."""
     end: Callable[[], None] = nothing
-    """Ends the run; may be called from any thread."""
+    """Function that ends the run. Any thread may call it."""
     session: dict[str, Any] | None = None
-    """The session as a scene; None before it is saved."""
+    """The session as a scene; None until it is saved."""
 
     @property
     def lost(self) -> bool:
-        """Whether the ticket has expired, because no page has presented it in time."""
+        """Whether the ticket has expired because no page has presented it in time."""
         return not self.taken and time.monotonic() - self.created > WAITS
 
 
@@ -69,13 +69,13 @@ class Table:
         """Largest number of live runs at the same time."""
         self._lock = threading.Lock()
         self._tickets: dict[str, Ticket] = {}
-        """Visitor -> ticket."""
+        """Ticket of each visitor."""
 
     def __len__(self) -> int:
         return len(self._tickets)
 
     def give(self, visitor: str, order: Order) -> Ticket:
-        """Give a ticket to a visitor, and end the visitor's earlier run.
+        """Create a ticket for a visitor, and end the visitor's earlier run.
 
         Raises:
             InputError: There are too many live runs.
@@ -89,11 +89,12 @@ class Table:
         return ticket
 
     def take(self, visitor: str | None, name: str) -> Ticket | None:
-        """Occupy a place for a visitor's ticket; return None if the ticket is unknown or was
-        already presented.
+        """Start to count a visitor's ticket as a live run.
+
+        Return the ticket, or None if the ticket is unknown or was already presented.
 
         Raises:
-            InputError: All places have been occupied since the ticket was made.
+            InputError: The limit of live runs has been reached since the ticket was made.
         """
         with self._lock:
             ticket = self._tickets.get(visitor or "")
@@ -104,7 +105,7 @@ class Table:
             return ticket
 
     def _refuse_more(self) -> None:
-        """Raise InputError if all places are occupied."""
+        """Raise InputError if the limit of live runs is reached."""
         taken = sum(ticket.taken for ticket in self._tickets.values())
         if taken >= self.most:
             raise InputError("touch", taken, FULL, "Try again in a few minutes.")
@@ -114,20 +115,20 @@ class Table:
         return self._tickets.get(visitor)
 
     def leave(self, visitor: str) -> None:
-        """End a visitor's run."""
+        """End the live run of a visitor."""
         with self._lock:
             ticket = self._tickets.pop(visitor, None)
         if ticket is not None:
             ticket.end()
 
     def over(self, ticket: Ticket) -> None:
-        """Free the place of a run that has ended."""
+        """Stop counting a run that has ended."""
         with self._lock:
             if self._tickets.get(ticket.visitor) is ticket:
                 del self._tickets[ticket.visitor]
 
     def close(self) -> None:
-        """End all runs."""
+        """End all live runs."""
         for visitor in list(self._tickets):
             self.leave(visitor)
 
@@ -143,12 +144,12 @@ def limits_of(settings: Settings, gaussians: int) -> Settings:
 
 
 def shorten_session(scene: Scene, most: Settings) -> Scene:
-    """Shorten a session to its limits; drop forces that would begin after the new end."""
+    """Shorten a session to its limits; remove forces that would begin after the new end."""
     begun = sorted(_start(force) for force in scene.forces)
     spare = most.max_forces - len(scene.boundaries)
     frames = min(scene.time.frames, most.max_frames)
     if len(begun) > spare:
-        # The session then ends before the first force beyond the limit.
+        # The session then ends before the first force that exceeds the limit.
         frames = min(frames, max(round(begun[spare] * scene.time.fps) + 1, 2))
     if frames == scene.time.frames:
         return scene

@@ -1,9 +1,9 @@
-"""The job that Generate starts: cut-out -> Gaussians -> clip -> films, without stages already done.
+"""The job that Generate starts: cut-out -> Gaussians -> clip -> films; finished stages are skipped.
 
-The job of an order with grids is: cut-out -> Gaussians -> error of the scene.
-`steps` runs a job in a thread and yields events. When a job is asked to stop, it raises `Cancelled`
-within a substep or a rendered frame. Orders and events can be pickled, because on ZeroGPU the job
-runs in a forked process.
+If an order (the request for a run) has grids, its job is: cut-out -> Gaussians -> error of the
+scene. `steps` runs a job in a thread and yields events. When a job is requested to stop, it raises
+`Cancelled` within a substep or a rendered frame. Orders and events can be pickled, because on
+ZeroGPU the job runs in a forked process.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def steps(order: Order) -> Iterator[Event | None]:
     """Carry out an order; yield its events, and None whenever `BEAT` seconds pass without an event.
 
     Raises:
-        Cancelled: The stop file appeared.
-        InputError: An input is invalid, or the time is over.
+        Cancelled: The stop file exists.
+        InputError: An input is invalid, or the time limit is exceeded.
     """
     events: queue.SimpleQueue[Event | BaseException] = queue.SimpleQueue()
     thread = threading.Thread(target=_run, args=(order, events), name="work", daemon=True)
@@ -88,7 +88,7 @@ def _run(order: Order, events: queue.SimpleQueue[Any]) -> None:
         last = error
     order.stop.unlink(missing_ok=True)
     if not (order.folder / STAGES[0]).exists():
-        # The visitor's folder was removed meanwhile.
+        # The visitor's folder has been removed in the meantime.
         shutil.rmtree(order.folder, ignore_errors=True)
     trim()
     events.put(last)

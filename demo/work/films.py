@@ -31,10 +31,10 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
     """Write a folder with the videos, the player's pack, an animated picture and the report.
 
     Args:
-        order: The order.
-        clips: Folder of the clip.
+        order: The order (the request for a run).
+        clips: Folder that contains the clip.
         out: The folder to write.
-        limits: Time limit, and receiver of events.
+        limits: The time limit, and the receiver of events.
     """
     clip, watch = Clip.load(clips / "clip.safetensors"), Stopwatch()
     # The page shows MP4 files; other formats are made on demand (demo/exports.py).
@@ -83,9 +83,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
 
 
 def _add_stages(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the stages of the clip and of its films; if both have the same stage, the times are
-    added.
-    """
+    """Return the stages of the clip and of its films; add the times of stages that both have."""
     joined = {stage["name"]: stage for stage in stages}
     for stage in others:
         before = joined.get(stage["name"], {"seconds": 0.0})["seconds"]
@@ -123,7 +121,7 @@ def _in_photograph(
 ) -> dict[str, Any]:
     """Write the film in the photograph if it is requested and time is left.
 
-    Return the entry of the report, empty without a film.
+    Return the film's entry in the report; it is empty if there is no film.
     """
     if order.photograph is None or limits.spent > FILMING:
         return {}
@@ -132,7 +130,7 @@ def _in_photograph(
         limits.tell(Step("render", done, total, "composed"))
 
     with watch.stage("compose"):
-        # The film is not larger than the other videos.
+        # The film must not be larger than the other videos.
         with order.picture() as cutout, open_image(order.photograph) as opened:
             opened.thumbnail(view.size)
             photograph = Photograph.of(opened, cutout)

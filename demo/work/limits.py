@@ -15,14 +15,14 @@ from ..progress import Event
 from .order import Order
 
 SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
-"""Times, relative to the time limit: from the first on, no frame is simulated; from the second on,
-no video is started; at the third, the run fails."""
+"""Fractions of the time limit. After the first, no further frame is simulated. After the second, no
+further video is started. At the third, the run fails."""
 SOFT, FEW = 1e4, 8
-"""Stiffness [Pa] and number of frames below which no reduction is suggested."""
+"""Stiffness [Pa] and number of frames. If a scene's values are below, no reduction is suggested."""
 DEVICE = threading.Lock()
-"""Lock held by the job that uses the device."""
+"""Lock that a job holds while it uses the device."""
 BEAT = 0.2
-"""Longest interval between two events [s]; a generator of events can be closed at each event."""
+"""Longest interval between two events [s]. A generator of events can be closed at each event."""
 
 
 class Limits:
@@ -33,11 +33,11 @@ class Limits:
         self.start = time.monotonic()
 
     def tell(self, event: Event) -> None:
-        """Pass an event on.
+        """Pass an event on to the receiver.
 
         Raises:
-            Cancelled: The job was asked to stop.
-            InputError: The job has taken far too long.
+            Cancelled: The job was requested to stop.
+            InputError: The job has taken far longer than its time limit.
         """
         if self.order.stop.exists():
             raise Cancelled
@@ -49,8 +49,9 @@ class Limits:
         self.put(event)
 
     def tell_simulating(self, event: Event) -> None:
-        """Pass on an event of a simulation; after the time limit, raise Stopped, so that the frames
-        so far are kept.
+        """Pass on an event of a simulation.
+
+        After the time limit, raise Stopped, so that the frames computed so far are kept.
         """
         self.tell(event)
         if self.spent > SIMULATING:
@@ -75,7 +76,7 @@ def easier(scene: Scene) -> str:
 
 @contextmanager
 def hold_device(order: Order) -> Iterator[None]:
-    """Hold the device; raises Cancelled if the job is asked to stop while waiting for it."""
+    """Hold the device; raise Cancelled if the job is requested to stop while it waits."""
     while not DEVICE.acquire(timeout=BEAT):
         if order.stop.exists():
             raise Cancelled

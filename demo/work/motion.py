@@ -30,7 +30,7 @@ from .shows import glimpses, lives
 
 
 def gaussians_of(order: Order, path: Path, tell: Tell = lambda event: None) -> Gaussians:
-    """Return the Gaussians of an order's objects; make them if they do not exist yet."""
+    """Return the Gaussians of an order's objects; make the Gaussians that do not exist yet."""
     if path.exists():
         tell(Reused("generate"))
         return Clip.load(path).frame(0).gaussians
@@ -67,9 +67,9 @@ def simulate(
 
     Args:
         gaussians: The object.
-        order: The order.
+        order: The order (the request for a run).
         out: The folder to write.
-        limits: Time limit, and receiver of events.
+        limits: The time limit, and the receiver of events.
         watch: Records the durations of the stages.
     """
     watching = Watching(order, limits)
@@ -111,7 +111,7 @@ def _hide_folders(out: Path, order: Order) -> None:
 
 
 class Watching:
-    """Shows the frames of a run to the visitor, and records its stability."""
+    """Shows the frames of a run to the visitor, and records the stability of the run."""
 
     def __init__(self, order: Order, limits: Limits) -> None:
         self.order, self.limits = order, limits
@@ -119,11 +119,11 @@ class Watching:
         self.note = "preparing"
         names = ("time", "min_J", "max_speed", "kinetic_energy")
         self.motion: dict[str, list[float]] = {name: [] for name in names}
-        """Quantities of each frame that show stability, in SI units."""
+        """Quantities that show the stability of each frame, in SI units."""
         limits.tell(Step("simulate", 0, order.scene.time.frames, self.note))
 
     def progress(self, stage: str, done: int, total: int) -> None:
-        """Report the progress of the run; an exception raised here stops the run."""
+        """Report the progress of the run; an exception raised in this method stops the run."""
         if stage == "compile":
             note = f"compiling, {done} of {total}"
             self.limits.tell(Step("simulate", 0, self.order.scene.time.frames, note))
@@ -131,7 +131,7 @@ class Watching:
         self.limits.tell_simulating(Step("simulate", done, total, self.note))
 
     def see(self, run: Simulation, frame: Frame) -> None:
-        """Show a frame, and record the current state of the particles.
+        """Show a frame to the visitor, and record the current state of the particles.
 
         Raises:
             InputError: There are more particles than the page allows.
@@ -150,13 +150,13 @@ class Watching:
             show(frame)
 
     def end(self) -> None:
-        """Report the end of the simulation, also if a time limit ended it."""
+        """Report the end of the simulation, even if a time limit ended it."""
         frames = self.order.scene.time.frames
         self.limits.tell(Step("simulate", frames, frames, self.note))
 
 
 def measure_motion(run: Simulation, frame: Frame) -> dict[str, float]:
-    """Measure time [s], smallest J, largest speed [m/s] and kinetic energy [J] of a frame."""
+    """Record the time [s], smallest J, largest speed [m/s] and kinetic energy [J] of a frame."""
     state = run.solver.state
     v = state.v.numpy().astype(np.float64)
     volumes = np.linalg.det(state.deformation.numpy().astype(np.float64))

@@ -1,4 +1,4 @@
-"""An order, which a click on the page creates, and the files that the job of the order writes."""
+"""An order is the request for a run that a click on the page creates; it names the run's files."""
 
 from __future__ import annotations
 
@@ -34,49 +34,50 @@ BYTES_OF_FILMS = 2_000_000
 """Approximate size of a run's videos [bytes]."""
 COMPOSING, EACH = 210, 1800
 """Cost of matching camera and colours to a photograph: the number of pictures that would take as
-long to render, and a number of rendered pixels per Gaussian in addition."""
+long to render, and an additional number of rendered pixels per Gaussian."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """Everything that a job needs to know after a click."""
+    """Everything that a job must know after a click on the page."""
 
     folder: Path
-    """The visitor's folder."""
+    """The folder of the visitor."""
     cutout: Path | None
     """The cut-out, a picture with alpha; None for a file of Gaussians."""
     scene: Scene
     stop: Path
-    """File whose existence asks the job to stop."""
+    """File whose existence tells the job to stop."""
     seconds: float
     """Longest wall-clock time [s]."""
     max_particles: int
     expected: float = 0.0
-    """Forecast wall-clock time [s]."""
+    """Predicted wall-clock time [s]."""
     generator: str = "relief"
-    """Name of the generator, or the file of Gaussians."""
+    """Name of the generator, or path of the file of Gaussians."""
     gaussians: int = GAUSSIANS
     """Number of Gaussians that `relief` generates from each picture."""
     extras: ExtraInputs = NO_EXTRAS
     """Optional inputs in addition to the picture or file."""
     others: tuple[Other, ...] = ()
-    """Further objects that have pictures."""
+    """Further objects that are made from pictures."""
     photograph: Path | None = None
     """Picture in which the object is also filmed, in a format that browsers can show."""
     device: str = "auto"
     threads: int | None = None
-    """CPU threads; None: one per free core."""
+    """Number of CPU threads; if None, one thread per free core."""
     about: tuple[tuple[str, str], ...] = ()
     """Further entries of the report."""
     levels: tuple[int, ...] = ()
-    """Cells across the object of the grids for an error study; if empty, the scene is filmed."""
+    """Grids of an error study [number of cells across the object]. If there are none, the scene is
+    filmed."""
 
     def picture(self) -> Image.Image:
-        """Open the cut-out, or an empty picture."""
+        """Open the cut-out; without a cut-out, return an empty picture."""
         return Image.open(self.cutout) if self.cutout else Image.new("RGBA", (1, 1))
 
     def cut_views(self, deadline: Deadline) -> None:
-        """Create all missing cut-outs of further pictures; raises InputError."""
+        """Create missing cut-outs of further pictures; raise InputError if one has no object."""
         self.extras.cut_views(deadline)
         for other in self.others:
             other.make_cutout(deadline)
@@ -94,7 +95,7 @@ def folders(order: Order) -> tuple[Path, Path]:
 def stages_done(order: Order) -> dict[str, Any]:
     """Return which stages of an order are done, as arguments of the forecast.
 
-    `composed` is the cost of filming in the photograph, as an equivalent number of rendered pixels.
+    `composed` is the cost of filming in the photograph, expressed as a number of rendered pixels.
     """
     clips, films = ((folder / "report.json").exists() for folder in folders(order))
     pictures = (order.cutout is not None) + len(order.others)
@@ -117,7 +118,7 @@ def stages_done(order: Order) -> dict[str, Any]:
 
 
 def made_gaussians(order: Order) -> Path:
-    """Return the file of an order's Gaussians."""
+    """Return the file that contains an order's Gaussians."""
     parts: list[Any] = [
         order.cutout.read_bytes() if order.cutout else b"",
         order.generator,
@@ -155,9 +156,9 @@ def bytes_to_write(order: Order) -> float:
 
 
 def study_file(order: Order) -> Path:
-    """Return the file for the measured errors of an order's scene.
+    """Return the file that stores the measured errors of an order's scene.
 
-    Orders that differ only in the grid or the precision have the same file.
+    Orders that differ only in the grid or the precision share one file.
     """
     physics = {name: value for name, value in order.scene.data().items() if name not in VIEWED}
     resolution = order.scene.resolution.model_dump(mode="json", exclude={"cells", "precision"})
@@ -169,12 +170,12 @@ def study_file(order: Order) -> Path:
 def order_of(
     visitor: Visitor, source: Source, scene: Scene, extras: ExtraInputs, limits: Settings
 ) -> Order:
-    """Create the order of a request; it has no stop file yet.
+    """Create the order (the request for a run) from a visitor's request; it has no stop file yet.
 
     Args:
         visitor: The visitor.
         source: The object's source.
-        scene: The scene; its regions may be in the units of a file.
+        scene: The scene. Its regions may be in the units of a file.
         extras: Optional inputs in addition to the front picture.
         limits: The page's limits.
 

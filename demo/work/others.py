@@ -19,18 +19,18 @@ from ..visitors import Visitor
 
 @dataclass(frozen=True)
 class Other:
-    """A further object with its picture."""
+    """A further object of the scene with its picture."""
 
     index: int
-    """Index among the objects; the first object is 0."""
+    """Index among the objects of the scene. The first object has index 0."""
     name: str
     picture: Path
     """The uploaded picture."""
     cutout: Path
-    """The cut-out, which `make_cutout` creates; its file name identifies its content."""
+    """The cut-out, which `make_cutout` creates. Its file name identifies its content."""
 
     def make_cutout(self, deadline: Deadline) -> None:
-        """Create the cut-out, unless it exists.
+        """Create the cut-out, unless it already exists.
 
         Raises:
             InputError: The picture shows no object.
@@ -46,7 +46,7 @@ class Other:
 
     @property
     def about(self) -> dict[str, Any]:
-        """Entries of the report about the source of the object."""
+        """Entries in the report about the source of the object."""
         with Image.open(self.cutout) as cutout:
             return {"generator": "relief", HOW: how_cut(cutout)}
 
@@ -61,7 +61,7 @@ def others_of(visitor: Visitor, scene: Scene) -> tuple[Other, ...]:
 
 
 def with_crops(scene: Scene, others: tuple[Other, ...]) -> Scene:
-    """Return the scene, in which these objects refer to the cut-out parts of their pictures."""
+    """Return the scene, in which these objects refer to the cut-outs of their pictures."""
     objects = list(scene.objects)
     for other in others:
         with Image.open(other.cutout) as cutout:

@@ -1,4 +1,4 @@
-"""Show a motion while it is computed: small pictures, and frames for the viewer."""
+"""Show a motion while it is computed: small pictures, and frames for the 3D viewer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ GLIMPSE = 224
 SHOWN = 12_000
 """Number of Gaussians in the viewer during the simulation."""
 ROOMY = 2.4
-"""Camera distance during the simulation, in object sizes."""
+"""Distance of the camera during the simulation, as a multiple of the object's size."""
 
 
 def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
@@ -52,7 +52,7 @@ def glimpses(order: Order, tell: Tell) -> Callable[[Frame], None]:
 
 
 def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
-    """Return a function that sends frames with fewer, larger Gaussians to the viewer."""
+    """Return a function that sends frames with fewer, larger Gaussians to the 3D viewer."""
     folder = order.folder / "live" / order.stop.name
     shutil.rmtree(folder.parent, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -75,7 +75,7 @@ def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
         try:
             path.write_bytes(data)
         except FileNotFoundError:
-            # The visitor's folder was removed meanwhile.
+            # The visitor's folder has been removed in the meantime.
             raise Cancelled from None
         tell(Live(str(path)))
 
@@ -83,7 +83,7 @@ def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
 
 
 def _thin(frame: Frame, chosen: np.ndarray) -> Frame:
-    """Select some of a frame's Gaussians, and enlarge these to cover the same area."""
+    """Select some of a frame's Gaussians, and enlarge them so that they cover the same area."""
     g = frame.gaussians
     larger = g.scales[chosen] * (len(g) / len(chosen)) ** 0.5
     some = Gaussians(g.means[chosen], g.quats[chosen], larger, g.opacities[chosen], g.sh[chosen])
@@ -91,13 +91,13 @@ def _thin(frame: Frame, chosen: np.ndarray) -> Frame:
 
 
 def _stage(frame: Frame, scene: Scene, rest: np.ndarray) -> Stage | None:
-    """Build the stage of a single frame."""
+    """Build the surroundings (stage) in which a single frame is drawn."""
     clip = replace(Clip.from_frames([frame]), scene={"boundaries": scene.data()["boundaries"]})
     return make_stage(clip, scene.view, rest=rest)
 
 
 def _camera(frame: Frame, scene: Scene) -> Camera:
-    """Place a camera with a margin, because the motion is not known yet."""
+    """Place a camera, with a margin around the object because the motion is not known yet."""
     rest = Clip.from_frames([frame])
     clip = Clip(**{**vars(rest), "scene": scene.data()})
     usual = {"size": (GLIMPSE, GLIMPSE), "fit": False}

@@ -22,7 +22,7 @@ def measure(order: Order, limits: Limits) -> Measured:
     """Simulate the scene of an order on several grids, and store the errors.
 
     Raises:
-        InputError: Too few grids were finished in time.
+        InputError: Too few grids were finished within the time limit.
     """
     path = study_file(order)
     if path.exists():

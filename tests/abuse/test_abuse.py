@@ -130,7 +130,7 @@ def test_pictures_are_private_to_their_visitor(server, attacker):
 def test_no_scene_names_a_file_of_the_server(attacker, changes):
     path = attacker.uploaded(DUCK)
     answer = attacker.generate({"path": path}, changes=changes)
-    assert "a scene cannot name a file, except a picture that you have sent" in answer, answer
+    assert "a scene cannot name a file, except a picture that you have uploaded" in answer, answer
 
 
 @pytest.mark.parametrize(

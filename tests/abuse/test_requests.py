@@ -180,7 +180,7 @@ TOOLS_REFUSE: dict[str, tuple[str, dict[str, Any], str]] = {
     "up": ("generate", {**PRESS, "image": "../../log.txt"}, "server does not have this picture"),
     "url": ("generate", {**PRESS, "image": "https://a.example/b.png"}, "downloads nothing"),
     "file url": ("generate", {**PRESS, "side": "file:///etc/passwd"}, "downloads nothing"),
-    "video": ("fit", {"run": "r" * 32, "video": URL}, "This is no file."),
+    "video": ("fit", {"run": "r" * 32, "video": URL}, "This is not a file."),
     "run": ("evaluate", {"run": "r" * 32}, "There is no run"),
     "traversal": ("render", {"run": "../x"}, "There is no run"),
     "unknown": ("generate", {**PRESS, "secret": 1}, "Additional properties"),
