@@ -2,8 +2,8 @@
 
 A kernel that is built per precision lists its arguments without types; `build.kernel` adds the
 types that are declared in this module. A written array is named like the array that is read,
-followed by `_out`. Arguments with other types, or used by a single kernel, are annotated in the
-kernel's signature.
+followed by `_out`. An argument is annotated in the kernel's signature if it has another type or if
+only one kernel uses it.
 """
 
 from functools import cache
@@ -43,7 +43,7 @@ def types(real: Any) -> Types:
 
 @cache
 def arguments(real: Any, width: int = 0) -> dict[str, Any]:
-    """Return the types of the kernels' arguments by name.
+    """Return a dictionary from the name of each kernel argument to its type.
 
     Args:
         real: wp.float32 or wp.float64.
@@ -51,47 +51,47 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
     """
     t = types(real)
     model = {
-        "chosen": Ints,  # indices of the particles that take part; empty: all
+        "chosen": Ints,  # indices of the particles that take part; all particles if empty
         "first": int,  # a thread reduces the items `thread * first + k * stride`, k < each
-        "each": int,  # items, or nodes of a row, of a thread
+        "each": int,  # number of items, or of nodes in a row, that a thread handles
         "stride": int,
-        "count": int,  # of the items
+        "count": int,  # number of items
         "mass": t.reals,  # of the particles [kg]
         "volume": t.reals,  # of the particles at rest [m^3]
-        "theta": wp.array(dtype=wp.types.vector(width, real)),  # of the law
+        "theta": wp.array(dtype=wp.types.vector(width, real)),  # parameters of the law
         "dx": real,  # spacing of the grid [m]
         "lattice": t.vec4,  # origin x, y, z and spacing of the grid [m]
         "window": Box,  # nodes of the body's grid on the lattice
         "box": Box,  # nodes that walls may reach, within the window
         "clock": t.reals,  # kick, drift, time [s]
-        "values": t.vec4s,  # of the tracks now, and 1 if active; the first: uniform acceleration
-        "rates": t.vec4s,  # of the tracks now [1/s]
-        "slot": int,  # of a track
+        "values": t.vec4s,  # current values of the tracks, and 1 if active; first the uniform acceleration
+        "rates": t.vec4s,  # current rates of change of the tracks [1/s]
+        "slot": int,  # index of a track
         "geometry": t.mat33,  # three vectors that define a shape (distance.py)
         "friction": real,  # coefficient of Coulomb friction
-        "sticky": int,  # 1: what touches does not slide
+        "sticky": int,  # 1 if bodies in contact do not slide
         "moments": wp.vec3d,  # principal moments of inertia [kg m^2]
     }
     state = {
         "x": t.vec3s,  # positions of the particles [m]
-        "residue": t.vec3s,  # rounding that the sums of the positions have left [m]
+        "residue": t.vec3s,  # rounding errors of the positions [m], for compensated sums
         "v": t.vec3s,  # velocities of the particles [m/s]
         "C": t.mat33s,  # velocity gradients of the particles [1/s]
         "F": t.mat33s,  # elastic deformation gradients
         "total": t.mat33s,  # deformation gradients that the Gaussians follow
-        "history": t.vec2s,  # variables of plastic laws
+        "history": t.vec2s,  # history variables of plastic laws
         "grid": t.vec4s,  # nodes: momentum, then velocity, and mass [kg]
-        "kept": t.vec4s,  # nodes of a box before walls act
-        "changes": t.vec4s,  # of the nodes, wanted by the columns at a wall
+        "kept": t.vec4s,  # copy of the nodes in a box before walls act
+        "changes": t.vec4s,  # velocity changes of the nodes that the columns at a wall request
         "exchange": Doubles,  # sums of impulse and work (work.py)
         "sums": Doubles,
-        "faults": Ints,  # number of particles that a check rejects, and the lowest index
-        "means": wp.array(dtype=wp.vec3d),  # position and velocity of a part (forces.py)
-        "second": wp.array(dtype=wp.mat33d),  # its second moment by mass [m^2]
-        "contact": wp.array3d(dtype=t.vec4),  # normal and fraction, where a free body touches
-        "impulses": wp.array(dtype=wp.vec3d),  # [N s]
-        "body": Doubles,  # a free body (free/numbers.py)
-        "trial": Doubles,  # its velocity in a solution
-        "system": Doubles,  # its six equations
+        "faults": Ints,  # number of particles that a check rejects, and the lowest index of these particles
+        "means": wp.array(dtype=wp.vec3d),  # mean position and velocity of a group of particles (forces.py)
+        "second": wp.array(dtype=wp.mat33d),  # second moment of the group divided by its mass [m^2]
+        "contact": wp.array3d(dtype=t.vec4),  # normal and volume fraction at nodes that a free body touches
+        "impulses": wp.array(dtype=wp.vec3d),  # impulses [N s]
+        "body": Doubles,  # state of a free body (free/numbers.py)
+        "trial": Doubles,  # velocity of the free body in a solution
+        "system": Doubles,  # six equations of motion of the free body
     }
     return {**model, **state, **{f"{name}_out": kind for name, kind in state.items()}}

@@ -1,4 +1,5 @@
-"""Makes a matrix's columns orthogonal by Jacobi rotations, and finds a rotation with these axes.
+"""Makes the columns of a matrix orthogonal by Jacobi rotations, and finds the rotation along these
+columns.
 
 One-sided Jacobi rotations (Hestenes 1958; high relative accuracy: Demmel, Veselic 1992) make the
 columns of a matrix orthogonal by plane rotations of at most 45 degrees. Everything is in float64;
@@ -70,7 +71,7 @@ def column(m: wp.mat33d, j: int) -> wp.vec3d:
 
 @wp.func
 def plane_rotation(a: wp.vec3d, b: wp.vec3d, tolerance: wp.float64) -> wp.vec2d:
-    """Return cosine and sine of the rotation that makes two columns orthogonal."""
+    """Return the cosine and the sine of the rotation that makes two columns orthogonal."""
     unit = wp.float64(1.0)
     turn = wp.vec2d(unit, wp.float64(0.0))
     p = wp.dot(a, a)
@@ -129,8 +130,8 @@ def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
 
 @wp.func
 def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
-    """Return the unit vector, normal to e, that is nearest to `wanted`, or to `spare` if `wanted`
-    is along e.
+    """Return the unit vector normal to e that is nearest to `wanted`; if `wanted` is along e,
+    return the one nearest to `spare`.
     """
     u = wanted - wp.dot(e, wanted) * e
     if wp.length(u) <= wp.float64(1e-3) * wp.length(wanted):
@@ -176,7 +177,7 @@ def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat3
 
 @wp.func
 def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
-    """Return, of the 24 proper signed permutations W, the one with U W closest to `previous`."""
+    """Return the proper signed permutation W (one of 24) for which U W is closest to `previous`."""
     unit = wp.float64(1.0)
     m = wp.transpose(previous) * u
     best = wp.identity(n=3, dtype=wp.float64)

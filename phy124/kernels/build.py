@@ -1,4 +1,4 @@
-"""Compilation of kernels: forward only, each variant in a module with a name of its own.
+"""Compiles kernels without their adjoints; each variant of a kernel has a separate Warp module.
 
 Warp hashes the set of functions that a closure uses, but not the role of each function. Two
 variants that use the same functions would therefore share a hash, so each variant needs a module
@@ -27,7 +27,9 @@ Options = ParamSpec("Options")
 Built = TypeVar("Built")
 
 BUILDING = RLock()
-"""Reentrant lock, held while a variant is built; a factory may call another factory meanwhile."""
+"""Lock that a thread holds while it builds a variant; reentrant, since one factory may call another
+factory.
+"""
 
 
 def build_once(make: Callable[Options, Built]) -> Callable[Options, Built]:
@@ -54,10 +56,10 @@ def kernel(
     Args:
         module: The module's name.
         real: Precision of the arguments that the signature does not annotate, whose types
-            `arguments.arguments` declares; None if the signature annotates all arguments.
-        width: Number of parameters of the law, if the kernel is built for one.
-        seconds: CPU time to compile the module on one core of an AMD EPYC [s], kept as the kernel's
-            attribute; 0 if it is negligible.
+            `arguments.arguments` declares. None if the signature annotates all arguments.
+        width: Number of parameters of the law, if the kernel is built for a law.
+        seconds: CPU time to compile the module on one core of an AMD EPYC [s]; 0 if it is
+            negligible. It is stored as an attribute of the kernel.
     """
     flags = wp.config.cpu_compiler_flags
     native = "-march=native" if flags is None else flags

@@ -1,4 +1,4 @@
-"""The particles that carry each Gaussian: its nearest neighbours, with smooth weights.
+"""Finds the particles that carry each Gaussian: its nearest neighbours, with smooth weights.
 
 The particles are sorted by cells of a grid. The search examines a box of cells around a point,
 which grows until it certainly contains the nearest particles. Distances are in float64.
@@ -14,7 +14,9 @@ CHOSEN = wp.constant(CARRIERS)
 FAR = wp.constant(wp.float64(1e300))
 """Squared distance that stands for a missing particle."""
 SPARE = wp.constant(wp.float64(1e-9))
-"""Smallest weight; without this minimum, particles at equal distance would all have weight 0."""
+"""Lower bound of the weights; without this bound, particles at equal distance would all have weight
+0.
+"""
 
 
 @wp.func
@@ -39,7 +41,9 @@ def gap(at: wp.float64, cell: int) -> wp.float64:
 
 @wp.func
 def margin(at: wp.float64, first: int, last: int, count: int) -> wp.float64:
-    """Return the distance to a range's nearest end [cells], ignoring the ends of the whole grid."""
+    """Return the distance from a coordinate to the nearest end of a range [cells], ignoring the
+    ends of the grid.
+    """
     room = wp.float64(1e100)
     if first > 0:
         room = wp.min(room, at - wp.float64(first))
@@ -51,7 +55,7 @@ def margin(at: wp.float64, first: int, last: int, count: int) -> wp.float64:
 @kernel("phy124_carriers", seconds=0.8)
 def find_carriers(
     points: wp.array(dtype=wp.vec3),
-    # particles, sorted by cell, and their index before sorting; first particle of each cell
+    # particles sorted by cell, their indices before sorting, and the first particle of each cell
     particles: wp.array(dtype=wp.vec3),
     order: wp.array(dtype=int),
     starts: wp.array(dtype=int),
@@ -63,9 +67,10 @@ def find_carriers(
     neighbours_out: wp.array2d(dtype=int),
     weights_out: wp.array2d(dtype=float),
 ):
-    """Find the nearest particles of each point, and weights w = (1 - (d / R)^2)^2 that sum to 1.
+    """Find the particles nearest to each point, and their weights w = (1 - (d / R)^2)^2, normalised
+    to sum 1.
 
-    R is the distance of the nearest particle that is not chosen, with the limits described in
+    R is the distance to the nearest particle that is not chosen, with the limits described in
     `phy124.motion.binding.find_carriers`. If there are fewer particles than requested, the missing
     ones have weight 0.
     """
@@ -88,7 +93,7 @@ def find_carriers(
         i0, i1 = wp.max(i - reach, 0), wp.min(i + reach, shape[0] - 1)
         j0, j1 = wp.max(j - reach, 0), wp.min(j + reach, shape[1] - 1)
         k0, k1 = wp.max(k - reach, 0), wp.min(k + reach, shape[2] - 1)
-        # Rows of cells from the middle outwards: far rows are then skipped.
+        # Rows of cells are visited from the middle outwards, so that far rows can be skipped.
         for p in range(2 * reach + 1):
             a = i + outwards(p)
             du = gap(u, a)

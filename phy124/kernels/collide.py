@@ -7,9 +7,9 @@ one distance function and one response, so unused shapes and responses cost noth
 phy124/kernels/columns.py. At a flat wall each node belongs to a single column. At a curved wall
 columns cross, so the nodes keep their velocities until every column has computed its changes.
 `make_settle` then adds the mean change to each node, so that the result does not depend on the
-order of the nodes. With the sum instead of the mean, changes would be up to twice too large where
-columns request the same change, and bodies would be squeezed flat. `make_collider` makes nodes
-respond one by one, for regions that are held only in some directions.
+order of the nodes. The sum instead of the mean would be up to twice too large where columns request
+the same change, and would squeeze bodies flat. `make_collider` makes nodes respond one by one; it
+serves regions that are held only in some directions.
 """
 
 from typing import Any
@@ -46,7 +46,9 @@ def steepest(n: Any):
 
 @wp.func
 def inward(s: Any, axis: int):
-    """Return the step along an axis to the next node towards the wall with normal s[0] to s[2]."""
+    """Return the index step along an axis to the next node towards the wall, whose normal is s[0]
+    to s[2].
+    """
     step = wp.vec3i()
     step[axis] = -int(wp.sign(s[axis]))
     return step
@@ -66,7 +68,9 @@ def add_velocity(nodes_out: wp.array(dtype=Any), n: int, change: Any):
 
 @wp.func
 def add_wish(changes_out: wp.array(dtype=Any), n: int, change: Any):
-    """Add a velocity change requested for a node, weighted by the size of the change."""
+    """Add a velocity change requested for a node to the node's sums, weighted by the size of the
+    change.
+    """
     weight = wp.length(change)
     changes_out[n] += weight * wp.vector(change[0], change[1], change[2], type(weight)(1.0))
 
@@ -77,11 +81,12 @@ FLAT = {"half_space"}
 
 @build_once
 def make_settle(real: Any):
-    """Kernel over the nodes of a sub-box: adds the mean of its columns' changes to each node.
+    """Kernel over the nodes of a sub-box: adds to each node the mean of the changes that its
+    columns request.
 
-    `changes_out` holds the sums of weighted changes and of weights, and is zero afterwards. The
-    weight of a column is the size of its change, so that the mean varies continuously when a column
-    begins to push.
+    `changes_out` holds the sums of the weighted changes and the sums of the weights; the kernel
+    resets it to zero. The weight of a column is the size of its change, so that the mean varies
+    continuously when a column begins to push.
     """
     t = types(real)
 
@@ -101,22 +106,23 @@ def make_settle(real: Any):
 
 @build_once
 def make_contact(shape: str, response: str, moving: bool, real: Any, updating: bool = False):
-    """Kernel: the nodes of a sub-box respond to a wall in columns of three.
+    """Kernel: makes the nodes of a sub-box respond to a wall, in columns of three nodes.
 
-    A thread handles a segment of a row, with the length `each` [nodes]. A column's first node
-    handles all three nodes. Nodes further behind the wall, or in columns without material in front
-    of the wall, respond one by one if their signed distance is below `reach` [m]. Nodes also
-    respond one by one in columns that extend beyond `span`, the layers first <= i < last that this
-    launch may change. A moving shape is displaced by the value of its track, and its wall moves at
-    the track's rate, while the track is active. `lightest` is the mass of a fully covered node in
-    the lightest of several materials [kg], or infinite. `full` is the fraction of the expected mass
-    at which material counts as having reached the wall. In columns that the wall does not push,
-    nodes below the signed distance `loose` [m] respond one by one. A flat wall changes `grid_out`,
-    other walls change `changes_out` (see `make_settle`).
+    Each thread handles a segment of a row with `each` nodes. The thread of a column's first node
+    handles all three nodes of the column. Some nodes respond one by one if their signed distance is
+    below `reach` [m]: nodes further behind the wall, and nodes in columns that have no material in
+    front of the wall. Nodes also respond one by one in columns that extend beyond `span`, the
+    layers first <= i < last that this launch may change. A moving shape is displaced by the value
+    of its track, and its wall moves at the track's rate, while the track is active. `lightest` is
+    the mass of a fully covered node in the lightest of several materials [kg], or infinite. `full`
+    is the fraction of the expected mass at which material counts as having reached the wall. In
+    columns that the wall does not push, nodes below the signed distance `loose` [m] respond one by
+    one. A flat wall changes `grid_out`, other walls change `changes_out` (see `make_settle`).
 
-    With `updating`, a flat wall and the grid update are one kernel, which reads momenta from `grid`
-    and writes velocities to `grid_out`. The first threads of this kernel handle the nodes of the
-    sub-box, whose size is `extent`; the other threads handle all nodes of the window.
+    If `updating` is set, one kernel does the work of a flat wall and of the grid update: it reads
+    momenta from `grid` and writes velocities to `grid_out`. The first threads of this kernel handle
+    the nodes of the sub-box, whose size is `extent`; the other threads handle all nodes of the
+    window.
 
     Args:
         shape: Name of a distance function.
@@ -228,7 +234,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
         above = real(0.0)
         if laden(grid, size, span, lead - back):
             above = grid[n - step][3] / mass
-        # Drops and grains sometimes get behind a wall, see below.
+        # Drops and grains sometimes get behind a wall (see below).
         beyond = real(0.0)
         if wp.isinf(loose) and laden(grid, size, span, end + back):
             beyond = grid[n + 3 * step][3] / mass
@@ -244,8 +250,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
                 add_rows(changes_out, n, step, m, weight * change, weight)
             return
 
-        # Next to a tip or a hair, the body squeezes material through the wall. A column holds this
-        # material back until its own material has arrived at the wall.
+        # Next to a tip or a hair, the body squeezes material through the wall. A column holds back
+        # the material behind the wall until the column's material has arrived at the wall.
         if wp.isinf(loose):
             if not come and wp.min(m[1], m[2]) > real(0.0):
                 last = n + 2 * step
@@ -295,7 +301,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
             grid,
             grid_out,
         ):
-            # Threads of one warp take the same path: first the box near the wall, then the others.
+            # Threads of one warp take the same branch: first come the nodes near the wall, then all
+            # others.
             size = window[1]
             near = extent[0] * extent[1] * extent[2]
             n = wp.tid() - near
@@ -395,8 +402,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
 def make_collider(shape: str, response: str, moving: bool, real: Any):
     """Kernel over the nodes of a sub-box: nodes inside a shape respond to its wall.
 
-    A node is inside if its signed distance is below `reach` [m]. A moving shape is displaced by the
-    value of its track, and its wall moves at the track's rate, while the track is active.
+    A node counts as inside if its signed distance is below `reach` [m]. A moving shape is displaced
+    by the value of its track, and its wall moves at the track's rate, while the track is active.
 
     Args:
         shape: Name of a distance function.

@@ -1,21 +1,21 @@
-"""Columns: three nodes in a row at a wall, which respond to the wall together.
+"""Makes columns of nodes (three nodes in a row at a wall) respond to the wall together.
 
 Contact is enforced at the wall itself, between the nodes. Along the axis closest to the wall's
 normal, the velocity relative to the wall is made linear in the distance and zero on the wall. A
 column's first node is the one nearest to the wall among those that are at least half a cell in
-front of the wall. The other two nodes follow behind the first node; their velocities are the first
-node's velocity times g, the ratio of their distance to the first node's distance. Quadratic
-B-splines reproduce linear functions, and the splines of a column reach no further behind the wall.
-Momentum is projected onto such velocities, v_1 = sum(g m v) / sum(g^2 m). The projection never adds
-energy, and acts on all three nodes. Without the projection, a wall is as compliant as a layer of
-material one cell thick. B-splines with such linear values behind the wall are extended B-splines
-(Hoellig, Reif, Wipper 2001). The wall acts once the material has reached the wall, as determined
-from the masses of the nodes on the wall's two sides (see `coverage`).
+front of the wall. The other two nodes follow behind the first node. Their velocities are the first
+node's velocity times g, where g is the ratio of their distance from the wall to the first node's
+distance. Quadratic B-splines reproduce linear functions, and the splines of a column reach no
+further behind the wall. Momentum is projected onto such velocities, v_1 = sum(g m v) / sum(g^2 m).
+The projection never adds energy, and acts on all three nodes. Without the projection, a wall is as
+compliant as a layer of material one cell thick. B-splines with such linear values behind the wall
+are extended B-splines (Hoellig, Reif, Wipper 2001). The wall acts once the material has reached the
+wall, as determined from the masses of the nodes on the wall's two sides (see `coverage`).
 
-At the surface of a holding region, held material is treated like material at a wall. The nodes
-inside the holding region are held. The velocity of the node next to the surface is set from the
-node in front of it, so that the interpolated velocity is zero where the region ends: g = (1, -w0 /
-w1, 0) with the weights w of the nodes at the surface.
+At the surface of a region that holds material, the material is treated like material at a wall. The
+nodes inside the region are held. The velocity of the node next to the surface is set from the node
+in front of it, so that the interpolated velocity is zero where the region ends. The ratios are g =
+(1, -w0 / w1, 0), where w are the weights of the nodes at the surface.
 
 A single node responds by `sticky`, `slip` or `separate`. For a column, `all_of_it`, `none_of_it`
 and `coulomb` return the fraction of the tangential motion that the wall stops.
@@ -42,8 +42,8 @@ def slip(v: Any, wall: Any, n: Any, friction: Any):
 
 @wp.func
 def separate(v: Any, wall: Any, n: Any, friction: Any):
-    """Let a departing node leave the wall; for other nodes apply friction (Stomakhin et al. 2013,
-    sec. 8).
+    """Let a departing node leave the wall; stop any other node, with friction (Stomakhin et al.
+    2013, sec. 8).
     """
     relative = v - wall
     speed = wp.dot(relative, n)
@@ -78,19 +78,21 @@ def coulomb(along: Any, pressed: Any, friction: Any):
 
 
 NARROWING = wp.constant(1.55)
-"""Exponent that relates the mass ratios of successive node pairs: 1.1 to 1.3 for an edge, 1.2 to
-1.6 for a cone.
+"""Exponent that relates the mass ratios of successive pairs of nodes. It is 1.1 to 1.3 for an edge
+and 1.2 to 1.6 for a cone.
 """
 OUT_OF_REACH = wp.constant(-1.25)
-"""A node at less than this distance from a wall [cells] (negative: behind the wall) has no mass
-from a body in front of the wall. The body's nearest particles are a quarter of a cell in front of
-the wall.
+"""A node whose signed distance from a wall is below this value [cells] gets no mass from a body in
+front of the wall; negative distances are behind the wall. The body's nearest particles are a
+quarter of a cell in front of the wall.
 """
 
 
 @wp.func
 def coverage(u: Any):
-    """Return the fraction of a quadratic B-spline beyond a plane u cells before its centre."""
+    """Return the fraction of a quadratic B-spline's integral beyond a plane that is u cells before
+    its centre.
+    """
     unit = type(u)(1.0)
     sixth = type(u)(1.0 / 6.0)
     reach = wp.max(type(u)(1.5) - wp.abs(u), type(u)(0.0))
@@ -116,7 +118,8 @@ def relative(q0: Any, q1: Any, q2: Any, wall: Any):
 
 @wp.func
 def narrow(m: Any, farther: Any, u: Any):
-    """Return the factor by which a body's narrowing towards a wall lowers the next node's mass.
+    """Return the factor by which the mass of the next node is lower because a body narrows towards
+    a wall.
 
     `m` is the mass of the body on a node u cells in front of the wall, and `farther` is its mass on
     the next node away from the wall. For a body of constant cross-section, the ratio of these
@@ -132,14 +135,15 @@ def narrow(m: Any, farther: Any, u: Any):
 
 @wp.func
 def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
-    """Return whether material touches a wall, from the masses m of nodes at distances u [cells].
+    """Determine from the masses m of nodes at the distances u [cells] whether material touches a
+    wall.
 
     If a body touches the wall, the masses of the two nodes next to the wall have a known ratio,
-    whatever the body's density and width; if there is a gap, the nearer node has less mass. With
-    irregular particles the ratio varies from column to column. Contact requires only the fraction
-    `full` of the expected mass; otherwise the body would rest on only the few columns with most
-    mass. Since heavier material may lie on the body, the mass of the farther node is capped at the
-    mass of a full node of the `lightest` material.
+    whatever the density and width of the body. If there is a gap, the nearer node has less mass.
+    With irregular particles the ratio varies from column to column. Contact requires only the
+    fraction `full` of the expected mass; otherwise the body would rest on only the few columns with
+    most mass. Since heavier material may lie on the body, the mass of the farther node is capped at
+    the mass of a full node of the `lightest` material.
 
     Tips, edges and hairs have less mass on the nearer node although they touch the wall. The
     narrowing of a tip is estimated one node farther from the wall. The narrowing at the third node
@@ -169,7 +173,9 @@ def has_mass(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
 
 @wp.func
 def linear(distances: Any, across: Any):
-    """Return the ratios g of a velocity that is linear in the distance and zero on the wall."""
+    """Return the ratios g for a velocity that is linear in the distance from the wall and zero on
+    the wall.
+    """
     return distances / distances[0]
 
 
@@ -186,14 +192,17 @@ def ending(distances: Any, across: Any):
 
 @wp.func
 def tie(v: Any, m: Any, g: Any):
-    """Return velocity changes [node, axis] that give nodes of mass m velocities of the ratios g."""
+    """Return the velocity changes [node, axis] after which the velocities of nodes of mass m have
+    the ratios g.
+    """
     weight = wp.cw_mul(g, m)
     return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
 
 
 @wp.func
 def hold_back(behind: Any, front: Any, normal: Any):
-    """Return the change that slows a node behind a wall to the speed of the node in front.
+    """Return the velocity change that slows a node behind a wall to the speed of the node in front
+    of it.
 
     The change only slows the motion, so it never adds energy.
     """
@@ -210,19 +219,21 @@ def along_wall(change: Any, normal: Any):
 
 @wp.func
 def pressing(pressed: Any):
-    """Return whether material presses on the wall; the wall lets departing material go."""
+    """Return whether material presses on the wall, for a wall that lets departing material go."""
     return pressed > type(pressed)(0.0)
 
 
 @wp.func
 def either_way(pressed: Any):
-    """Return True, because the wall acts on approaching and on departing material."""
+    """Return True, for a wall that acts on approaching and on departing material."""
     return True
 
 
 @wp.func
 def add_rows(nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any, fourth: Any):
-    """Add velocity changes [node, axis] and a fourth component to the column's nodes with mass."""
+    """Add velocity changes [node, axis], and a fourth component, to the nodes of a column that have
+    mass.
+    """
     for row in range(3):
         if m[row] > type(m[row])(0.0):
             nodes[first + row * step] += wp.vector(
@@ -231,7 +242,9 @@ def add_rows(nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: 
 
 
 class Response(NamedTuple):
-    """Functions of a wall's response, for single nodes and for columns of three."""
+    """Functions that define the response of a wall, for single nodes and for columns of three
+    nodes.
+    """
 
     answer: Any
     """Maps `(v, wall, n, friction)` to the new velocity of a single node."""

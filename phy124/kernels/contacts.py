@@ -1,4 +1,5 @@
-"""Computes the impulse of each wall in a substep: per particle (contacts) and total (wrenches).
+"""Computes the impulse of each wall in a substep, for each particle (contacts) and in total
+(wrenches).
 
 A wall changes the velocity of nodes. The impulse m_i (v_after - v_before) on a node is divided
 among the particles by the weights w_ip with which their mass was scattered to the node: particle p
@@ -20,9 +21,9 @@ from phy124.kernels.transfer import first_node, in_window, spline
 
 @build_once
 def make_contact_copy(real: Any):
-    """Kernel: copies the nodes of a box before a wall acts.
+    """Kernel: stores a copy of the nodes in a box before a wall acts.
 
-    A thread handles a segment of a row, with the length `each` [nodes].
+    Each thread handles a segment of a row with `each` nodes.
     """
 
     @kernel(f"phy124_contact_copy_{real.__name__}", real, seconds=0.15)
@@ -42,9 +43,10 @@ def make_contact_copy(real: Any):
 
 @build_once
 def make_contact_reach(real: Any):
-    """Kernel: replaces each node that `make_contact_copy` stored by its change due to a wall.
+    """Kernel: replaces each node stored by `make_contact_copy` by the change of velocity that a
+    wall caused.
 
-    The kernel also stores the lowest and the highest changed node.
+    The kernel also stores the lowest and the highest node that the wall changed.
     """
     t = types(real)
 
@@ -79,7 +81,9 @@ def make_contact_reach(real: Any):
 
 @build_once
 def make_contacts(real: Any):
-    """Kernel over particles: adds each particle's share of the changes since `contact_copy`."""
+    """Kernel over particles: adds each particle's share of the impulses since `contact_copy` to the
+    particle's total.
+    """
     t = types(real)
 
     @kernel(f"phy124_contacts_{real.__name__}", real, seconds=0.4)
@@ -131,8 +135,8 @@ IMPULSE, MOMENT, SUMS = 0, 3, 6
 
 @build_once
 def make_wall_wrench(real: Any):
-    """Kernel over the segments of `make_wall_copy`: adds the wrench of the wall since the nodes
-    were copied.
+    """Kernel over the segments of `make_wall_copy`: adds the wrench that the wall has exerted since
+    the nodes were copied to the wall's total.
 
     The moment is taken about the origin of the world. The gather preserves the angular momentum of
     the nodes (APIC, Jiang et al. 2015), so the sum equals the wrench on the material.

@@ -1,4 +1,4 @@
-"""Device code of `phy124.motion.deform`: Gaussians follow the material, all in float64.
+"""Device code of `phy124.motion.deform`: makes Gaussians follow the material, in float64.
 
 One-sided Jacobi rotations (Hestenes 1958; high relative accuracy: Demmel, Veselic 1992) of A = F R0
 S0 V make the columns of A orthogonal by plane rotations of at most 45 degrees. The directions of
@@ -36,8 +36,8 @@ LARGEST = wp.constant(wp.float64(3.0e38))
 TINY = wp.constant(wp.float64(1e-12))
 SOUND_SHAPE = wp.constant(wp.float64(1.5))
 ROUND_SHAPE = wp.constant(wp.float64(4.0))
-"""A Gaussian of plastic or fluid material whose elongation, relative to rest, is at least this
-becomes a ball. Above the elongation `SOUND_SHAPE` it becomes rounder.
+"""Elongation relative to rest from which a Gaussian of plastic or fluid material becomes a ball.
+From the elongation `SOUND_SHAPE` on, the Gaussian becomes gradually rounder.
 """
 
 ARM = wp.constant(wp.float64(2.0))
@@ -48,7 +48,8 @@ as a multiple of their distance at rest.
 
 @wp.func
 def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
-    """Return a plastic or fluid Gaussian's axis lengths; longer Gaussians are made rounder.
+    """Return the axis lengths of a Gaussian of plastic or fluid material; elongated Gaussians are
+    made rounder.
 
     A ball of radius sqrt(a b), where a and b are the two longest axes, covers as much of a frame as
     the Gaussian does.
@@ -65,7 +66,7 @@ def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
 
 @wp.func
 def within(f: wp.mat33d, limit: wp.float64) -> wp.mat33d:
-    """Return F with its logarithmic strain scaled down until its largest stretch is `limit`.
+    """Return F, with its logarithmic strain scaled down if the largest stretch exceeds `limit`.
 
     F = U S V^T becomes U S^p V^T with p = log(limit) / log(s_1). The result keeps the rotation, and
     is continuous where s_1 passes the limit. The Gaussian is then stretched as if the material were
@@ -95,9 +96,11 @@ def shape_of(
     inner: wp.vec4f,
     quat: wp.vec4f,
 ):
-    """Return V, quaternion and scales of a deformed Gaussian, Sigma_t = F Sigma0 F^T.
+    """Return V, the quaternion and the scales of a deformed Gaussian, whose covariance is Sigma_t =
+    F Sigma0 F^T.
 
-    V and the quaternion continue those of the previous frame.
+    V and the quaternion start from their values in the previous frame, so that axes do not change
+    order.
     """
     s0 = wp.vec3d(scale0)
     last = wp.vec4d(quat)
@@ -130,15 +133,15 @@ def deform_shapes(
     holds: wp.array(dtype=wp.float64),
     max_stretch: wp.array(dtype=wp.float64),
     rounds: wp.array(dtype=wp.bool),
-    # of the previous frame
+    # from the previous frame
     quats: wp.array(dtype=wp.vec4f),
     deformation: wp.array(dtype=wp.mat33d),
-    # in place: read for the previous frame, written for this one
+    # in place: read from the previous frame, written for this frame
     inner_out: wp.array(dtype=wp.vec4f),
     quats_out: wp.array(dtype=wp.vec4f),
     scales_out: wp.array(dtype=wp.vec3f),
 ):
-    """Compute one frame's Sigma_t = F Sigma0 F^T as quaternions and scales."""
+    """Compute the covariances Sigma_t = F Sigma0 F^T of a frame, as quaternions and scales."""
     i = wp.tid()
     inner, quat, scale = shape_of(
         deformation[i],
@@ -171,7 +174,9 @@ shapes_of_eight = native_func(
     "shapes_of_eight",
     returns=int,
 )
-"""Deforms the Gaussians `8 thread` to `8 thread + 7`; returns one bit for each that is unusual."""
+"""Deforms the Gaussians `8 thread` to `8 thread + 7`, and returns one bit for each unusual
+Gaussian.
+"""
 
 
 @kernel("phy124_deform_simd", seconds=1.5)
@@ -181,15 +186,17 @@ def deform_shapes_simd(
     holds: wp.array(dtype=wp.float64),
     max_stretch: wp.array(dtype=wp.float64),
     rounds: wp.array(dtype=wp.bool),
-    # of the previous frame
+    # from the previous frame
     quats: wp.array(dtype=wp.vec4f),
     deformation: wp.array(dtype=wp.mat33d),
-    # in place: read for the previous frame, written for this one
+    # in place: read from the previous frame, written for this frame
     inner_out: wp.array(dtype=wp.vec4f),
     quats_out: wp.array(dtype=wp.vec4f),
     scales_out: wp.array(dtype=wp.vec3f),
 ):
-    """Deform eight Gaussians per thread; `shape_of` handles those that the fast form leaves out."""
+    """Deform eight Gaussians per thread; `shape_of` handles the Gaussians that the vectorised form
+    leaves out.
+    """
     group = wp.tid()
     left = shapes_of_eight(
         group,
@@ -227,10 +234,10 @@ def deform_shapes_simd(
 @kernel(MODULE, seconds=1.5)
 def turn_of_material(
     deformation: wp.array(dtype=wp.mat33d),
-    # in place: read for the previous frame, written for this one
+    # in place: read from the previous frame, written for this frame
     rotations_out: wp.array(dtype=wp.vec4f),
 ):
-    """Compute the rotation closest to F (the polar rotation if det F > 0)."""
+    """Compute the rotation closest to F, which is the polar rotation if det F > 0."""
     i = wp.tid()
     last = wp.vec4d(rotations_out[i])
     a, v = orthogonal_columns(deformation[i], wp.identity(n=3, dtype=wp.float64), EXACT)
@@ -244,11 +251,12 @@ def turn_of_material(
 
 @build_once
 def make_carry(real: Any):
-    """Kernel for particles of one precision: computes the Gaussians' centres and F.
+    """Kernel for particles of one precision: computes the centres and the deformation gradients F
+    of Gaussians.
 
-    x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carrying particles i. The F of
-    plastic or fluid material grows without bound, so for such material the arms F_i (X_g - X_i) are
-    limited.
+    x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carrying particles i. In
+    plastic or fluid material F grows without bound, so the length of the vectors F_i (X_g - X_i) is
+    limited there.
     """
     t = types(real)
 
@@ -291,7 +299,9 @@ def make_carry(real: Any):
 
 @build_once
 def make_follow(real: Any):
-    """Kernel for one precision: gives each Gaussian the position and F of its own particle."""
+    """Kernel for one precision: copies to each Gaussian the position and F of the particle that
+    represents it.
+    """
     t = types(real)
 
     @kernel(f"phy124_follow_{real.__name__}", real, seconds=0.2)
@@ -311,7 +321,9 @@ def make_follow(real: Any):
 
 @build_once
 def make_count_broken(real: Any):
-    """Kernel: counts the particles with a non-finite position, and those with a non-finite F."""
+    """Kernel: counts the particles with a non-finite position and the particles with a non-finite
+    F.
+    """
     t = types(real)
 
     @kernel(f"phy124_broken_{real.__name__}", real, seconds=0.2)

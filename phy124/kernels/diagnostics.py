@@ -1,4 +1,5 @@
-"""Measures momentum, energy and volume ratio of a state; detects and resets unsound particles.
+"""Measures the momentum, energy and volume ratio of a state, and detects and resets unsound
+particles.
 
 All sums are in float64; each thread sums several particles before it adds the result to the total.
 The kinetic energy includes the energy of APIC's C: m/2 (|v|^2 + dx^2/4 |C|^2), with the inertia of
@@ -24,12 +25,12 @@ MOMENTUM, ANGULAR, KINETIC, ELASTIC, MIDDLE, POWER, SUMS = 0, 3, 6, 7, 8, 11, 12
 LEAST_J, LARGEST_J = 0, 1
 """Indices of the smallest and the largest J; the smallest is stored as the maximum of -J."""
 BROKEN, INVERTED = 0, 1
-"""Index of each kind of unsound particle: not finite, inverted."""
+"""Index of each kind of unsound particle: values not finite, element inverted."""
 
 
 @wp.func
 def wide(a: Any):
-    """Return a three-vector in float64."""
+    """Convert a three-vector to float64."""
     return wp.vec3d(wp.float64(a[0]), wp.float64(a[1]), wp.float64(a[2]))
 
 
@@ -50,7 +51,7 @@ def kinetic_energy(m: wp.float64, v: wp.vec3d, C: Any, dx: Any):
 
 @wp.func
 def spin(C: Any, dx: Any):
-    """Return the angular momentum per mass that APIC stores in C [m^2/s]."""
+    """Return the angular momentum per unit mass that APIC stores in C [m^2/s]."""
     spread = wp.float64(dx * dx) / wp.float64(4.0)
     return spread * wp.vec3d(
         wp.float64(C[2, 1] - C[1, 2]), wp.float64(C[0, 2] - C[2, 0]), wp.float64(C[1, 0] - C[0, 1])
@@ -59,7 +60,8 @@ def spin(C: Any, dx: Any):
 
 @build_once
 def make_totals(law: Law, real: Any):
-    """Kernel: computes the `SUMS` over the particles, the range of J, and the unsound particles.
+    """Kernel: computes the `SUMS` over the particles and the range of J, and counts unsound
+    particles.
 
     The power is the rate at which kinetic energy becomes elastic energy. `counts_out` is the number
     of unsound particles of each kind, `first_out` the lowest index of each kind. Each thread sums
@@ -162,7 +164,9 @@ def make_energies(law: Law, real: Any):
 
 @build_once
 def make_probe(law: Law, real: Any):
-    """Kernel: evaluates stress, modulus, energy and return mapping of a law for single states."""
+    """Kernel: evaluates the stress, modulus, energy and return mapping of a law, for a list of
+    states.
+    """
     t = types(real)
     stress, modulus, energy, project = law.stress, law.modulus, law.energy, law.project
     plastic = project is not None
@@ -196,7 +200,7 @@ def make_probe(law: Law, real: Any):
 
 @build_once
 def make_reset(real: Any):
-    """Kernel: sets deformations that no law can handle to the identity.
+    """Kernel: resets deformations that no law can handle to the identity.
 
     A deformation F is sound if its volume ratio is between `min_J` and `max_J`, its norm is at most
     `max_norm`, and its smallest stretch is at least the fraction `narrowest` of its largest
@@ -229,7 +233,9 @@ def make_reset(real: Any):
 
 @build_once
 def make_limit_total(real: Any):
-    """Kernel: scales down the F_total of fluid or plastic material before it overflows."""
+    """Kernel: scales down the total deformation gradients of fluid or plastic material before they
+    overflow.
+    """
 
     @kernel(f"phy124_limit_total_{real.__name__}", real, seconds=0.15)
     def limit_total(max_norm: real, F, total_out):
@@ -245,7 +251,8 @@ def make_limit_total(real: Any):
 
 @build_once
 def make_apart(real: Any):
-    """Kernel: counts particles that are stretched apart from their neighbours.
+    """Kernel: counts particles whose material is stretched so far that they lose contact with their
+    neighbours.
 
     At rest a particle fills a cube whose side is the distance between neighbours. `most` is the
     square of the stretch above which particles lose contact. `faults_out` receives the number of
@@ -271,7 +278,8 @@ def make_neighbours_lost(real: Any):
     """Kernel: marks each particle that is too far from a particle that was its neighbour at rest.
 
     `square` is the square of the distance [m^2]. Thread i examines the particle `chosen[i]`, whose
-    neighbours at rest are `neighbours[i]`, and sets `lost_out[i]` to 1 or 0.
+    neighbours at rest are `neighbours[i]`. It sets `lost_out[i]` to 1 if the particle has lost a
+    neighbour, and to 0 otherwise.
     """
     t = types(real)
 

@@ -1,7 +1,8 @@
-"""Computes the distance from a point to a wall, and the wall's normal, for each shape.
+"""Computes the signed distance from a point to a wall, and the normal of the wall, for each shape.
 
 Each function takes a point x [m] and three vectors that define the shape. Each function returns the
-unit normal, which points out of the solid, and the signed distance [m], negative inside.
+unit normal, which points out of the solid, and the signed distance [m], which is negative inside
+the solid.
 """
 
 from typing import Any
@@ -31,7 +32,7 @@ def sphere(x: Any, shape: Any):
 def box(x: Any, shape: Any):
     """Return normal and signed distance of the nearest face of the box shape[0] +- shape[1].
 
-    Inside the box the distance is exact; outside, the distance is that from the plane of the
+    Inside the box the distance is exact; outside the box, it is the distance from the plane of the
     nearest face.
     """
     d = x - shape[0]
@@ -54,7 +55,9 @@ def box(x: Any, shape: Any):
 
 @wp.func
 def capsule(x: Any, shape: Any):
-    """Return normal and distance of the capsule shape[0] to shape[1] with radius shape[2, 0]."""
+    """Return normal and signed distance of the capsule from shape[0] to shape[1] with radius
+    shape[2, 0].
+    """
     axis = shape[1] - shape[0]
     zero = type(x[0])(0.0)
     s = wp.clamp(wp.dot(x - shape[0], axis) / wp.dot(axis, axis), zero, type(x[0])(1.0))
@@ -68,7 +71,8 @@ def capsule(x: Any, shape: Any):
 
 @wp.func
 def cylinder(x: Any, shape: Any):
-    """Return normal and signed distance of a face of a cylinder about shape[0] along shape[1].
+    """Return normal and signed distance of the nearest face of the cylinder about shape[0] along
+    shape[1].
 
     shape[2] is (radius, half length, 0).
     """

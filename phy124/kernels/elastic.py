@@ -2,8 +2,8 @@
 
 Every law has a stress, an energy per rest volume from which the stress derives, and a modulus: an
 upper bound of the largest eigenvalue of d tau / d ln sigma, which limits the substep
-(docs/design/laws.md). `theta` holds the law's parameters, `h` its history (unused here), `C` the
-velocity gradient.
+(docs/design/laws.md). `theta` holds the parameters of the law, `h` its history variables (which
+elastic laws do not use), and `C` the velocity gradient.
 """
 
 from typing import Any
@@ -48,7 +48,7 @@ def polar_step(R: Any):
 
 @wp.func
 def polar(F: Any):
-    """Return the polar rotation by Newton's iteration (Higham 1986); needs det F > 0.
+    """Return the polar rotation of F by Newton's iteration (Higham 1986); det F must be positive.
 
     After each step the singular values of R are at least 1, so |R|^2 - 3 measures the deviation of
     R from a rotation. In float32, three steps of the iteration suffice for stretches between 0.75
@@ -63,7 +63,9 @@ def polar(F: Any):
 
 @wp.func
 def stretch(F: Any):
-    """Return V of F = V R for any F: Newton's iteration, or float64 if it does not converge."""
+    """Return V of F = V R for any F, by Newton's iteration, or in float64 if the iteration does not
+    converge.
+    """
     s = F[0, 0]
     R = polar(F)
     if wp.determinant(F) > type(s)(0.0) and wp.ddot(R, R) < type(s)(3.0) + polar_miss(s):
@@ -73,7 +75,7 @@ def stretch(F: Any):
 
 @wp.func
 def log_volume_far(J: Any):
-    """Return log J; it continues linearly below SMALLEST_J, so that inverted elements resist."""
+    """Return log J, continued linearly below SMALLEST_J so that inverted elements resist."""
     floor = type(J)(SMALLEST_J)
     if J > floor:
         return wp.log(J)
@@ -90,8 +92,8 @@ def log_volume(J: wp.float64):
 def log_volume(J: wp.float32):  # noqa: F811
     """Return `log_volume_far`; near J = 1 a polynomial replaces log at a third of its cost.
 
-    The polynomial is the best approximation of log(1 + y) / y for |y| < 0.2: its error is 3e-8,
-    with rounding 1.4e-7, and log J is exactly 0 at J = 1. The polynomial's two halves are
+    The polynomial is the best approximation of log(1 + y) / y for |y| < 0.2: its error is 3e-8
+    (1.4e-7 with rounding errors), and log J is exactly 0 at J = 1. The polynomial's two halves are
     independent, so a processor can compute them in parallel.
     """
     y = J - 1.0
@@ -130,7 +132,8 @@ def neo_hookean(F: Any, C: Any, h: Any, theta: Any):
     p = theta[1] * log_volume(wp.determinant(F)) - theta[0]
     b = gram(F)
     mu = theta[0]
-    # Written per entry, since the compiler does not remove products with the identity's zeros.
+    # Each matrix entry is written separately, since the compiler does not remove products with the
+    # zeros of the identity.
     return symmetric(
         mu * b[0, 0] + p, mu * b[0, 1], mu * b[0, 2],
         mu * b[1, 1] + p, mu * b[1, 2], mu * b[2, 2] + p,
@@ -139,7 +142,9 @@ def neo_hookean(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def neo_hookean_modulus(F: Any, h: Any, theta: Any):
-    """Return 2 mu s^2 + 3 max(lam, 0), s the largest stretch; lam < 0 for auxetics (nu < 0)."""
+    """Return 2 mu s^2 + 3 max(lam, 0), where s is the largest stretch; lam < 0 for auxetics (nu <
+    0).
+    """
     zero = type(theta[0])(0.0)
     return type(zero)(2.0) * theta[0] * largest_stretch_squared(F) + type(zero)(3.0) * wp.max(
         theta[1], zero
@@ -174,7 +179,7 @@ def fixed_corotated(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def fixed_corotated_modulus(F: Any, h: Any, theta: Any):
-    """Return 2 mu (2 s^2 - s) + 3 max(lam (2 J^2 - J), 0), s the largest stretch (at least 1)."""
+    """Return 2 mu (2 s^2 - s) + 3 max(lam (2 J^2 - J), 0), where s >= 1 is the largest stretch."""
     unit = type(theta[0])(1.0)
     two = type(theta[0])(2.0)
     s2 = wp.max(largest_stretch_squared(F), unit)
@@ -188,7 +193,7 @@ def newtonian(F: Any, C: Any, eta: Any):
     """Return J eta (C + C^T): Kirchhoff stress of sigma = 2 eta D, with D the rate of strain.
 
     For an inverted element the stress is zero, so that it never adds energy. For an element larger
-    than at rest, J is capped at 1, as the limit of the substep assumes.
+    than at rest, J is replaced by 1, because the limit of the substep assumes J <= 1.
     """
     strength = wp.clamp(wp.determinant(F), type(eta)(0.0), type(eta)(1.0)) * eta
     return strength * (C + wp.transpose(C))

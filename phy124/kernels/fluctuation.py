@@ -2,11 +2,11 @@
 
 The grid does not represent all of the particles' motion. In every substep, APIC discards the part
 that the grid does not represent, called the fluctuation, and thus damps the motion. The fluctuation
-is the difference between (v, C) and (v, C) after a round trip over the grid; this operator is D = 1
-- S S^+ in the notation of Hammerquist and Nairn 2017. FLIP restores the whole fluctuation; AFLIP
-(Fei et al. 2021) restores a fraction. XPIC(m) restores the whole fluctuation except D^m (v, C),
-which is only noise. Here C makes the round trip together with v, so that the round trip changes
-neither momentum nor angular momentum.
+is the difference between (v, C) and (v, C) after a round trip over the grid; Hammerquist and Nairn
+(2017) write this operator as D = 1 - S S^+. FLIP restores the whole fluctuation; AFLIP (Fei et al.
+2021) restores a fraction. XPIC(m) restores the whole fluctuation except D^m (v, C), which is only
+noise. Here C makes the round trip together with v, so that the round trip changes neither momentum
+nor angular momentum.
 
 RPIC: the symmetric part of C decays; its skew part, the spin, does not. PhysGaussian's
 `rpic_damping` r scatters (1 - r) C + r/2 (C - C^T) in each substep, so that r = 1 is RPIC (Jiang et
@@ -25,7 +25,7 @@ from phy124.kernels.transfer import GATHERS, SCATTERS, columns4, first_node, in_
 
 @build_once
 def make_carry(real: Any, form: str):
-    """Kernel: scatters momentum and mass of a motion (v, C) to the grid, without stress."""
+    """Kernel: scatters the momentum and mass of a motion (v, C) to the grid, without stress."""
     spread = SCATTERS[form]
 
     @kernel(f"phy124_carry_{real.__name__}_{form}", real, seconds=0.3)
@@ -49,7 +49,9 @@ def make_carry(real: Any, form: str):
 
 @build_once
 def make_fluctuation(real: Any, form: str):
-    """Kernel: keeps the part of (v, C) lost in a round trip over the grid; 0 outside the window."""
+    """Kernel: computes the part of (v, C) that a round trip over the grid loses; it is 0 outside
+    the window.
+    """
     t = types(real)
     collect = GATHERS[form]
 
@@ -82,7 +84,9 @@ def make_fluctuation(real: Any, form: str):
 
 @build_once
 def make_keep(real: Any):
-    """Kernel: restores a share of the fluctuation, without its noise, to the particles."""
+    """Kernel: adds a share of the fluctuation, without its noise, to the velocities of the
+    particles.
+    """
     t = types(real)
 
     @kernel(f"phy124_keep_{real.__name__}", real)
@@ -109,8 +113,8 @@ def without_strain(C: Any, share: Any):
 
 @build_once
 def make_rpic(real: Any):
-    """Kernel that runs right before a scatter: the symmetric part of C decays as exp(-rate t), with
-    the rate in 1/s.
+    """Kernel that runs right before a scatter: lets the symmetric part of C decay as exp(-rate t),
+    with the rate in 1/s.
     """
 
     @kernel(f"phy124_rpic_{real.__name__}", real)

@@ -2,8 +2,8 @@
 gradient.
 
 The elastic F of a fluid is j I with j = J^(1/3), which keeps the volume but not the shape. A
-fluid's history variable is the value of J about one relaxation time ago. For faster changes the
-fluid is stiffer, and the energy of this extra stiffness is dissipated (Mandelstam and Leontovich
+fluid's history variable is the value of J about one relaxation time ago. The fluid is stiffer for
+faster changes, and the energy of this additional stiffness is dissipated (Mandelstam and Leontovich
 1937).
 """
 
@@ -22,7 +22,9 @@ of all particles.
 
 @wp.func
 def squeeze(F: Any):
-    """Return J, but at least `TAIT_J`, and the logarithm of any compression beyond `TAIT_J`."""
+    """Return max(J, `TAIT_J`), and the logarithm of the compression beyond `TAIT_J` (0 if there is
+    none).
+    """
     J = wp.max(wp.determinant(F), type(F[0, 0])(MIN_J))
     bounded = wp.max(J, type(J)(TAIT_J))
     return bounded, wp.log(J / bounded)
@@ -67,9 +69,9 @@ def tait(F: Any, C: Any, h: Any, theta: Any):
     """Return the Kirchhoff stress -J p I + 2 j eta dev(sym C) + zeta tr C I + K' lag I.
 
     theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]). Tension is
-    allowed and acts as cohesion. Because j = min(J, 1), a fluid that has spread out keeps its
-    viscosity per mass, which limits the substep, instead of its viscosity per volume. zeta damps
-    sound where the fluid is compressed.
+    allowed and acts as cohesion. Since j = min(J, 1), a fluid that has spread out keeps its
+    viscosity per unit mass (which limits the substep) instead of its viscosity per unit volume.
+    zeta damps sound where the fluid is compressed.
     """
     unit = type(theta[0])(1.0)
     J, more = squeeze(F)

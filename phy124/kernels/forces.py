@@ -1,7 +1,8 @@
-"""Forces on particles before the scatter: accelerations, wrenches, pulls, and a test force.
+"""Applies forces to particles before the scatter: accelerations, wrenches, pulls, and a force for a
+test.
 
-`chosen` lists the particles that a force acts on. `slot` is the track with the force's strength,
-averaged over the kick and zero while the force is off.
+`chosen` lists the particles that a force acts on. `slot` is the index of the track that gives the
+strength of the force. The strength is averaged over the kick, and is zero while the force is off.
 
 A pull or a wrench acts on a group of particles as a whole: each particle has a weight w from 0 to
 1. The group's centre X is the mean of the positions weighted by w m, and V is the same mean of the
@@ -19,7 +20,9 @@ from phy124.kernels.build import build_once, kernel
 
 @build_once
 def make_accelerate(real: Any, per_mass: bool):
-    """Kernel: v += kick a, or kick f / m if `per_mass` (the paper's particle force)."""
+    """Kernel: adds kick a to v or, if `per_mass` is set, kick f / m (the particle force of
+    PhysGaussian).
+    """
     name = f"phy124_accelerate_{'force' if per_mass else 'field'}_{real.__name__}"
 
     @kernel(name, real)
@@ -36,9 +39,9 @@ def make_accelerate(real: Any, per_mass: bool):
 
 @build_once
 def make_zone(real: Any):
-    """Kernel: v += kick a for the particles that are inside a box at the current time.
+    """Kernel: adds kick a to v for the particles that are inside a box at the current time.
 
-    With an `axis` from 0 to 2, the zone is the cylinder along that axis about the box's centre.
+    If `axis` is 0, 1 or 2, the zone is the cylinder along that axis about the centre of the box.
     """
     t = types(real)
 
@@ -63,7 +66,8 @@ def make_zone(real: Any):
 
 @build_once
 def make_drag(real: Any):
-    """Kernel: v approaches the wind u without overshooting; solves dv/dt = rate (u - v) exactly.
+    """Kernel: solves dv/dt = rate (u - v) exactly, so that v approaches the wind u without
+    overshooting.
 
     The uniform acceleration a acts after the drag, on the grid, and adds kick a. If drag and
     acceleration act together, the velocity becomes v + (u + a / rate - v)(1 - exp(-rate kick));
@@ -87,7 +91,8 @@ def make_drag(real: Any):
 
 @build_once
 def make_attract(real: Any):
-    """Kernel: v += kick g d / r, g linear inside `radius` and falling as 1 / d^2 outside."""
+    """Kernel: adds kick g d / r to v; g is linear inside `radius` and decreases as 1 / d^2 outside.
+    """
     t = types(real)
 
     @kernel(f"phy124_attract_{real.__name__}", real)
@@ -102,7 +107,9 @@ def make_attract(real: Any):
 
 @build_once
 def make_set_velocity(real: Any):
-    """Kernel: v = s (u + omega x (x - centre)), C = s [omega]x while active; s is the profile."""
+    """Kernel: sets v = s (u + omega x (x - centre)) and C = s [omega]x while active; s is the
+    profile's value.
+    """
     t = types(real)
 
     @kernel(f"phy124_set_velocity_{real.__name__}", real)
@@ -128,10 +135,12 @@ otherwise not be invertible for a line of particles.
 
 @wp.func
 def spring_damper(gap: wp.vec3d, slip: wp.vec3d, spring: wp.vec4d, kick: wp.float64):
-    """Return a damped spring's force [N] at the end of a kick (implicit Euler, always stable).
+    """Return the force [N] of a damped spring at the end of a kick, by the implicit Euler method
+    (always stable).
 
-    `spring` is stiffness [N/m], damping [N s/m], the mass that the spring pulls [kg] and the
-    largest force [N]; `gap` and `slip` are the target's position and velocity minus the group's.
+    `spring` holds the stiffness [N/m], the damping [N s/m], the mass that the spring pulls [kg] and
+    the largest force [N]. `gap` and `slip` are the position and velocity of the target relative to
+    the group.
     """
     drag = spring[1] + kick * spring[0]
     f = (spring[0] * gap + drag * slip) / (wp.float64(1.0) + kick * drag / spring[2])
@@ -143,7 +152,9 @@ def spring_damper(gap: wp.vec3d, slip: wp.vec3d, spring: wp.vec4d, kick: wp.floa
 
 @wp.func
 def angular_acceleration(torque: wp.vec3d, mass: wp.float64, second: wp.mat33d):
-    """Return a rigid group's angular acceleration [rad/s^2] from second moments per mass [m^2]."""
+    """Return the angular acceleration [rad/s^2] of a rigid group from its second moments per unit
+    mass [m^2].
+    """
     spread = wp.trace(second)
     inertia = wp.diag(wp.vec3d(spread, spread, spread)) - second
     inertia = inertia + FLAT * wp.diag(wp.vec3d(spread, spread, spread))
@@ -259,7 +270,8 @@ def make_wrench(real: Any):
 
 @build_once
 def make_vortex(real: Any):
-    """Kernel: v += kick b(x, t), where b makes a prescribed motion exact (manufactured solution).
+    """Kernel: adds kick b(x, t) to v, where b makes a prescribed motion exact (manufactured
+    solution).
 
     The motion is the generalised vortex of Kamojjala, Brannon, Sadeghirad, Guilkey 2015 (doi
     10.1007/s00366-013-0342-x): each radius of a ring rotates by beta(R, t) = h(R) g(t) about z,

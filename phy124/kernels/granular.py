@@ -28,11 +28,12 @@ LOOSEST = wp.constant(1.0e6)
 
 @wp.func
 def drucker_prager(F: Any, h: Any, theta: Any, dt: Any):
-    """Project onto a cone without cohesion (Klar et al. 2016, sec. 7; Tampubolon 2017).
+    """Project F onto the Drucker-Prager cone without cohesion (Klar et al. 2016, sec. 7; Tampubolon
+    2017).
 
     Tampubolon's volume correction is included. theta = (mu, lam, alpha), alpha = sqrt(2/3) 2 sin
-    phi / (3 - sin phi). h[0] >= 0 is the log of the volume gained while loose; grains carry
-    pressure again only after this volume is lost.
+    phi / (3 - sin phi). h[0] >= 0 is the logarithm of the volume that grains gained while they were
+    loose. The grains carry pressure again only after they have lost this volume.
     """
     zero = type(theta[0])(0.0)
     third = type(theta[0])(1.0) / type(theta[0])(3.0)
@@ -69,7 +70,7 @@ def snow_energy(F: Any, h: Any, theta: Any):
 
 @wp.func
 def snow(F: Any, C: Any, h: Any, theta: Any):
-    """Return the Kirchhoff stress of `snow_energy` at fixed Jp."""
+    """Return the Kirchhoff stress that derives from `snow_energy` at fixed Jp."""
     return snow_hardening(h, theta) * fixed_corotated(F, C, h, theta)
 
 
@@ -91,7 +92,9 @@ def clamp_stretches(s: wp.vec3d, minimum: wp.float64, maximum: wp.float64) -> wp
 
 @wp.func
 def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float64) -> wp.float64:
-    """Return `fixed_corotated_energy` of stretches; `side` = -1 if the smallest is inverted."""
+    """Return `fixed_corotated_energy` for three stretches; `side` is -1 if the smallest stretch is
+    inverted.
+    """
     unit = wp.float64(1.0)
     d = wp.vec3d(s[0] - unit, s[1] - unit, side * s[2] - unit)
     j1 = side * s[0] * s[1] * s[2] - unit

@@ -1,4 +1,4 @@
-"""The grid update between scatter and gather, and operations on rows of nodes.
+"""Updates the grid between scatter and gather, and operates on rows of nodes.
 
 On a CPU, vectorised C++ loops copy, clear, add and compare rows of nodes in a box of the grid
 (native/reduction.h). On a GPU each thread handles one node.
@@ -47,7 +47,7 @@ def clear_row(nodes: wp.array(dtype=Any), at: int, count: int):
 def add_row(
     nodes: wp.array(dtype=Any), at: int, others: wp.array(dtype=Any), start: int, count: int
 ):
-    """Add nodes of another array to consecutive nodes."""
+    """Add the nodes of another array to consecutive nodes."""
     ...
 
 
@@ -71,9 +71,10 @@ for vec4 in (wp.vec4, wp.vec4d):
 
 @wp.func
 def velocity_of(q: Any, kick: Any, a: Any):
-    """Return (velocity, mass) of a node with (momentum, mass) q, after an acceleration a [m/s^2].
+    """Return the (velocity, mass) of a node with the (momentum, mass) q, after an acceleration a
+    [m/s^2].
 
-    The acceleration acts for `kick` [s]. A node without mass keeps q.
+    The acceleration acts for the time `kick` [s]. If the node has no mass, q is returned unchanged.
     """
     m = q[3]
     if m > type(m)(0.0):
@@ -83,7 +84,9 @@ def velocity_of(q: Any, kick: Any, a: Any):
 
 @build_once
 def make_update(real: Any):
-    """Kernel: (momentum, mass) becomes (velocity, mass), kicked by the uniform acceleration."""
+    """Kernel: converts (momentum, mass) to (velocity, mass), and kicks the velocity by the uniform
+    acceleration.
+    """
 
     @kernel(f"phy124_grid_{real.__name__}", real, seconds=0.15)
     def update(clock, values, grid, grid_out):
@@ -132,7 +135,9 @@ def make_merge(real: Any):
 
 @build_once
 def make_grid_speed(real: Any):
-    """Kernel: computes the largest squared speed of nodes with mass, for step rejection."""
+    """Kernel: computes the largest squared speed of nodes with mass, which decides whether a step
+    is rejected.
+    """
     t = types(real)
 
     @kernel(f"phy124_grid_speed_{real.__name__}", real)

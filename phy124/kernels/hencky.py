@@ -1,10 +1,10 @@
 """Hencky strain, the logarithm of the stretch, and the elastic law based on it, without an SVD.
 
 With b = F F^T and Z = (b - I)(b + I)^-1 the strain is log V = 1/2 log b = atanh Z, an odd power
-series. Let X = b - I, with invariants i. Then Z is a quadratic in X, Z = (i3 + (4 + 2 i1) X - 2
-X^2) / (8 + 4 i1 + 2 i2 + i3). In float32 the series is used for stretches between 0.72 and 1.39
-(error 3e-8), in float64 between 0.91 and 1.09 (error 2e-15). For particles with stretches outside
-the ranges of the series, the closed form of `spectral` is used.
+series. Let X = b - I, with invariants i. Then Z is a quadratic polynomial in X, Z = (i3 + (4 + 2
+i1) X - 2 X^2) / (8 + 4 i1 + 2 i2 + i3). In float32 the series is used for stretches between 0.72
+and 1.39 (error 3e-8), in float64 between 0.91 and 1.09 (error 2e-15). For particles with stretches
+outside the ranges of the series, the closed form of `spectral` is used.
 """
 
 from typing import Any
@@ -54,7 +54,7 @@ def left_strain(F: Any):
 
 @wp.func
 def inverse_tanh(z: Any):
-    """Return coefficients of the quadratic in Z that equals the series of atanh Z up to Z^11.
+    """Return the coefficients of the quadratic in Z that equals the series of atanh Z up to Z^11.
 
     `z` holds the invariants of Z.
 
@@ -118,7 +118,8 @@ def hencky(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def cosh_of_difference(F: Any):
-    """Return an upper bound of cosh x, x the largest difference of principal strains; 1 at rest.
+    """Return an upper bound of cosh x, where x is the largest difference of principal strains; it
+    is 1 at rest.
 
     Scale F F^T to determinant 1, with eigenvalues e^y. Half of the sum of the scaled matrix's trace
     and of its inverse's trace is sum cosh y. Since sum y = 0, sum cosh y is at least 1 + 2 cosh x,

@@ -1,4 +1,4 @@
-"""Implicit surfaces F = 0: values and gradients, projection of points, repulsion of neighbours.
+"""Evaluates implicit surfaces F = 0, projects points onto them, and spreads the points evenly.
 
 Lengths are in pixels of the picture from which the surface was made. All values are in float64.
 """
@@ -11,17 +11,18 @@ from phy124.kernels.build import kernel
 
 Fields = wp.array3d[wp.float64]
 REACH = wp.constant(wp.float64(1.25))
-"""Distance up to which neighbours repel each other, in target spacings."""
+"""Distance up to which neighbours repel each other, in units of the target spacing."""
 STRENGTH = wp.constant(wp.float64(0.45))
-"""Fraction of the missing distance by which neighbours move apart in one round."""
+"""Neighbours that are too close move apart by this fraction of the missing distance in one round.
+"""
 SAME_SIDE = wp.constant(wp.float64(0.3))
 """Smallest cosine between the normals of neighbours. Points with a smaller cosine are on opposite
 sides of a thin part.
 """
 COUNTED = wp.constant(6)
-"""A point's spacing is the mean distance to this number of nearest neighbours."""
+"""Number of nearest neighbours over which distances are averaged to get the spacing of a point."""
 LEAST, MOST = wp.constant(wp.float64(0.6)), wp.constant(wp.float64(1.6))
-"""Smallest and largest spacing of points, in target spacings."""
+"""Smallest and largest spacing of points, in units of the target spacing."""
 
 
 @wp.struct
@@ -29,7 +30,7 @@ class Inflated:
     """F(x, y, z) = w(x, y) - (z - m(x, y))^2."""
 
     fields: Fields
-    """w, m, and the slopes of both along x and y [H,W,6]."""
+    """Values of w and m, and the slopes of both along x and y [H,W,6]."""
 
 
 @wp.struct
@@ -37,11 +38,11 @@ class Hull:
     """F = w(x, y) + s(z, y), but negative beyond the end planes, which are normal to y."""
 
     front: Fields
-    """w and its slopes along x and y [H,W,3]; x = 0 is at the middle column."""
+    """Values of w and its slopes along x and y [H,W,3]; x = 0 is at the middle column."""
     side: Fields
-    """s and its slopes along z and y [H,D,3]; z = 0 is at the middle column."""
+    """Values of s and its slopes along z and y [H,D,3]; z = 0 is at the middle column."""
     first: wp.float64
-    """y of the first row."""
+    """The y coordinate of the first row."""
     pitch: wp.float64
     """Distance between two rows [px]."""
     planes: wp.array[wp.vec3d]
@@ -50,7 +51,9 @@ class Hull:
 
 @wp.struct
 class Corner:
-    """Position of a point among four pixels: the upper left pixel, and the offset from it."""
+    """Position of a point between four pixels: the pixel at the upper left, and the offset from
+    this pixel.
+    """
 
     row: int
     column: int
@@ -60,12 +63,14 @@ class Corner:
 
 @wp.func
 def corner(fields: Fields, x: wp.float64, y: wp.float64) -> Corner:
-    """Return the pixel at the upper left of a point, clamped to the image, and the offset."""
+    """Return the pixel at the upper left of a point, clamped to the image, and the point's offset
+    from it.
+    """
     last_row, last_column = fields.shape[0] - 1, fields.shape[1] - 1
     x = wp.clamp(x, wp.float64(0.0), wp.float64(last_column))
     y = wp.clamp(y, wp.float64(0.0), wp.float64(last_row))
     at = Corner()
-    # The last pixel has no next one to interpolate with.
+    # The last pixel has no next pixel with which to interpolate.
     at.row = wp.clamp(int(y), 0, last_row - 1)
     at.column = wp.clamp(int(x), 0, last_column - 1)
     at.down = y - wp.float64(at.row)
@@ -75,7 +80,7 @@ def corner(fields: Fields, x: wp.float64, y: wp.float64) -> Corner:
 
 @wp.func
 def sample(fields: Fields, at: Corner, channel: int) -> wp.float64:
-    """Return a channel of a field, interpolated linearly between pixels."""
+    """Return the value of one channel of a field, interpolated bilinearly between four pixels."""
     above = wp.lerp(
         fields[at.row, at.column, channel], fields[at.row, at.column + 1, channel], at.right
     )

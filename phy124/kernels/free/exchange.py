@@ -42,10 +42,10 @@ from phy124.kernels.window import strides
 
 @wp.func
 def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
-    """Return which fractions of a node's velocity relative to a surface contact removes.
+    """Return the fractions of a node's velocity relative to a surface that contact removes.
 
-    The first fraction applies to the component along the normal out of the body, the second to the
-    component across the normal.
+    The first fraction applies to the velocity component along the normal out of the body, the
+    second to the component perpendicular to the normal.
     """
     if sticky == 1:
         return wp.vec2d(wp.float64(1.0), wp.float64(1.0))
@@ -57,7 +57,9 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
 
 @build_once
 def make_begin(real: Any):
-    """Kernel of one thread: kicks a body once per substep; the result is the first guess."""
+    """Kernel of one thread: kicks a body once per substep; the new velocity is the first guess of
+    the solution.
+    """
 
     @kernel(f"phy124_free_begin_{real.__name__}", real)
     def begin(moments, clock, values, body_out, trial_out):
@@ -73,7 +75,9 @@ def make_begin(real: Any):
 
 @build_once
 def make_assemble(real: Any):
-    """Kernel over rows of nodes around a body: adds the nodes' terms to the six equations."""
+    """Kernel over rows of nodes around a body: adds the terms of the nodes to the body's six
+    equations.
+    """
     numbers = wp.types.vector(SYSTEM, wp.float64)
 
     @kernel(f"phy124_free_assemble_{real.__name__}", real, seconds=0.6)
@@ -188,10 +192,11 @@ def make_apply(real: Any):
 
 @build_once
 def make_finish(real: Any):
-    """Kernel of one thread: adds the walls' impulses to a body, and subtracts the nodes' impulses.
+    """Kernel of one thread: adds the impulses of walls to a body's momentum, and subtracts those on
+    the nodes.
 
-    `total_out` sums the impulses on the nodes of one grid since the start, with the moment about
-    the origin of the world.
+    `total_out` accumulates the impulses on the nodes of one grid since the start; its moment is
+    about the origin of the world.
     """
 
     @kernel(f"phy124_free_finish_{real.__name__}", real)

@@ -1,32 +1,37 @@
-"""Layout of the arrays of a free body's state and solution, and quantities derived from them."""
+"""Defines the layout of the arrays that hold the state and the solution of a free body, and derived
+quantities.
+"""
 
 from typing import Any
 
 import warp as wp
 
 PLACE, TURN, VELOCITY, ANGULAR, KICKED, SIZE = 0, 3, 7, 10, 13, 14
-"""Offsets in a body's array: X [m], q (wxyz), V [m/s], L [kg m^2/s], 1 if V includes the kick of
-this substep; and the array's length.
+"""Offsets in the array of a body: X [m], q (wxyz), V [m/s], L [kg m^2/s], and 1 if V includes the
+kick of this substep. The last number is the length of the array.
 """
 GUESS, PRIOR, WALLS, TRIAL = 0, 6, 12, 18
-"""Offsets in a solution: V and w, the previous V and w, the walls' impulse and moment; and the
-array's length.
+"""Offsets in a solution: V and w, the previous V and w, and the impulse and moment of the walls.
+The last number is the length of the array.
 """
 A, B, C, LINEAR, TURNING, SYSTEM = 0, 9, 18, 27, 30, 33
-"""Offsets in the six equations: [3,3] blocks of the matrix, then the right-hand side; length."""
+"""Offsets in the six equations: the [3,3] blocks of the matrix, then the right-hand side. The last
+number is the length of the array.
+"""
 IMPULSE, MOMENT, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 6, 7, 8, 9
-"""Offsets of the sums of impulses on nodes, as in phy124/kernels/work.py; and their number."""
+"""Offsets of the sums of impulses on nodes, as in phy124/kernels/work.py, and the number of sums.
+"""
 
 
 @wp.func
 def at3(values: wp.array(dtype=wp.float64), i: int):
-    """Return three numbers, starting at an index."""
+    """Return three consecutive numbers of an array as a vector."""
     return wp.vec3d(values[i], values[i + 1], values[i + 2])
 
 
 @wp.func
 def put3(values: wp.array(dtype=wp.float64), i: int, a: wp.vec3d):
-    """Set three numbers, starting at an index."""
+    """Write a vector to three consecutive numbers of an array."""
     values[i] = a[0]
     values[i + 1] = a[1]
     values[i + 2] = a[2]
@@ -34,7 +39,7 @@ def put3(values: wp.array(dtype=wp.float64), i: int, a: wp.vec3d):
 
 @wp.func
 def at33(values: wp.array(dtype=wp.float64), i: int):
-    """Return nine numbers as rows of a matrix, starting at an index."""
+    """Return nine consecutive numbers of an array as a matrix, row by row."""
     return wp.matrix_from_rows(at3(values, i), at3(values, i + 3), at3(values, i + 6))
 
 
@@ -53,7 +58,7 @@ def inertia_of(R: wp.mat33d, moments: wp.vec3d):
 
 @wp.func
 def spin_of(R: wp.mat33d, moments: wp.vec3d, L: wp.vec3d):
-    """Return the angular velocity that belongs to an angular momentum [rad/s]."""
+    """Return the angular velocity [rad/s] of a body with a given angular momentum."""
     return R @ wp.cw_div(wp.transpose(R) @ L, moments)
 
 
@@ -67,14 +72,16 @@ def turn_after(body: wp.array(dtype=wp.float64), w: wp.vec3d, dt: wp.float64):
 
 @wp.func
 def put_turn(body: wp.array(dtype=wp.float64), q: wp.quatd):
-    """Set the orientation."""
+    """Write the orientation to the array of a body."""
     body[TURN] = q[3]
     put3(body, TURN + 1, wp.vec3d(q[0], q[1], q[2]))
 
 
 @wp.func
 def moving(trial: wp.array(dtype=wp.float64), which: int, r: wp.vec3d):
-    """Return the velocity that a solution gives the body at r from its centre [m/s]."""
+    """Return the velocity [m/s] of the body, according to a solution, at a point r relative to its
+    centre.
+    """
     return at3(trial, which) + wp.cross(at3(trial, which + 3), r)
 
 

@@ -1,4 +1,4 @@
-"""Contact of a free body with material: contact nodes and their normals."""
+"""Finds the nodes at which a free body is in contact with material, and the normals there."""
 
 from typing import Any
 
@@ -14,31 +14,35 @@ from phy124.kernels.pairs import fill_fraction, is_closed, mass_at, neighbour, o
 
 NARROWEST = wp.constant(0.2)
 """Smallest fraction of a cell's volume that each body must fill in its interior. With a smaller
-limit a light box hovers a cell above jelly, because the thin end of the jelly next to the box's
-lower edge counts as interior.
+limit, a light box would hover one cell above jelly, because the thin rim of the jelly next to the
+lower edge of the box would count as interior.
 """
 THINNEST = wp.constant(0.015)
-"""Volume fraction that the solid must fill around a node for the node to be in contact. A cell away
-from a flat side the fraction is 0.021. If nodes farther away take part, a light box creeps under
-its load.
+"""Volume fraction that the solid must fill around a node for the node to be in contact. At a
+distance of one cell from a flat side, the fraction is 0.021. If nodes farther away took part, a
+light box under load would creep.
 """
 ROUND = wp.constant(0.6)
-"""Factor on `ROUNDING` in the contact of a particle body with a solid, whose surface is not
-smeared. The value is fitted to a ball on a box (docs/lab/contact-force.md).
+"""Factor applied to `ROUNDING` in the contact of a particle body with a solid, because the surface
+of a solid is not smeared out. The value is fitted to a ball on a box (docs/lab/contact-force.md).
 """
 STEEP = wp.constant(1e-4)
-"""Slope of a box's volume fraction [1/cell] below which the nearest face gives the normal."""
+"""Slope of the volume fraction of a box [1/cell] below which the normal is that of the nearest
+face.
+"""
 
 
 @wp.func
 def volume_of_round(d: Any, s: Any, geometry: Any, dx: Any):
-    """Return normal and filled volume fraction around a node, as if the surface were flat."""
+    """Return the normal and the filled volume fraction around a node, computed as if the surface
+    were flat.
+    """
     return wp.vector(s[0], s[1], s[2], coverage(-s[3] / dx))
 
 
 @wp.func
 def weight(u: Any):
-    """Return a quadratic B-spline at u cells from its centre."""
+    """Return the value of a quadratic B-spline at u cells from its centre."""
     far = wp.max(type(u)(1.5) - wp.abs(u), type(u)(0.0))
     if wp.abs(u) < type(u)(0.5):
         return type(u)(0.75) - u * u
@@ -47,7 +51,7 @@ def weight(u: Any):
 
 @wp.func
 def volume_of_box(d: Any, s: Any, geometry: Any, dx: Any):
-    """Return normal and filled volume fraction around a node, for a box.
+    """Return the normal of a box and the volume fraction that the box fills around a node.
 
     The normal points in the direction in which the fraction decreases, so that it turns
     continuously at an edge.
@@ -100,7 +104,8 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """Return the one of three nodes in a row at which body and material overlap most."""
+        """Return the node, out of three in a row, at which the body and the material overlap most.
+        """
         at = node
         most = real(0.0)
         for n in range(3):

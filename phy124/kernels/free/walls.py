@@ -1,4 +1,4 @@
-"""Impulses of flat walls on a free body, and the motion of the body."""
+"""Computes the impulses of flat walls on a free body, and moves the body."""
 
 from typing import Any
 
@@ -33,7 +33,7 @@ from phy124.kernels.free.numbers import (
 )
 
 SWEEPS = wp.constant(24)
-"""Number of Gauss-Seidel sweeps over the contact points of walls."""
+"""Number of Gauss-Seidel sweeps over the points at which walls may touch the body."""
 
 
 @wp.func
@@ -65,7 +65,7 @@ def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
 
 @wp.func
 def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
-    """Return the change of angular velocity by an impulse J at r.
+    """Return the change of angular velocity that an impulse J at the point r causes.
 
     Arguments a, b and c are blocks from the inversion of the six equations.
     """
@@ -74,14 +74,18 @@ def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
 
 @wp.func
 def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """Return the velocity change at r along `way` that an impulse of 1 N s along `way` causes."""
+    """Return the change of velocity along `way` at the point r that an impulse of 1 N s along `way`
+    causes.
+    """
     turn = turn_by(a, b, c, r, way)
     return wp.dot(way, a @ (way - b @ turn) + wp.cross(turn, r))
 
 
 @wp.func
 def within_cone(J: wp.vec3d, push: wp.float64, n: wp.vec3d, friction: wp.float64):
-    """Return `push` along n, plus J's component across n limited by Coulomb friction [N s]."""
+    """Return the impulse `push` along n, plus the part of J perpendicular to n, limited by Coulomb
+    friction [N s].
+    """
     grip = J - wp.dot(J, n) * n
     most = friction * push
     if wp.length(grip) > most:
@@ -94,10 +98,10 @@ def make_walls(drifts: bool, real: Any):
     """Kernel of one thread: solves the six equations together with the impulses of flat walls.
 
     Each wall, defined by a point and an outward normal, may act at `points` of the body (see
-    `arm_to`). The variant with drift ends a substep: the walls stop the body, then the body moves.
-    The angular momentum L is constant during the motion, and the angular velocity is computed from
-    L at half of the rotation. If a rotating corner would enter a wall, the body is moved back out
-    of the wall.
+    `arm_to`). The variant with drift ends a substep: first the walls stop the body, then the body
+    moves. The angular momentum L is constant during the motion, and the angular velocity is
+    computed from L at half of the rotation. If a rotating corner would enter a wall, the body is
+    moved back out of the wall.
     """
     name = f"phy124_free_{'drift' if drifts else 'solve'}_{real.__name__}"
 
@@ -153,7 +157,8 @@ def make_walls(drifts: bool, real: Any):
                     pressed = wp.dot(J, normal)
                     lacking = -wp.max(gap, zero) / dt - wp.dot(u, normal)
                     if lacking > zero or pressed > zero:
-                        # Along the normal, then across it, with the other points' impulses fixed.
+                        # First along the normal, then perpendicular to it, with the impulses at the
+                        # other points fixed.
                         push = pressed + lacking / yielding(a, b, c, r, normal)
                         along = u - wp.dot(u, normal) * normal
                         slip = wp.length(along)
