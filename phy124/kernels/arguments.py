@@ -64,7 +64,7 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "window": Box,  # nodes of the body's grid on the lattice
         "box": Box,  # nodes that walls may reach, within the window
         "clock": t.reals,  # kick, drift, time [s]
-        "values": t.vec4s,  # current values of the tracks, and 1 if active; first the uniform acceleration
+        "values": t.vec4s,  # values of the tracks, and 1 if active; 0: uniform acceleration
         "rates": t.vec4s,  # current rates of change of the tracks [1/s]
         "slot": int,  # index of a track
         "geometry": t.mat33,  # three vectors that define a shape (distance.py)
@@ -85,10 +85,10 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "changes": t.vec4s,  # velocity changes of the nodes that the columns at a wall request
         "exchange": Doubles,  # sums of impulse and work (work.py)
         "sums": Doubles,
-        "faults": Ints,  # number of particles that a check rejects, and the lowest index of these particles
-        "means": wp.array(dtype=wp.vec3d),  # mean position and velocity of a group of particles (forces.py)
+        "faults": Ints,  # number and lowest index of the particles that a check rejects
+        "means": wp.array(dtype=wp.vec3d),  # mean position and velocity of a group (forces.py)
         "second": wp.array(dtype=wp.mat33d),  # second moment of the group divided by its mass [m^2]
-        "contact": wp.array3d(dtype=t.vec4),  # normal and volume fraction at nodes that a free body touches
+        "contact": wp.array3d(dtype=t.vec4),  # normal and fraction at nodes that a body touches
         "impulses": wp.array(dtype=wp.vec3d),  # impulses [N s]
         "body": Doubles,  # state of a free body (free/numbers.py)
         "trial": Doubles,  # velocity of the free body in a solution

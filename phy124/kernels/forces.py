@@ -91,7 +91,8 @@ def make_drag(real: Any):
 
 @build_once
 def make_attract(real: Any):
-    """Kernel: adds kick g d / r to v; g is linear inside `radius` and decreases as 1 / d^2 outside.
+    """Kernel: adds kick g d / r to v, where g is linear inside `radius` and decreases as 1 / d^2
+    outside it.
     """
     t = types(real)
 

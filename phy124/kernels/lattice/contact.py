@@ -1,22 +1,24 @@
-"""Contact of surface points with a wall, by impulses on the nodes.
+"""Computes the contact of surface points with a wall, by impulses on the nodes.
 
 A point at signed distance g from the wall must not approach it faster than g / dt. While a wall
-presses a point, the point moves away at the speed -restore g. Impulses of the last substep are
-applied first. Projected Gauss-Seidel then corrects them, with friction in Coulomb's cone. It visits
-the points forwards and back, in an order in which consecutive points are about a cell apart
-(phy124/lattice/surface.py). An impulse J changes the velocities of a point's nodes by w_i J / m_i,
-and so its own velocity by (sum w_i^2 / m_i) J.
+presses a point, the point moves away at the speed -restore g. The impulses of the last substep are
+applied first. Projected Gauss-Seidel then corrects the impulses, with friction in Coulomb's cone.
+The method visits the points forwards and then backwards, in an order in which consecutive points
+are about one cell apart (phy124/lattice/surface.py). An impulse J on a point changes the velocities
+of the point's nodes by w_i J / m_i, and therefore changes the velocity of the point by (sum w_i^2 /
+m_i) J.
 
 Contact by impulses that are applied again and corrected neither creates nor sustains vibrations.
-The pass over all points, forwards and back, is a symmetric positive operator E on velocities. With
-C = E^-1 - 1, the impulses of the last substep are those of springs C / dt^2 that are integrated
-implicitly: (1 + C) v' = v - (K + C) x, which is stable for every stiffness K that is stable without
-walls. A single pass, which is not symmetric, excites vibrations. `restore` [1/s] is an integral
-gain; if it were larger than omega^2 dt, it would excite the body's slowest vibration, whose angular
-frequency is omega. `restore` does not grow as substeps shrink: otherwise a body that is squeezed
-hard would be thrown out.
+The pass over all points, forwards and backwards, is a symmetric positive operator E on velocities.
+With C = E^-1 - 1, the impulses of the last substep are those of springs C / dt^2 that are
+integrated implicitly: (1 + C) v' = v - (K + C) x, which is stable for every stiffness K that is
+stable without walls. A single pass, which is not symmetric, excites vibrations. `restore` [1/s] is
+an integral gain. A gain above omega^2 dt would excite the body's slowest vibration, whose angular
+frequency is omega. The gain does not grow as substeps shrink, because a body that is squeezed hard
+would then be thrown out.
 
-The result of Gauss-Seidel depends on the order of points, so each kernel of it has one thread.
+The result of Gauss-Seidel depends on the order of the points, so each of its kernels has one
+thread.
 """
 
 from typing import Any
@@ -34,8 +36,9 @@ from phy124.kernels.lattice.rows import Rows
 from phy124.kernels.work import EXCHANGE, add_exchange
 
 LOOSE = wp.constant(0.5)
-"""Walls act on a point only if clamps leave it at least this fraction of its mobility. Bodies touch
-each other at a pair of points only if clamps leave it to one of the two.
+"""Smallest fraction of a point's mobility that clamps must leave for walls to act on the point. Two
+bodies touch at a pair of points only if clamps leave this fraction to at least one of the two
+points.
 """
 NODES = 27
 """Largest number of nodes that carry a surface point."""
@@ -48,7 +51,8 @@ phy124/kernels/work.py.
 
 @build_once
 def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
-    """Kernel of one thread: finds points near a wall, and applies the last substep's impulses.
+    """Kernel of one thread: finds the points near a wall, and applies the impulses of the last
+    substep.
 
     `inverse` is zero for nodes that a clamp holds. `force_out` holds the mean force on each point
     in the last substep [N]; the force becomes zero for a point that has left the wall. `gap_out` is
@@ -115,7 +119,8 @@ def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
 
 @build_once
 def make_yields(real: Any, rows: Rows):
-    """Kernel over points near a wall: computes their velocity changes per impulse [1/kg].
+    """Kernel over points near a wall: computes the velocity change of each point per unit impulse
+    [1/kg].
 
     The change is zero for points whose nodes are nearly all held by a clamp (`inverse` is zero, but
     `whole` is not), since impulses on such points would move the other nodes violently.
@@ -144,7 +149,8 @@ def make_yields(real: Any, rows: Rows):
 
 @build_once
 def make_resist(response: str, moving: bool, real: Any, rows: Rows):
-    """Kernel of one thread: projected Gauss-Seidel over the points near a wall, forwards and back.
+    """Kernel of one thread: does a pass of projected Gauss-Seidel over the points near a wall,
+    forwards and backwards.
 
     Args:
         response: separate (may leave, with friction), slip (stays without friction) or sticky.
@@ -208,7 +214,7 @@ def mostly_held(
     s: int,
     first: int,
 ):
-    """Return whether clamps hold most nodes of a point; its nodes begin at column `first`."""
+    """Return whether clamps hold most nodes of a point, whose nodes begin at column `first`."""
     free = weights[s, first] * weights[s, first] * inverse[nodes[s, first]]
     total = weights[s, first] * weights[s, first] * whole[nodes[s, first]]
     for k in range(first + 1, first + wp.static(NODES)):
@@ -220,19 +226,21 @@ def mostly_held(
 
 @build_once
 def make_meet(real: Any, rows: Rows):
-    """Kernel of one thread: finds the gaps of pairs of points, as `make_touch` does for walls.
+    """Kernel of one thread: computes the gaps between pairs of points, as `make_touch` does for
+    points and walls.
 
     A pair is treated like a single point. The weights of a pair are those of the point minus those
     of the opposite position, so that `rest_out` and the nodes give the vector from that position to
     the point. The opposite position follows the point along the surface, so that the impulses have
-    no moment. The weights of the opposite position change by `slopes` times its displacement in the
-    body at rest; this is `back` times the displacement along the surface. A position that moves
-    farther than `far` is no longer opposite; pairs farther apart than `reach` are ignored.
+    no moment. When the opposite position moves along the surface, its weights change by `slopes`
+    times its displacement in the body at rest, which is `back` times the displacement along the
+    surface. A position that moves farther than `far` is no longer opposite. Pairs farther apart
+    than `reach` are ignored.
 
-    `inverse` is zero for nodes that a clamp holds, `whole` is not. A pair of points of one body
-    (`between` is 0) is ignored if a clamp holds a node of the pair, because the clamp would not
-    count the impulses of the pair. A pair of two bodies is ignored if both points are mostly held,
-    since impulses would move the other nodes violently.
+    `inverse` is zero for nodes that a clamp holds, but `whole` is not. A pair of points of one body
+    (`between` is 0) is ignored if a clamp holds a node of the pair, because the impulses of the
+    pair would be missing in the clamp's sums. A pair of two bodies is ignored if both points are
+    mostly held, since impulses would move the other nodes violently.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -293,7 +301,8 @@ def make_meet(real: Any, rows: Rows):
 
 @build_once
 def make_exchange(real: Any):
-    """Kernel of one thread: adds the impulses of pairs of surface points, and their moments.
+    """Kernel of one thread: adds the impulses between pairs of surface points, and their moments,
+    to a body's sums.
 
     `sign` is 1 for points of the body on which the summed impulse acts, and -1 for points of the
     other body.
@@ -327,7 +336,7 @@ def make_exchange(real: Any):
 
 @build_once
 def make_place(real: Any, rows: Rows):
-    """Kernel over some surface points: computes their positions."""
+    """Kernel over selected surface points: computes the positions of these points."""
     t = types(real)
     moved_by = rows.moved_by
 
@@ -348,7 +357,8 @@ def make_place(real: Any, rows: Rows):
 
 @build_once
 def make_account(real: Any, rows: Rows):
-    """Kernel over the points near a wall: adds their impulse, moment and work to the wall's sums.
+    """Kernel over the points near a wall: adds the impulse, moment and work of each point to the
+    wall's sums.
 
     The work is the impulse times the mean of the velocities before the kick and after the substep.
     With this mean velocity, the work of all impulses is exactly the change of the kinetic energy.
@@ -384,7 +394,7 @@ def make_account(real: Any, rows: Rows):
 
 @build_once
 def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
-    """Kernel over surface points: computes the distances from a wall.
+    """Kernel over surface points: computes the distance of each point from a wall.
 
     Args:
         shape: Name of a distance function.
@@ -425,7 +435,9 @@ def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
 
 @build_once
 def make_distances(shape: str, real: Any):
-    """Kernel over points: computes a shape's normal, and the signed distance from the shape [m]."""
+    """Kernel over points: computes the normal of a shape at each point, and the signed distance
+    from the shape [m].
+    """
     t = types(real)
     distance = SHAPES[shape]
 

@@ -1,10 +1,10 @@
-"""Contact of surface points with the material on a grid, by impulses on the nodes of both.
+"""Computes the contact of surface points with material on a grid, by impulses on the nodes of both.
 
-The surface of the material is where it fills half of the space, according to the masses of the
-grid's nodes (phy124/lattice/coupled.py). The velocity of the material at a point is the mean
-velocity of the nodes around it, weighted by their masses. The impulse is distributed over these
-nodes with the same weights: each velocity changes by the fraction w_i / sum w_i m_i of the impulse,
-so momentum is exact.
+The surface of the material is assumed where the material fills half of the space, according to the
+masses of the grid's nodes (phy124/lattice/coupled.py). The velocity of the material at a point is
+the mean velocity of the nodes around it, weighted by their masses. The impulse is distributed over
+these nodes with the same weights: each velocity changes by the fraction w_i / sum w_i m_i of the
+impulse, so momentum is conserved exactly.
 """
 
 from typing import Any
@@ -24,14 +24,18 @@ from phy124.kernels.transfer import slope, spline
 from phy124.kernels.window import strides
 
 SURFACE = wp.constant(0.5)
-"""Volume fraction that counts as the material's surface."""
+"""Volume fraction at which the surface of the material is assumed."""
 THINNEST, STEEPEST = wp.constant(0.02), wp.constant(0.05)
-"""Smallest volume fraction, and its smallest slope [1/cell], at which a point is in contact."""
+"""Smallest volume fraction, and smallest slope of the volume fraction [1/cell], at which a point is
+in contact.
+"""
 
 
 @build_once
 def make_grid_near(real: Any, rows: Rows):
-    """Kernel over surface points: flags the points around which at least one node has mass."""
+    """Kernel over surface points: flags each point that has at least one node with mass around
+    it.
+    """
     t, moved_by = types(real), rows.moved_by
 
     @kernel(f"phy124_lattice_grid_near_{rows.name}{real.__name__}", real, seconds=0.4)
@@ -64,13 +68,14 @@ def make_grid_near(real: Any, rows: Rows):
 
 @build_once
 def make_grid_touch(real: Any, rows: Rows):
-    """Kernel of one thread: finds points that touch the material, and applies earlier impulses.
+    """Kernel of one thread: finds the points that touch the material, and applies the impulses of
+    the last substep.
 
-    `fill` is the filled fraction of the space at a node, divided by the mass of the node. For each
-    listed point, `gap_out` is the normal of the material and the distance from it, infinite for
-    points out of reach; `on_out` is the point's position in nodes, and sum w_i m_i; `yields_out` is
-    the change of the relative velocity by an impulse of 1 N s. Impulses do not change the velocity
-    of a material that does not move (`moves` is 0).
+    `fill` is the volume fraction at a node, divided by the mass of the node. For each listed point,
+    `gap_out` holds the normal of the material and the distance from it, which is infinite for
+    points out of reach. `on_out` holds the position of the point in nodes, and sum w_i m_i.
+    `yields_out` holds the change of the relative velocity that an impulse of 1 N s causes. Impulses
+    do not change the velocity of a material that does not move (`moves` is 0).
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -198,7 +203,9 @@ def mean_velocity(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), o
 
 @build_once
 def make_grid_resist(sticky: bool, real: Any, rows: Rows):
-    """Kernel of one thread: projected Gauss-Seidel over points and the grid, forwards and back."""
+    """Kernel of one thread: does a pass of projected Gauss-Seidel over points and the grid,
+    forwards and backwards.
+    """
     t = types(real)
     moved_by, strike = rows.moved_by, rows.strike
     kind = "sticky" if sticky else "separate"
@@ -247,7 +254,9 @@ def make_grid_resist(sticky: bool, real: Any, rows: Rows):
 
 @build_once
 def make_grid_sum(real: Any):
-    """Kernel of one thread: adds the points' impulses and their moments to a sum per body."""
+    """Kernel of one thread: adds the impulses of the points, and their moments, to the sums of each
+    body.
+    """
     t = types(real)
 
     @kernel(f"phy124_lattice_grid_sum_{real.__name__}", real, seconds=0.3)

@@ -1,10 +1,10 @@
-"""Kernels that sum impulses: of walls on each surface point, and of clamps on each node.
+"""Kernels that sum the impulses of walls on each surface point, and of clamps on each node.
 
-A point's contact force acts over the kick of a substep. The impulse of clamps on a node is the
-change of the node's momentum while the clamps act, minus the contact impulses that the clamps take.
-`make_add_momentum` subtracts the node's momentum before the clamps act, and adds it afterwards;
-`make_pass_on` subtracts the contact impulses. The sums for points and for nodes are float64, since
-a frame may have thousands of substeps.
+The contact force on a point acts during the kick of a substep. The impulse of clamps on a node is
+the change of the node's momentum while the clamps act, minus the contact impulses that the clamps
+take. `make_add_momentum` subtracts the node's momentum before the clamps act, and adds it
+afterwards; `make_pass_on` subtracts the contact impulses. The sums for points and for nodes are
+float64, since a frame may have thousands of substeps.
 """
 
 from typing import Any
@@ -23,7 +23,9 @@ Impulses = wp.array(dtype=wp.vec3d)
 
 @build_once
 def make_add_impulse(real: Any):
-    """Kernel over the points near a wall: adds the wall's impulse in a substep [N s]."""
+    """Kernel over the points near a wall: adds the wall's impulse in a substep [N s] to each
+    point's sum.
+    """
     t = types(real)
 
     @kernel(f"phy124_lattice_add_impulse_{real.__name__}", real, seconds=0.2)
@@ -36,7 +38,9 @@ def make_add_impulse(real: Any):
 
 @build_once
 def make_add_momentum(real: Any):
-    """Kernel over held nodes: adds momenta times `sign` [N s]; tied nodes have no momentum."""
+    """Kernel over the nodes that clamps hold: adds `sign` times each node's momentum [N s] to the
+    node's sum. Nodes that are tied to other nodes have no momentum of their own.
+    """
     t = types(real)
 
     @kernel(f"phy124_lattice_add_momentum_{real.__name__}", real, seconds=0.2)
@@ -52,17 +56,17 @@ def make_add_momentum(real: Any):
 
 @build_once
 def make_pass_on(real: Any):
-    """Kernel over points: adds the impulses that contact exerts on held nodes to the sums of the
-    clamps.
+    """Kernel over points: adds the impulses that contact exerts on nodes held by clamps to the
+    clamps' sums.
 
     Contact does not move a held node: the node's clamp takes the impulse at once. The sums of the
     wall or body that exerts an impulse contain the whole impulse, so the clamp gets the opposite of
     the part on each held node. Only the parts on free nodes do work, so the work of the parts on
     held nodes is subtracted.
 
-    `inverse` is zero for held nodes, `whole` is not; `holder` is the row of a node's clamp in
-    `clamps_out`. `sums_out` is the array of sums that includes the work, `impulse_out` has the
-    impulse on each node; either may be empty.
+    `inverse` is zero for held nodes, but `whole` is not. `holder` is the row of a node's clamp in
+    `clamps_out`. `sums_out` is the array of sums that includes the work, and `impulse_out` holds
+    the impulse on each node. Either array may be empty.
     """
     t = types(real)
 

@@ -1,9 +1,9 @@
-"""Kernels that kick, hold and move the lattice's nodes; nodes with almost no mass follow heavier
+"""Kernels that kick, hold and move the nodes of a lattice; nodes with almost no mass follow heavier
 nodes.
 
-`pool` holds the forces of all workers: the forces of worker w are for nodes `low[w]` to `high[w]`,
-and begin at `begin[w]`. The ties are stored as two sparse matrices: `donor_*` lists the tied nodes
-that each node carries, and `tied_*` lists the nodes that carry each tied node.
+`pool` holds the forces that all workers have summed. Those of worker w begin at `begin[w]` and
+belong to the nodes `low[w]` to `high[w]`. The ties are stored as two sparse matrices: `donor_*`
+lists the tied nodes that each node carries, and `tied_*` lists the nodes that carry each tied node.
 """
 
 from typing import Any
@@ -18,16 +18,18 @@ from phy124.kernels.reduction import add_to
 from phy124.kernels.work import add_exchange
 
 RECENT = wp.constant(0.75)
-"""Share of the present velocity in the velocity on which viscosity acts; the rest is that of the
-substep before. A vibration whose sign changes in every substep is then damped half as much, so
-viscosity shortens the longest stable substep half as much. With a smaller share, vibrations whose
-sign changes every second substep would grow.
+"""Weight of the present velocity in the velocity on which viscosity acts. The remaining weight is
+that of the velocity one substep earlier. A vibration whose sign changes in every substep is then
+damped half as much, so viscosity shortens the longest stable substep half as much. With a smaller
+share, vibrations whose sign changes every second substep would grow.
 """
 
 
 @wp.func
 def sum_workers(pool: wp.array(dtype=Any), low: Ints, high: Ints, begin: Ints, n: int):
-    """Return the sum of the forces of all workers on a node, in the order of the workers."""
+    """Return the force on a node: the sum of the contributions of all workers, in the order of the
+    workers.
+    """
     total = wp.vector(length=3, dtype=type(pool[0][0]))
     for w in range(low.shape[0]):
         if n >= low[w] and n < high[w]:
@@ -46,7 +48,9 @@ def force_on(
     donor_weights: wp.array(dtype=Any),
     n: int,
 ):
-    """Return the force on a node, including its share of the forces on nodes tied to it."""
+    """Return the force on a node, including the node's share of the forces on nodes that are tied
+    to it.
+    """
     force = sum_workers(pool, low, high, begin, n)
     for k in range(donor_starts[n], donor_starts[n + 1]):
         force += donor_weights[k] * sum_workers(pool, low, high, begin, donor_nodes[k])
@@ -55,9 +59,10 @@ def force_on(
 
 @build_once
 def make_kick(real: Any):
-    """Kernel over nodes from `start` to `stop`: changes velocities by forces and gravity.
+    """Kernel over the nodes `start` to `stop`: changes the velocities of nodes by forces and
+    gravity.
 
-    `before_out` keeps the velocities before the kick, from which the work of walls is computed.
+    `before_out` receives the velocities before the kick, from which the work of walls is computed.
     """
     t = types(real)
 
@@ -90,10 +95,11 @@ def make_kick(real: Any):
 
 @build_once
 def make_try(real: Any):
-    """Kernel over nodes: adds accelerations to a trial shape, and displaces the nodes by the sum.
+    """Kernel over nodes: adds the accelerations to a trial shape, and displaces the nodes by the
+    result.
 
-    The sum is `gain` times the shape plus `share` times the accelerations; the displacement is
-    `size` times the sum. Tied nodes follow their donors.
+    The result is `gain` times the shape plus `share` times the accelerations; the displacement is
+    `size` times this result. Tied nodes follow their donors.
     """
     t = types(real)
 
@@ -124,7 +130,9 @@ def make_try(real: Any):
 
 @build_once
 def make_compare(real: Any):
-    """Kernel over nodes: computes the change of accelerations by a trial displacement."""
+    """Kernel over nodes: computes the change of the accelerations that a trial displacement
+    causes.
+    """
     t = types(real)
 
     @kernel(f"phy124_lattice_compare_{real.__name__}", real, seconds=0.2)
@@ -137,7 +145,9 @@ def make_compare(real: Any):
 
 @wp.func
 def any_active(slots: wp.array2d(dtype=int), i: int, values: wp.array(dtype=Any)):
-    """Return whether one of the clamps with the tracks `slots[i]` is active; -1 is no clamp."""
+    """Return whether one of the clamps is active; `slots[i]` is the track of a clamp, or -1 for no
+    clamp.
+    """
     for k in range(slots.shape[1]):
         slot = slots[i, k]
         if slot >= 0:
@@ -148,11 +158,13 @@ def any_active(slots: wp.array2d(dtype=int), i: int, values: wp.array(dtype=Any)
 
 @build_once
 def make_hold(real: Any):
-    """Kernel over held nodes: sets velocities to the clamp's velocity while its track is active.
+    """Kernel over the nodes that a clamp holds: sets their velocities to the clamp's while its
+    track is active.
 
     `movable_out` is the inverse mass of nodes that contact may move, 0 for held nodes; `holder_out`
-    is the row of the clamp that holds a node. This clamp ignores nodes that an active clamp in
-    `others` holds, so that the work of each clamp is computed with the final velocity of its nodes.
+    is the row of the clamp that holds a node. The kernel skips nodes that an active clamp in
+    `others` holds, so that the work of each clamp is computed with the final velocities of its
+    nodes.
     """
     t = types(real)
 
@@ -197,7 +209,8 @@ def make_hold(real: Any):
 
 @build_once
 def make_pin(real: Any):
-    """Kernel over pairs of a held and a free node: makes the motion zero at the clamp's surface.
+    """Kernel over pairs of a held node and a free node: makes the motion relative to the clamp zero
+    at its surface.
 
     The quadratic B-spline of the pair vanishes at the clamp's surface if the held node moves at
     `ratio` times the velocity of the free node relative to the clamp. Momenta are projected onto
@@ -236,7 +249,8 @@ def make_pin(real: Any):
             return
         movable_out[held] = inverse[held]
         if values[slot][3] > real(0.0) and inverse[held] > real(0.0) and inverse[free] > real(0.0):
-            # If contact moved one of the two, they would no longer belong together.
+            # If contact moved only one of the two nodes, the motion at the clamp's surface would
+            # not be zero.
             movable_out[held] = real(0.0)
             movable_out[free] = real(0.0)
             holder_out[held] = row
@@ -273,10 +287,12 @@ def make_pin(real: Any):
 
 @build_once
 def make_drift(real: Any):
-    """Kernel over nodes from `start` to `stop`: changes displacements; tied nodes follow donors.
+    """Kernel over the nodes `start` to `stop`: changes their displacements; tied nodes follow their
+    donors.
 
-    `lagging_out` is the velocity on which viscosity acts in the next substep: `RECENT` of the
-    present velocity, and the rest of the velocity one substep earlier, `before`.
+    `lagging_out` is the velocity on which viscosity acts in the next substep: the mean of the
+    present velocity with the weight `RECENT`, and of the velocity one substep earlier, `before`,
+    with the remaining weight.
     """
     t = types(real)
 
@@ -313,7 +329,9 @@ def make_drift(real: Any):
 
 @build_once
 def make_node_totals(real: Any):
-    """Kernel over nodes: sums momentum, angular momentum, kinetic energy, mass times position."""
+    """Kernel over nodes: sums momentum, angular momentum, kinetic energy, and mass times
+    position.
+    """
     t = types(real)
 
     @kernel(f"phy124_lattice_node_totals_{real.__name__}", real, seconds=0.3)

@@ -1,4 +1,6 @@
-"""Finds surface points that may come into contact, and the surface position opposite to each."""
+"""Finds the surface points that may come into contact, and the surface position opposite to each
+point.
+"""
 
 from typing import Any
 
@@ -11,22 +13,26 @@ from phy124.kernels.lattice.points import inverse_rows
 from phy124.kernels.lattice.rows import Rows
 
 SIDEWAYS = 0.75
-"""Largest distance along the surface between a point and the place opposite to it [cells]."""
+"""Largest distance along the surface between a point and the position opposite to it [cells]."""
 APART, FACING = wp.constant(3.0), wp.constant(1.0)
 """`APART`: points farther apart than this at rest belong to different parts [cells]. `FACING`:
 points face each other across a gap if, at rest, each is at least this far in front of the other
 [cells].
 """
 NEARER = wp.constant(0.6)
-"""Sampled points may meet if they are closer than this fraction of their distance at rest."""
+"""Two sampled points may touch if their distance is below this fraction of their distance at
+rest.
+"""
 BEYOND = wp.constant(0.05)
-"""A point farther than this beyond the edge of a flat side cannot touch that side [cells]."""
+"""Distance beyond the edge of a flat side [cells] from which on a point cannot touch that side."""
 OTHER = wp.constant(-0.2)
-"""Smallest cosine between the normals of two points that are on the same side of a part."""
+"""Smallest cosine between the normals of two points for them to count as on the same side of a
+part.
+"""
 DEEPEST = wp.constant(0.5)
-"""Depth below a surface [cells] beyond which a point does not count as inside that part. Without
-this limit, the outer sides of two thin parts that lie on each other would be pushed through them,
-which creates energy.
+"""Depth below the surface of a part [cells] beyond which a point does not count as inside the part.
+Without this limit, if two thin parts lie on each other, their outer sides would be pushed through
+the parts, which creates energy.
 """
 
 
@@ -62,7 +68,7 @@ def may_meet(
 
 @build_once
 def make_flag(real: Any):
-    """Kernel over sampled points: flags those near which contact is possible.
+    """Kernel over sampled points: flags each sample near which contact is possible.
 
     `x` are the current positions of the samples; samples at a distance of `far` or more are
     ignored.
@@ -106,7 +112,9 @@ def make_flag(real: Any):
 
 @build_once
 def make_expose(real: Any, rows: Rows):
-    """Kernel over points of the surface: computes current positions, normals and cofactors of F."""
+    """Kernel over surface points: computes current positions, current normals, and the cofactors of
+    F.
+    """
     t = types(real)
     moved_by = rows.moved_by
 
@@ -141,9 +149,10 @@ def make_expose(real: Any, rows: Rows):
 
 @build_once
 def make_partner(real: Any):
-    """Kernel over surface points: finds the nearest position on the opposite surface.
+    """Kernel over surface points: finds the position on the opposite surface that is nearest to
+    each point.
 
-    `chosen` lists the points, `x` and `turned` are their current positions and normals. At an edge
+    `chosen` lists the points; `x` and `turned` hold their current positions and normals. At an edge
     of the other part, the normal of the point's own side determines the direction of the contact.
     """
     t = types(real)
@@ -193,7 +202,7 @@ def make_partner(real: Any):
                 fits = opposed and near and wp.dot(way, n) > -real(DEEPEST) * dx
                 if at_edge and wp.dot(sideways, turned[j]) >= real(BEYOND) * dx:
                     fits = False
-                # The order in which the grid lists points must not matter.
+                # The result must not depend on the order in which the grid lists points.
                 if fits and (distance < least or best < 0 or j < best):
                     best = j
                     least = distance

@@ -1,4 +1,4 @@
-"""Integration points: computes their motion from the nodes, and the forces that they exert on
+"""Computes the motion of integration points from the nodes, and the forces that the points exert on
 nodes.
 
 The 27 nodes of a cell form nine rows of three nodes along z; `rows` holds the first node of each
@@ -15,7 +15,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.transfer import slope, spline
 
 PER_CELL, ROWS = 8, 9
-"""Number of points of a cell, and number of its rows of nodes."""
+"""Number of points in a cell, and number of rows of nodes around a cell."""
 
 
 @wp.func
@@ -35,7 +35,9 @@ def at_point(values: wp.array(dtype=Any), rows: wp.array(dtype=int), cell: int, 
 
 @wp.func
 def slopes_at(values: wp.array(dtype=Any), rows: wp.array(dtype=int), cell: int, f: Any):
-    """Return the matrix with columns sum (dw/dx) a, sum (dw/dy) a, sum (dw/dz) a, per cell."""
+    """Return the matrix with the columns sum (dw/dx) a, sum (dw/dy) a, sum (dw/dz) a, in units per
+    cell.
+    """
     wx = spline(f[0])
     wy = spline(f[1])
     wz = spline(f[2])
@@ -62,7 +64,7 @@ def slopes_at(values: wp.array(dtype=Any), rows: wp.array(dtype=int), cell: int,
 def spread(
     sums: wp.array(dtype=Any), low: int, rows: wp.array(dtype=int), cell: int, f: Any, a: Any
 ):
-    """Add w_i a to the nodes of a cell; `sums` begins with node `low`."""
+    """Add w_i a to the nodes of a cell; the first element of `sums` is node `low`."""
     wx = spline(f[0])
     wy = spline(f[1])
     wz = spline(f[2])
@@ -78,7 +80,9 @@ def spread(
 def spread_slopes(
     sums: wp.array(dtype=Any), low: int, rows: wp.array(dtype=int), cell: int, f: Any, P: Any
 ):
-    """Add P (dw_i/dx, dw_i/dy, dw_i/dz) to the nodes of a cell; `sums` begins with node `low`."""
+    """Add P (dw_i/dx, dw_i/dy, dw_i/dz) to the nodes of a cell; the first element of `sums` is node
+    `low`.
+    """
     wx = spline(f[0])
     wy = spline(f[1])
     wz = spline(f[2])
@@ -105,7 +109,9 @@ def inverse_rows(F: Any):
 
 @wp.func
 def safe_volume(J: Any):
-    """Return max(J, r); below the ratio r, laws replace log J by its tangent."""
+    """Return max(J, r), where r is the volume ratio below which laws replace log J by its
+    tangent.
+    """
     return wp.max(J, type(J)(1.0e-4))
 
 
@@ -171,7 +177,9 @@ def make_locate(real: Any):
 
 @build_once
 def make_push(real: Any):
-    """Kernel over points: adds the force of pushes, m (v - kept) / kick, to the nodes' forces."""
+    """Kernel over points: adds the force that pushes exert, m (v - kept) / kick, to the forces on
+    the nodes.
+    """
     t = types(real)
 
     @kernel(f"phy124_lattice_push_{real.__name__}", real, seconds=0.3)

@@ -1,7 +1,8 @@
-"""How a surface responds to a point that approaches it: a step of projected Gauss-Seidel.
+"""Computes the response of a surface to a point that approaches it: one step of projected
+Gauss-Seidel.
 
-Kernels of contact with walls, bodies, free solids and material on a grid share these functions
-(phy124/kernels/lattice/contact.py explains the method).
+The kernels for contact with walls, bodies, rigid solids that move freely and material on a grid
+share the functions in this file (phy124/kernels/lattice/contact.py explains the method).
 """
 
 from typing import Any
@@ -12,7 +13,7 @@ from phy124.kernels.columns import xyz
 
 RELAXED = wp.constant(0.6)
 """Fraction of each point's correction that is applied. Neighbouring points share most of their
-nodes, so full corrections would overshoot together.
+nodes, so the full corrections of all points together would overshoot.
 """
 
 
@@ -21,9 +22,9 @@ def largest_approach(gap: Any, pressed: Any, restore: Any, clock: wp.array(dtype
     """Return the largest speed at which a point may approach a surface [m/s].
 
     Args:
-        gap: Distance of the point [m], negative inside.
-        pressed: Normal part of its last impulse [N s].
-        restore: Gain by which points come out [1/s].
+        gap: Distance of the point from the surface [m], negative inside.
+        pressed: Normal component of the point's last impulse [N s].
+        restore: Gain of the speed at which points inside the surface move out [1/s].
         clock: Kick and drift [s]; a very short drift must not make a point leave fast.
     """
     longest = wp.max(clock[0], clock[1])
@@ -35,7 +36,7 @@ def largest_approach(gap: Any, pressed: Any, restore: Any, clock: wp.array(dtype
 
 @wp.func
 def press_and_rub(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that only presses, with friction in Coulomb's cone [N s]."""
+    """Return the impulse [N s] of a surface that only presses, with friction in Coulomb's cone."""
     press = wp.max(press, type(gap)(0.0))
     most = friction * press
     size = wp.length(drag)
@@ -46,7 +47,9 @@ def press_and_rub(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, frictio
 
 @wp.func
 def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that holds points once they touch it, but lets them slide."""
+    """Return the impulse [N s] of a surface that holds points once they touch it, but lets them
+    slide.
+    """
     if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
         press = wp.max(press, type(gap)(0.0))
     return press * n
@@ -54,7 +57,9 @@ def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction:
 
 @wp.func
 def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse of a surface that holds points once they touch it [N s]."""
+    """Return the impulse [N s] of a surface that holds points once they touch it and does not let
+    them slide.
+    """
     if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
         press = wp.max(press, type(gap)(0.0))
     if press == type(gap)(0.0):
@@ -63,16 +68,19 @@ def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
 
 
 LIMITS = {"separate": press_and_rub, "slip": hold_across, "sticky": hold}
-"""Maps a surface's response to the function that limits a corrected impulse.
+"""Maps the name of a surface's response to the function that limits a corrected impulse.
 
-The arguments are its normal part and that of the last impulse, its part along the surface, the
-normal, the distance of the point and the friction coefficient.
+The arguments of the function are the normal component of the corrected impulse, the normal
+component of the last impulse, the tangential part of the corrected impulse, the normal, the
+distance of the point and the friction coefficient.
 """
 
 
 @wp.func
 def there_and_back(step: int, count: int):
-    """Return the list index of the point that a pass visits; a pass goes forwards, then back."""
+    """Return the list index of the point that a pass visits; a pass goes forwards, then
+    backwards.
+    """
     if step < count:
         return step
     return 2 * count - 1 - step
@@ -82,17 +90,18 @@ def there_and_back(step: int, count: int):
 def correct(
     relative: Any, last: Any, gap: Any, part: Any, restore: Any, clock: wp.array(dtype=Any)
 ):
-    """Correct the impulse of a surface on a point, before its response limits it.
+    """Correct the impulse of a surface on a point, before the surface's response limits the
+    impulse.
 
-    The results are the normal part of the impulse, the normal part of the last impulse, and the
-    part along the surface.
+    The results are the normal component of the impulse, the normal component of the last impulse,
+    and the tangential part of the impulse.
 
     Args:
         relative: Velocity of the point relative to the surface [m/s].
         last: Last impulse [N s].
-        gap: Normal of the surface and distance from it [m].
-        part: Impulse per change of velocity, after relaxation [kg].
-        restore: Gain by which points come out [1/s].
+        gap: Normal of the surface, and distance of the point from the surface [m].
+        part: Impulse per unit change of velocity, after relaxation [kg].
+        restore: Gain of the speed at which points inside the surface move out [1/s].
         clock: Kick and drift [s].
     """
     n = xyz(gap)

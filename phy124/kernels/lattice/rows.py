@@ -1,4 +1,4 @@
-"""Sums over the nodes of a surface point, and impulses on these nodes.
+"""Computes sums over the nodes of a surface point, and applies impulses to these nodes.
 
 The nodes of a surface point are rows of three nodes that are consecutive in memory
 (phy124/lattice/surface.py). In float32 on a CPU, the nine numbers of a row are one AVX2 register of
@@ -39,7 +39,9 @@ def yielding(
     weights: wp.array2d(dtype=Any),
     s: int,
 ):
-    """Return sum w_i^2 / m_i: the change of a point's velocity by an impulse of 1 N s [1/kg]."""
+    """Return sum w_i^2 / m_i, the change of a point's velocity per unit impulse on the point
+    [1/kg].
+    """
     total = weights[s, 0] * weights[s, 0] * inverse[nodes[s, 0]]
     for k in range(1, weights.shape[1]):
         total += weights[s, k] * weights[s, k] * inverse[nodes[s, k]]
@@ -63,13 +65,13 @@ def strike(
 
 @wp.func_native(code("rows", "rows:moved"))
 def moved_rows(values: Vectors, nodes: Nodes, weights: Weights, s: int) -> wp.vec3:
-    """Return the same sum as `moved_by`, on the vector units of a CPU."""
+    """Return the same sum as `moved_by`, with the vector instructions of a CPU."""
     ...
 
 
 @wp.func_native(code("rows", "rows:yielding"))
 def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> wp.float32:
-    """Return the same sum as `yielding`, on the vector units of a CPU."""
+    """Return the same sum as `yielding`, with the vector instructions of a CPU."""
     ...
 
 
@@ -77,15 +79,15 @@ def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> w
 def strike_rows(
     v: Vectors, inverse: Numbers, nodes: Nodes, weights: Weights, s: int, impulse: wp.vec3
 ):
-    """Apply an impulse like `strike`, on the vector units of a CPU."""
+    """Apply an impulse like `strike`, with the vector instructions of a CPU."""
     ...
 
 
 class Rows(NamedTuple):
-    """The functions on rows of nodes, in plain or in vectorised form."""
+    """The functions on rows of nodes, in scalar or in vectorised form."""
 
     name: str
-    """Prefix in names of modules."""
+    """Prefix in the names of Warp modules."""
     moved_by: Callable[..., Any]
     yielding: Callable[..., Any]
     strike: Callable[..., Any]
@@ -101,6 +103,6 @@ def rows_for(real: Any, device: str, *, vectors: bool = True) -> Rows:
     Args:
         real: wp.float32 or wp.float64.
         device: Name of the device.
-        vectors: Whether to use the vector units of a CPU.
+        vectors: Whether to use the vector instructions of a CPU.
     """
     return SIMD if vectors and real is wp.float32 and device == "cpu" else PLAIN

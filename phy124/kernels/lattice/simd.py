@@ -1,10 +1,10 @@
-"""The kernels of lattice/stress.py for neo-Hookean bodies on the vector units of a CPU.
+"""The kernels of lattice/stress.py for neo-Hookean bodies, with the vector instructions of a CPU.
 
 A thread processes a block of sixteen cells, which `order` [blocks,16] lists: first all full cells,
 then the others. The cells of a block lie near each other, so that their nodes stay in the cache,
 but `APART` cells apart, so that no two of them write to the same node at nearly the same time.
-`packed` [blocks,8,4,16] stores the three components of `offset`, and the volume, of each point.
-Each of these numbers is stored for the sixteen cells of a block in a row.
+`packed` [blocks,8,4,16] stores four numbers for each point: the three components of `offset`, and
+the volume. For each number, the values of a block's sixteen cells are consecutive in memory.
 """
 
 import itertools
@@ -27,27 +27,29 @@ from phy124.kernels.transfer import Law
 CELLS = 16
 """Number of cells that one thread handles."""
 APART = 4
-"""Distance of the cells of a block in the order of all cells, which runs along z."""
+"""Distance between the cells of a block in the list of all cells, which is ordered along z."""
 NODES = 256
 """Number of nodes that one thread handles."""
 GAUSS = 1 + np.array(list(itertools.product((-1, 1), repeat=3))) / math.sqrt(12)
-"""Gauss points relative to a cell's first node, in the order of the kernels [8,3], cells."""
+"""Positions of the Gauss points relative to a cell's first node, in the order of the kernels [8,3],
+cells.
+"""
 ALIGNED = 1e-4
-"""In a full cell no point deviates from its Gauss point by more than this [cells]."""
+"""Largest distance between a point and its Gauss point in a full cell [cells]."""
 MOTION = "lattice", "lattice:strains", "lattice:rates"
-"""Pieces of C++ that compute strains, and rates of strain, of a block's points."""
+"""Names of the C++ pieces that compute the strains and the strain rates of a block's points."""
 Vectors = wp.array(dtype=wp.vec3)
 Matrices = wp.array(dtype=wp.mat33)
 Numbers = wp.array(dtype=wp.float32)
 
 
 def usable(real: Any, device: str) -> bool:
-    """Return whether a precision and a device have kernels for vector units."""
+    """Return whether there are vectorised kernels for a precision and a device."""
     return real is wp.float32 and device == "cpu"
 
 
 def has_stress(law: Law) -> bool:
-    """Return whether a law has a stress kernel for vector units."""
+    """Return whether there is a vectorised stress kernel for a constitutive law."""
     return law.name.startswith("neo_hookean")
 
 
@@ -57,18 +59,18 @@ class Blocks(NamedTuple):
     order: NDArray[np.int32]
     """Cells of each block [blocks,16]."""
     packed: NDArray[np.float32]
-    """Constants of the points [blocks,8,4,16]; the cells that pad a block have no volume."""
+    """Constants of the points [blocks,8,4,16]; cells that only fill up a block have zero volume."""
     full: int
     """Number of blocks of full cells; these blocks come first."""
 
 
 def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
-    """Return consecutive cells, sorted into blocks.
+    """Sort consecutive cells into blocks, and return the blocks.
 
     Args:
         offset: Positions of the points relative to their cell's first node [P,3], cells.
         volume: Volumes of the points [P], m^3.
-        first: Number of the first cell.
+        first: Index of the first cell.
     """
     rows = np.concatenate([offset, volume[:, None]], axis=1).reshape(-1, PER_CELL, 4)
     wrong = np.abs(rows[:, :, :3] - GAUSS)
@@ -93,7 +95,7 @@ def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
 def make_stress_simd(law: Law, viscous: bool):
     """Kernel over blocks of sixteen cells, equivalent to `make_stress`, for float32 on a CPU.
 
-    If the law is viscous, the kernel also raises the maxima, as `make_measure_simd` does.
+    If the law is viscous, the kernel also updates the maxima, as `make_measure_simd` does.
     """
     kind = "viscous" if viscous else "elastic"
     motion = (*MOTION, "lattice:survey") if viscous else MOTION[:2]
@@ -140,7 +142,7 @@ def make_shock_simd():
         v: Vectors,
         force_out: Vectors,
     ):
-        """Add the force of the artificial viscosity of sixteen cells to the nodes."""
+        """Add the forces that the artificial viscosity in sixteen cells exerts to the nodes."""
 
     return lattice_shock_simd
 
@@ -171,16 +173,17 @@ def make_measure_simd():
         maxima_out: Numbers,
         stray_out: Ints,
     ):
-        """Raise the maxima of speed and rate of strain over sixteen cells."""
+        """Update the maxima of speed and strain rate with the values of sixteen cells."""
 
     return lattice_measure_simd
 
 
 @build_once
 def make_totals_simd(law: Law):
-    """Kernel over blocks of sixteen cells: sums like `make_totals`, but no momentum and no motion.
+    """Kernel over blocks of sixteen cells: computes the sums of `make_totals`, except momentum and
+    kinetic energy.
 
-    Momentum and kinetic energy are sums over nodes.
+    Momentum and kinetic energy are computed as sums over nodes.
     """
     numbers = f"const int width = {law.width}, ELASTIC = {ELASTIC}, POWER = {POWER};\n"
     pieces = ["lattice", "lattice:strains", "lattice:rates", "lattice:laws"]

@@ -1,10 +1,10 @@
-"""Contact of surface points with a rigid solid that moves freely, by impulses on both.
+"""Computes the contact of surface points with a rigid solid that moves freely, by impulses on both.
 
 The impulses are computed like those of walls (phy124/kernels/lattice/contact.py), but the solid
 moves as well: an impulse J at r from its centre changes its velocity by -J / m and its angular
-velocity by -I^-1 (r x J). The numbers of the solid are those of phy124/kernels/free/numbers.py.
-`trial` holds the motion of the solid under the last substep's impulses of flat walls, so that
-contact takes the support by the walls into account.
+velocity by -I^-1 (r x J). The arrays of the solid have the layout of
+phy124/kernels/free/numbers.py. `trial` holds the motion of the solid under the last substep's
+impulses of flat walls, so that contact takes the support by the walls into account.
 """
 
 from typing import Any
@@ -35,14 +35,15 @@ from phy124.kernels.lattice.responses import LIMITS, RELAXED, largest_approach, 
 from phy124.kernels.lattice.rows import Rows
 
 ALIGNED = wp.constant(0.9)
-"""A box touches a point only if the cosine between the box's normal and the reversed normal of the
-point is at least this.
+"""Smallest cosine between the normal of a box and the reversed normal of a surface point at which
+the box can touch the point.
 """
 
 
 @build_once
 def make_solid_begin(real: Any):
-    """Kernel of one thread: kicks a solid, and predicts its motion under the walls' last impulses.
+    """Kernel of one thread: kicks a solid, and predicts its motion with the last impulses of the
+    walls.
 
     `impulses` holds the impulse of each wall at each of the solid's `points` that the wall may
     touch.
@@ -81,7 +82,7 @@ def make_solid_begin(real: Any):
 
 @build_once
 def make_solid_finish(real: Any):
-    """Kernel of one thread: applies the impulses of all points to the motion of a solid."""
+    """Kernel of one thread: changes the motion of a solid by the impulses of all points."""
 
     @kernel(f"phy124_lattice_solid_finish_{real.__name__}", real, seconds=0.3)
     def solid_finish(moments, trial, body_out):
@@ -109,7 +110,9 @@ def react(
 
 @wp.func
 def solid_yields(mass: wp.float64, turning: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """Return the velocity change at r along `way` that an impulse of 1 N s along `way` causes."""
+    """Return the change of velocity along `way` at the point r that an impulse of 1 N s along `way`
+    causes.
+    """
     arm = wp.cross(r, way)
     return wp.float64(1.0) / mass + wp.dot(arm, turning @ arm)
 
@@ -122,7 +125,7 @@ def turning_of(body: wp.array(dtype=wp.float64), moments: wp.vec3d):
 
 @build_once
 def make_solid_near(shape: str, real: Any, rows: Rows):
-    """Kernel over surface points: computes the distances from a solid."""
+    """Kernel over surface points: computes the distance of each point from a solid."""
     t, moved_by = types(real), rows.moved_by
     distance = SHAPES[shape]
 
@@ -146,7 +149,9 @@ def make_solid_near(shape: str, real: Any, rows: Rows):
 
 @wp.func
 def way_out(p: Any, half: Any, m: Any):
-    """Return the distance along m from a point in a box at the origin to the box's surface."""
+    """Return the distance along m from a point inside a box, centred at the origin, to the surface
+    of the box.
+    """
     way = type(half[0])(wp.inf)
     for c in range(3):
         if wp.abs(m[c]) > type(half[0])(1.0e-6):
@@ -156,12 +161,13 @@ def way_out(p: Any, half: Any, m: Any):
 
 @build_once
 def make_solid_touch(shape: str, real: Any, rows: Rows):
-    """Kernel of one thread: finds points near a solid, and applies the last substep's impulses.
+    """Kernel of one thread: finds the points near a solid, and applies the impulses of the last
+    substep.
 
-    `gap_out` is the normal and the distance of each listed point, infinite for points out of reach;
-    `place_out` is the position of each listed point. Where a flat body touches an edge of a box,
-    the normal is taken from `side`, the normal of the body at the point. The normal of the box
-    rotates at its edges, which would stop a sliding box.
+    For each listed point, `gap_out` holds the normal of the solid and the distance from it, which
+    is infinite for points out of reach; `place_out` holds the position of the point. Where a flat
+    body touches an edge of a box, the normal is taken from `side`, the normal of the body at the
+    point. The normal of the box rotates at its edges, which would stop a sliding box.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -229,7 +235,9 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
 
 @build_once
 def make_solid_resist(sticky: bool, real: Any, rows: Rows):
-    """Kernel of one thread: projected Gauss-Seidel over points and a solid, forwards and back."""
+    """Kernel of one thread: does a pass of projected Gauss-Seidel over points and a solid, forwards
+    and backwards.
+    """
     t = types(real)
     moved_by, strike = rows.moved_by, rows.strike
     kind = "sticky" if sticky else "separate"

@@ -1,6 +1,7 @@
-"""Forces of the stress on the nodes of a lattice of the rest shape: f_i = -sum V P grad w_i.
+"""Computes the forces of the stress on the nodes of a lattice: f_i = -sum V P grad w_i.
 
-P = tau F^-T is the first Piola-Kirchhoff stress of the law's Kirchhoff stress tau.
+P = tau F^-T is the first Piola-Kirchhoff stress, computed from the Kirchhoff stress tau of the
+constitutive law.
 """
 
 from typing import Any
@@ -21,17 +22,17 @@ from phy124.kernels.transfer import Law
 SPEED, GRADIENT, CLOSING, MAXIMA = 0, 1, 2, 3
 """Index of each measured maximum, and their number."""
 FLAT = wp.constant(0.05)
-"""Volume ratio below which a point's rate of strain is reduced, because a point that is squeezed
+"""Volume ratio below which the strain rate at a point is reduced, because a point that is squeezed
 flat or inverted would otherwise stop the run.
 """
 
 QUADRATIC = wp.constant(2.0)
-"""Factor of the artificial viscosity."""
+"""Coefficient of the artificial viscosity."""
 
 
 @build_once
 def make_stress(law: Law, real: Any, viscous: bool):
-    """Kernel over points: adds the force of a law's stress to the nodes.
+    """Kernel over points: adds the forces due to the stress of a constitutive law to the nodes.
 
     Args:
         law: The constitutive law.
@@ -115,7 +116,7 @@ def make_shock(real: Any):
 
 @wp.func
 def compression(C: Any):
-    """Return an upper bound of the rate of compression along any direction [1/s].
+    """Return an upper bound [1/s] of the rate of compression along all directions.
 
     If m is the mean eigenvalue of the strain rate and q the norm of its deviator, no eigenvalue is
     below m - sqrt(2/3) q.
@@ -128,7 +129,8 @@ def compression(C: Any):
 
 @build_once
 def make_lattice_measure(real: Any):
-    """Kernel over points: finds the largest speed, rate of compression and closing rate.
+    """Kernel over points: finds the largest speed, the largest rate of compression and the largest
+    closing rate.
 
     The closing rate is the speed at which opposite sides of a cell approach each other, relative to
     the side of the cell at rest: the rate of compression times the volume ratio. In material that

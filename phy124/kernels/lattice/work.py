@@ -1,4 +1,4 @@
-"""Sums the work of forces on nodes, and of contact, by cause.
+"""Sums the work of forces on nodes and the work of contact, separately for each cause.
 
 The work of an impulse is its product with the mean of the velocities before and after the substep.
 The works of all impulses then add up to the change of the nodes' kinetic energy, in every substep.
@@ -17,16 +17,18 @@ from phy124.kernels.reduction import add_to
 from phy124.kernels.work import add_exchange
 
 STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
-"""Index of the work of each force: of all stress, the uniform acceleration, forces on points, and
-the parts of the stress that are viscosity and artificial viscosity [J].
+"""Index of the work [J] of each force: the whole stress, the uniform acceleration, the forces on
+points, and two parts of the stress, viscosity and artificial viscosity.
 """
 WALLS, ITSELF, PAIRS, SOLIDS = 5, 8, 11, 14
-"""Index of the first of the three works [J] of each kind of contact: with walls, of a body with
-itself, between bodies, and with free solids. A free solid counts as a wall at rest.
+"""Index of the first of three work sums [J] for each kind of contact: with walls, of a body with
+itself, between bodies, and with rigid solids that move freely. In these sums such a solid counts as
+a wall at rest.
 """
 DRIVEN, PRESSED, RUBBED = 0, 1, 2
-"""Index of each of the three works: by the wall's motion, by impulses along the normal, and by
-impulses across it. The last two are computed with the velocity relative to the wall.
+"""Index of each of the three work sums: by the motion of the wall, by impulses along the normal,
+and by impulses perpendicular to the normal. The last two are computed with the velocity relative to
+the wall.
 """
 COUNT = 17
 """Number of sums."""
@@ -34,11 +36,12 @@ COUNT = 17
 
 @build_once
 def make_node_work(real: Any):
-    """Kernel over nodes from `start` on: adds the work of their forces to the sum `at`.
+    """Kernel over the nodes from `start` on: adds the work of the forces on the nodes to the sum
+    with index `at`.
 
     The work of the uniform acceleration is added to the sum `UNIFORM`. `pool` and the ties are
-    those of phy124/kernels/lattice/nodes.py. Tied nodes move with their donors, which get their
-    forces.
+    those of phy124/kernels/lattice/nodes.py. Tied nodes move with their donors, so the forces on
+    tied nodes act on the donors.
     """
     t = types(real)
 
@@ -76,10 +79,10 @@ def make_node_work(real: Any):
 
 @build_once
 def make_push_work(real: Any):
-    """Kernel over nodes from `start` on: sums impulse and work of forces on points.
+    """Kernel over the nodes from `start` on: sums the impulse and the work of the forces on points.
 
-    The result is added to `EXCHANGE` sums.
-    A thread sums `each` nodes before it writes. The other arguments are those of `make_node_work`.
+    The result is added to `EXCHANGE` sums. Each thread sums over `each` nodes before it writes. The
+    other arguments are those of `make_node_work`.
     """
     t = types(real)
 
@@ -122,12 +125,14 @@ def make_push_work(real: Any):
 
 @build_once
 def make_contact_work(real: Any):
-    """Kernel of one thread: adds three kinds of work of impulses on points to sums from `at` on.
+    """Kernel of one thread: adds three kinds of work done by impulses on points to the sums from
+    index `at` on.
 
-    The three are the work of the wall's motion, of the impulses' normal component, and of friction.
+    The three kinds are the work of the wall's motion, of the normal component of the impulses, and
+    of friction.
 
-    `gap` holds the normals, `rates[slot]` the velocity of the wall. Impulses do not act on nodes
-    for which `inverse` is zero.
+    `gap` holds the normals, and `rates[slot]` is the velocity of the wall. Impulses do not act on
+    nodes whose `inverse` is zero.
     """
     t = types(real)
 

@@ -1,8 +1,9 @@
-"""Lists the active cells: those that particles may reach or change in this step.
+"""Lists the active cells, which particles may reach or change in this step.
 
 Each column of cells along z stores its lowest and highest cell with particles. Cells whose B-spline
-lies inside fixed walls are left out. Kernels over cells visit the listed cells only, none of which
-is at the border of the window. All other cells hold no liquid, and their velocity is not known.
+lies inside fixed walls are not listed. Kernels over cells visit only the listed cells, none of
+which is at the border of the window. Cells that are not listed hold no liquid, and their velocities
+are unknown.
 """
 
 from typing import Any
@@ -15,18 +16,20 @@ from phy124.kernels.liquid.conjugate import share
 from phy124.kernels.liquid.faces import cell_at, entry, inner, local
 
 REACH = wp.constant(4)
-"""Number of cells on each side of a particle's cell that are active: a step moves the particle by
-up to two cells, and its kernels reach two cells further.
+"""Number of cells on each side of a particle's cell that are active, because a step moves a
+particle by up to two cells, and the B-splines around the particle reach two cells further.
 """
 EMPTY = wp.constant(1.5)
-"""Distance to the surface [cells] that is stored in cells without liquid."""
+"""Distance to the surface [cells] that is stored in cells that contain no liquid."""
 NONE = 1 << 30
 """Lowest cell that is stored for a column without particles."""
 
 
 @build_once
 def make_sweep(real: Any):
-    """Kernel over particles: extends the range of cells with particles in each column."""
+    """Kernel over particles: extends the range of each column so that it includes the particle's
+    cell.
+    """
 
     @kernel(f"phy124_liquid_sweep_{real.__name__}", real, seconds=0.2)
     def sweep(lattice, window, x, lowest_out: Ints, highest_out: Ints):
@@ -42,10 +45,10 @@ def make_sweep(real: Any):
 
 @build_once
 def make_count_active(real: Any):
-    """Kernel over parts of the columns: merges the workers' ranges of cells, widens them and counts
-    the cells.
+    """Kernel over groups of columns: merges the ranges of cells that the workers found, widens
+    these ranges, and counts the cells.
 
-    Unless the argument `all` is set, cells whose B-spline lies inside walls are not counted.
+    Cells whose B-spline lies inside walls are counted only if the argument `all` is set.
     """
     t = types(real)
 
@@ -95,7 +98,7 @@ def make_count_active(real: Any):
 
 @build_once
 def make_list_active(real: Any):
-    """Kernel over parts of the columns: lists active cells, and divides them among the workers."""
+    """Kernel over groups of columns: lists the active cells, and divides them among the workers."""
     t = types(real)
 
     @kernel(f"phy124_liquid_list_active_{real.__name__}", real, seconds=0.2)
@@ -135,7 +138,7 @@ def make_list_active(real: Any):
 
 @build_once
 def make_forget(real: Any):
-    """Kernel over cells: resets the cells that were active in the step before."""
+    """Kernel over cells: resets the cells that were active in the previous step."""
     t = types(real)
 
     @kernel(f"phy124_liquid_forget_{real.__name__}", real, seconds=0.2)

@@ -1,4 +1,5 @@
-"""Bodies of particles in a liquid: their terms of the pressure equation, and the pressure on them.
+"""Couples bodies of particles to a liquid: their terms in the pressure equation, and the pressure
+on them.
 
 A body responds to the pressure in two ways. It moves rigidly (`solids`), and the layer of mass at
 its surface moves with the change of the pressure since the last step (a Robin condition: Fernandez,
@@ -66,9 +67,9 @@ def make_moments(real: Any):
 
 @wp.func
 def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size: wp.vec3i):
-    """Of the cell `n` and the next cell behind its more open face, return the cell with more mass.
+    """Return the cell with more mass: cell `n`, or the next cell behind the more open face of `n`.
 
-    `row` is positive if the low face of the two opposite faces is more open.
+    `row` is positive if the low face is more open than the opposite face.
     """
     m = n - stride(axis, size)
     if row > wp.float64(0.0):
@@ -78,12 +79,13 @@ def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size
 
 @build_once
 def make_yield(real: Any):
-    """Kernel over cells: adds the bodies' surface motion and response to the pressure equation.
+    """Kernel over cells: adds the motion and the response of the bodies' surfaces to the pressure
+    equation.
 
-    `free` is the number of solids before the first body, `scale` is rho dx^3 [kg], and `present`
-    has the rigid motions of all solids at the start of the step. `x_guess` holds the last solution.
-    In a step of length dt, a surface responds to a change of the pressure like a mass: the
-    surface's mass plus `stiffness` dt^2 [kg].
+    `free` is the number of rigid solids, which are numbered before the first body; `scale` is rho
+    dx^3 [kg]. `present` holds the rigid motions of all solids at the start of the step, and
+    `x_guess` holds the last solution. In a step of length dt, a surface responds to a change of the
+    pressure like a mass: the surface's mass plus `stiffness` dt^2 [kg].
     """
     t = types(real)
 
@@ -135,7 +137,8 @@ def make_yield(real: Any):
 
 @build_once
 def make_answer(real: Any):
-    """Kernel over solids and bodies: writes their rigid motions, and sums the pressure's impulses.
+    """Kernel over solids and bodies: writes their rigid motions, and sums the impulses of the
+    pressure on them.
 
     `impulses_out` contains the impulse on each solid or body, and its moment about the origin.
     """
@@ -172,7 +175,8 @@ def make_answer(real: Any):
 
 @build_once
 def make_body_change(real: Any):
-    """Kernel over a region's cells: computes a body's velocity change by the pressure [m/s].
+    """Kernel over the cells of a region: computes the change of a body's velocity by the pressure
+    [m/s].
 
     `pressed` contains the impulse on the surface in each cell, which acts on the mass at the
     surface.
@@ -205,10 +209,10 @@ def make_body_change(real: Any):
 
 @build_once
 def make_body_gather(real: Any):
-    """Kernel: computes the rates at which the pressure changes v and C of a body's particles.
+    """Kernel: computes the rates at which the pressure changes v and C of the particles of a body.
 
-    As in APIC, the changes of momentum and angular momentum equal those of the cells. `most_out` is
-    the largest acceleration [m/s^2].
+    As in APIC, the changes of the particles' momentum and angular momentum equal the changes in the
+    cells. `most_out` is the largest acceleration [m/s^2].
     """
     t = types(real)
 
@@ -249,7 +253,7 @@ def make_body_gather(real: Any):
 
 @build_once
 def make_body_push(real: Any):
-    """Kernel: accelerates particles by the pressure of the liquid."""
+    """Kernel: accelerates particles by the pressure that the liquid exerts on them."""
     t = types(real)
 
     @kernel(f"phy124_liquid_body_push_{real.__name__}", real, seconds=0.2)

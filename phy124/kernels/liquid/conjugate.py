@@ -1,9 +1,11 @@
-"""Conjugate gradients for the pressure equation, with MIC(0) in each part of the cells.
+"""Solves the pressure equation by conjugate gradients, preconditioned with MIC(0) in each part of
+the cells.
 
-The cells of liquid are listed in the order of memory, and divided into parts of equal length: one
-for each CPU thread, many on a GPU. The modified incomplete Cholesky factor (Bridson 2015, "Fluid
-simulation for computer graphics", ch. 5) ignores links between parts, so that no part waits for
-another one. Sums are added part by part, so results depend only on the number of parts.
+The cells of liquid are listed in the order in which memory stores them, and the list is divided
+into parts of equal length: one part for each CPU thread, or many parts on a GPU. The modified
+incomplete Cholesky factor (Bridson 2015, "Fluid simulation for computer graphics", ch. 5) ignores
+the matrix entries that couple cells of different parts, so that no part waits for another part.
+Sums are added part by part, so the result of a sum depends only on the number of parts.
 """
 
 import warp as wp
@@ -12,8 +14,8 @@ from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import kernel
 
 TUNING, SAFETY = wp.constant(wp.float64(0.97)), wp.constant(wp.float64(0.25))
-"""Weight of MIC(0)'s modification, and the fraction of the diagonal below which the modified value
-is not used.
+"""Weight of the modification in MIC(0), and the fraction of the diagonal below which the modified
+value is not used.
 """
 RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
 """Rows in the table of sums: largest residual, largest right-hand side, and s A s.
@@ -21,18 +23,18 @@ RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
 Rows 0 and 1 are r M r, in turn.
 """
 RIGID = wp.constant(5)
-"""First of each solid's six rows: the force and moment J^T s that a vector s exerts on the solid
-(see `solids`).
+"""First row of the six rows of each solid, which hold the force and the moment J^T s that a vector
+s exerts on the solid (see `solids`).
 """
 ROWS = 5
-"""Number of rows in the table of sums if there are no solids."""
+"""Number of rows in the table of sums of a liquid without solids."""
 Vectors = wp.array(dtype=wp.vec3d)
 Table = wp.array2d(dtype=wp.float64)
 
 
 @wp.func
 def share(count: int, part: int, parts: int):
-    """Return the first item of a part, and one past its last item."""
+    """Return the index of the first item of a part, and the index after the part's last item."""
     return wp.vec2i(
         int(wp.int64(count) * wp.int64(part) / wp.int64(parts)),
         int(wp.int64(count) * wp.int64(part + 1) / wp.int64(parts)),
@@ -41,7 +43,7 @@ def share(count: int, part: int, parts: int):
 
 @wp.func
 def total(sums: Table, row: int):
-    """Return the sum over all parts."""
+    """Return the sum of the contributions of all parts."""
     result = wp.float64(0.0)
     for k in range(sums.shape[1]):
         result += sums[row, k]
@@ -85,7 +87,9 @@ def list_liquid(part: int, active: Ints, ends: Ints, liquid: Ints, counts: Ints,
 
 @wp.func
 def multiply(n: int, row: int, layer: int, diagonal: Doubles, links: Vectors, x: Doubles):
-    """Return component n of A x; `row` and `layer` are the strides along y and x."""
+    """Return component n of the product A x; `row` and `layer` are the memory strides along y and
+    x.
+    """
     below = links[n - layer][0] * x[n - layer]
     below += links[n - row][1] * x[n - row] + links[n - 1][2] * x[n - 1]
     link = links[n]
@@ -104,7 +108,7 @@ def factorise(
     links: Vectors,
     inverse: Doubles,
 ):
-    """Write the inverse root of the factor's diagonal for a part of the listed cells."""
+    """Write the inverse square root of the factor's diagonal for a part of the listed cells."""
     lowest = listed[first]
     for k in range(first, last):
         n = listed[k]
@@ -204,9 +208,10 @@ def rotation_of(mobility: Table, solid: int, turn: wp.vec3d):
 
 @wp.func
 def respond(sums: Table, mobility: Table, p: int, responses: wp.array2d(dtype=wp.vec3d)):
-    """Write the velocity and angular velocity with which each solid responds to a vector.
+    """Write the velocity and angular velocity with which each solid responds to a vector of
+    pressures.
 
-    Returns the product of all responses with their forces and moments.
+    Returns the sum over all solids of the response times the force and moment.
     """
     product = wp.float64(0.0)
     for solid in range(mobility.shape[0]):
@@ -228,7 +233,7 @@ def rigid_flux(
     turns: Vectors,
     responses: wp.array2d(dtype=wp.vec3d),
 ):
-    """Return the flux out of a cell that a solid's response causes."""
+    """Return the flux out of a cell that the response of a solid causes."""
     V = wp.dot(jumps[n], responses[p, 2 * solid])
     return V + wp.dot(turns[n], responses[p, 2 * solid + 1])
 
@@ -245,7 +250,7 @@ def project(
     x: Doubles,
     sums_out: Table,
 ):
-    """Sum J^T x over a part of the listed cells; `jumps` and `turns` are the rows of J."""
+    """Sum J^T x over a part of the listed cells; `jumps` and `turns` hold the rows of J."""
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
     clear_rigid(sums_out, solids, p)
@@ -278,7 +283,7 @@ def begin(
     direction_out: Doubles,
     sums_out: Table,
 ):
-    """Start from the residual of x, and factorise a part's block of the matrix."""
+    """Compute the residual of x, and factorise the block of the matrix that belongs to a part."""
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
     largest = wp.float64(0.0)
@@ -384,7 +389,9 @@ def improve(
     z_out: Doubles,
     sums_out: Table,
 ):
-    """Step along the direction to the smallest error, then precondition the residual."""
+    """Step along the search direction to the point of smallest error, then precondition the
+    residual.
+    """
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
     steep = total(sums_out, STEEP)

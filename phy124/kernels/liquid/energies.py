@@ -1,10 +1,12 @@
-"""Sums the work on a liquid by cause: viscosity, pressure, walls, and restoring the density.
+"""Sums the work on a liquid separately for each cause: viscosity, pressure, walls, and the density
+correction.
 
 The work of an impulse is its product with the mean of the velocities at the start and at the end of
-the step, so the works of all causes add up to the change of a face's kinetic energy, and all of
-them are zero in a liquid at rest, where pressure balances gravity. Faces behind walls and above the
-surface may have a share of the particles' mass. Faces behind walls and above the surface move like
-their neighbours in the liquid, so the mass of such a face is added to the masses of its neighbours.
+the step. The work of all causes then adds up to the change of a face's kinetic energy. In a liquid
+at rest, where pressure balances gravity, the work of every cause is zero. Faces behind walls and
+above the surface may have a share of the particles' mass. Faces behind walls and above the surface
+move like their neighbours in the liquid, so the mass of such a face is added to the masses of its
+neighbours.
 """
 
 from typing import Any
@@ -19,8 +21,8 @@ from phy124.kernels.reduction import add_to
 from phy124.kernels.work import add_exchange
 
 VISCOUS, PRESSED, SHIFTED = 0, 1, 2
-"""Indices of three sums [J]: work of viscosity, work of pressure, and work of the uniform
-acceleration on the displacements that restore the density.
+"""Indices of three sums [J]: the work of viscosity, the work of the pressure, and the work of the
+uniform acceleration along the displacements that restore the density.
 """
 AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
 """Indices of the walls' work up to three phases of a step, computed with the velocities of the
@@ -33,7 +35,7 @@ COUNT = 9
 
 @build_once
 def make_keep(real: Any):
-    """Kernel over cells: copies velocities."""
+    """Kernel over cells: copies the velocities to another array."""
     t = types(real)
 
     @kernel(f"phy124_liquid_keep_{real.__name__}", real)
@@ -47,7 +49,7 @@ def make_keep(real: Any):
 
 @wp.func
 def acts(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, axis: int, step: int):
-    """Return 1 if pressure acts on the face between cells n - `step` and n, else 0."""
+    """Return 1 if pressure acts on the face between the cells n - `step` and n, otherwise 0."""
     wet = liquid[n] + liquid[n - step] > 0
     return wp.where(wet and open[n][axis] > type(open[n][axis])(0.0), 1, 0)
 
@@ -61,7 +63,9 @@ def mass_with_outside(
     axis: int,
     size: wp.vec3i,
 ):
-    """Return a face's mass plus shares of the masses of adjacent faces without pressure."""
+    """Return the mass of a face, plus shares of the masses of adjacent faces on which no pressure
+    acts.
+    """
     across = stride(axis, size)
     total = cells[n][4 + axis]
     for along in range(3):
@@ -80,7 +84,9 @@ def mass_with_outside(
 
 @wp.func
 def gain_at(gains: wp.array(dtype=Any), n: int, axis: int, step: int, count: int):
-    """Return how forces on particles change the velocity at a face, from the face's two cells."""
+    """Return the change of velocity that forces on particles cause at a face, computed from the
+    face's two cells.
+    """
     total = gains[n] + gains[n - step]
     for k in range(n + count, gains.shape[0], count):
         total += gains[k] + gains[k - step]
@@ -194,10 +200,11 @@ def make_shift_work(real: Any):
 
 @build_once
 def make_push_work(real: Any):
-    """Kernel at the end of a step: adds impulse and work of forces on particles to `EXCHANGE` sums.
+    """Kernel at the end of a step: adds the impulse and work of forces on particles to the
+    `EXCHANGE` sums.
 
-    `v_kept` and `C_kept` are the values before the forces act, `v_pushed` and `C_pushed` those
-    afterwards; the arrays of C are empty if no force changes C.
+    `v_kept` and `C_kept` are the values before the forces act; `v_pushed` and `C_pushed` are the
+    values afterwards. The arrays of C are empty if no force changes C.
     """
     t = types(real)
 
