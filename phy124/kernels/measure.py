@@ -1,4 +1,4 @@
-"""Measures the particles' bounding box, and the maxima that limit a substep.
+"""Measures the bounding box of the particles, and the maxima that limit a substep.
 
 The maxima are read by `timestep.make_timestep` on the device, and by phy124/mpm/timestep.py on the
 host. The lowest corner is stored as the maximum of -x.
@@ -15,26 +15,28 @@ from phy124.kernels.reduction import finite, greater, raise_all, raise_to
 from phy124.kernels.transfer import Law, between, member
 
 SPEED = 0
-"""Index of |v| [m/s]."""
+"""Index of the largest |v| [m/s]."""
 GRADIENT = 1
-"""Index of |C| [1/s]."""
+"""Index of the largest |C| [1/s]."""
 STIFFNESS = 2
-"""Index of A / rho0 [m^2/s^2]."""
+"""Index of the largest A / rho0 [m^2/s^2]."""
 LOW = 3
-"""Index of the first of three numbers: the particles' lowest corner with its sign reversed [m]."""
+"""Index of the first of three numbers: the lowest corner of the particles, with the sign reversed
+[m].
+"""
 HIGH = 6
-"""Index of the first of three numbers: the particles' highest corner [m]."""
+"""Index of the first of three numbers: the highest corner of the particles [m]."""
 COUNT = 9
 """Number of maxima."""
 SPEEDS = 2
-"""Number of maxima that `make_measure_speeds` computes; these maxima come first."""
+"""Number of maxima that `make_measure_speeds` computes; they are the first of all maxima."""
 
 
 @build_once
 def make_measure(law: Law, real: Any):
     """Kernel: measures the limits of the substep and the extent of the particles.
 
-    The maxima are over the particles inside the domain. Particles with non-finite values are
+    The maxima are taken over the particles inside the domain. Particles with non-finite values are
     counted as stray. Thread n measures the particles n `first` + k `stride`, k < `each`.
     """
     t = types(real)
@@ -60,7 +62,8 @@ def make_measure(law: Law, real: Any):
         maxima_out: t.reals,
         stray_out: Ints,
     ):
-        # Squares start from 0: the root of -inf would be NaN in a thread without particles.
+        # Squares start from 0, because the root of -inf would be NaN in a thread that has no
+        # particles.
         speed = real(0.0)
         gradient = real(0.0)
         stiffness = real(-wp.inf)
@@ -118,13 +121,15 @@ for kinds in (types(wp.float32), types(wp.float64)):
         v: kinds.vec3s,
         C: kinds.mat33s,
     ) -> kinds.vec3:
-        """Return the largest |v|^2 and |C|^2 of some particles, and how many are not finite."""
+        """Return the largest |v|^2 and |C|^2 of some particles, and the number of particles that
+        are not finite.
+        """
         ...
 
 
 @build_once
 def make_measure_speeds(real: Any):
-    """Kernel: measures only `SPEED` and `GRADIENT`, over all particles whatever their law.
+    """Kernel: measures only `SPEED` and `GRADIENT`, over all particles of all constitutive laws.
 
     Thread i handles the same particles as thread i of `make_measure`.
     """

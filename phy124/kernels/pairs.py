@@ -1,19 +1,19 @@
 """Contact between two bodies: at a node where both have mass, their velocities are made equal.
 
-Each body has its own velocity field, and an impulse acts between two bodies at the nodes that they
-share (Bardenhagen, Brackbill and Sulsky 2000; Bardenhagen et al. 2001). The normal of the impulse
-is computed from the gradients of both bodies' volumes (Nairn 2013), so it is the same for both
-bodies.
+Each body has a separate velocity field, and an impulse acts between two bodies at the nodes that
+they share (Bardenhagen, Brackbill and Sulsky 2000; Bardenhagen et al. 2001). The normal of the
+impulse is computed from the gradients of both bodies' volumes (Nairn 2013), so it is the same for
+both bodies.
 
-Nodes are shared before bodies touch, so contact needs another criterion. The weights of a quadratic
-B-spline have the variance dx^2 / 4 along every direction: the volume fraction that a body fills
-around a node therefore gives the distance of its surface, whatever the direction. Two surfaces meet
-if the fractions add up to 1. (Nairn et al. 2020 compute the distance by a regression over the
-particles.) The fraction is the ratio of the body's mass at the node to its mass in the interior,
-which accounts for the body's edges, density and compression. Three nodes in a row, along the axis
-closest to the normal, are either all in contact or all not in contact; the node with the largest
-overlap of both bodies decides. At the rim of a contact, where the gap is curved, the mean of the
-gap around a node is larger than the gap at the node.
+Bodies share nodes before they touch, so contact needs another criterion. The weights of a quadratic
+B-spline have the variance dx^2 / 4 along every direction. The volume fraction that a body fills
+around a node therefore determines the distance of the body's surface from the node, whatever the
+direction. Two surfaces meet if the fractions add up to 1. (Nairn et al. 2020 compute the distance
+by a regression over the particles.) The fraction is the ratio of the body's mass at the node to its
+mass in the interior, which accounts for the body's edges, density and compression. Three nodes in a
+row, along the axis closest to the normal, are either all in contact or all not in contact; the node
+with the largest overlap of both bodies decides. At the rim of a contact, where the gap is curved,
+the mean of the gap around a node is larger than the gap at the node.
 """
 
 from typing import Any
@@ -29,19 +29,20 @@ from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.window import place, strides
 
 LIGHTEST = wp.constant(1e-6)
-"""Smallest volume fraction of each body at a node for contact to be considered."""
+"""Smallest volume fraction that each body must have at a node for contact to be considered."""
 NARROWEST = wp.constant(0.05)
 """Smallest volume fraction that counts as a body's interior. The fraction is 1/2 at an edge and 1/4
-at a corner; smaller fractions occur beyond the body, or for a single particle.
+at a corner. Smaller fractions occur outside the body, or around a single particle.
 """
 ROUNDING = wp.constant(0.375)
-"""Contact tolerance for curved gaps. A node may be open by this fraction of the sum of its four
-neighbours' gaps, each minus the node's own gap. The curvature of a gap between two splines would
-give 1/4; the larger value is fitted to balls (docs/lab/contact-force.md).
+"""Contact tolerance for curved gaps. The gap at a node counts as closed up to this fraction of the
+sum over the four neighbouring nodes of the neighbour's gap minus the node's gap. The curvature of a
+gap between two splines would give 1/4; the larger value is fitted to measurements with balls
+(docs/lab/contact-force.md).
 """
 STEEPER, TRUSTED = wp.constant(10.0), wp.constant(4.0)
-"""`STEEPER`: how sharply the normal changes from the mean of two slopes to the steeper of the two.
-`TRUSTED`: factor on the squared slope of a body that never moves.
+"""`STEEPER`: the sharpness of the change of the normal from the mean of two slopes to the steeper
+of the two. `TRUSTED`: factor on the squared slope of a body that never moves.
 """
 
 
@@ -81,7 +82,9 @@ def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.
 
 @wp.func
 def trust(yields: Any):
-    """Return the weight of a body in the contact normal; it is larger if the body never moves."""
+    """Return the weight of a body in the contact normal, which is larger if the body never
+    moves.
+    """
     return type(yields)(TRUSTED) - (type(yields)(TRUSTED) - type(yields)(1.0)) * yields
 
 
@@ -89,10 +92,10 @@ def trust(yields: Any):
 def normal(to: Any, away: Any, yields: Any):
     """Return the contact normal from the slopes of two bodies' volumes.
 
-    `to` is the slope of the second body's volume, `away` that of the first body's. The steeper
-    slope belongs to the flatter surface and has the larger weight (Nairn 2013 uses only the steeper
-    slope; the mean of two equal slopes is less rough). For a body that never moves, the volume's
-    slope is smooth and gets a larger weight (`trust`).
+    `to` is the slope of the second body's volume, and `away` is the slope of the first body's
+    volume. The steeper slope belongs to the flatter surface and has the larger weight (Nairn 2013
+    uses only the steeper slope; the mean of two equal slopes is less rough). For a body that never
+    moves, the volume's slope is smooth and gets a larger weight (`trust`).
     """
     a = wp.length_sq(to) * trust(yields[1])
     b = wp.length_sq(away) * trust(yields[0])
@@ -119,7 +122,7 @@ def shared_most(
     node: wp.vec3i,
     step: wp.vec3i,
 ):
-    """Return the one of three nodes in a row at which two bodies overlap most."""
+    """Return the node, out of three in a row, at which two bodies overlap most."""
     at = node
     most = mass_at(first, first_window, node) * mass_at(second, second_window, node)
     for side in range(-1, 2, 2):
@@ -142,9 +145,9 @@ def fill_fraction(
 ):
     """Return the ratio of a body's mass at a node to its mass in the interior.
 
-    The interior is taken up to two nodes inward. The ratio is -1 if the body's volume fraction in
-    the interior is less than `narrowest`. At an edge of the body, and under compression, both
-    masses change by the same factor.
+    The interior is looked for up to two nodes further inside. The ratio is -1 if the body's volume
+    fraction in the interior is less than `narrowest`. At an edge of the body, and under
+    compression, both masses change by the same factor.
     """
     m = mass_at(grid, window, node)
     deep = wp.max(mass_at(grid, window, node + inward), mass_at(grid, window, node + 2 * inward))
@@ -164,7 +167,9 @@ def gap(
     step: wp.vec3i,
     fill: Any,
 ):
-    """Return the empty volume fraction around a node; 1 if a body is absent there."""
+    """Return the empty volume fraction around a node; it is 1 if one of the bodies is absent
+    there.
+    """
     a = fill_fraction(first, first_window, at, -step, fill[0], type(fill[0])(NARROWEST))
     b = fill_fraction(second, second_window, at, step, fill[1], type(fill[1])(NARROWEST))
     unit = type(a)(1.0)
@@ -173,7 +178,7 @@ def gap(
 
 @wp.func
 def neighbour(step: wp.vec3i, n: int):
-    """Return the step to neighbour n (0 to 3) of a node, across the axis of `step`."""
+    """Return the step to neighbour n (0 to 3) of a node, perpendicular to the axis of `step`."""
     axis = steepest(wp.vec3(float(step[0]), float(step[1]), float(step[2])))
     to = wp.vec3i()
     to[(axis + 1 + n / 2) % 3] = 1 - 2 * (n % 2)
@@ -182,11 +187,11 @@ def neighbour(step: wp.vec3i, n: int):
 
 @wp.func
 def is_closed(gap: Any, more: Any):
-    """Return whether the gap between two bodies at a node is so small that they touch.
+    """Return whether the gap between two bodies at a node is so small that the bodies touch.
 
-    The gap is a mean over more than a cell. At the edge of the contact area, the mean includes the
-    wider gap outside this area, so a gap up to `ROUNDING` times `more` counts as closed; `more` is
-    the sum of the neighbours' gaps, each minus the node's gap.
+    The gap is averaged over more than one cell. At the edge of the contact area, the mean includes
+    the wider gap outside this area, so a gap up to `ROUNDING` times `more` counts as closed; `more`
+    is the sum of the neighbours' gaps, each minus the node's gap.
     """
     unit = type(gap)(1.0)
     return gap < unit and gap <= type(gap)(ROUNDING) * wp.max(more, type(gap)(0.0))
@@ -218,8 +223,8 @@ def surfaces_meet(
 def stop(relative: Any, n: Any, friction: Any):
     """Return the component of a relative velocity that contact removes.
 
-    Contact removes the whole approach along the normal n, and the motion across n as far as Coulomb
-    friction allows.
+    Contact removes the whole approaching velocity along the normal n, and the tangential velocity
+    as far as Coulomb friction allows.
     """
     approach = wp.dot(relative, n)
     if approach <= type(approach)(0.0):
@@ -235,8 +240,8 @@ def make_pair(real: Any):
     `low` is the first of the shared nodes on the lattice, `fill` the volume fraction per mass at a
     node of each body, and `yields` is 1 for a body that can move and 0 for a body that never moves.
     A sticky pair has one velocity at each node where both have mass. `sums_out` sums the impulse of
-    the first body on the second, and its moment about the origin of the world. A thread reads only
-    the masses of neighbouring nodes, and no thread changes these masses.
+    the first body on the second, and its moment about the origin of the world. Of neighbouring
+    nodes, a thread reads only the masses, which no thread changes.
     """
     t = types(real)
 

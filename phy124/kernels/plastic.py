@@ -15,10 +15,11 @@ from phy124.kernels.spectral import deviator, exponential
 
 @wp.func
 def von_mises(F: Any, h: Any, theta: Any, dt: Any):
-    """Apply a radial return with linear hardening or softening (Simo and Hughes 1998, box 3.1).
+    """Project F by a radial return with linear hardening or softening (Simo and Hughes 1998, box
+    3.1).
 
-    theta = (mu, lam, limit, slope, minimum): the limit changes by `slope` per plastic strain and is
-    at least `minimum`; h[0] is the accumulated plastic strain, the sum of |d e_p|.
+    theta = (mu, lam, limit, slope, minimum): the limit changes by `slope` per unit of plastic
+    strain, and is at least `minimum`. h[0] is the accumulated plastic strain, the sum of |d e_p|.
     """
     zero = type(theta[0])(0.0)
     shear = type(theta[0])(2.0) * theta[0]
@@ -50,7 +51,8 @@ def remaining_fraction(log_k: Any, m: Any):
 
 @wp.func
 def herschel_bulkley(F: Any, h: Any, theta: Any, dt: Any):
-    """Apply viscoplastic flow (Yue et al. 2015): stress above the limit decays at a finite rate.
+    """Project F by viscoplastic flow (Yue et al. 2015), in which stress above the limit decays at a
+    finite rate.
 
     The step is backward Euler of d|s|/dt = -2 mu (x / eta)^(1/n), x = |s| - limit; theta = (mu,
     lam, limit, eta [Pa s^n], n). h[0] is the accumulated plastic strain.

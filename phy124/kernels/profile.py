@@ -1,10 +1,10 @@
-"""Time tables on the device: piecewise linear tracks, sampled once per substep.
+"""Samples tables of values over time on the device: piecewise linear tracks, once per substep.
 
 A wall needs its current position and speed. A force is averaged over the interval of its kick, from
 half a substep ago to half a substep ahead. The intervals of successive kicks cover time without
-gaps, so any force has its exact impulse for any sequence of substeps. A profile's period may be
-shorter than a substep: means include all its periods, and a wall's speed is then the difference of
-its two positions divided by the substep.
+gaps, so the total impulse of a force is exact for any sequence of substeps. The period of a profile
+may be shorter than a substep. Means then include all periods within the substep, and the speed of a
+wall is the difference of its two positions divided by the substep.
 """
 
 from typing import Any
@@ -19,7 +19,7 @@ MEAN = 1
 JOINS = 2
 """Flag of a track that is added to the uniform acceleration in slot 0."""
 LIMITED = 4
-"""Flag of a track whose effect on particles is limited by the stage that uses the track."""
+"""Flag of a track whose effect on particles is limited by the solver stage that uses the track."""
 KICK = 8
 """Flag of a track that is averaged over the kick even while it is inactive."""
 DRIFT = 16
@@ -28,7 +28,7 @@ DRIFT = 16
 
 @wp.func
 def value_at(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), i: int, at: Any):
-    """Return the value of a track between key i and the next key."""
+    """Return the value of a track at a time between key i and the next key."""
     span = times[i + 1] - times[i]
     return keys[i] + ((at - times[i]) / span) * (keys[i + 1] - keys[i])
 
@@ -53,8 +53,8 @@ def integral(
 
 @wp.func
 def fold(at: Any, period: Any):
-    """Return a time modulo the period; a negative time, or a track without a period, leaves it
-    unchanged.
+    """Return a time modulo the period of a track; the time is unchanged if it is negative or there
+    is no period.
     """
     if period > type(at)(0.0) and at > type(at)(0.0):
         return at - period * wp.floor(at / period)
@@ -122,7 +122,9 @@ def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: An
 
 @wp.func
 def skips(times: wp.array(dtype=Any), first: int, last: int, at: Any, to: Any, period: Any):
-    """Return whether the interval between two times [s] contains a whole segment between keys."""
+    """Return whether the interval between two times [s] contains a whole segment between two
+    keys.
+    """
     passed = keys_within(times, first, last, at, to)
     if period > type(at)(0.0) and to > period:
         passed += keys_within(times, first, last, type(at)(0.0), to - period)
@@ -131,7 +133,7 @@ def skips(times: wp.array(dtype=Any), first: int, last: int, at: Any, to: Any, p
 
 @build_once
 def make_sampler(real: Any):
-    """Kernel: samples value and rate of every track; slot 0 is the uniform acceleration.
+    """Kernel: samples the value and the rate of every track; slot 0 is the uniform acceleration.
 
     The fourth component of a value is 1 while the track is active.
     """

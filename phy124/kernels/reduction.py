@@ -1,4 +1,4 @@
-"""Operations of many threads on common data: sums, maxima, stores, and a barrier.
+"""Defines operations of many threads on shared data: sums, maxima, stores, and a barrier.
 
 On a GPU, atomic operations on one address are serialised. Therefore each thread first reduces its
 own items, the 32 threads of a warp then combine their results, and one of them writes the total. If
@@ -19,8 +19,8 @@ import warp as wp
 from phy124.kernels.native import code, native_kernel
 
 EACH, MOST_THREADS, BLOCK = 32, 2**14, 256
-"""Number of particles per thread on the CPU; largest number of threads on a GPU; number of threads
-in a block of a GPU.
+"""Number of particles per thread on the CPU, largest number of threads on a GPU, and number of
+threads in a block of a GPU.
 """
 
 
@@ -41,7 +41,7 @@ def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[i
 def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int], int]:
     """Return the shape (i, j, segment) of a launch over a box of nodes, and the nodes per thread.
 
-    A thread handles a whole row on the CPU, and one node on a GPU.
+    Each thread handles a whole row on the CPU, or one node on a GPU.
     """
     x, y, z = (int(count) for count in extent)
     return ((x, y, min(z, 1)), z) if device == "cpu" else ((x, y, z), 1)
@@ -49,22 +49,23 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
 
 @wp.func_native(code("reduction:run"))
 def run_of(node: int) -> int:
-    """Return which neighbouring threads of a GPU add to the same nodes; 0 on the CPU.
+    """Return the run of neighbouring GPU threads that add to the same nodes; 0 on the CPU.
 
-    Either all threads of a warp or none must then call `add`, the same number of times.
+    Afterwards either all threads of a warp or none must call `add`, each of them the same number of
+    times.
     """
     ...
 
 
 @wp.func_native(code("reduction:sum_run", "reduction:add"))
 def add(grid: wp.array(dtype=wp.vec4), node: int, value: wp.vec4, run: int):
-    """Add to a node in float32, once for each run of threads (`run_of`)."""
+    """Add a value to a node in float32, once for each run of threads (`run_of`)."""
     ...
 
 
 @wp.func_native(code("reduction:sum_run") + "wp::atomic_add(grid, node, value);")
 def add(grid: wp.array(dtype=wp.vec4d), node: int, value: wp.vec4d, run: int):  # noqa: F811
-    """Add to a node in float64."""
+    """Add a value to a node in float64."""
     ...
 
 
@@ -82,19 +83,21 @@ def greater(a: Any, b: Any):
 
 @wp.func_native(code("reduction:load"))
 def load(grid: wp.array(dtype=wp.vec4), node: int) -> wp.vec4:
-    """Return a node; on a GPU, read its four numbers at once despite Warp's 4-byte alignment."""
+    """Return the value of a node; on a GPU, its four numbers are read at once despite Warp's 4-byte
+    alignment.
+    """
     ...
 
 
 @wp.func_native("return wp::index(grid, node);")
 def load(grid: wp.array(dtype=wp.vec4d), node: int) -> wp.vec4d:  # noqa: F811
-    """Return a node in float64."""
+    """Return the value of a node in float64."""
     ...
 
 
 @wp.func_native(code("reduction:sum", "reduction:warp", "reduction:add_to"))
 def add_to(sums: wp.array(dtype=wp.float64), index: int, value: wp.float64):
-    """Add a thread's value to a sum over all threads."""
+    """Add the value of a thread to a sum over all threads."""
     ...
 
 
@@ -110,25 +113,25 @@ def raise_all(maxima: wp.array(dtype=Any), values: Any):
 
 @wp.func_native(code("reduction:most", "reduction:warp", "reduction:raise_to"))
 def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
-    """Raise a maximum over all threads to a value, if the value is larger."""
+    """Set a maximum over all threads to a value if the value is larger than the maximum."""
     ...
 
 
 @wp.func_native(code("reduction:least", "reduction:warp", "reduction:lower_to"))
 def lower_to(minima: wp.array(dtype=int), index: int, value: int):
-    """Lower an integer that all threads share to a value, if the value is smaller."""
+    """Set an integer that all threads share to a value if the value is smaller than the integer."""
     ...
 
 
 @wp.func_native(code("reduction:store"))
 def store(matrices: wp.array(dtype=wp.mat33), particle: int, value: wp.mat33):
-    """Write a particle's matrix; on a GPU 32 neighbouring particles are written together."""
+    """Write the matrix of a particle; on a GPU, 32 neighbouring particles are written together."""
     ...
 
 
 @wp.func_native("wp::array_store(matrices, particle, value);")
 def store(matrices: wp.array(dtype=wp.mat33d), particle: int, value: wp.mat33d):  # noqa: F811
-    """Write a particle's matrix in float64."""
+    """Write the matrix of a particle in float64."""
     ...
 
 
@@ -139,5 +142,7 @@ def meet(
     counter_out: wp.array(dtype=int),
     ticket_out: wp.array(dtype=int),
 ):
-    """Check the barrier up to `spins` times; `ticket_out[0]` is 0 once all threads have arrived."""
+    """Check the barrier up to `spins` times; `ticket_out[0]` becomes 0 once all threads have
+    arrived.
+    """
     ...

@@ -1,4 +1,5 @@
-"""Functions of a symmetric 3x3 matrix through its eigenvalues, in float64, without eigenvectors.
+"""Computes functions of a symmetric 3x3 matrix from its eigenvalues, in float64, without
+eigenvectors.
 
 The eigenvalues have a closed form (Smith 1961). A function of the matrix is then the quadratic
 polynomial that interpolates the function at the eigenvalues (Newton's divided differences). The
@@ -58,7 +59,7 @@ def eigenvalues(b: wp.mat33d) -> wp.vec3d:
 
 @wp.func
 def slope(rise: wp.float64, run: wp.float64) -> wp.float64:
-    """Return rise / run, or 0 if the two nodes coincide."""
+    """Return rise / run, or 0 if the two interpolation nodes coincide."""
     if run > wp.float64(0.0):
         return rise / run
     return wp.float64(0.0)
@@ -66,7 +67,9 @@ def slope(rise: wp.float64, run: wp.float64) -> wp.float64:
 
 @wp.func
 def with_values(b: wp.mat33d, at: wp.vec3d, f: wp.vec3d) -> wp.mat33d:
-    """Return f(b) from the values f_i = f(at_i) at the eigenvalues at_i of b (largest first)."""
+    """Return f(b), computed from the values f_i = f(at_i) at the eigenvalues at_i of b (largest
+    first).
+    """
     first = slope(f[0] - f[1], at[0] - at[1])
     second = slope(first - slope(f[1] - f[2], at[1] - at[2]), at[0] - at[2])
     unit = wp.identity(3, dtype=wp.float64)
@@ -75,7 +78,7 @@ def with_values(b: wp.mat33d, at: wp.vec3d, f: wp.vec3d) -> wp.mat33d:
 
 @wp.func
 def signed_stretch(F: wp.mat33d) -> wp.mat33d:
-    """Return V of F = V R, where R is a rotation even if F is flat or inverted.
+    """Return V of F = V R, where R is a rotation even if F is singular or inverted.
 
     The smallest stretch has the sign of det F.
     """
@@ -131,7 +134,7 @@ def gram(a: Any):
 
 @wp.func
 def deviator(a: Any):
-    """Return the deviator of A, A - tr A / 3 I."""
+    """Return the deviatoric part of A, A - tr A / 3 I."""
     mean = wp.trace(a) / type(a[0, 0])(3.0)
     return symmetric(a[0, 0] - mean, a[0, 1], a[0, 2], a[1, 1] - mean, a[1, 2], a[2, 2] - mean)
 
@@ -146,7 +149,9 @@ def invariants(a: Any, squared: Any):
 
 @wp.func
 def next_power(c: Any, i: Any):
-    """Return the coefficients of A (c0 I + c1 A + c2 A^2), with i the invariants of A."""
+    """Return the coefficients of A (c0 I + c1 A + c2 A^2) as such a quadratic; i holds the
+    invariants of A.
+    """
     return wp.vector(c[2] * i[2], c[0] - c[2] * i[1], c[1] + c[2] * i[0])
 
 
@@ -192,7 +197,9 @@ def small_enough(s: wp.float64):  # noqa: F811
 
 @wp.func
 def exponential(a: Any):
-    """Return exp A: halve A until it is small, sum the series to A^5 / 120, square repeatedly."""
+    """Return exp A: halve A until it is small, sum the series up to A^5 / 120, and square the sum
+    repeatedly.
+    """
     s = a[0, 0]
     small = a
     size = wp.ddot(a, a)

@@ -1,7 +1,8 @@
 """Chooses the next substep's length on the device, so that a frame does not wait for the host.
 
 The limits, their double precision and their order are those of phy124/mpm/timestep.py and
-phy124/mpm/rejection.py. On one device, both versions take the same substeps, bit for bit.
+phy124/mpm/rejection.py. On the same device, both versions choose exactly the same substeps, bit for
+bit.
 """
 
 from typing import Any
@@ -13,14 +14,16 @@ from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import build_once, kernel
 
 DONE, LOOK, CAREFUL = 1, 2, 3
-"""Reasons why a series of substeps ends: the time is reached, the host must measure, or the next
-substep could move something too far.
+"""Reasons why a series of substeps ends: the target time is reached, the host must measure, or the
+next substep could move something too far.
 """
 LIMITS = 5
 ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(LIMITS)
-"""Index of each limit of a substep."""
+"""Index of each limit on the length of a substep."""
 BLOCK = 4
-"""Number of substeps that the graph takes, where possible, without a condition in between."""
+"""Number of substeps that the graph takes without checking a condition in between, where this is
+possible.
+"""
 
 
 @wp.struct
@@ -32,11 +35,11 @@ class Limits:
     dx: wp.float64
     """Grid spacing [m]."""
     reach: wp.float64
-    """Courant number times dx [m]."""
+    """Courant number times the grid spacing [m]."""
     stride: wp.float64
-    """Largest distance that a particle moves in a substep [m]."""
+    """Largest distance that a particle may move in a substep [m]."""
     turn: wp.float64
-    """Largest |C| dt of a substep."""
+    """Largest allowed |C| dt in a substep."""
     viscous: wp.float64
     """Longest substep that viscosity allows [s]."""
     ceiling: wp.float64
@@ -46,37 +49,39 @@ class Limits:
     acceleration: wp.float64
     """Upper bound of the acceleration of a particle by forces [m/s^2]."""
     memory: wp.float64
-    """Stiffness cannot fall below this fraction of an earlier measurement."""
+    """Fraction of an earlier measurement below which the stiffness cannot fall."""
     strain: wp.float64
     """Sum of |C| dt after which control returns to the host."""
     most: wp.int32
     """Number of substeps after which control returns to the host."""
     apart: wp.int32
-    """1 if particles have left the grid, so that only the host can measure them."""
+    """Whether particles have left the grid (1 or 0); if so, only the host can measure the
+    particles.
+    """
     origin: wp.vec3d
-    """Position of node 0 [m]."""
+    """Position of the grid node with index 0 [m]."""
     margin: wp.int32
     """Margin of the window around the particles [cells]."""
     every: wp.int32
-    """Substeps between two measurements."""
+    """Number of substeps between two measurements."""
 
 
 @wp.struct
 class Progress:
-    """State of the substeps."""
+    """State of the series of substeps."""
 
     time: wp.float64
     """Current time [s]."""
     last: wp.float64
     """Length of the last substep [s]."""
     next: wp.float64
-    """Length of the next substep [s]; 0 if it is not chosen yet."""
+    """Length of the next substep [s]; 0 if it has not been chosen yet."""
     speed: wp.float64
     """Largest |v| at the last measurement [m/s]."""
     gradient: wp.float64
     """Largest |C| at the last measurement [1/s]."""
     stiffness: wp.float64
-    """Largest A / rho0, decaying from earlier measurements [m^2/s^2]."""
+    """Largest A / rho0 [m^2/s^2]; the values of earlier measurements decay."""
     fastest: wp.float64
     """Largest speed so far [m/s]."""
     steepest: wp.float64
@@ -101,7 +106,7 @@ def over(a: wp.float64, b: wp.float64):
 
 @wp.func
 def finish(s: Progress, bounds: Limits):
-    """Add the last substep, if one was taken, to the counts."""
+    """Update the counts with the last substep, if a substep was taken."""
     if s.next > wp.float64(0.0):
         rest = bounds.until - s.time
         s.strain += s.gradient * s.next
@@ -123,13 +128,15 @@ def spare(x: wp.float64, origin: wp.float64, dx: wp.float64):
 
 @wp.func
 def corner(maxima: wp.array(dtype=Any), i: int):
-    """Return the maxima at the indices i, i + 1 and i + 2 as a float64 vector."""
+    """Return the measured maxima at the indices i, i + 1 and i + 2 as a float64 vector."""
     return wp.vec3d(wp.float64(maxima[i]), wp.float64(maxima[i + 1]), wp.float64(maxima[i + 2]))
 
 
 @wp.func
 def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), bounds: Limits):
-    """Return whether the window fits the particles with a margin neither too small nor too wide."""
+    """Return whether the margin of the window around the particles is neither too small nor too
+    wide.
+    """
     fits = bool(True)
     for axis in range(3):
         first = window[0][axis]
@@ -144,7 +151,7 @@ def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), bound
 
 @wp.func
 def limiter(s: Progress, bounds: Limits):
-    """Return the shortest limit [s] and its index; of equal limits, the first."""
+    """Return the shortest limit [s] and its index; if limits are equal, the first of them."""
     dt = over(bounds.reach, wp.sqrt(s.stiffness))
     which = int(wp.static(ELASTIC))
     if over(bounds.stride, s.speed) < dt:
@@ -177,8 +184,8 @@ def violent(dt: wp.float64, s: Progress, bounds: Limits):
 def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
     """Return whether exactly `BLOCK` substeps of length dt [s] precede the next measurement.
 
-    The result is False if the limit of time is reached, the particles are measured, or control
-    returns to the host between two of these substeps. The lengths of the substeps may differ by
+    The result is False if, between two of these substeps, the target time is reached, the particles
+    are measured, or control returns to the host. The lengths of the substeps may differ by
     rounding.
     """
     count = int(wp.static(BLOCK))
@@ -196,9 +203,9 @@ def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
 def make_timestep(real: Any):
     """Kernel of one thread: finishes a substep, then chooses the next or stops with a reason.
 
-    `look_out` is 1 if the particles are to be measured after the next substep, and `block_out` is 1
-    if a whole block of substeps follows. `limiters_out` holds the number of substeps of each limit,
-    then the sums of the ratios of substep length to the limit.
+    `look_out` is 1 if the particles have to be measured after the next substep, and `block_out` is
+    1 if a whole block of substeps follows. `limiters_out` holds the number of substeps that each
+    limit determined, then, for each limit, the sum of the ratios of substep length to the limit.
     """
 
     @kernel(f"phy124_timestep_{real.__name__}", real)
@@ -223,7 +230,7 @@ def make_timestep(real: Any):
             low = -corner(maxima, wp.static(at.LOW))
             high = corner(maxima, wp.static(at.HIGH))
             look = look or bounds.apart > 0 or stray[0] > 0 or not roomy(low, high, window, bounds)
-            # If the host has to take over, it also measures.
+            # If the host has to take over, the host also measures.
             if not look:
                 s.speed = wp.float64(maxima[wp.static(at.SPEED)])
                 s.gradient = wp.float64(maxima[wp.static(at.GRADIENT)])

@@ -1,4 +1,4 @@
-"""Transfers between particles and grid: MLS-MPM with APIC velocities and quadratic B-splines.
+"""Transfers between particles and the grid: MLS-MPM with APIC velocities and quadratic B-splines.
 
 See Hu et al. 2018 (eqs. 16-19, 22) and Jiang et al. 2015. The grid is a flat array of four-vectors:
 (momentum, mass) after the scatter, (velocity, mass) after the grid update. The array covers only a
@@ -7,21 +7,22 @@ extent. `lattice` is (origin x, y, z, dx). `clock` is (kick, drift, time): the k
 length of two successive substeps, the drift the length of the current one, which makes free fall
 exact.
 
-There is a kernel for each law and precision. Each variant has a module with its own name, since
-Warp hashes the set of functions that a closure uses, but not their roles.
+There is a kernel for each constitutive law and precision. Each variant has a module with a separate
+name, since Warp hashes the set of functions that a closure uses, but not the role of each function.
 
 The transfers run over the `chosen` particles, or over all particles of a slice if `chosen` is
 empty.
 
-By default stress and strain use the affine fit C around a particle. C is not the gradient of the
-velocities that move the positions, so F drifts from the gradient of the motion: a beam with a
-thickness of two cells and two particles per cell and axis bends by a quarter more than its F
-indicates. In the form "spline", with `scatter_with_stress` and `gather_slopes`, F follows grad v =
-sum v_i (grad w_i)^T, and the force on a node is -sum V tau grad w_i, its counterpart in the balance
-of energy (Sulsky et al. 1994; Stomakhin et al. 2013, eq. 6).
+By default, stress and strain are computed with the affine velocity C of a particle. C is not the
+gradient of the velocities that move the positions, so F drifts from the gradient of the motion: a
+beam with a thickness of two cells and two particles per cell and axis bends by a quarter more than
+its F indicates. In the form "spline", with `scatter_with_stress` and `gather_slopes`, F follows
+grad v = sum v_i (grad w_i)^T, and the force on a node is -sum V tau grad w_i, its counterpart in
+the balance of energy (Sulsky et al. 1994; Stomakhin et al. 2013, eq. 6).
 
-Parameters of all laws: F, the deformation gradient; C, the velocity gradient [1/s]; h, the history
-variables of the particle; theta, the parameters of the law; dt, the length of the substep [s].
+The functions of all laws have these arguments: F, the deformation gradient; C, the velocity
+gradient [1/s]; h, the history variables of the particle; theta, the parameters of the law; dt, the
+length of the substep [s].
 """
 
 from typing import Any, NamedTuple
@@ -58,7 +59,8 @@ NOWHERE = wp.constant(-1e9)
 
 @wp.func
 def lowest_node(g: Any):
-    """Return the lowest of the three nodes along an axis for a grid coordinate, which may be NaN.
+    """Return the lowest of the three nodes that a particle touches along an axis; the coordinate
+    may be NaN.
 
     GPUs and some CPUs convert NaN to 0, which is a valid node.
     """
@@ -68,13 +70,15 @@ def lowest_node(g: Any):
 
 @wp.func
 def first_node(g: Any):
-    """Return the lowest of the three nodes per axis touched by a particle at grid coordinates g."""
+    """Return the lowest of the three nodes per axis that a particle at the grid coordinates g
+    touches.
+    """
     return wp.vec3i(lowest_node(g[0]), lowest_node(g[1]), lowest_node(g[2]))
 
 
 @wp.func
 def in_window(first: wp.vec3i, size: wp.vec3i):
-    """Return whether all 27 nodes are inside the window.
+    """Return whether all 27 nodes of a particle are inside the window.
 
     Positions far away convert to the smallest or largest integer, so adding to `first` could
     overflow.
@@ -99,7 +103,7 @@ def member(chosen: wp.array(dtype=int), i: int):
 
 @wp.func
 def between(x: Any, low: Any, high: Any):
-    """Return whether a point is in the box between two corners."""
+    """Return whether a point is inside the box between two corners."""
     return (
         x[0] >= low[0]
         and x[1] >= low[1]
@@ -112,8 +116,8 @@ def between(x: Any, low: Any, high: Any):
 
 @wp.func
 def spline(f: Any):
-    """Return quadratic B-spline weights of three nodes; f in [0.5, 1.5) is the offset from the
-    first.
+    """Return the quadratic B-spline weights of three nodes; f in [0.5, 1.5) is the offset from the
+    first node.
     """
     half = type(f)(0.5)
     a = type(f)(1.5) - f
@@ -124,7 +128,7 @@ def spline(f: Any):
 
 @wp.func
 def slope(f: Any):
-    """Return the derivatives of `spline` with respect to the particle's position, per cell."""
+    """Return the derivatives of `spline` with respect to the position of the particle, per cell."""
     return wp.vector(f - type(f)(1.5), type(f)(2.0) - type(f)(2.0) * f, f - type(f)(0.5))
 
 
@@ -132,7 +136,7 @@ def slope(f: Any):
 def offsets(f: Any):
     """Return the vector (0, 1, 2) in the precision of f.
 
-    The vector is used because a cast of a loop index would change the type of the index itself.
+    The vector is used because casting a loop index would change the type of the index itself.
     """
     return wp.vector(type(f)(0.0), type(f)(1.0), type(f)(2.0))
 
@@ -151,7 +155,9 @@ def scatter_with_stress(
     force_y: Any,
     force_z: Any,
 ):
-    """Add w (base + i X + j Y + k Z) + (dw/dx) S + (dw/dy) T + (dw/dz) U to 27 nodes."""
+    """Add w (base + i X + j Y + k Z) + (dw/dx) S + (dw/dy) T + (dw/dz) U to the 27 nodes of a
+    particle.
+    """
     wx = spline(f[0])
     wy = spline(f[1])
     wz = spline(f[2])
@@ -253,7 +259,9 @@ def gather(grid: wp.array(dtype=Any), size: wp.vec3i, first: wp.vec3i, f: Any):
 
 @wp.func
 def columns4(a: Any, s: Any):
-    """Return the columns of a 3x3 matrix times s, each as a four-vector without mass."""
+    """Return the columns of a 3x3 matrix times s, each as a four-vector whose mass component is
+    zero.
+    """
     z = type(s)(0.0)
     return (
         s * wp.vector(a[0, 0], a[1, 0], a[2, 0], z),
@@ -273,7 +281,7 @@ def scatter_rows(
     column_y: wp.vec4,
     column_z: wp.vec4,
 ):
-    """Scatter in float32 on the vector units of a CPU, as `scatter` does."""
+    """Scatter in float32 with the vector instructions of a CPU, as `scatter` does."""
     ...
 
 
@@ -281,20 +289,21 @@ def scatter_rows(
 def gather_rows(
     grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3
 ) -> wp.mat44:
-    """Gather in float32 on the vector units of a CPU, as `gather` does."""
+    """Gather in float32 with the vector instructions of a CPU, as `gather` does."""
     ...
 
 
 SCATTERS = {"plain": scatter, "simd": scatter_rows, "spline": scatter}
 GATHERS = {"plain": gather, "simd": gather_rows, "spline": gather}
-"""Forms of the transfers: a readable one, which GPUs use, and a float32 one for CPU cores. The form
-"spline" computes stress and strain with the gradients of the weights (`scatter_with_stress`).
+"""The forms of the transfers, by name: a scalar form, which GPUs use, and a vectorised float32 form
+for CPUs. The form "spline" computes stress and strain with the gradients of the weights
+(`scatter_with_stress`).
 """
 
 
 @build_once
 def make_p2g(law: Law, real: Any, form: str):
-    """Kernel: computes stress, then scatters momentum and mass to the grid."""
+    """Kernel: computes the stress, then scatters momentum and mass to the grid."""
     t = types(real)
     stress = law.stress
     spread = SCATTERS[form]
@@ -386,7 +395,8 @@ def make_g2p(law: Law, real: Any, form: str):
                 wp.vector(s[3, 0], s[3, 1], s[3, 2]) - f[2] * v,
             )
             dt = clock[1]
-            # Kahan's compensated sum: without it, rounding in float32 would stop a slow drift.
+            # Kahan's compensated summation: without it, rounding in float32 would stop a slow
+            # motion.
             change = dt * v - residue_out[p]
             moved = x_out[p] + change
             residue_out[p] = (moved - x_out[p]) - change
@@ -410,7 +420,8 @@ def make_g2p(law: Law, real: Any, form: str):
                 history_out[p] = h
             else:
                 store(F_out, p, trial)
-                # Another material of the run is plastic, so all Gaussians follow `total`.
+                # Another material of the run is plastic, so all Gaussians follow `total` instead of
+                # F.
                 if total_out.shape[0] > 0:
                     store(total_out, p, trial)
         else:

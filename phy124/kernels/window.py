@@ -1,4 +1,5 @@
-"""Nodes of a window of the grid: their positions, indices in memory, and whether they have mass.
+"""Computes the positions of the nodes in a window of the grid, their indices in memory, and whether
+they have mass.
 
 Node (i, j, k) of the window is at origin + (window[0] + (i, j, k)) dx.
 """
@@ -21,7 +22,7 @@ def place(lattice: Any, node: wp.vec3i):
 
 @wp.func
 def holds(size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
-    """Return whether a node is in the window, and in the layers that this launch may change."""
+    """Return whether a node is inside the window and in the layers that this launch may change."""
     return (
         node[0] >= span[0]
         and node[1] >= 0
@@ -41,7 +42,9 @@ def node_at(n: int, size: wp.vec3i):
 
 @wp.func
 def in_box(node: wp.vec3i, extent: wp.vec3i):
-    """Return whether a node is in a box; the node is counted from the box's first node."""
+    """Return whether a node is inside a box; its indices are relative to the first node of the
+    box.
+    """
     return (
         node[0] >= 0
         and node[1] >= 0
@@ -54,13 +57,13 @@ def in_box(node: wp.vec3i, extent: wp.vec3i):
 
 @wp.func
 def strides(size: wp.vec3i):
-    """Return the distance in memory between neighbours along each axis."""
+    """Return the distance in memory between neighbouring nodes along each axis."""
     return wp.vec3i(size[1] * size[2], size[2], 1)
 
 
 @wp.func
 def laden(grid: wp.array(dtype=Any), size: wp.vec3i, span: wp.vec2i, node: wp.vec3i):
-    """Return whether a node has mass, and this launch may change it."""
+    """Return whether a node has mass and this launch may change the node."""
     if not holds(size, span, node):
         return False
     q = grid[wp.dot(node, strides(size))]

@@ -23,7 +23,7 @@ IMPULSE, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 4, 5, 6
 """Index of each sum (for the impulse: of its first component), and the number of sums.
 
 `MOVED` and `TURNED` are the sums of the norms of all impulses and of the absolute values of work.
-For forces on particles, each term is already a thread's sum.
+For forces on particles, each term is the sum over the particles of a thread.
 """
 
 
@@ -35,7 +35,7 @@ def add_exchange(
     moved: wp.float64,
     turned: wp.float64,
 ):
-    """Add one impulse and its work to the `EXCHANGE` sums."""
+    """Add an impulse and its work to the `EXCHANGE` sums."""
     add3(sums, IMPULSE, impulse)
     add_to(sums, WORK, work)
     add_to(sums, MOVED, moved)
@@ -67,7 +67,9 @@ for kinds in (types(wp.float32), types(wp.float64)):
         v: kinds.vec3s,
         kept: kinds.vec3s,
     ) -> wp.vec4d:
-        """Return the changes of momentum and kinetic energy since velocities `kept` were stored."""
+        """Return the changes of momentum and kinetic energy since the velocities `kept` were
+        stored.
+        """
         ...
 
 
@@ -87,7 +89,7 @@ def make_push_sums_v(real: Any):
 
 @build_once
 def make_push_sums(real: Any):
-    """Kernel: adds changes of momentum and energy since `push_copy` to `EXCHANGE` sums."""
+    """Kernel: adds the changes of momentum and energy since `push_copy` to the `EXCHANGE` sums."""
     t = types(real)
 
     @kernel(f"phy124_push_sums_vC_{real.__name__}", real)
@@ -112,9 +114,9 @@ def make_push_sums(real: Any):
 
 @build_once
 def make_wall_copy(real: Any):
-    """Kernel: copies the nodes of a box before walls act.
+    """Kernel: stores a copy of the nodes in a box before walls act.
 
-    A thread handles a segment of a row, with the length `each` [nodes].
+    Each thread handles a segment of a row with `each` nodes.
     """
 
     @kernel(f"phy124_wall_copy_{real.__name__}", real, seconds=0.15)
@@ -134,7 +136,7 @@ def make_wall_sums(real: Any):
     The work of an impulse J is J . v with the velocity v after the impulse, since this velocity
     moves the material. The work of a wall is zero for walls at rest and negative for friction. With
     the velocity before the impulse, stress that presses on a wall without moving it would count as
-    work. A thread handles a segment of a row, as in `make_wall_copy`.
+    work. Each thread handles a segment of a row, as in `make_wall_copy`.
     """
 
     @kernel(f"phy124_wall_sums_{real.__name__}", real, seconds=0.2)
@@ -165,15 +167,16 @@ def make_wall_sums(real: Any):
 
 @build_once
 def make_uniform_sums(real: Any):
-    """Kernel of one thread: adds impulse and work of the uniform acceleration in a substep.
+    """Kernel of one thread: adds the impulse and work done by the uniform acceleration in a substep
+    to its sums.
 
     The acceleration acts after forces on particles and before walls, so `walls_out` stores the
     walls' sums up to the previous substep. `mean_pushes` and `mean_walls` contain the work on
     lattices and on projected liquids, which is computed with the mean velocities of a step. In
     these cases, the work of the acceleration follows from the mean of the momenta before and after
     the step. `base` is the momentum without the impulses that are still being summed. Each array
-    has one row of sums per worker, except `mean_walls`, which has one row per wall of a lattice, or
-    one row for all walls of a liquid.
+    has one row of sums per worker, except `mean_walls`: for a lattice it has one row per wall, and
+    for a liquid a single row for all walls.
     """
 
     @kernel(f"phy124_uniform_sums_{real.__name__}", real)
@@ -221,7 +224,7 @@ work of its rate-independent part [J].
 
 @build_once
 def make_dissipation(law: Law, real: Any):
-    """Kernel that runs right after a gather: adds the stress's work to the `LOST` sums.
+    """Kernel that runs right after a gather: adds the work of the stress to the `LOST` sums.
 
     Each thread sums `each` particles before it writes, as in `make_measure`.
     """

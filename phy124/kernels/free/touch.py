@@ -104,8 +104,7 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """Return the node, out of three in a row, at which body and material overlap most.
-        """
+        """Return the node, out of three in a row, at which body and material overlap most."""
         at = node
         most = real(0.0)
         for n in range(3):

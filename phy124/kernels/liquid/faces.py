@@ -1,7 +1,7 @@
-"""Indexing of the cells in a window of the staggered grid, their sums, and the extent of the
-particles.
+"""Defines the indices of cells in a window of the staggered grid and the sums per cell, and
+measures the extent of the particles.
 
-A vector for each cell holds the values of its three low faces and of its centre.
+Each cell has a vector with the values at its three low faces and at its centre.
 """
 
 from typing import Any
@@ -12,9 +12,9 @@ from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 
 FILL = 3
-"""Index of the sum of volumes with quadratic weights at the cell's centre [m^3]."""
+"""Index of the sum of particle volumes, with quadratic weights around the cell's centre [m^3]."""
 HAT = 7
-"""Index of the sum of volumes with linear weights at the cell's centre [m^3]."""
+"""Index of the sum of particle volumes, with linear weights around the cell's centre [m^3]."""
 
 
 @build_once
@@ -25,7 +25,9 @@ def sums(real: Any):
 
 @wp.func
 def cell_at(s: Any):
-    """Return the cell that contains a point, given in cells from the window's corner."""
+    """Return the cell that contains a point, whose position is given in cells from the window's
+    corner.
+    """
     return wp.vec3i(int(wp.floor(s[0])), int(wp.floor(s[1])), int(wp.floor(s[2])))
 
 
@@ -58,7 +60,7 @@ def inner(cell: wp.vec3i, size: wp.vec3i, rim: int):
 
 @wp.func
 def stride(axis: int, size: wp.vec3i):
-    """Return the distance in memory between neighbouring cells along an axis."""
+    """Return the distance in memory between cells that are neighbours along an axis."""
     step = 1
     if axis == 0:
         step = size[1] * size[2]
@@ -69,7 +71,7 @@ def stride(axis: int, size: wp.vec3i):
 
 @wp.func
 def local(x: Any, lattice: Any, window: wp.array(dtype=wp.vec3i)):
-    """Return a position in cells from the window's corner."""
+    """Convert a position [m] to cells from the window's corner."""
     low = window[0]
     dx = lattice[3]
     return wp.vector(
@@ -81,7 +83,7 @@ def local(x: Any, lattice: Any, window: wp.array(dtype=wp.vec3i)):
 
 @wp.func
 def entry(active: wp.array(dtype=int), ends: wp.array(dtype=int), worker: int, k: int):
-    """Return the k-th active cell of a worker, or -1 beyond its last one."""
+    """Return the k-th active cell of a worker, or -1 if the worker has fewer active cells."""
     at = ends[worker] + k
     if at >= ends[worker + 1]:
         return -1
@@ -90,7 +92,7 @@ def entry(active: wp.array(dtype=int), ends: wp.array(dtype=int), worker: int, k
 
 @build_once
 def make_sum_copies(real: Any, width: int):
-    """Kernel over active cells: adds the vectors of all other copies to the first copy.
+    """Kernel over active cells: adds the cell vectors of all other copies to the first copy.
 
     Copies are added in their order, so that the result depends only on their number.
     """

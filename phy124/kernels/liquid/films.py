@@ -1,7 +1,8 @@
-"""Films between bodies of particles and fixed walls: areas of contact, and the pressure in them.
+"""Computes the contact areas between bodies of particles and fixed walls, and the pressure in the
+liquid films there.
 
-The grid does not resolve the liquid between a body and the wall on which it lies, so its pressure
-is taken from the liquid around the contact.
+The grid does not resolve the thin layer of liquid between a body and the wall on which the body
+lies. The pressure in this layer is therefore taken from the liquid around the contact.
 """
 
 from typing import Any
@@ -23,8 +24,8 @@ from phy124.kernels.liquid.walls import centre_of, point, solid_face
 def make_contact(real: Any):
     """Kernel over a region's cells: computes the area of a body's contact with fixed walls.
 
-    `still` contains the open share of each face if bodies are ignored. The areas have the same
-    signs as the rows that `make_jumps` writes.
+    `still` contains the open fraction of each face, ignoring bodies. The areas have the same signs
+    as the rows that `make_jumps` writes.
     """
     t = types(real)
 
@@ -57,7 +58,8 @@ def make_contact(real: Any):
 
 @build_once
 def make_layers(real: Any):
-    """Kernel over a region's cells: sums densities, and counts cells, in layers across `up`.
+    """Kernel over the cells of a region: sums densities and counts cells in each layer
+    perpendicular to `up`.
 
     `low` is the height of the first layer [cells].
     """
@@ -90,10 +92,10 @@ def make_layers(real: Any):
 
 @wp.func
 def weight_at(x: Any, a: Any, dt: Any, dx: Any, low: Any, heads: wp.array(dtype=Any)):
-    """Return the hydrostatic q at a point, up to a constant.
+    """Return the hydrostatic value of q at a point, up to a constant.
 
     `heads` contains the weight of the liquid below each layer, relative to the mean density; it is
-    empty if all liquids have one density.
+    empty if all liquids have the same density.
     """
     if heads.shape[0] == 0:
         return dt / dx * wp.dot(a, x)
@@ -108,12 +110,13 @@ def weight_at(x: Any, a: Any, dt: Any, dx: Any, low: Any, heads: wp.array(dtype=
 
 @build_once
 def make_head(real: Any):
-    """Kernel over cells: sums q minus its hydrostatic part around a body's contact with walls.
+    """Kernel over cells: sums q, minus its hydrostatic part, around the contact of a body with
+    walls.
 
-    A contact's direction is that in which a film pushes the body: -x, +x, -y, +y, -z or +z.
-    `rows_out` [6] contains three numbers for each direction: the sum, over the cells next to the
-    contact, weighted by the area of the body's surface in each cell; the total of these areas; and
-    the area of the contact.
+    The direction of a contact is the direction in which a film pushes the body: -x, +x, -y, +y, -z
+    or +z. `rows_out` [6] contains three numbers for each direction. The first is the sum over the
+    cells next to the contact, weighted by the area of the body's surface in each cell. The second
+    is the total of these areas, and the third is the area of the contact.
     """
     t = types(real)
 
@@ -168,7 +171,7 @@ def make_head(real: Any):
 
 @wp.func
 def share_of(rim: wp.vec3d, opposite: wp.vec3d):
-    """Return the share of a contact at which a film acts; the rows are those of `make_head`.
+    """Return the fraction of a contact on which a film acts; `make_head` computes the rows.
 
     A film needs liquid along half of the contact's perimeter, which is taken as that of a square.
     Films on opposite sides act only as far as their areas differ, since they would squeeze a body
@@ -181,13 +184,13 @@ def share_of(rim: wp.vec3d, opposite: wp.vec3d):
 
 @build_once
 def make_film(real: Any):
-    """Kernel over a region's cells: computes the pressure of a film between a body and walls.
+    """Kernel over the cells of a region: computes the pressure of a film between a body and walls.
 
     Where a body lies on a wall, the film is assumed to have the hydrostatic pressure of the liquid
     around the contact; `rims` holds this liquid's sums by direction (`make_head`). In a cell of
-    liquid between body and wall, the film has the pressure of the cell. Pressures are those at the
-    body's surface, whose distance from the cell's centre is known. The film acts on the share of
-    the contact that `share_of` returns.
+    liquid between the body and the wall, the film has the pressure of the cell. All pressures are
+    converted to the body's surface, whose distance from the cell's centre is known. The film acts
+    on the fraction of the contact that `share_of` returns.
     """
     t = types(real)
 

@@ -1,9 +1,10 @@
-"""Sums the impulses of walls on the liquid from the pressure in the cells next to the walls.
+"""Sums the impulses that walls exert on the liquid, computed from the pressure in the cells next to
+the walls.
 
 The area vector of the solid surface inside a cell is minus the sum of the open faces' area vectors,
 since the area vectors of a closed surface add up to zero. The pressure on that solid surface is the
-pressure at the cell's centre, plus the weight of the liquid between centre and wall. Forces on
-particles count as weight.
+pressure at the cell's centre, plus the weight of the liquid between centre and wall. Other forces
+on particles are treated like weight.
 """
 
 from typing import Any
@@ -23,7 +24,8 @@ from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
 Sums = wp.array3d(dtype=wp.float64)
 vec7d = wp.types.vector(7, wp.float64)
 COLUMNS = 7
-"""Number of sums for each wall: impulse on the liquid, its moment about the origin, and its work.
+"""Number of sums for each wall: the impulse on the liquid, the moment of the impulse about the
+origin, and its work.
 """
 
 
@@ -58,7 +60,7 @@ def way_to_wall(
 
 @wp.func
 def take_row(sums: Sums, wall: int):
-    """Return the total of all workers' sums for a wall, and clear these sums."""
+    """Return the total of the sums of all workers for a wall, and reset these sums to zero."""
     row = vec7d()
     for worker in range(sums.shape[0]):
         for k in range(7):
@@ -69,7 +71,9 @@ def take_row(sums: Sums, wall: int):
 
 @wp.func
 def gain_in(gains: wp.array(dtype=Any), n: int, count: int):
-    """Return the mean velocity change of the particles at a cell, in a window of `count` cells."""
+    """Return the mean velocity change of the particles around a cell, in a window of `count`
+    cells.
+    """
     total = gains[n]
     for k in range(n + count, gains.shape[0], count):
         total += gains[k]
@@ -90,7 +94,9 @@ def head_along(
     dense: wp.array(dtype=Any),
     dx: Any,
 ):
-    """Return the difference of q between a cell's centre and `way` [m] from it along an axis."""
+    """Return the difference of q between a cell's centre and the point at the distance `way` [m]
+    along an axis.
+    """
     change = kick * way * a[axis] / dx * dense[n][CENTRE]
     if gains.shape[0] > 0:
         gain = gain_in(gains, n, dense.shape[0])
@@ -100,7 +106,9 @@ def head_along(
 
 @build_once
 def make_gains(real: Any):
-    """Kernel: adds masses, and the momenta gained since `v_kept`, to the eight nearest cells."""
+    """Kernel: adds each particle's mass, and the momentum gained since `v_kept`, to the eight
+    nearest cells.
+    """
     t = types(real)
 
     @kernel(f"phy124_liquid_gains_{real.__name__}", real, seconds=0.3)
@@ -129,9 +137,11 @@ def make_gains(real: Any):
 
 @build_once
 def make_wall_impulses(real: Any):
-    """Kernel over parts of the listed cells: adds the impulses of pressure to `sums_out`.
+    """Kernel over parts of the listed cells: adds the impulses of the pressure on walls to
+    `sums_out`.
 
-    `pressed_out` receives the opposite impulses, on bodies, for walls from index `bodies` on.
+    Walls from index `bodies` on are bodies; `pressed_out` receives the opposite impulses, which act
+    on the bodies.
     """
     t = types(real)
 
@@ -174,7 +184,7 @@ def make_wall_impulses(real: Any):
                     owner = wall_across(cell, axis, jump, size, distances, owners, dx)
                     if owner >= 0:
                         way = way_to_wall(cell, axis, jump, size, distances, dx)
-                        # p dt / (density dx) at the wall.
+                        # The value of p dt / (density dx) at the wall.
                         here = real(pressure[n])
                         here += head_along(way, axis, clock[0], a, gains, n, densities, dx)
                         if phi[n] > real(0.0):
@@ -207,10 +217,11 @@ def settle(
     totals_out: wp.array2d(dtype=wp.float64),
     all_out: wp.array2d(dtype=wp.float64),
 ):
-    """Add all workers' sums of a step to the totals of each wall, and to the totals of all walls.
+    """Add the sums of all workers in a step to the totals of each wall, and to the totals over all
+    walls.
 
-    A single thread clears the step's sums [workers,walls,7]. Totals hold impulse and moment of each
-    wall; `all_out` has one row, in the order of `phy124.kernels.work`.
+    A single thread clears the step's sums [workers,walls,7]. The totals hold the impulse and moment
+    of each wall. `all_out` has a single row, in the order of `phy124.kernels.work`.
     """
     for wall in range(walls):
         row = take_row(sums_out, wall)

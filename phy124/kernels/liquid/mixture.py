@@ -1,7 +1,7 @@
-"""Mixes a property of several liquids, such as their density, at faces and centres of cells.
+"""Averages a property of several liquids, such as the density, at the faces and centres of cells.
 
-The property is relative to a reference value. Where there is a single liquid, the relative value is
-1 everywhere.
+The property is expressed relative to a reference value. If there is a single liquid, the relative
+value is 1 everywhere.
 """
 
 from functools import cache
@@ -14,12 +14,12 @@ from phy124.kernels.build import kernel
 from phy124.kernels.liquid.faces import FILL, entry, stride, sums
 
 CENTRE = wp.constant(3)
-"""Index of the value at a cell's centre; 0 to 2 are the values at the low faces."""
+"""Index of the value at a cell's centre; the indices 0 to 2 are the values at the low faces."""
 
 
 @wp.func
 def between(a: Any, b: Any):
-    """Return the harmonic mean of two values; one or both may be zero.
+    """Return the harmonic mean of two values, of which one or both may be zero.
 
     The harmonic mean is the viscosity between two layers that have the same shear stress.
     """
@@ -31,10 +31,11 @@ def between(a: Any, b: Any):
 
 @cache
 def make_mix(real: Any):
-    """Kernel over cells: computes a property's volume average at the centre and the low faces.
+    """Kernel over cells: computes the volume average of a property at the centre and at the low
+    faces.
 
-    `fills` contains the sums of volume times property, and `cells` the sums of the volume. In a
-    cell without liquid, the mean is 1.
+    `fills` contains the sums of volume times property, and `cells` the sums of the volume. The
+    average is 1 in a cell that contains no liquid.
     """
     t = types(real)
     vec8 = sums(real)

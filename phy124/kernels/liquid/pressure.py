@@ -1,11 +1,12 @@
-"""The pressure equation, and the divergence-free velocities after the pressure has acted.
+"""Assembles the pressure equation, and computes the divergence-free velocities after the pressure
+has acted.
 
-The unknown is q = p dt / (rho dx) [m/s] with a reference density rho, so that the velocity of a
-face changes by the difference of q across it, divided by the face's density relative to rho. Walls
-enter by the open shares of faces (Ng, Min and Gibou 2009); at the surface p is zero where phi
-crosses zero between two cells (ghost fluid: Enright et al. 2003; Gibou 2002). Each cell has the
-compressibility of water; without it, the equation of a closed pocket without a surface would be
-singular.
+The unknown is q = p dt / (rho dx) [m/s] with a reference density rho. The velocity at a face then
+changes by the difference of q across the face, divided by the density at the face relative to rho.
+Walls are represented by the open fractions of faces (Ng, Min and Gibou 2009). At the surface of the
+liquid, p is zero where phi crosses zero between two cells (ghost fluid: Enright et al. 2003; Gibou
+2002). Each cell is slightly compressible, like water. Without this compressibility, the equation
+would be singular in a closed pocket that has no surface.
 """
 
 from typing import Any
@@ -18,15 +19,20 @@ from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import centre_of, speed_of, wall_across
 
 NEAREST = wp.constant(0.02)
-"""Smallest distance of the surface from a cell's centre [cells]; closer, a pressure would be
-unbounded."""
+"""Lower bound of the distance between the surface and a cell's centre [cells]; without this bound,
+the pressure could become arbitrarily large.
+"""
 COMPRESSIBLE = wp.constant(1.0e-6)
-"""Compressibility of a cell: this fraction of the cell's diagonal entry is added to the entry."""
+"""Compressibility of a cell: the fraction of its diagonal matrix entry that is added to this
+entry.
+"""
 
 
 @wp.func
 def beyond(here: Any, there: Any):
-    """Return the first cell's distance from the surface, divided by the cells' distance."""
+    """Return the distance of the first of two cells from the surface, divided by the distance
+    between the two cells.
+    """
     if here >= type(here)(0.0):
         return type(here)(NEAREST)
     apart = here - there
@@ -37,10 +43,11 @@ def beyond(here: Any, there: Any):
 
 @build_once
 def make_assemble(real: Any):
-    """Kernel over cells: computes the matrix of the pressure equation, symmetric and positive.
+    """Kernel over cells: computes the matrix of the pressure equation, which is symmetric and
+    positive.
 
-    `diagonal_out` is zero in cells without liquid; `links_out` contains the matrix entries that
-    link a cell to the next cells along the three axes.
+    `diagonal_out` is zero in cells without liquid; `links_out` contains the off-diagonal matrix
+    entries that couple each cell to the next cell along each of the three axes.
     """
     t = types(real)
 
@@ -92,9 +99,10 @@ def make_assemble(real: Any):
 
 @build_once
 def make_divergence(real: Any):
-    """Kernel over cells: computes the net flux into each cell, relative to its walls [m/s].
+    """Kernel over cells: computes the net flux into each cell, relative to the motion of its walls
+    [m/s].
 
-    The last solution, times `carry`, is the first guess of the next one.
+    The last solution, multiplied by `carry`, is the first guess of the next solution.
     """
     t = types(real)
 
@@ -162,10 +170,12 @@ def rise_to(
 
 @build_once
 def make_anticipate(real: Any):
-    """Kernel over cells: adds `factor` times the last differences of q to low faces' velocities.
+    """Kernel over cells: adds `factor` times the last differences of q to the velocities at the low
+    faces.
 
     Viscosity then acts on velocities that the pressure has changed, as in a steady flow (the
-    incremental projection of Goda 1979); the same differences are removed before the next solution.
+    incremental projection of Goda 1979); these differences are subtracted again before the next
+    solution.
     """
     t = types(real)
 
@@ -202,11 +212,11 @@ def make_anticipate(real: Any):
 
 @build_once
 def make_gradient(real: Any):
-    """Kernel over cells: subtracts the differences of q from the velocities of the low faces.
+    """Kernel over cells: subtracts the differences of q from the velocities at the low faces.
 
     If `shifts` is above 0, the kernel writes only the negated differences, as displacements [m] of
-    at most `shifts` cells. `known_out` receives a bit for each open face that touches liquid;
-    velocities of other faces become zero.
+    at most `shifts` cells. `known_out` receives a bit for each open face that touches liquid. The
+    velocities at all other faces become zero.
     """
     t = types(real)
 

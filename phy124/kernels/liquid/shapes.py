@@ -1,8 +1,8 @@
-"""The shape of a body of particles in a liquid, as a wall.
+"""Represents the shape of a body of particles in a liquid as a wall.
 
-The distance from a body's surface follows from the share of each cell that the body fills, in the
-same way as the distance from the liquid's surface (`surface`). Since the distance rounds edges off,
-the surface is shifted outwards until it encloses the body's volume.
+The distance from a body's surface is computed from the fraction of each cell that the body fills,
+like the distance from the liquid's surface (`surface`). Since this distance rounds off edges, the
+surface is shifted outwards until it encloses the volume of the body.
 """
 
 from typing import Any
@@ -17,7 +17,9 @@ from phy124.kernels.liquid.surface import depth, filled_share
 from phy124.kernels.liquid.walls import GAP, SHUT, centre_of, halves, square
 
 BURIED = wp.constant(0.7)
-"""Largest share of a cell's spline inside walls at which the fill tells where a body is."""
+"""Largest fraction of a cell's B-spline inside walls for which the position of a body is computed
+from the cell's fill.
+"""
 
 
 @wp.func
@@ -82,7 +84,7 @@ def make_body_scatter(real: Any):
 
 @wp.func
 def eighth(cell: wp.vec3i, a: int, b: int, c: int, like: Any):
-    """Return the centre of an eighth of a cell, in cells from the window's corner."""
+    """Return the centre of one eighth of a cell, in cells from the window's corner."""
     half = type(like)(0.5)
     quarter = type(like)(0.25)
     return wp.vector(
@@ -94,7 +96,9 @@ def eighth(cell: wp.vec3i, a: int, b: int, c: int, like: Any):
 
 @wp.func
 def raw_level(full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, dx: Any):
-    """Return the distance of a cell's centre from a body [cells], by the fill outside walls."""
+    """Return the distance of a cell's centre from a body [cells], computed from the fill outside
+    walls.
+    """
     level = type(dx)(EMPTY)
     if full[n] > type(dx)(0.0):
         level = -depth(filled_share(full[n], shares[n][1], dx))
@@ -122,9 +126,10 @@ def way_out(shares: wp.array(dtype=Any), n: int, size: wp.vec3i):
 def level_near(
     full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, size: wp.vec3i, dx: Any
 ):
-    """Return the distance of a cell's centre from a body [cells]; inside walls, extrapolate it.
+    """Return the distance of a cell's centre from a body [cells]; inside walls, the distance is
+    extrapolated.
 
-    On the line to the nearest cell outside the walls, the distance is linear.
+    The extrapolation is linear along the line to the nearest cell outside the walls.
     """
     m = n
     for _ in range(3):
@@ -195,10 +200,11 @@ def level_at(level: wp.array(dtype=Any), s: Any, size: wp.vec3i):
 
 @build_once
 def make_body_volume(real: Any):
-    """Kernel over a region's cells: sums the volume inside a body's surface and outside walls.
+    """Kernel over the cells of a region: sums the volume that is inside a body's surface and
+    outside walls.
 
-    `volumes_out` receives the volume [cells], and its change if the surface is shifted by a cell.
-    `vacant` contains the fraction of each eighth of a cell that is outside walls.
+    `volumes_out` receives this volume [cells], and its change if the surface is shifted by one
+    cell. `vacant` contains the fraction of each eighth of a cell that is outside walls.
     """
     t = types(real)
 
@@ -232,7 +238,9 @@ def make_body_volume(real: Any):
 
 @build_once
 def make_body_distance(real: Any):
-    """Kernel over points at half the spacing: stores the body's distance if it is smaller."""
+    """Kernel over points with half the grid spacing: stores the distance from the body if it is
+    smaller than the stored distance.
+    """
     t = types(real)
 
     @kernel(f"phy124_liquid_body_distance_{real.__name__}", real, seconds=0.3)
@@ -261,9 +269,10 @@ def make_body_distance(real: Any):
 
 @build_once
 def make_body_openings(real: Any):
-    """Kernel over a region's cells: multiplies open shares by the fraction that a body leaves open.
+    """Kernel over the cells of a region: multiplies open fractions by the fraction that a body
+    leaves open.
 
-    The shares are those of the low faces, and of the eighths of the cell.
+    The open fractions are those of the low faces, and of the eighths of each cell.
     """
     t = types(real)
 
@@ -313,7 +322,9 @@ def make_body_openings(real: Any):
 
 @build_once
 def make_body_push_out(real: Any):
-    """Kernel: moves particles of the liquid out of bodies; `wall` is the first body's index."""
+    """Kernel: moves particles of the liquid out of bodies; `wall` is the index of the first
+    body.
+    """
     t = types(real)
 
     @kernel(f"phy124_liquid_body_push_out_{real.__name__}", real, seconds=0.4)

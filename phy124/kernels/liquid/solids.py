@@ -1,13 +1,14 @@
-"""Solids in a liquid: the pressure moves liquid and solids together.
+"""Couples solids to a liquid: the pressure moves the liquid and the solids together.
 
 Let J (V, w) be the flux out of each cell through the surface of a solid with velocity V and angular
 velocity w. The pressure's impulse on the solid is rho dx^3 J^T q, so the pressure equation becomes
 (A + rho dx^3 J M^-1 J^T) q = b, with the solid's mass and inertia M (Batty, Bertails and Bridson
-2007). The added matrix has rank six for each solid: conjugate gradients sum J^T s and apply the
-mobility rho dx^3 M^-1 in each iteration (`conjugate`). A cell is assigned to one solid only.
+2007). The added matrix has rank six for each solid, so each iteration of conjugate gradients sums
+J^T s and applies the mobility rho dx^3 M^-1 (`conjugate`). A cell is assigned to one solid only.
 
-A cell's pressure acts at its centre. The weight of the liquid between this centre and the solid's
-surface is added; otherwise buoyancy would jump when the solid's bottom passes a layer of centres.
+The pressure of a cell acts at its centre. The weight of the liquid between the centre and the
+solid's surface is added. Otherwise the buoyancy would jump when the bottom of the solid passes a
+layer of cell centres.
 """
 
 from typing import Any
@@ -49,7 +50,7 @@ from phy124.kernels.liquid.walls import centre_of, wall_across
 
 @build_once
 def make_motions(real: Any):
-    """Kernel over walls: computes the mean velocities of walls that have tracks in a step."""
+    """Kernel over walls: computes the mean velocities, in a step, of the walls that have tracks."""
     t = types(real)
 
     @kernel(f"phy124_liquid_motions_{real.__name__}", real, seconds=0.15)
@@ -70,7 +71,7 @@ def make_motions(real: Any):
 
 @wp.func
 def put_motion(motions: wp.array2d(dtype=Any), wall: int, V: wp.vec3d, w: wp.vec3d, X: wp.vec3d):
-    """Write velocity, angular velocity and centre of a solid."""
+    """Write the velocity, angular velocity and centre of a solid to its array."""
     like = motions[wall, 0]
     for k in range(3):
         like[k] = type(like[0])(V[k])
@@ -143,7 +144,8 @@ def make_jumps(real: Any):
 
 @build_once
 def make_lift(real: Any):
-    """Kernel over parts: sums the weight of liquid between cell centres and solids' surfaces.
+    """Kernel over parts of the cells: sums the weight of the liquid between cell centres and the
+    surfaces of solids.
 
     The sums are the impulse on each solid and the moment of this impulse about the solid's centre,
     both divided by rho dx^3.
@@ -192,10 +194,11 @@ def make_lift(real: Any):
 
 @build_once
 def make_kick(real: Any):
-    """Kernel of one thread: kicks a free solid, and writes its motion, mobility and centre.
+    """Kernel of one thread: kicks a solid that moves freely, and writes its motion, mobility and
+    centre.
 
-    `scale` is rho dx^3 [kg]. The mobility consists of the number scale / M and of the matrix scale
-    times the inverse inertia.
+    `scale` is rho dx^3 [kg]. The mobility consists of the number scale / M and of a matrix, the
+    inverse inertia times scale.
     """
 
     @kernel(f"phy124_liquid_kick_{real.__name__}", real, seconds=0.3)
@@ -229,7 +232,7 @@ def make_kick(real: Any):
 
 @build_once
 def make_push(real: Any):
-    """Kernel of one thread: accelerates a free solid by the pressure of the liquid."""
+    """Kernel of one thread: accelerates a solid that moves freely by the pressure of the liquid."""
 
     @kernel(f"phy124_liquid_push_{real.__name__}", real, seconds=0.2)
     def push(clock, rates: Vectors, body_out):
@@ -242,9 +245,10 @@ def make_push(real: Any):
 
 @build_once
 def make_predict(real: Any):
-    """Kernel over solids: writes each solid's motion before the solved pressure acts.
+    """Kernel over solids: writes the motion of each solid before the computed pressure acts on it.
 
-    The predicted motion is the planned motion, plus the response to the sums of `make_lift`.
+    The predicted motion is the solid's motion without the liquid, plus the response to the sums of
+    `make_lift`.
     """
     t = types(real)
 
@@ -268,9 +272,9 @@ def make_predict(real: Any):
 
 @build_once
 def make_respond(real: Any):
-    """Kernel of one thread: applies the opposite of a solid's impulses on the liquid to the solid.
+    """Kernel of one thread: applies to a solid the opposite of its impulses on the liquid.
 
-    `total_out` sums the impulses on the liquid, as phy124/kernels/free does.
+    `total_out` accumulates the impulses on the liquid, as in phy124/kernels/free.
     """
     t = types(real)
 

@@ -1,4 +1,5 @@
-"""Computes the fill of each cell, and from the fill the distance to the liquid's surface.
+"""Computes the filled fraction (fill) of each cell, and from it the distance to the liquid's
+surface.
 
 `depth` inverts the fill of the quadratic B-spline below a flat surface, so a flat surface is exact
 at any height between two layers of cells. Near walls, the fill is relative to the open part of the
@@ -15,12 +16,15 @@ from phy124.kernels.liquid.faces import FILL, HAT, cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import SHUT, point
 
 LONE = wp.constant(0.3)
-"""Fill of a cell below which its particles are drops in flight: the cell has no pressure."""
+"""Fill of a cell below which its particles are treated as drops in flight, and the cell has no
+pressure.
+"""
 
 
 @wp.func
 def depth(fill: Any):
-    """Return a quadratic B-spline's depth [cells] below a flat surface, from its filled fraction.
+    """Return the depth [cells] of a quadratic B-spline below a flat surface, computed from its
+    filled fraction.
 
     The fill at depth T is (T + 3/2)^3 / 6 below -1/2, 1/2 + 3 T / 4 - T^3 / 3 between -1/2 and
     1/2, and 1 - (3/2 - T)^3 / 6 above.
@@ -42,7 +46,7 @@ def depth(fill: Any):
 
 @wp.func
 def opening(open: wp.array(dtype=Any), n: int, size: wp.vec3i):
-    """Return the sum of the open shares of a cell's six faces."""
+    """Return the sum of the open fractions of the six faces of a cell."""
     q = open[n]
     total = q[0] + q[1] + q[2]
     for axis in range(3):
@@ -67,9 +71,10 @@ def thickness(
     size: wp.vec3i,
     most: Any,
 ):
-    """Return the volume of a liquid layer on a wall, per cell of the wall [m^3]; 0 without a layer.
+    """Return the volume of a liquid layer on a wall, per cell of the wall [m^3]; 0 if there is no
+    layer.
 
-    There is a layer only where the next cell away from the wall has less than the volume `most`.
+    There is a layer only if the next cell away from the wall contains less than the volume `most`.
     """
     result = type(most)(0.0)
     for axis in range(3):
@@ -81,7 +86,7 @@ def thickness(
                 result = type(most)(0.0)
                 for k in range(5):
                     result += cells[n + (k - 2) * step][component]
-                # Walls at the sides of the layer take a share of the column.
+                # Walls at the sides of the layer occupy a fraction of the column.
                 result /= wp.max(type(most)(1.0) - shares[n + 2 * away][1], type(most)(0.3))
     return result
 
@@ -103,18 +108,18 @@ def level(
     liquid.
 
     A layer on a wall is liquid, and counts as full, even if its surface is below the centre of its
-    cells. The exception is a layer so thin that its particles count as drops. The spline of a cell
-    inside a wall reaches the liquid only with its rim, so the fill of such a cell has half the
-    weight.
+    cells. The exception is a layer so thin that its particles count as drops. Only the rim of the
+    B-spline of a cell inside a wall reaches the liquid, so the fill of such a cell counts half.
 
     Args:
-        cells: Sums over the particles, of which `component` is the volume.
+        cells: Sums over the particles; the sum with the index `component` is the volume.
         component: Index of the volume.
         open: Open shares of the low faces.
         shares: Solid shares of the linear kernel and of the B-spline.
         distances: Distances from the walls at half the spacing [m].
         owners: Nearest wall of each distance.
-        solid: Number of the first wall that is a body or a free solid; none has layers.
+        solid: Index of the first wall that is a body or a solid that moves freely; liquid forms no
+            layers on such walls.
         n: Index of the cell.
         size: Size of the window.
         dx: Grid spacing [m].
@@ -143,12 +148,13 @@ def level(
 
 @build_once
 def make_levels(real: Any):
-    """Kernel over cells: converts sums to velocities, densities, and the distance to the surface.
+    """Kernel over cells: converts the sums to velocities, densities, and the distance to the
+    surface.
 
     `known_out` contains a bit for each face that has a velocity. `liquid_out` is 1 in cells of
-    liquid. `hats_out` is the share of the linear kernel that is filled, including solid. `phi_out`
-    is the distance to the surface [cells], negative in the liquid. The kernel of the levels also
-    applies the uniform acceleration.
+    liquid. `hats_out` is the fraction of the linear kernel that liquid or solid fills. `phi_out` is
+    the distance to the surface [cells], negative in the liquid. The kernel also applies the uniform
+    acceleration.
     """
     t = types(real)
     vec8 = sums(real)

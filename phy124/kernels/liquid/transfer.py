@@ -3,8 +3,8 @@
 The components of the velocity are stored at different points, so each component has separate
 weights. A particle reaches 4 x 4 x 4 cells. Along an axis, the weights of faces and centre differ
 only by a shift of half a cell, which makes some of the four weights zero (Jiang et al. 2015, "The
-affine particle-in-cell method"). GPUs, and runs in float64, use the readable form in this file;
-CPUs use native/liquid.h.
+affine particle-in-cell method"). On GPUs and in float64, the scalar form in this file is used; in
+float32 on CPUs, the form in native/liquid.h is used.
 """
 
 from typing import Any
@@ -23,14 +23,16 @@ vec8 = wp.types.vector(8, wp.float32)
 
 @wp.func
 def at_centres(t: Any):
-    """Return quadratic weights of four cells' centres; t is the offset in the second cell."""
+    """Return quadratic weights of the centres of four cells; t is the offset in the second cell."""
     w = spline(t + type(t)(0.5))
     return wp.vector(w[0], w[1], w[2], type(t)(0.0))
 
 
 @wp.func
 def at_faces(t: Any):
-    """Return quadratic weights of four cells' low faces; t is the offset in the second cell."""
+    """Return quadratic weights of the low faces of four cells; t is the offset in the second
+    cell.
+    """
     zero = type(t)(0.0)
     if t < type(t)(0.5):
         w = spline(t + type(t)(1.0))
@@ -41,7 +43,7 @@ def at_faces(t: Any):
 
 @wp.func
 def at_hats(t: Any):
-    """Return linear weights of four cells' centres; t is the offset in the second cell."""
+    """Return linear weights of the centres of four cells; t is the offset in the second cell."""
     zero = type(t)(0.0)
     half = type(t)(0.5)
     if t < half:
@@ -51,7 +53,9 @@ def at_hats(t: Any):
 
 @wp.func
 def weights(t: Any, axis: int):
-    """Return weights of four cells along an axis: a row per cell, a column per face and centre."""
+    """Return the weights of four cells along an axis: one row per cell, one column per face or
+    centre.
+    """
     c = at_centres(t)
     f = at_faces(t)
     zero = type(t)(0.0)
@@ -68,7 +72,9 @@ def weights(t: Any, axis: int):
 
 @wp.func
 def offset(s: Any, low: wp.vec3i, axis: int):
-    """Return distances along an axis from a particle to the first cell's three faces and centre."""
+    """Return the distances along an axis from a particle to the three low faces and the centre of
+    the first cell.
+    """
     half = type(s[0])(0.5)
     d = type(s[0])(low[axis]) - s[axis] + half
     result = wp.vector(d, d, d, d)
@@ -203,7 +209,7 @@ def scatter_rows(
     column_y: wp.vec4,
     column_z: wp.vec4,
 ):
-    """Scatter on the vector units of a CPU, as `scatter` does."""
+    """Scatter with the vector instructions of a CPU, as `scatter` does."""
     ...
 
 
@@ -211,7 +217,7 @@ def scatter_rows(
 def scatter_volume_rows(
     fills: wp.array(dtype=wp.vec2), size: wp.vec3i, first: int, t: wp.vec3, volume: wp.float32
 ):
-    """Scatter volumes on the vector units of a CPU, as `scatter_volume` does."""
+    """Scatter volumes with the vector instructions of a CPU, as `scatter_volume` does."""
     ...
 
 
@@ -219,13 +225,13 @@ def scatter_volume_rows(
 def gather_rows(
     velocity: wp.array(dtype=wp.vec4), size: wp.vec3i, first: int, t: wp.vec3
 ) -> wp.mat44:
-    """Gather on the vector units of a CPU, as `gather` does."""
+    """Gather with the vector instructions of a CPU, as `gather` does."""
     ...
 
 
 @wp.func_native(code("liquid", "liquid:rows", "liquid:flow"))
 def flow_rows(velocity: wp.array(dtype=wp.vec4), size: wp.vec3i, first: int, t: wp.vec3) -> wp.vec3:
-    """Interpolate on the vector units of a CPU, as `flow` does."""
+    """Interpolate with the vector instructions of a CPU, as `flow` does."""
     ...
 
 
@@ -253,7 +259,7 @@ FORMS = {
     "plain": (scatter, scatter_volume, gather, flow),
     "simd": (scatter_rows, scatter_volume_rows, gather_rows, flow_rows),
 }
-"""Forms of the transfers."""
+"""The forms of the transfers, by name."""
 
 
 @build_once
@@ -305,10 +311,10 @@ def make_scatter_volume(real: Any, form: str):
 
 @build_once
 def make_gather(real: Any, form: str):
-    """Kernel: gathers velocity and its gradient from the faces, then moves the particles.
+    """Kernel: gathers the velocity and its gradient from the faces, then moves the particles.
 
-    Positions follow the flow of the faces (midpoint rule). A particle that is a single drop, or is
-    outside the window, moves on a parabola. The kernel also updates the deformation gradient that
+    Positions follow the flow of the faces (midpoint rule). A particle that is a single drop or is
+    outside the window moves along a parabola. The kernel also updates the deformation gradient that
     the Gaussians follow.
     """
     t = types(real)
@@ -365,7 +371,7 @@ def make_gather(real: Any, form: str):
                 drift = carry(velocity, size, lowest(there, size), within(middle, there))
         if not inside:
             wp.atomic_max(missed_out, 0, 1)
-        # Kahan's compensated sum: without it, rounding in float32 would stop a slow drift.
+        # Kahan's compensated summation: without it, rounding in float32 would stop a slow motion.
         change = dt * drift - residue_out[p]
         moved = x_out[p] + change
         residue_out[p] = (moved - x_out[p]) - change

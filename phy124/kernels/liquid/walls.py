@@ -18,28 +18,30 @@ from phy124.kernels.free.numbers import PLACE, at3, axes
 from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number, stride
 
 SHUT = wp.constant(1.0e-3)
-"""A face counts as closed if a smaller share of it is open."""
+"""Open fraction of a face below which the face counts as closed."""
 GAP = wp.constant(0.02)
-"""Particles inside a wall are moved out, to this distance in front of the wall [cells]."""
+"""Distance in front of a wall to which particles inside the wall are moved [cells]."""
 NEAR = wp.constant(1.5)
-"""Particles closer to a wall than this may be behind the wall after a step [cells]."""
+"""Distance from a wall below which a particle may be behind the wall after a step [cells]."""
 
 
 @wp.func
 def halves(size: wp.vec3i):
-    """Return the number of points of the lattice of distances along each axis."""
+    """Return the number of points, along each axis, at which distances are stored."""
     return wp.vec3i(2 * size[0] + 1, 2 * size[1] + 1, 2 * size[2] + 1)
 
 
 @wp.func
 def point(cell: wp.vec3i, a: int, b: int, c: int, size: wp.vec3i):
-    """Return the index of the point (a, b, c) half spacings from a cell's low corner."""
+    """Return the index of the point at (a, b, c) half spacings from a cell's low corner."""
     return number(wp.vec3i(2 * cell[0] + a, 2 * cell[1] + b, 2 * cell[2] + c), halves(size))
 
 
 @wp.func
 def triangle(a: Any, b: Any, c: Any):
-    """Return the positive fraction of a triangle with linear values a, b, c at its corners."""
+    """Return the fraction of a triangle in which a linear function, with the values a, b, c at the
+    corners, is positive.
+    """
     zero = type(a)(0.0)
     unit = type(a)(1.0)
     low = wp.min(a, wp.min(b, c))
@@ -56,7 +58,9 @@ def triangle(a: Any, b: Any, c: Any):
 
 @wp.func
 def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
-    """Return the positive fraction of a square with given values at its corners and centre."""
+    """Return the fraction of a square in which an interpolated function is positive; its values at
+    the corners and at the centre are given.
+    """
     return type(a)(0.25) * (
         triangle(a, b, middle)
         + triangle(b, c, middle)
@@ -69,8 +73,8 @@ def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
 def to_frame(x: Any, slot: int, values: wp.array(dtype=Any), frame: wp.array(dtype=wp.float64)):
     """Return a position in the frame of a shape, and whether the shape acts.
 
-    A wall whose slot is above 0 is displaced by the value of its track. A free solid has the
-    position and orientation in its array (phy124/kernels/free/numbers.py).
+    A wall whose slot is above 0 is displaced by the value of its track. A solid that moves freely
+    has the position and orientation stored in its array (phy124/kernels/free/numbers.py).
     """
     active = type(x[0])(1.0)
     at = x
@@ -95,12 +99,13 @@ def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
 
 @build_once
 def make_wall_distance(shape: str, real: Any):
-    """Kernel over points at half the spacing: stores the walls' distance if it is smaller.
+    """Kernel over points with half the grid spacing: stores the distance from the walls if it is
+    smaller than the stored distance.
 
-    `walls` contains the indices of the walls, which are stored in the points nearest to them;
-    `geometries` contains their shapes. `slots` contains the index of each wall's displacement, or 0
-    for a wall that never moves. A wall whose track has ended has no effect. The points are those of
-    a region of the window; `region` is the region's first cell and its size.
+    `walls` contains the indices of the walls, and `geometries` their shapes. Each point stores the
+    index of the nearest wall. `slots` contains the index of each wall's displacement, or 0 for a
+    wall that never moves. A wall whose track has ended has no effect. The points are those of a
+    region of the window; `region` is the region's first cell and its size.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -147,7 +152,9 @@ def make_wall_distance(shape: str, real: Any):
 
 @wp.func
 def speed_of(motions: wp.array2d(dtype=Any), wall: int, x: Any):
-    """Return a wall's velocity at a point [m/s]; `motions` has V, w and centre of each wall."""
+    """Return the velocity of a wall at a point [m/s]; `motions` holds V, w and the centre of each
+    wall.
+    """
     return motions[wall, 0] + wp.cross(motions[wall, 1], x - motions[wall, 2])
 
 
@@ -165,7 +172,7 @@ def centre_of(cell: wp.vec3i, lattice: Any, low: wp.vec3i):
 
 @wp.func
 def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
-    """Return the midpoint of the less open one of two opposite faces of a cell."""
+    """Return the midpoint of that one of two opposite cell faces that is less open."""
     at = wp.vec3i(1, 1, 1)
     at[axis] = 0
     if jump < type(jump)(0.0):
@@ -183,10 +190,10 @@ def wall_across(
     owners: wp.array(dtype=int),
     dx: Any,
 ):
-    """Return the index of the wall that closes a cell's face; -1 if no wall closes it.
+    """Return the index of the wall that closes a cell's face, or -1 if no wall closes the face.
 
-    The wall that closes a face is the one nearest to the face's middle. Where walls meet, nine
-    points on the face are compared: the result is the wall nearest to the point at which the
+    The wall that closes a face is the wall nearest to the middle of the face. Where walls meet,
+    nine points on the face are compared: the result is the wall nearest to the point at which the
     distance changes most along the axis. At the bottom of a tank, for example, the result is the
     floor, not a side.
     """
@@ -210,12 +217,12 @@ def wall_across(
 
 @build_once
 def make_openings(shape: str, real: Any):
-    """Kernel over cells: multiplies the open shares of low faces by the shares that walls leave
-    open.
+    """Kernel over cells: multiplies the open fractions of low faces by the fractions that walls
+    leave open.
 
-    For a plane, the open share follows from the distances at the face's corners; for other shapes,
-    from 64 points of the face, since distances are not linear at edges. The product is exact where
-    walls are perpendicular to each other.
+    For a plane, the open fraction is computed from the distances at the corners of the face. For
+    other shapes, it is computed from 64 points on the face, since distances are not linear at
+    edges. The product is exact where walls are perpendicular to each other.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -232,7 +239,9 @@ def make_openings(shape: str, real: Any):
         values: wp.array(dtype=t.vec4),
         frame: Doubles,
     ):
-        """Return the distance at a point of a face, which is a and b [m] from the middle."""
+        """Return the distance from a wall at the point of a face that is a and b [m] from the
+        middle of the face.
+        """
         x = middle
         x[(axis + 1) % 3] = middle[(axis + 1) % 3] + a
         x[(axis + 2) % 3] = middle[(axis + 2) % 3] + b
@@ -322,8 +331,8 @@ def make_openings(shape: str, real: Any):
 
 @build_once
 def make_eighths(shape: str, real: Any):
-    """Kernel over eighths of cells: multiplies the open fractions by the fraction that each wall
-    leaves open.
+    """Kernel over eighths of cells: multiplies the open fraction of each by the fraction that each
+    wall leaves open.
 
     The product is exact where walls are perpendicular to each other. The arguments are the same as
     those of the kernel of `make_wall_distance`.
@@ -369,9 +378,9 @@ def make_eighths(shape: str, real: Any):
 
 @build_once
 def make_solid_shares(real: Any):
-    """Kernel over cells: computes which fractions of two B-splines lie inside walls.
+    """Kernel over cells: computes the fractions of two B-splines that lie inside walls.
 
-    The two are the linear and the quadratic B-spline around the cell's centre.
+    The two B-splines are the linear and the quadratic B-spline around the cell's centre.
     """
     t = types(real)
     vec6 = wp.types.vector(6, real)
@@ -397,7 +406,8 @@ def make_solid_shares(real: Any):
             result = wp.vector(real(1.0), real(1.0))
         elif d < real(2.7) * lattice[3] and inner(cell, size, 1):
             twice = wp.vec3i(2 * size[0], 2 * size[1], 2 * size[2])
-            # Integrals of the B-splines over halves of cells, from 3 halves below the centre on.
+            # Integrals of the B-splines over half cells, starting three half cells below the
+            # centre.
             hats = vec6(real(0.0), real(0.125), real(0.375), real(0.375), real(0.125), real(0.0))
             k = real(1.0) / real(48.0)
             splines = vec6(k, real(7.0) * k, real(16.0) * k, real(16.0) * k, real(7.0) * k, k)
@@ -430,8 +440,8 @@ def make_push_out(shape: str, real: Any):
 
     @wp.func
     def stop(v: t.vec3, u: t.vec3, normal: t.vec3, friction: real):
-        """Return the velocity v after contact with a wall of velocity u, which stops motion into
-        the wall and exerts friction.
+        """Return the velocity of a particle after contact with a wall of velocity u, which stops
+        motion into the wall and exerts friction.
         """
         along = wp.dot(v - u, normal)
         if along >= real(0.0):

@@ -1,12 +1,13 @@
-"""Device functions in C++, for features that Warp lacks: CPU vector units, some GPU atomics.
+"""Device functions in C++, for features that Warp lacks: CPU vector instructions and some GPU
+atomics.
 
-A file `NAME.h` in this folder holds bodies of functions, whose arguments have the names in the
-Python signature. A line `//: PIECE` begins a named piece of the file. The text becomes part of a
-Warp module, and therefore of its hash: a module whose text has changed is compiled again. Inside a
-body `float(x)` and `int(x)` are macros of Warp, so casts are written in C style.
+A file `NAME.h` in this folder holds function bodies, which refer to the arguments by their names in
+the Python signature. A line `//: PIECE` begins a named piece of the file. The text becomes part of
+a Warp module, and therefore of its hash: a module whose text has changed is compiled again. Inside
+a body `float(x)` and `int(x)` are macros of Warp, so casts are written in C style.
 
-For each C++ function, a plain form in Python defines the result, and a test compares the two forms;
-the head of each file names the plain form and the test.
+For each C++ function, a plain form in Python defines the result, and a test compares the two forms.
+The comment at the top of each file names the plain form and the test.
 """
 
 import inspect
@@ -27,7 +28,8 @@ def code(*pieces: str) -> str:
     """Return the C++ text of the named pieces, joined in order.
 
     Args:
-        pieces: "tile:store" is the piece `store` of tile.h, "tile" the text before its first piece.
+        pieces: "tile:store" is the piece `store` of tile.h, and "tile" is the text before the first
+            piece.
     """
     texts = []
     for piece in pieces:
@@ -58,7 +60,7 @@ def native_func(body: str, like: Callable[..., Any], name: str, *, returns: Any 
         returns: Return type, or None.
     """
     result = "" if returns is None else " -> returns"
-    # Warp reads from the text of the decorator that the function is native.
+    # Warp recognises a native function by the text of its decorator.
     source = f"@wp.func_native(body)\ndef {name}(thread: int, {_declare(like)}){result}: ...\n"
     return _define(source, name, like, body=body, returns=returns)
 
@@ -68,8 +70,8 @@ def native_kernel(
 ) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that adds a kernel to a Warp module; the kernel only calls C++.
 
-    The decorated function declares the parameters. The decorated function has no code of its own,
-    or is the plain form of the kernel (`plain.func`).
+    The decorated function declares the parameters. The decorated function either has no code or is
+    the plain form of the kernel (`plain.func`).
 
     Args:
         module: The module's name.
@@ -89,7 +91,7 @@ def native_kernel(
 
 
 def _declare(like: Callable[..., Any]) -> str:
-    """Return a function's parameters as source text; the text takes their types from `types`."""
+    """Return the parameters of a function as source text, in which `types` supplies their types."""
     return ", ".join(f"{name}: types[{name!r}]" for name in inspect.signature(like).parameters)
 
 

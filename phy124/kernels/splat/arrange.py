@@ -1,4 +1,6 @@
-"""Computes glass solids' outlines on the screen, and their order relative to the Gaussians."""
+"""Computes the outlines of glass solids on the screen, and their depth order relative to the
+Gaussians.
+"""
 
 import warp as wp
 
@@ -16,14 +18,15 @@ BEHIND = wp.constant(2)
 THIN = wp.constant(0.2)
 """A box whose thickness is below this fraction of its width is a plate."""
 GIVE = wp.constant(0.3)
-"""An object counts as outside a plate if it penetrates the plate by less than this fraction of half
-the plate's thickness.
+"""Fraction of half a plate's thickness; an object that penetrates the plate by less counts as
+outside the plate.
 """
 
 
 @wp.func
 def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
-    """Return the rank of a solid seen from `eye`: in front of, among or behind a box's contents.
+    """Return the rank of a solid seen from `eye`: in front of, among or behind the contents of a
+    box.
 
     The rank is BEFORE or BEHIND if the plane of one of the solid's faces separates the solid from
     the box. If the eye is on the same side as the box, no ray to the box meets the solid before the
@@ -51,8 +54,7 @@ def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
 def corner_on_screen(view: View, solid: Solid, corner: int) -> wp.vec3:
     """Return a corner of a solid's box: its position on the screen [px] and its depth [m].
 
-    Each bit of the corner's index gives the side of the centre on which the corner lies along one
-    axis.
+    Each bit of the corner's index tells, for one axis, on which side of the centre the corner lies.
     """
     away = solid.half + wp.vec3(solid.radius, solid.radius, solid.radius)
     for axis in range(3):
@@ -92,7 +94,7 @@ def outline(view: View, solid: Solid) -> Outline:
     if seen.nearest <= 1.0e-3:
         return seen
     for edge in range(12):
-        # Four edges along each axis, between faces across the other two axes.
+        # Four edges along each axis, between faces that are perpendicular to the other two axes.
         axis = edge / 4
         second = (axis + 1) % 3
         third = (axis + 2) % 3
@@ -108,7 +110,8 @@ def outline(view: View, solid: Solid) -> Outline:
                 inwards = -inwards
             c = 0.5 - wp.dot(inwards, wp.vec2(start[0], start[1]))
             seen.sides[seen.count] = wp.vec3(inwards[0], inwards[1], c)
-            # The same in space: a x + b y + c at a ray's screen position, times the ray's depth.
+            # The same half plane in space: a x + b y + c at the screen position of a ray, times the
+            # ray's depth.
             seen.planes[seen.count] = wp.transpose(view.rotation) * wp.vec3(
                 view.focal * inwards[0],
                 view.focal * inwards[1],

@@ -1,4 +1,5 @@
-"""Blends splats front to back: per pixel (CUDA), per tile, or per tile in C++ (CPUs).
+"""Blends splats front to back, with one thread per pixel (CUDA), per tile, or per tile in C++
+(CPUs).
 
 The two forms per tile use the same algorithm; tests/test_render.py compares them. `gather_pixels`
 is the adjoint: for each splat, it sums the pixels' values, weighted by the splat's contribution to
@@ -36,7 +37,9 @@ def blend_pixels(
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
-    """Blend with one thread per pixel; 256 consecutive threads share a tile, from `first` on."""
+    """Blend the splats with one thread per pixel; 256 consecutive threads share a tile, from tile
+    `first` on.
+    """
     thread = wp.tid()
     tile = first + thread / PIXELS
     x = (tile % view.columns) * TILE + thread % TILE
@@ -61,7 +64,7 @@ def blend_pixels(
 
 @kernel("phy124_blend")
 def quantise(image: wp.array(dtype=wp.vec3), bytes_out: wp.array2d(dtype=wp.uint8)):
-    """Convert an image in 0..1 to bytes [pixels,3], rounded to the nearest integer."""
+    """Convert an image with values in 0..1 to bytes [pixels,3], rounded to the nearest integer."""
     pixel = wp.tid()
     colour = 255.0 * image[pixel] + wp.vec3(0.5, 0.5, 0.5)
     for channel in range(3):
@@ -80,7 +83,7 @@ def blend_tiles(
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
-    """Blend with one thread per tile, splat by splat; T < 0 marks a finished pixel."""
+    """Blend the splats with one thread per tile, splat by splat; T < 0 marks a finished pixel."""
     tile = first + wp.tid()
     left = (tile % view.columns) * TILE
     top = (tile / view.columns) * TILE
@@ -129,7 +132,7 @@ STORE_TILE = code("tile:store")
 blend_tiles_simd = native_kernel(
     "phy124_blend_simd", SUM_TILE + STORE_TILE, name="blend_tiles_simd"
 )(blend_tiles.func)
-"""`blend_tiles` for the vector units of a CPU."""
+"""Blend like `blend_tiles`, with the vector instructions of a CPU."""
 
 
 @kernel("phy124_gather")
@@ -144,7 +147,9 @@ def gather_pixels(
     sums_out: wp.array(dtype=wp.vec3),
     weights_out: wp.array(dtype=float),
 ):
-    """Add each pixel's weighted value, and the weight, to its splats; one thread per pixel."""
+    """Add each pixel's weighted value, and the weight, to the splats of the pixel; one thread per
+    pixel.
+    """
     thread = wp.tid()
     tile = first + thread / PIXELS
     x = (tile % view.columns) * TILE + thread % TILE
@@ -168,6 +173,6 @@ def gather_pixels(
 gather_tiles_simd = native_kernel(
     "phy124_gather_simd", OPEN_TILE + code("tile:gather", "tile:splats"), name="gather_tiles_simd"
 )(gather_pixels.func)
-"""`gather_pixels` for CPUs, one tile per thread; tiles run one after the other, since they share
-splats.
+"""Gather like `gather_pixels`, on a CPU with one tile per thread; tiles are processed one after the
+other, since they share splats.
 """

@@ -1,4 +1,5 @@
-"""Draws boundaries as glass: finds where a ray enters and leaves one, and the opacity there.
+"""Draws boundaries as glass: finds the points where a ray enters and leaves a solid, and the
+opacities there.
 
 The player draws the same glass in its shaders (phy124/io/viewer/stage.js), function by function.
 """
@@ -8,13 +9,13 @@ import warp as wp
 from phy124.kernels.native import code, constants
 
 FACE = wp.constant(0.10)
-"""Opacity of a flat face."""
+"""Opacity of a flat face of glass."""
 LINE = wp.constant(0.45)
-"""Opacity of an edge."""
+"""Opacity of an edge of glass."""
 RIM = wp.constant(0.50)
 """Opacity of a round face seen at a grazing angle."""
 WIDTH = wp.constant(1.5)
-"""Width of an edge, and of the soft outline of a face [px]."""
+"""Width of an edge, and width of the soft outline of a face [px]."""
 NEARLY = wp.constant(0.9999)
 """Fraction of the distance along a ray to the surface behind the glass. A face beyond this fraction
 counts as lying on that surface, so it is not drawn.
@@ -29,17 +30,21 @@ class Solid:
 
     centre: wp.vec3  # [m]
     axes: wp.mat33  # a unit vector in each row
-    half: wp.vec3  # half sizes [m]; for a capsule (half the length of its axis, 0, 0)
-    radius: float  # of a capsule [m]; 0 for a box
+    half: wp.vec3  # half sizes [m]; for a capsule, (half the length of its axis, 0, 0)
+    radius: float  # radius of a capsule [m]; 0 for a box
 
 
 @wp.struct
 class Outline:
     """A convex polygon on the screen that contains a solid."""
 
-    sides: wp.types.matrix(shape=(6, 3), dtype=float)  # a, b, c: inside is a x + b y + c >= 0 [px]
-    planes: wp.types.matrix(shape=(6, 3), dtype=float)  # n: the sides in space, n . ray >= 0
-    count: int  # number of sides; 0: the solid may be anywhere
+    sides: wp.types.matrix(
+        shape=(6, 3), dtype=float
+    )  # coefficients a, b, c of each side; inside is a x + b y + c >= 0 [px]
+    planes: wp.types.matrix(
+        shape=(6, 3), dtype=float
+    )  # normals n of the sides in space; inside is n . ray >= 0
+    count: int  # number of sides; 0 if the solid may be anywhere on the screen
     nearest: float  # smallest depth of the corners of the solid's box [m]
 
 
@@ -69,7 +74,7 @@ def edge(solid: Solid, at: wp.vec3, pixel: float) -> float:
 
 @wp.func
 def box_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3, pixel: float) -> Hit:
-    """Intersect a ray and a box; `pixel` is a pixel's size at distance 1 along the ray [m]."""
+    """Intersect a ray and a box; `pixel` is the size of a pixel at distance 1 along the ray [m]."""
     o = solid.axes * (origin - solid.centre)
     d = solid.axes * ray
     hit = Hit()
@@ -91,7 +96,7 @@ def box_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3, pixel: float) -> Hit:
 
 @wp.func
 def rim(towards: wp.vec3, ray: wp.vec3) -> float:
-    """Return the opacity of a round face; `towards` is its normal, of any length."""
+    """Return the opacity of a round face; `towards` is the normal of the face, of any length."""
     facing = wp.abs(wp.dot(towards, ray)) / (wp.length(towards) * wp.length(ray))
     grazing = 1.0 - facing
     return 0.6 * FACE + (RIM - 0.6 * FACE) * grazing * grazing * grazing
@@ -107,11 +112,14 @@ def from_axis(solid: Solid, point: wp.vec3) -> wp.vec3:
 
 @wp.func
 def ball_hit(centre: wp.vec3, radius: float, origin: wp.vec3, ray: wp.vec3) -> wp.vec2:
-    """Return where a ray enters and leaves a ball; if it misses, the exit is before the entry."""
+    """Return the distances at which a ray enters and leaves a ball; if it misses, the exit is
+    before the entry.
+    """
     o = origin - centre
     a = wp.dot(ray, ray)
     b = wp.dot(o, ray)
-    # The discriminant from the distance at the closest approach avoids cancellation far away.
+    # Computing the discriminant from the distance at the closest approach avoids cancellation far
+    # away.
     closest = o - (b / a) * ray
     rest = radius * radius - wp.dot(closest, closest)
     if rest <= 0.0:
@@ -131,7 +139,7 @@ def capsule_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3) -> Hit:
         ends = other
     elif other[1] >= other[0]:
         ends = wp.vec2(wp.min(ends[0], other[0]), wp.max(ends[1], other[1]))
-    # Across the axis the tube is a disc; along the axis it is a slab.
+    # Perpendicular to the axis the tube is a disc; along the axis it is a slab.
     o = origin - solid.centre
     along = wp.dot(ray, axis)
     across = ray - along * axis
@@ -189,4 +197,4 @@ def within(outline: Outline, x: float, y: float) -> bool:
 VEIL = constants(
     "float", FACE=FACE, LINE=LINE, RIM=RIM, WIDTH=WIDTH, NEARLY=NEARLY, TINT=TINT
 ) + code("stage:veil")
-"""`veil` in C++, for sixteen rays from `view`."""
+"""C++ code of `veil`, for sixteen rays from `view`."""

@@ -21,7 +21,9 @@ C3 = wp.constant(wp.types.vector(7, float)(*SH_C3))
 
 @wp.func
 def colour_towards(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, d: wp.vec3) -> wp.vec3:
-    """Return the unclamped colour of Gaussian i along direction d; signs as in phy124.gaussians."""
+    """Return the unclamped colour of Gaussian i along direction d, with the sign convention of
+    phy124.gaussians.
+    """
     rgb = wp.vec3(0.5, 0.5, 0.5) + C0 * sh[i, 0]
     if degree > 0:
         x = d[0]
@@ -74,7 +76,7 @@ def first_pixel(edge: float, size: int) -> int:
 
 @wp.func
 def box_around(mean: wp.vec2, reach: wp.vec2, view: View) -> wp.vec4i:
-    """Return the box, perhaps empty, of pixels whose centres are within `reach` of the mean."""
+    """Return the (possibly empty) box of pixels whose centres are within `reach` of the mean."""
     return wp.vec4i(
         first_pixel(mean[0] - reach[0], view.width),
         first_pixel(mean[1] - reach[1], view.height),
@@ -85,9 +87,11 @@ def box_around(mean: wp.vec2, reach: wp.vec2, view: View) -> wp.vec4i:
 
 @wp.func
 def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: View) -> Splat:
-    """Return the splat without colour; its box is empty if the splat is invisible or not finite."""
+    """Return the splat without its colour; the splat's box is empty if it is invisible or not
+    finite.
+    """
     splat = Splat()
-    # Written so that NaN fails every test.
+    # The conditions are written so that NaN fails all of them.
     if not (p[2] > view.near and opacity >= MIN_ALPHA):
         return splat
     axes = screen_axes(p, quat, scale, view)
@@ -96,7 +100,7 @@ def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: Vi
     xx = wp.dot(along_x, along_x)
     xy = wp.dot(along_x, along_y)
     yy = wp.dot(along_y, along_y)
-    # Lagrange's identity: the determinant as a sum of positive terms, no cancellation.
+    # Lagrange's identity gives the determinant as a sum of positive terms, without cancellation.
     low = view.low_pass
     area = wp.length_sq(wp.cross(along_x, along_y))
     det = area + low * (xx + yy) + view.low_area
@@ -136,7 +140,9 @@ def project(
     order_out: wp.array(dtype=int),
     corners_out: wp.array2d(dtype=int),
 ):
-    """Project one Gaussian per thread; +-1 at corners of tile rectangles go to `corners_out`."""
+    """Project one Gaussian per thread, and write +-1 at the corners of its rectangle of tiles to
+    `corners_out`.
+    """
     i = wp.tid()
     p = view.rotation * means[i] + view.translation
     splat = splat_of(p, quats[i], scales[i], opacities[i], view)
@@ -167,7 +173,7 @@ project_sixteen = native_func(
     project.func,
     "project_sixteen",
 )
-"""Projects Gaussians `16 thread` to `16 thread + 15`; colours of a degree above 0 are left out."""
+"""Projects the Gaussians `16 thread` to `16 thread + 15`, without colours of a degree above 0."""
 
 
 @kernel("phy124_project_simd")
@@ -185,7 +191,7 @@ def project_simd(
     order_out: wp.array(dtype=int),
     corners_out: wp.array2d(dtype=int),
 ):
-    """Project with one thread per sixteen Gaussians."""
+    """Project sixteen Gaussians per thread."""
     group = wp.tid()
     project_sixteen(
         group,
@@ -226,17 +232,21 @@ def bin_serial(
     last: int,
     order: wp.array(dtype=int),
     tiles: wp.array(dtype=wp.vec4i),
-    # in place: start of each tile's list, then the list's end
+    # in place: start of each tile's list, finally its end
     ends_out: wp.array(dtype=int),
     pairs_out: wp.array(dtype=int),
 ):
-    """Fill the tiles' lists in a single thread, for CPUs, in the depth order given by `order`."""
+    """Fill the lists of all tiles in a single thread, for CPUs, in the depth order given by
+    `order`.
+    """
     ...
 
 
 @kernel("phy124_bin")
 def sum_columns(corners_out: wp.array2d(dtype=int)):
-    """Replace the corner marks of each column by their cumulative sums, one thread per column."""
+    """Replace the corner marks of each column by their cumulative sums, with one thread per
+    column.
+    """
     column = wp.tid()
     total = int(0)
     for row in range(corners_out.shape[0]):
@@ -246,7 +256,9 @@ def sum_columns(corners_out: wp.array2d(dtype=int)):
 
 @kernel("phy124_bin")
 def count_splats(columns: int, sums: wp.array2d(dtype=int), counts_out: wp.array(dtype=int)):
-    """Count the splats of each tile, from the sums of the columns; one thread per row of tiles."""
+    """Count the splats of each tile from the sums of the columns, with one thread per row of
+    tiles.
+    """
     row = wp.tid()
     count = int(0)
     for column in range(columns):
@@ -263,7 +275,8 @@ def start_lists(
 ):
     """Start an empty list for each tile, after the entries of all tiles before it.
 
-    All lists together have `room` entries; a start beyond the last entry is moved to the end.
+    All lists together have space for `room` entries; a start beyond the last entry is moved to the
+    end.
     """
     tile = wp.tid()
     start = wp.min(before[tile], room)
@@ -280,14 +293,15 @@ def bin_parallel(
     total: wp.array(dtype=int),
     order: wp.array(dtype=int),
     tiles: wp.array(dtype=wp.vec4i),
-    # in place: start of each tile's list, then the list's end
+    # in place: start of each tile's list, finally its end
     ends_out: wp.array(dtype=int),
     ranks_out: wp.array(dtype=int),
     pairs_out: wp.array(dtype=int),
 ):
-    """Fill the tiles' lists, one thread per splat, for GPUs; the caller then sorts them by rank.
+    """Fill the lists of all tiles with one thread per splat, for GPUs; the caller then sorts the
+    lists by rank.
 
-    If the `total` number of entries exceeds the `room`, the lists stay empty.
+    If the number of entries, `total`, exceeds the available space, `room`, the lists stay empty.
     """
     if total[0] > room:
         return

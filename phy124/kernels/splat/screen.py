@@ -27,11 +27,11 @@ class View:
     near: float  # [m]
     width: int  # [px]
     height: int  # [px]
-    columns: int  # tiles per row
-    rows: int  # rows of tiles
+    columns: int  # number of tiles per row
+    rows: int  # number of rows of tiles
     low_pass: float  # added to screen covariances [px^2]
-    low_area: float  # low_pass^2, rounded, so that it is not contracted into an FMA [px^4]
-    keeps_light: int  # 1 if splats that low_pass widens become fainter
+    low_area: float  # low_pass^2, rounded here so that it is not contracted into an FMA [px^4]
+    keeps_light: int  # 1 if splats become fainter when low_pass widens them
 
 
 @wp.struct
@@ -48,14 +48,16 @@ class Splat:
     precision_x: float  # [1/px^2]
     precision_y: float  # [1/px^2]
     opacity: float
-    least: float  # log2 of exp(exponent) below which alpha is less than 1/255
+    least: float  # log2 of the exp(exponent) below which alpha is less than 1/255
     colour: wp.vec3  # linear blend, 0..
     box: wp.vec4i  # x0, y0, x1, y1: pixels within reach, half open; empty if invisible
 
 
 @wp.func
 def alpha_at(splat: Splat, x: int, y: int) -> float:
-    """Return the splat's alpha at the centre of a pixel; 0 below 1/255, as in 3DGS."""
+    """Return the alpha of a splat at the centre of a pixel; values below 1/255 become 0, as in
+    3DGS.
+    """
     dy = float(y) + 0.5 - splat.mean[1]
     dx = float(x) + 0.5 - splat.mean[0] - splat.shear * dy
     power = -0.5 * (splat.precision_x * dx * dx + splat.precision_y * dy * dy)
@@ -67,8 +69,8 @@ def alpha_at(splat: Splat, x: int, y: int) -> float:
 
 @wp.func
 def tiles_of(splat: Splat) -> wp.vec4i:
-    """Return the tiles that a splat's box touches: first column and row, and one past the last
-    column and row.
+    """Return the tiles that the box of a splat touches: the first column and row, and the column
+    and row after the last ones.
     """
     box = splat.box
     if box[2] <= box[0] or box[3] <= box[1]:
@@ -78,5 +80,7 @@ def tiles_of(splat: Splat) -> wp.vec4i:
 
 @wp.func
 def blend_over(light: wp.vec3, transmittance: float, background: wp.vec3) -> wp.vec3:
-    """Return a pixel's colour: its light plus the transmitted background, at most 1."""
+    """Return the colour of a pixel: the light of its splats plus the transmitted background, at
+    most 1.
+    """
     return wp.min(light + transmittance * background, wp.vec3(1.0, 1.0, 1.0))

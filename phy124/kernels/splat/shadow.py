@@ -1,4 +1,6 @@
-"""Optical depth of the Gaussians over the floor, seen from the light, in layers of height."""
+"""Computes the optical depth of the Gaussians over the floor, seen from the light, in layers of
+height.
+"""
 
 import warp as wp
 
@@ -26,7 +28,7 @@ def thickness(opacity: float) -> float:
 
 @wp.func
 def put(layers: wp.array3d(dtype=float), i: int, j: int, layer: int, upper: float, amount: float):
-    """Add a value to one cell in two neighbouring layers."""
+    """Distribute a value over two neighbouring layers of one cell."""
     if i >= 0 and j >= 0 and i < layers.shape[1] and j < layers.shape[2]:
         wp.atomic_add(layers, layer, i, j, (1.0 - upper) * amount)
         wp.atomic_add(layers, layer + 1, i, j, upper * amount)
@@ -43,14 +45,14 @@ def cover(
     means: wp.array(dtype=wp.vec3),
     quats: wp.array(dtype=wp.vec4),
     scales: wp.array(dtype=wp.vec3),
-    # in place: optical depth [layers, cells, cells]
+    # optical depth [layers, cells, cells], changed in place
     layers_out: wp.array3d(dtype=float),
 ):
-    """Add the optical depth of each Gaussian to the layers, one thread per Gaussian.
+    """Add the optical depth of each Gaussian to the layers, with one thread per Gaussian.
 
     Layer k is at height tallest (k / last)^2 above the floor. `origin` is the corner of the map on
-    the floor, `slope` the sideways displacement of the light's rays per metre of descent, and
-    `weight` the number of Gaussians that each Gaussian represents.
+    the floor. `slope` is the horizontal displacement of the light's rays per metre of descent.
+    `weight` is the number of Gaussians that each Gaussian represents.
     """
     n = wp.tid()
     mean = means[n]
@@ -81,7 +83,7 @@ def cover(
     size = wp.max(end_x, end_y) + 1.0
     if not (x > -size and y > -size and x < 2.0 * size and y < 2.0 * size):
         return
-    # Lagrange's identity: the determinant without cancellation.
+    # Lagrange's identity gives the determinant without cancellation.
     area = wp.length(wp.cross(across, along))
     if wp.max(a, c) < NARROW * NARROW:
         amount = 6.2831853 * thickness(opacity) * area
@@ -123,6 +125,7 @@ cover_simd = native_kernel(
     + code("shadow"),
     name="cover_simd",
 )(cover.func)
-"""`cover` for the vector units of a CPU, sixteen Gaussians per thread, for maps of at least sixteen
-cells; tests/test_stage_shadow.py compares the two.
+"""Add optical depth like `cover`, with the vector instructions of a CPU, for maps of at least
+sixteen cells. Each thread handles sixteen Gaussians. tests/test_stage_shadow.py compares the two
+forms.
 """

@@ -1,9 +1,9 @@
 """Draws the surroundings of the object: backdrop, floor with shadow, and boundaries as glass.
 
 Backdrop and floor are drawn behind all Gaussians, pixel by pixel, and glass in front of all
-Gaussians is blended over their light. A Gaussian seen through glass that lies among the Gaussians
-is tinted with the glass's colour instead. Blending is linear, so the tint has the same effect as
-glass inserted at its depth, but needs no depth per pixel.
+Gaussians is blended over their light. Glass that lies among the Gaussians is drawn differently: a
+Gaussian behind the glass is tinted with its colour. Blending is linear, so the tint has the same
+effect as blending the glass at its depth, but needs no depth per pixel.
 """
 
 import warp as wp
@@ -22,17 +22,17 @@ class Setting:
     top: wp.vec3  # colour of the backdrop's first row
     bottom: wp.vec3  # colour of the backdrop's last row
     floor: int  # 1 if there is a floor
-    height: float  # of the floor [m]
+    height: float  # height of the floor [m]
     middle: wp.vec2  # centre of the square that the shadow map covers [m]
     reach: float  # half the side of that square [m]
-    cells: int  # number of cells along the side
-    shaded: wp.vec4i  # first and last cells with shade, along x, then along y
-    pool: float  # added brightness of the floor at the centre, for a grey of 1/2
+    cells: int  # number of cells along each side of the shadow map
+    shaded: wp.vec4i  # first and last shaded cells along x, then along y
+    pool: float  # brightness added to the floor at the centre, for a grey of 1/2
 
 
 @wp.func
 def shade_at(setting: Setting, shade: wp.array2d(dtype=wp.uint16), u: float, v: float) -> float:
-    """Return the fraction of light that the shadow removes, interpolated; 0 outside the map.
+    """Return the interpolated fraction of light that the shadow removes; it is 0 outside the map.
 
     The outermost cells have no shadow.
     """
@@ -50,14 +50,16 @@ def shade_at(setting: Setting, shade: wp.array2d(dtype=wp.uint16), u: float, v: 
 
 @wp.func
 def pool_at(x: float, y: float) -> float:
-    """Return the relative brightness of the pool of light; x and y are in units of `reach`."""
+    """Return the relative brightness of the pool of light on the floor; x and y are in units of
+    `reach`.
+    """
     rest = wp.max(1.0 - 0.5 * (x * x + y * y), 0.0)
     return rest * rest
 
 
 @wp.func
 def ray_through(view: View, x: int, y: int) -> wp.vec3:
-    """Return the ray through a pixel's centre, with length 1 along the camera's axis."""
+    """Return the ray through the centre of a pixel, with length 1 along the camera's axis."""
     seen = wp.vec3(
         (float(x) + 0.5 - view.centre[0]) / view.focal,
         (float(y) + 0.5 - view.centre[1]) / view.focal,
@@ -68,7 +70,9 @@ def ray_through(view: View, x: int, y: int) -> wp.vec3:
 
 @wp.func
 def floor_along(setting: Setting, eye: wp.vec3, ray: wp.vec3) -> float:
-    """Return where a ray meets the floor from above; 1e30 if it does not."""
+    """Return the distance at which a ray meets the floor from above, or 1e30 if it does not meet
+    the floor.
+    """
     if setting.floor == 1 and eye[2] > setting.height and ray[2] < 0.0:
         return (setting.height - eye[2]) / ray[2]
     return 1.0e30
@@ -84,11 +88,11 @@ def draw_setting(
     solids: wp.array(dtype=Solid),
     outlines: wp.array(dtype=Outline),
     coverage: wp.array(dtype=float),
-    # in place: light of the Gaussians, then the finished frame
+    # in place: light of the Gaussians, finally the whole frame
     image_out: wp.array(dtype=wp.vec3),
 ):
-    """Draw the surroundings, one thread per pixel; this is the plain form of `blend_staged_simd`,
-    and runs on GPUs, too.
+    """Draw the surroundings with one thread per pixel. This kernel is the plain form of
+    `blend_staged_simd`, and also runs on GPUs.
 
     The solids are sorted by depth; the first `before` of them are in front of all Gaussians.
     """
@@ -138,7 +142,7 @@ def tint_splats(
     means: wp.array(dtype=wp.vec3),
     splats_out: wp.array(dtype=Splat),
 ):
-    """Tint the Gaussians behind glass that is among the Gaussians, one thread per Gaussian.
+    """Tint the Gaussians that are behind glass among the Gaussians, with one thread per Gaussian.
 
     The solids `first` <= k < `last` are the glass among the Gaussians.
     """
@@ -153,7 +157,8 @@ def tint_splats(
     splats_out[i].colour = TINT + clear * (splats_out[i].colour - TINT)
 
 
-# A function of its own: inlined into the function that sums splats, it made that sum 1/60 slower.
+# A separate function, because inlining it into the function that sums splats made the sum 1/60
+# slower.
 APART = "__attribute__((noinline))"
 DRAW = f"const auto draw = [&]() {APART} {{ {VEIL + code('stage')} }};\ndraw();"
 
@@ -179,11 +184,13 @@ def blend_staged_simd(
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
-    """Blend the splats of a tile and draw the surroundings, one thread per tile."""
+    """Blend the splats of a tile and draw the surroundings, with one thread per tile."""
     ...
 
 
 tint_splats_simd = native_kernel(
     "phy124_stage_simd", VEIL + code("stage:tint"), name="tint_splats_simd"
 )(tint_splats.func)
-"""`tint_splats` for the vector units of a CPU, sixteen Gaussians per thread."""
+"""Tint like `tint_splats`, with the vector instructions of a CPU and sixteen Gaussians per
+thread.
+"""
