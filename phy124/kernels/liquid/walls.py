@@ -172,7 +172,7 @@ def centre_of(cell: wp.vec3i, lattice: Any, low: wp.vec3i):
 
 @wp.func
 def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
-    """Return the midpoint of that one of two opposite cell faces that is less open."""
+    """Return the midpoint of the less open of two opposite cell faces."""
     at = wp.vec3i(1, 1, 1)
     at[axis] = 0
     if jump < type(jump)(0.0):

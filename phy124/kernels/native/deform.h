@@ -1,5 +1,5 @@
-// Deforms eight Gaussians in float64. Unusual ones (of torn material, with axes of zero length, or
-// whose axes change order) are left unchanged, and a bit is set for each of them.
+// Deforms eight Gaussians in float64. Unusual Gaussians (of torn material, with axes of zero
+// length, or with axes that change order) are left unchanged, and a bit is set for each of them.
 // Plain form: `shape_of` of deform.py.
 // Test: tests/test_deform.py, test_eight_at_a_time_are_deformed_as_one_by_one.
 
@@ -59,7 +59,7 @@ for (int i = 0; i < N; ++i) {
 }
 
 
-// Makes columns m and n of A W orthogonal; returns for how many Gaussians they were not.
+// Makes columns m and n of A W orthogonal; returns the number of Gaussians whose columns were not.
 const auto rotated = [&](int m, int n) {
     double turning = 0.0;
 #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
@@ -97,7 +97,7 @@ for (int sweep = 0; turning > 0.0 && sweep < SWEEPS; ++sweep) {
 }
 
 
-// Shepperd's method: use the one of the four forms with the largest divisor.
+// Shepperd's method: of four equivalent forms, use the form with the largest divisor.
 const auto quaternion = [&](const double (&r)[9][N], double (&q)[4][N], int i) {
     const double r0 = r[0][i], r1 = r[4][i], r2 = r[8][i], t = r0 + r1 + r2;
     const double x = r[7][i] - r[5][i], y = r[2][i] - r[6][i], z = r[3][i] - r[1][i];
@@ -170,7 +170,7 @@ for (int i = 0; i < N; ++i) {
         + quat[2][i] * last[2][i] + quat[3][i] * last[3][i];
     const double side = facing < 0.0 ? -1.0 : 1.0;
     for (int k = 0; k < 4; ++k) quat[k][i] *= side;
-    // Axes of plastic and fluid material.
+    // Axes of Gaussians of plastic and fluid material.
     const double shortest = smaller(smaller(l0, l1), l2);
     const double thin = larger(shortest, TINY * longest);
     const double middle = l0 + l1 + l2 - longest - shortest;

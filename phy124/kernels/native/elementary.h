@@ -15,7 +15,7 @@ const auto power_of_2 = [](float power) {
     return result.value;
 };
 // Returns the natural logarithm of a normal number above 0. The fraction f of the number is between
-// sqrt(1/2) and sqrt(2); its logarithm is 2 artanh((f - 1) / (f + 1)).
+// sqrt(1/2) and sqrt(2), and log f is 2 artanh((f - 1) / (f + 1)).
 const auto logarithm = [](float x) {
     union { float value; int bits; } given, fraction;
     given.value = x;
@@ -27,7 +27,8 @@ const auto logarithm = [](float x) {
 };
 
 //: sixteen
-// Sixteen Gaussians that are consecutive in memory. If there are fewer at the end, zeros follow.
+// Sixteen Gaussians that are consecutive in memory. If fewer than sixteen remain at the end, the
+// rest is filled with zeros.
 // Plain form: the arrays of Gaussians.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
 

@@ -1,6 +1,6 @@
 // Stress of neo-Hookean bodies on their lattice, sixteen cells at a time: one AVX-512, two AVX2 or
-// four NEON registers hold a number for each cell. The forces of a cell's eight points on
-// its 27 nodes are added up before they are written. `order` lists the cells of each block, full
+// four NEON registers hold a number for each cell. The forces of a cell's eight points on the
+// cell's 27 nodes are added up before they are written. `order` lists the cells of each block, full
 // cells first. In a full cell the points are a product of two points per axis, so that values and
 // slopes are interpolated along one axis after another. Speeds are measured at the cells' centres.
 // Plain form: `lattice_stress` and `lattice_measure` of lattice/stress.py.
@@ -109,7 +109,7 @@ const auto rises = [&](Lanes a, Lanes b, Lanes c) {
     const Lanes even = c - a, odd = 2.0f * GAUSS * ((a + c) - 2.0f * b);
     return Two{even - odd, even + odd};
 };
-// Their transposes.
+// Transposes of the two functions above.
 const auto spread_means = [&](Lanes low, Lanes high) {
     const Lanes even = low + high, odd = 3.0f * GAUSS * (low - high);
     return Three{even + odd, 4.0f * even, even - odd};
@@ -261,7 +261,7 @@ const auto root = [](Lanes x) {
     for (int lane = 0; lane < 16; ++lane) x[lane] = __builtin_sqrtf(x[lane]);
     return x;
 };
-// Bound of the rate of compression, `compression` of lattice/stress.py, and the closing rate.
+// Upper bound of the rate of compression (`compression` of lattice/stress.py), and closing rate.
 const auto survey = [&](const Lanes* C, Lanes J) {
     const Lanes flat = larger(J, Lanes{} + FLOOR) / larger(J, Lanes{} + FLAT);
     const Lanes mean = (C[0] + C[4] + C[8]) * (1.0f / 3);

@@ -3,8 +3,8 @@
 // Test: tests/test_lattice_kernels.py, test_simd_and_plain_contact_agree.
 
 //: kick
-// Plain form: `kick` of lattice/nodes.py, for one node. Tied nodes get the uniform acceleration,
-// too, but take their velocity from their donors when they drift.
+// Plain form: `kick` of lattice/nodes.py, for one node. The uniform acceleration also acts on tied
+// nodes, but these take the velocity of their donors when they drift.
 const long first = start + 256L * thread, last = first + 256 < stop ? first + 256 : stop;
 float* const to = (float*)v_out.data;
 const float* const uniform = (const float*)values.data;

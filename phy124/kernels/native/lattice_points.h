@@ -1,4 +1,4 @@
-// What follows from the strains and rates of sixteen cells, which pieces of lattice.h compute.
+// Quantities computed from the strains and strain rates of sixteen cells, which lattice.h computes.
 // Plain form: `lattice_measure` of lattice/stress.py, `follow` and `locate` of lattice/points.py.
 // Test: tests/test_lattice_kernels.py, test_simd_and_plain_points_agree.
 

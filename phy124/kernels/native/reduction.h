@@ -13,9 +13,9 @@ wp::atomic_add(grid, node, value);
 
 //: run
 // Particles of neighbouring threads often touch the same nodes. Threads of a warp with equal `node`
-// form a run; its first thread adds the sum of the run. Packed into the result: the number of
-// threads that follow in the run, the largest such number in the warp, and whether the thread is
-// not the first of its run.
+// form a run; the first thread of the run adds the sum of the run. The result packs three values:
+// the number of threads that follow in the run, the largest such number in the warp, and whether
+// the thread is not the first of its run.
 #if defined(__CUDA_ARCH__)
 const unsigned all = 0xffffffffu;
 if (__activemask() != all) return 0;
@@ -84,7 +84,7 @@ if (whole != 0.0) wp::atomic_add(sums, index, whole);
 // take part.
 enum { MAXIMA = sizeof(values.c) / sizeof(values.c[0]) };
 #if defined(__CUDA_ARCH__)
-enum { WARPS = 8 };  // of a block: every launch of phy124 has blocks of 256 threads
+enum { WARPS = 8 };  // warps in a block: every launch of phy124 has blocks of 256 threads
 auto whole = values.c[0] + 0;
 __shared__ decltype(whole) highest[WARPS * MAXIMA];
 for (int i = 0; i < MAXIMA; ++i) {
@@ -133,7 +133,7 @@ if (whole < wp::index(minima, index)) wp::atomic_min(minima, index, whole);
 // four or five sectors each. If threads of the warp are inactive, or their particles are not
 // consecutive, each thread writes its own numbers.
 #if defined(__CUDA_ARCH__)
-enum { WARPS = 8 };  // of a block: every launch of phy124 has blocks of 256 threads
+enum { WARPS = 8 };  // warps in a block: every launch of phy124 has blocks of 256 threads
 const unsigned all = 0xffffffffu;
 const int place = threadIdx.x & 31, warp = threadIdx.x >> 5;
 if (__activemask() == all && blockDim.x <= 32 * WARPS
@@ -144,7 +144,7 @@ if (__activemask() == all && blockDim.x <= 32 * WARPS
     __syncwarp();
     float* rows = (float*)matrices.data + 9ll * (particle - place);
     for (int k = 0; k < 9; ++k) rows[32 * k + place] = own[32 * k + place];
-    __syncwarp();  // before the next matrices take the place of these
+    __syncwarp();  // wait before the next matrices overwrite the present ones
     return;
 }
 #endif

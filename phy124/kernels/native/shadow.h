@@ -16,9 +16,9 @@ enum { NONE, POINT, DISC };
 struct Cast {
     int kind[16], layer[16];
     float x[16], y[16], aa[16], bb[16], cc[16], area[16], opacity[16];
-    float upper[16];     // the part that goes to the layer above
+    float upper[16];     // the fraction of the depth that is added to the layer above
     int first[16];       // the first of a point's four cells
-    float parts[4 * 16]; // what goes to each of them
+    float parts[4 * 16]; // the amounts added to these four cells
 };
 Cast made;
 #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
@@ -39,7 +39,7 @@ for (int i = 0; i < 16; ++i) {
     const float by = ry * (1.0f - s * (qx * qx + qz * qz) + slope[1] * turned_y);
     const float bz = rz * (s * (qy * qz - w * qx) + slope[1] * turned_z);
     const float aa = ax * ax + ay * ay + az * az, cc = bx * bx + by * by + bz * bz;
-    // Lagrange's identity: the determinant without cancellation.
+    // Lagrange's identity gives the determinant without cancellation.
     const float nx = ay * bz - az * by, ny = az * bx - ax * bz, nz = ax * by - ay * bx;
     const float area = root(nx * nx + ny * ny + nz * nz);
     const float above = pz - origin[2], height = above > 0.0f ? above : 0.0f;

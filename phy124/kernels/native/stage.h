@@ -34,7 +34,7 @@ const auto aim = [&](Rays& rays, const float* xs, const float* ys) {
 float xs[16], ys[16];
 Rays rays;
 
-Row clear[16], lens[16];  // what solids let through, all and those before the Gaussians
+Row clear[16], lens[16];  // transmittance of all solids, and of those in front of the Gaussians
 bool laid = false, glazed = false;
 const float middle_x = 0.5f * (float)(left + right), middle_y = 0.5f * (float)(top + bottom);
 const float half_x = 0.5f * (float)(count - 1), half_y = 0.5f * (float)(rows - 1);
@@ -93,7 +93,8 @@ const auto look_up = [&](const float* at_i, const float* at_j, float* __restrict
         const bool inside = u >= 0.0f && v >= 0.0f && u < last && v < last;
         const int i = inside ? (int)u : 0, j = inside ? (int)v : 0, cell = i * cells + j;
         const float a = u - (float)i, b = v - (float)j;
-        // Two neighbours are read at once, since reading takes most of the time in this loop.
+        // Two neighbouring cells are read at once, since reading takes most of the time in this
+        // loop.
         const unsigned near = *(const Pair*)(shades + cell);
         const unsigned far = *(const Pair*)(shades + (cell + cells));
         const float p = (float)(int)(near & 0xffff), q = (float)(int)(near >> 16);
@@ -206,12 +207,12 @@ for (int i = 0; i < count && glazed; ++i)
 
 struct Rays {
     float x[16], y[16], z[16];  // directions
-    float limit[16];            // how far along them whatever is behind the glass is
-    float pixel[16];            // size of a pixel at distance 1 along them [m]
+    float limit[16];            // distance along the rays to the surface behind the glass
+    float pixel[16];            // size of a pixel at distance 1 along the rays [m]
 };
 struct Veil {
     float alpha[16];            // opacity before the limit
-    int faces[16];              // which two faces a ray meets, away from their edges; or 0
+    int faces[16];              // the two faces that a ray meets away from their edges; otherwise 0
 };
 const auto least = [](float a, float b) { return a < b ? a : b; };
 const auto most = [](float a, float b) { return a > b ? a : b; };

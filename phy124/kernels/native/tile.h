@@ -31,7 +31,7 @@ for (int j = 0; j < 256; ++j) {
     for (int j = 0; j < 16; ++j) centres[j] = (float)(left + j) + 0.5f;
     const float nearest = centres[0], farthest = centres[15];
     const float HALF_LOG2_E = 0.72134752f;
-    int open = 0xffff;  // rows with pixels that are not done, a bit each
+    int open = 0xffff;  // one bit for each row that has unfinished pixels
     const int begin = starts.data[tile], end = ends.data[tile];
 
     for (int k = begin; k < end; ++k) {
@@ -59,7 +59,7 @@ for (int j = 0; j < 256; ++j) {
             #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
             for (int x = 0; x < 16; ++x) {
                 const float dx = centres[x] - middle;
-                float power = cx * dx * dx + row;            // in powers of 2, never positive
+                float power = cx * dx * dx + row;            // exponent of 2, never positive
                 power = power > -30.0f ? power : -30.0f;     // also where it is NaN
                 float alpha = opacity * power_of_2(power);
                 alpha = alpha < MAX_ALPHA ? alpha : MAX_ALPHA;

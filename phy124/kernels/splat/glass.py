@@ -38,12 +38,8 @@ class Solid:
 class Outline:
     """A convex polygon on the screen that contains a solid."""
 
-    sides: wp.types.matrix(
-        shape=(6, 3), dtype=float
-    )  # coefficients a, b, c of each side; inside is a x + b y + c >= 0 [px]
-    planes: wp.types.matrix(
-        shape=(6, 3), dtype=float
-    )  # normals n of the sides in space; inside is n . ray >= 0
+    sides: wp.types.matrix(shape=(6, 3), dtype=float)  # inside: a x + b y + c >= 0 [px]
+    planes: wp.types.matrix(shape=(6, 3), dtype=float)  # normals n; inside: n . ray >= 0
     count: int  # number of sides; 0 if the solid may be anywhere on the screen
     nearest: float  # smallest depth of the corners of the solid's box [m]
 
