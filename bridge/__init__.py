@@ -1,8 +1,9 @@
 """The bridge: publishes a clip's Gaussians as ROS 2 topics and writes MCAP files.
 
-phy124 imports nothing from this package. All modules outside `sinks/` need only NumPy and pydantic;
-each sink imports its own library when it is opened.
+phy124 imports nothing from this package. All modules outside `sinks/` need only NumPy and pydantic.
+Each sink imports its own library when it is opened.
 """
 
 PROGRAM = "python -m bridge" if __name__ == "bridge" else "phy124-bridge"
-"""The command to type; it differs between a checkout and an installed `phy124_bridge`."""
+"""The command that starts the bridge. It differs between a checkout and an installed
+`phy124_bridge`."""

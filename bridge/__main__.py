@@ -1,7 +1,8 @@
 """The bridge: record, play, inspect and repair moving Gaussians as ROS 2 messages.
 
-Exit status: 0 done, 1 a failure of the machine, 2 bad input, 3 the simulation stopped early and its
-valid frames were saved, 130 interrupted. Errors that a user can correct show no traceback.
+Exit status: 0 if the command succeeded, 1 if the machine failed, 2 if an input is invalid, 3 if the
+simulation stopped early and its valid frames were saved, 130 if interrupted. Errors that a user can
+correct show no traceback.
 """
 
 from __future__ import annotations
@@ -12,14 +13,15 @@ from contextlib import contextmanager
 
 STOPPED = "bridge: stopped\n"
 ALWAYS = ("SIGINT",)
-"""Signals that end a node even if its parent process made it ignore them; `ros2 launch` sends
+"""Signals that end a node even if its parent process made it ignore them. `ros2 launch` sends
 SIGINT."""
 
 
-# Import only light modules above: until `importing` runs, Ctrl-C would show a traceback.
+# The imports above must be light modules only, because Ctrl-C shows a traceback until `importing`
+# runs.
 @contextmanager
 def importing(status: int, text: str = "") -> Iterator[None]:
-    """Within this context, Ctrl-C or SIGTERM ends the process at once, with a status and a text.
+    """Let Ctrl-C or SIGTERM end the process immediately, with a status and a text, in this context.
 
     A KeyboardInterrupt could be lost, because some libraries catch it while they are imported.
     """
@@ -43,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from phy124.runtime.signals import handling, interrupt
             from phy124.runtime.streams import steady_streams
 
-            refuse_narrow()  # before NumPy is imported
+            refuse_narrow()  # this must precede the import of NumPy
             from .command_line import run
         with steady_streams() as lost, handling(interrupt, always=ALWAYS):
             status = run(words, __doc__)

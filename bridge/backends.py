@@ -1,6 +1,7 @@
 """Backends that publish frames live: rclpy if ROS 2 is installed, else DDS; Foxglove on request.
 
-A package adds a backend with an entry point `phy124.sinks` (docs/guide/extending-files.md).
+A package adds a backend by an entry point in the group `phy124.sinks`
+(docs/guide/extending-files.md).
 """
 
 from __future__ import annotations
@@ -24,17 +25,18 @@ from .sinks.rclpy import RclpySink
 from .topics import Controls
 
 OWN = ("rclpy", "dds", "foxglove")
-"""Names of the backends that come with the bridge."""
+"""Names of the backends that are part of the bridge."""
 REQUIREMENTS: dict[str, Callable[[], None]] = {
     "rclpy": require_rclpy,
     "dds": require_cyclonedds,
     "foxglove": require_foxglove,
     "mcap": require_mcap,
 }
-"""Outlet -> function that raises InputError if the package that the outlet needs is missing."""
+"""Outlets (kinds of output). Each has a function that raises InputError if the package that the
+outlet needs is missing."""
 AUTOMATIC = ("rclpy", "dds")
-"""Backends that `auto` tries in this order. It uses only one of them: with two, each frame would
-arrive twice."""
+"""Backends that `auto` tries in this order. It uses only one of them, because with two backends
+each frame would arrive twice."""
 
 
 def sink_names() -> list[str]:
@@ -43,7 +45,7 @@ def sink_names() -> list[str]:
 
 
 def missing(outlet: str) -> InputError | None:
-    """Return why an outlet cannot be used, or None if it can."""
+    """Return the reason why an outlet cannot be used, or None if it can be used."""
     try:
         REQUIREMENTS.get(outlet, lambda: load_plugin("sinks", outlet))()
     except InputError as error:
@@ -55,7 +57,7 @@ def choose(backend: str) -> str:
     """Return the name of the backend to use.
 
     Raises:
-        InputError: There is no backend of that name, or `auto` finds no usable backend.
+        InputError: There is no backend with that name, or `auto` finds no usable backend.
     """
     if backend in sink_names():
         return backend
@@ -84,17 +86,18 @@ def open_sink(
     ros_args: Sequence[str] = (),
     controls: Controls | None = None,
 ) -> LiveSink:
-    """Create the live sink of a backend; the caller enters its context.
+    """Create the live sink of a backend; the caller enters the sink's context.
 
     Args:
         backend: rclpy, dds, foxglove, or the name of a registered sink.
         options: Options that define how frames become messages.
         duration: Length of the clip [s]; None for a running simulation.
-        network: For all but rclpy: also reach other machines.
-        clock: For rclpy: publish /clock.
+        network: For all backends except rclpy: whether to reach other machines, too.
+        clock: For rclpy: whether to publish /clock.
         port: For Foxglove and registered sinks: the port to use.
         ros_args: For rclpy: `--ros-args` and the arguments after it.
-        controls: For the bridge's own backends: inputs and services offered in addition to frames.
+        controls: For the bridge's own backends: inputs and services that are offered in addition to
+            frames.
 
     Raises:
         InputError: An option does not suit the backend, or a registered sink is broken.
@@ -119,26 +122,26 @@ def _refuse_unsuitable(backend: str, network: bool, clock: bool, ros_args: Seque
     """Raise InputError for an option that the backend does not have."""
     if network and backend == "rclpy":
         limit = "ROS_AUTOMATIC_DISCOVERY_RANGE sets which machines a node reaches."
-        raise InputError("network", network, limit, "Leave it out.")
+        raise InputError("network", network, limit, "Remove the option.")
     if ros_args and backend != "rclpy":
         limit = f"The backend {backend} is not a ROS 2 node."
         raise InputError(
-            "--ros-args", " ".join(ros_args[1:]), limit, "Use rclpy, or leave the option out."
+            "--ros-args", " ".join(ros_args[1:]), limit, "Use rclpy, or remove the option."
         )
     if clock and backend != "rclpy":
         limit = f"The backend {backend} does not publish /clock."
-        raise InputError("clock", clock, limit, "Use rclpy, or leave the option out.")
+        raise InputError("clock", clock, limit, "Use rclpy, or remove the option.")
 
 
 def _registered_sink(backend: str, options: Options, **how: Any) -> LiveSink:
-    """Create a sink that a package registers; raise InputError if it is not a sink."""
+    """Create a sink that a package registers; raise InputError if the object is not a sink."""
     remedy = f"Correct or remove the package that registers it, or use {', '.join(OWN)}."
     try:
         sink = load_plugin("sinks", backend)(options, **how)
     except InputError:
         raise
     except Exception as error:
-        # Whatever exception foreign code raises: the user can only correct or remove the package.
+        # Foreign code may raise any exception. The user can only correct or remove the package.
         limit = f"the sink registered under this name cannot be created ({error})."
         raise InputError("backend", backend, limit, remedy) from error
     needed = ("__enter__", "__exit__", "write", "monotonic", "listen", "show", "audience")

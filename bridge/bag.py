@@ -1,7 +1,7 @@
 """Turn an MCAP file into a ROS 2 bag: add quality of service to channels, and write metadata.yaml.
 
-A bag is a folder `<name>/` with `<name>_0.mcap` and a metadata.yaml of format version 9 (ROS 2
-Jazzy), or the .mcap file alone, which Jazzy opens as well.
+A bag is a folder `<name>/` that contains `<name>_0.mcap` and a metadata.yaml of format version 9
+(ROS 2 Jazzy). A bag can also be the .mcap file alone, which Jazzy opens as well.
 """
 
 from __future__ import annotations
@@ -25,15 +25,18 @@ if TYPE_CHECKING:
 
 SUFFIX = ".mcap"
 PART = ".part"
-"""Ending of a single file that is being written."""
+"""Suffix of a single file while it is being written."""
 SQLITE = ".db3"
 METADATA = "metadata.yaml"
 PROFILE = "ros2"
 ENCODING = "cdr"
 RECORD = "phy124"
-"""Name of the MCAP metadata record with scene, report and settings of the stream."""
+"""Name of the MCAP metadata record that contains the scene, the report and the settings of the
+stream."""
 OWN_RECORD = "rosbag2"
-"""Name of the metadata record in which rosbag2 stores its metadata and the ROS distribution."""
+"""Name of the MCAP metadata record in which rosbag2 stores its metadata and the ROS
+distribution.
+"""
 FOREVER = "\n    sec: 9223372036\n    nsec: 854775807"
 
 
@@ -43,26 +46,26 @@ class Counts:
 
     topics: dict[str, Topic] = field(default_factory=dict)
     messages: dict[str, int] = field(default_factory=dict)
-    """Topic name -> number of messages."""
+    """Number of messages by topic name."""
     start: int | None = None
     end: int = 0
-    """Times of the earliest and latest message [ns since 1970]."""
+    """Times of the earliest and the latest message [ns since 1970]."""
 
     def announce(self, topics: list[Topic]) -> None:
-        """Add topics, initially without messages."""
+        """Add topics, which have no messages yet."""
         for topic in topics:
             self.topics[topic.name] = topic
             self.messages[topic.name] = 0
 
     def add(self, topic: Topic, stamp: int) -> None:
-        """Count a message of an announced topic; `stamp` in ns since 1970."""
+        """Count a message of a topic that was added; `stamp` is in ns since 1970."""
         self.messages[topic.name] += 1
         self.start = stamp if self.start is None else min(self.start, stamp)
         self.end = max(self.end, stamp)
 
 
 def mcap_file(bag: Path) -> Path:
-    """Return the .mcap file of a new bag: the path itself, or a file in the path's folder."""
+    """Return the .mcap file of a new bag: the path itself, or a file in the folder at this path."""
     return bag if bag.suffix == SUFFIX else bag / f"{bag.name}_0{SUFFIX}"
 
 
@@ -73,7 +76,7 @@ def recorded_files(path: Path) -> list[Path]:
     A bag that was renamed keeps the names of its files, and a split bag has several files.
 
     Raises:
-        InputError: The recording is a bag of sqlite3, or there is no recording.
+        InputError: The recording is a bag in sqlite3 format, or there is no recording.
     """
     if path.suffix == SQLITE or any(path.glob(f"*{SQLITE}")):
         limit = "It is a bag in sqlite3 format, but only MCAP is supported."
@@ -94,7 +97,7 @@ def recorded_files(path: Path) -> list[Path]:
 
 
 def _listed_files(bag: Path) -> list[Path]:
-    """Return the `relative_file_paths` of metadata.yaml."""
+    """Return the list `relative_file_paths` of metadata.yaml."""
     text = (bag / METADATA).read_text("utf-8") if (bag / METADATA).is_file() else ""
     found = re.search(r"^ *relative_file_paths:\n((?: *- .*\n)+)", text, re.MULTILINE)
     names = re.findall(r"- [\"']?(.+?)[\"']?$", found[1], re.MULTILINE) if found else []
@@ -102,7 +105,7 @@ def _listed_files(bag: Path) -> list[Path]:
 
 
 def register(writer: Writer, topic: Topic) -> int:
-    """Announce a topic in an MCAP file; return its channel id."""
+    """Announce a topic in an MCAP file; return the id of its channel."""
     schema = writer.register_schema(topic.type, "ros2msg", messages.definition(topic.type).encode())
     about = {
         "offered_qos_profiles": _qos(topic, numbers=True),
@@ -112,7 +115,7 @@ def register(writer: Writer, topic: Topic) -> int:
 
 
 def write_metadata(folder: Path, file: str, counts: Counts) -> None:
-    """Write metadata.yaml atomically; this file makes the folder a bag."""
+    """Write metadata.yaml atomically; this file turns the folder into a bag."""
     with replacing(folder / METADATA) as temporary, temporary.open("w", encoding="utf-8") as stream:
         stream.write(metadata_yaml(file, counts))
         stream.flush()
@@ -160,7 +163,7 @@ def _topic_entry(topic: Topic, count: int) -> str:
 
 
 def _qos(topic: Topic, *, numbers: bool) -> str:
-    """Return a YAML list of one profile, in numbers for channels or in words for metadata.yaml."""
+    """Return a YAML list with one QoS profile, in numbers (channels) or words (metadata.yaml)."""
     form = 0 if numbers else 1
     reliability = (1, "reliable") if topic.reliable else (2, "best_effort")
     durability = (1, "transient_local") if topic.transient_local else (2, "volatile")

@@ -1,7 +1,7 @@
 """Encode the pictures of cameras: images, calibration and transforms, in ROS's conventions.
 
-The optical frame of a camera is that of REP-103 and of phy124: x right, y down, z forward. In ROS,
-as in OpenCV, the centre of the first pixel is (0, 0); in phy124 it is (0.5, 0.5). The principal
+A camera's optical frame is defined as in REP-103 and in phy124: x right, y down, z forward. In ROS,
+as in OpenCV, the centre of the first pixel is (0, 0). In phy124 it is (0.5, 0.5). The principal
 point in a CameraInfo is therefore smaller by half a pixel.
 """
 
@@ -25,7 +25,7 @@ CHANNELS = {
     "mask": ("mono8", "u1"),
     "flow": ("32FC2", "<f4"),
 }
-"""Image -> encoding of `sensor_msgs/msg/Image`, and NumPy type of its numbers."""
+"""Encoding in `sensor_msgs/msg/Image`, and NumPy type of the values, for each kind of image."""
 
 
 def optical_frame(options: Options, name: str) -> str:
@@ -48,8 +48,8 @@ def transform_of(picture: Picture, options: Options, stamp: int) -> dict[str, An
 
     Args:
         picture: The camera's picture.
-        options: Names of the frames.
-        stamp: Time [ns since 1970].
+        options: Names of the coordinate frames.
+        stamp: Time of the message [ns since 1970].
     """
     w, x, y, z = quaternions(picture.camera.view[None, :3, :3].transpose(0, 2, 1))[0].tolist()
     return {
@@ -60,12 +60,12 @@ def transform_of(picture: Picture, options: Options, stamp: int) -> dict[str, An
 
 
 def encode_picture(picture: Picture, options: Options, stamp: int) -> list[Message]:
-    """Return a camera's messages in a frame, without the camera's transform.
+    """Return the messages of a camera for a frame, without the camera's transform.
 
     Args:
         picture: The camera's picture.
-        options: Images that are sent, and names of the frames.
-        stamp: Time [ns since 1970].
+        options: Kinds of images to send, and names of the coordinate frames.
+        stamp: Time of the messages [ns since 1970].
     """
     frame = optical_frame(options, picture.name)
     header = {"stamp": cdr.time(stamp), "frame_id": frame}

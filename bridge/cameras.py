@@ -1,8 +1,8 @@
 """Renders the pictures of the cameras of a clip or a running simulation, for `camera_messages`.
 
-The pictures are those of `phy124 render`: same places, size, stage and gloss. In a running
-simulation, whose later frames are unknown, cameras stand at `view.distance` from the object at
-rest, before the plain background.
+The pictures are those of `phy124 render`: they have the same camera positions, size, stage and
+gloss. In a running simulation, the later frames are unknown. The cameras therefore stand at
+`view.distance` from the object at rest, and the background is plain.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ if TYPE_CHECKING:
     from phy124.scene import Scene, View
 
 QUALITY = 90
-"""Quality of a JPEG, 0 to 100."""
+"""Quality of JPEG pictures, from 0 to 100."""
 
 
 class Picture(NamedTuple):
     """The pictures of one camera in a frame."""
 
     name: str
-    """Name of the camera in topics and frames."""
+    """Name of the camera in the names of topics and coordinate frames."""
     camera: Camera
     fixed: bool
-    """Whether the camera stands still in all frames."""
+    """Whether the camera has the same position in all frames."""
     images: Mapping[str, Any]
-    """rgb uint8 [H,W,3], depth float32 [H,W] m (NaN where nothing is seen), mask uint8 [H,W],
-    flow float32 [H,W,2] px since the previous frame, jpeg and h264 bytes."""
+    """Pictures by kind: rgb uint8 [H,W,3], depth float32 [H,W] m (NaN where nothing is seen), mask
+    uint8 [H,W], flow float32 [H,W,2] px since the previous frame, jpeg and h264 bytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,8 @@ class Cameras:
         """Choose the cameras.
 
         Args:
-            options: Names the cameras and their images.
-            scene: The resolved scene as plain data.
+            options: Names of the cameras, and kinds of their images.
+            scene: The complete scene as plain data.
             clip: The clip that is shown; None for a running simulation.
 
         Raises:
@@ -76,7 +76,7 @@ class Cameras:
             return
         import warp
 
-        # This hides Warp's messages during compilation.
+        # This hides the messages that Warp prints during compilation.
         warp.config.log_level = warp.LOG_ERROR
         from phy124.io.video import refuse_missing_encoder
         from phy124.scene import Scene
@@ -96,7 +96,7 @@ class Cameras:
         self._stack.close()
 
     def look(self, frame: Frame) -> Frame:
-        """Return the frame with the pictures of all cameras.
+        """Return the frame together with the pictures of all cameras.
 
         Raises:
             InputError: The view cannot be rendered.
@@ -147,7 +147,8 @@ class Cameras:
                 place.video = self._stack.enter_context(video)
             self._places.append(place)
         count = min(cores(), len(self._draws) * len(self._places))
-        # Warp cannot load kernels from several threads at once: this renderer loads them.
+        # Warp cannot load kernels from several threads at once. Therefore this renderer loads them
+        # first.
         first = Renderer(device=device, filter=view.filter)
         count = 1 if first.device.is_cuda else count
         self._renderers: SimpleQueue[Renderer] = SimpleQueue()
@@ -160,7 +161,7 @@ class Cameras:
         self._pool = self._stack.enter_context(pool)
 
     def _draw_colours(self, place: _Place, frame: Frame) -> dict[str, Any]:
-        """Draw the picture of a camera, and compress it."""
+        """Draw the picture of a camera, and compress the picture."""
         camera = place.at(frame.index)
         # The stage of a running simulation is the same in all frames.
         stage = self._stage and self._stage.at(frame if self._clip else replace(frame, index=0))
@@ -175,7 +176,7 @@ class Cameras:
         return images
 
     def _draw_values(self, place: _Place, frame: Frame) -> dict[str, Any]:
-        """Draw depth, mask and flow of a camera."""
+        """Draw the depth, the mask and the optical flow of a camera."""
         from phy124.rendering.outputs import flow, means_seen
 
         camera, means = place.at(frame.index), frame.gaussians.means
@@ -208,12 +209,12 @@ class _Place:
 
     name: str
     path: list[Camera]
-    """The camera in each frame of the scene's length."""
+    """The camera in each frame of the clip, whose length the scene defines."""
     circles: bool
-    """Whether the camera repeats its path; otherwise it stays at the path's end."""
+    """Whether the camera repeats its path. If not, it stays at the end of the path."""
     video: H264Encoder | None = None
     before: tuple[Frame, Camera] | None = None
-    """The previous frame, and the camera in it."""
+    """The previous frame, and the camera in that frame."""
 
     @cached_property
     def fixed(self) -> bool:
@@ -225,10 +226,10 @@ class _Place:
 
 
 def choose_view(options: Options, scene: Scene) -> View:
-    """Return the scene's view with the chosen cameras.
+    """Return the scene's view with only the chosen cameras.
 
     Raises:
-        InputError: There is no such camera, or the size cannot be used.
+        InputError: There is no such camera, or the picture size cannot be used.
     """
     from phy124.scene.files import read_cameras
 
@@ -251,7 +252,7 @@ def choose_view(options: Options, scene: Scene) -> View:
 
 
 def compress(rgb: NDArray[np.uint8]) -> bytes:
-    """Return the JPEG of a picture [H,W,3]."""
+    """Return a picture [H,W,3] as JPEG."""
     import cv2
 
     done, data = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])

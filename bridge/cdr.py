@@ -1,9 +1,9 @@
 """CDR: the bytes of ROS 2 messages, little-endian XCDR version 1 (OMG DDS-XTypes 1.3, 7.4.1).
 
 All outlets share this encoder, which uses the definitions in `messages`. A message is a mapping
-from member names to values; missing members are zero, empty or false, as in ROS. A message whose
-members all have the same primitive type (points, quaternions, colours) may also be a plain
-sequence.
+from member names to values. Missing members are zero, empty or false, as in ROS. If all members of
+a message have the same primitive type (points, quaternions, colours), the message may also be a
+plain sequence.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ PRIMITIVES = {
     "float32": "f",
     "float64": "d",
 }
-"""ROS primitive -> `struct` code."""
+"""Code of the module `struct` for each ROS primitive."""
 NANO = 1_000_000_000
 
 
 def encode(name: str, message: Mapping[str, Any]) -> bytes:
-    """Return the CDR payload of a message of type `package/msg/Name`, encapsulation included.
+    """Return the CDR payload of a message of type `package/msg/Name`, including the CDR header.
 
-    Large `uint8[]` members may be bytes, a memoryview or a contiguous array; they are copied only
+    A large `uint8[]` member may be bytes, a memoryview or a contiguous array. It is copied only
     once.
 
     Raises:
-        KeyError: The type has no such member.
+        KeyError: The type has no member of this name.
         struct.error: A number is out of range.
         ValueError: An array has the wrong length.
     """
@@ -60,9 +60,7 @@ def time(nanoseconds: int) -> dict[str, int]:
 
 
 class _Body:
-    """The payload so far, as a list of parts, so that bulk data is copied only once, when the parts
-    are joined.
-    """
+    """The payload so far, as a list of parts; bulk data is copied once, when they are joined."""
 
     def __init__(self) -> None:
         self.parts: list[Any] = []
@@ -132,7 +130,7 @@ def _member(member: Field) -> Encoder:
 
 
 def _numbers(member: Field) -> Encoder:
-    """Return the encoder of a sequence or array of primitives; it copies them in one piece."""
+    """Return the encoder of a sequence or array of primitives; it copies all primitives at once."""
     dtype = np.dtype("<" + PRIMITIVES[member.base])
 
     def encode_numbers(body: _Body, value: Any) -> None:
@@ -175,7 +173,7 @@ def _zero(member: Field) -> Any:
 
 
 def _flat(name: str) -> list[str]:
-    """Return the primitives of a message in wire order; empty if it contains anything else."""
+    """Return the primitives of a message in wire order; empty if it has members of other types."""
     primitives: list[str] = []
     for member in fields(name):
         inner = [member.base] if member.base in PRIMITIVES else []

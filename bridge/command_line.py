@@ -38,16 +38,17 @@ def _command(arguments: list[str], description: str | None) -> Any:
         return command
     if not isinstance(command, (Play, Steer)):
         limit = "Only `play` and `live` take arguments for ROS 2."
-        raise InputError("--ros-args", " ".join(ros[1:]), limit, "Leave them out.")
+        raise InputError("--ros-args", " ".join(ros[1:]), limit, "Remove them.")
     return replace(command, ros_args=tuple(ros))
 
 
 def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """Separate the arguments from `--ros-args` up to `--` or the end; return first the other
-    arguments, then these.
+    """Separate ROS arguments (from `--ros-args` up to `--` or the end) from the other arguments.
 
-    A `--` that does not close `--ros-args` ends the options: after it, `--ros-args` is an ordinary
-    word.
+    Return the other arguments first, then the ROS arguments.
+
+    A `--` that does not close `--ros-args` ends the options. After such a `--`, `--ros-args` is an
+    ordinary word.
     """
     program: list[str] = []
     ros: list[str] = []
@@ -79,5 +80,5 @@ def _say(line: str) -> None:
 
 
 def _note(message: Warning | str, *_: object) -> None:
-    """Log a warning as one line, without the source line that caused it."""
+    """Log a warning as one line, without the line of source code that caused the warning."""
     logging.getLogger(__name__).warning(str(message))

@@ -37,7 +37,7 @@ STOPPED_EARLY = 3
 """Exit status of a simulation that stopped early and whose valid frames were saved."""
 log = logging.getLogger(__name__)
 Say = Callable[[str], None]
-"""Prints a line of results; problems go to the log."""
+"""Prints the results, one per line; problems go to the log."""
 Messages = Annotated[Options, tyro.conf.arg(name="")]
 Backend = Annotated[
     str,
@@ -56,12 +56,13 @@ class Record:
     source: tyro.conf.Positional[Path]
     """A clip.safetensors; with --live a picture or a file of Gaussians."""
     output: tyro.conf.Positional[Path | None] = None
-    """Bag folder, or a file if it ends in .mcap; default: SOURCE-bag, without SOURCE's suffix."""
+    """Bag folder, or a file if the path ends in .mcap; default: SOURCE-bag, without SOURCE's
+    suffix."""
     messages: Messages = field(default_factory=Options)
     compression: Compression = "none"
-    """Compression of the chunks; it hardly reduces the size of recordings with moving Gaussians."""
+    """Compression of the chunks. It hardly reduces the size of recordings with moving Gaussians."""
     overwrite: bool = False
-    """Replace an older recording."""
+    """Replace an existing recording."""
     simulated: Simulated = field(default_factory=LiveOptions)
 
     def run(self, say: Say) -> int:
@@ -69,7 +70,7 @@ class Record:
         self.simulated.check()
         if self.simulated.live:
             run = LiveRun(self.source, self.simulated)
-            self._sink().check()  # before the object is made
+            self._sink().check()  # this check precedes the computation of the object
             run.prepare()
             scene = run.scene.data()
             with Cameras(self.messages, scene) as cameras:
@@ -96,7 +97,7 @@ class Record:
         say(f"{sink.frames} frames in {sink.path}")
 
     def _sink(self, **about: Any) -> McapSink:
-        """Create the sink of a recording, with metadata."""
+        """Create the sink of a recording, which stores metadata, too."""
         return McapSink(
             self.output or self.source.with_name(f"{self.source.stem}-bag"),
             self.messages,
@@ -114,13 +115,13 @@ class Play:
     """A clip.safetensors; with --live a picture or a file of Gaussians."""
     backend: Backend = "auto"
     """rclpy (needs ROS 2), dds (ROS 2 topics without ROS 2), foxglove, or the name of a sink that a
-    package registers; auto: rclpy, otherwise dds."""
+    package registers. auto uses rclpy if ROS 2 is installed, otherwise dds."""
     speed: float = 1.0
-    """Clip seconds per real second."""
+    """Playback speed: seconds of the clip per real second."""
     rate: float | None = None
-    """Largest number of frames per second; absent: every frame."""
+    """Largest number of frames per second; by default, every frame is sent."""
     loop: bool = False
-    """Start again after the last frame; time stamps continue to grow."""
+    """Start again after the last frame. The time stamps continue to increase."""
     paused: bool = False
     """Show the first frame, then wait for the command `play`."""
     stay: bool = False
@@ -128,9 +129,9 @@ class Play:
     record: Path | None = None
     """Also record the frames that are shown, to this bag folder or .mcap file."""
     overwrite: bool = False
-    """With --record: replace an older recording."""
+    """With --record: replace an existing recording."""
     network: bool = False
-    """Also reach other machines; by default only this machine is reached."""
+    """Also reach other machines; by default, only programs on this machine are reached."""
     clock: bool = False
     """For rclpy: publish /clock for nodes with use_sim_time."""
     port: int = PORT
@@ -166,7 +167,7 @@ class Play:
         asked = [name for name in ("loop", "rate", "paused", "stay") if getattr(self, name)]
         if asked:
             limit = "A running simulation has no such option."
-            raise InputError(asked[0], getattr(self, asked[0]), limit, "Leave it out.")
+            raise InputError(asked[0], getattr(self, asked[0]), limit, "Remove it.")
         run = LiveRun(self.source, self.simulated)
         if self.record:
             McapSink(self.record, self.messages, overwrite=self.overwrite).check()
@@ -185,8 +186,9 @@ class Play:
     def _outlets(
         self, say: Say, duration: float | None, **about: Any
     ) -> Iterator[tuple[LiveSink, list[Sink]]]:
-        """Open the live sink and the recordings within this context; a recording stores the
-        metadata `about`.
+        """Open the live sink and the recordings within this context.
+
+        Each recording stores the metadata `about`.
         """
         backend = choose(self.backend)
         with ExitStack() as stack:
@@ -215,31 +217,32 @@ class Steer:
     """
 
     source: tyro.conf.Positional[Path]
-    """A picture, a file of Gaussians, or a clip.safetensors, whose object starts at rest."""
+    """A picture, a file of Gaussians, or a clip.safetensors. The object starts at rest."""
     backend: Backend = "auto"
-    """rclpy (needs ROS 2), dds (ROS 2 topics without ROS 2) or foxglove; auto: rclpy, otherwise
-    dds."""
+    """rclpy (needs ROS 2), dds (ROS 2 topics without ROS 2) or foxglove. auto uses rclpy if ROS 2
+    is installed, otherwise dds."""
     speed: float = 1.0
-    """Simulated seconds per real second; lower if the machine is too slow."""
+    """Simulated seconds per real second. The value is lower if the machine is too slow."""
     paused: bool = False
     """Show the object at rest until a command plays or steps the simulation."""
     push_seconds: float = 0.1
-    """Duration of a wrench on ~/push, unless a new wrench replaces it [s]."""
+    """Time for which a wrench on ~/push acts, unless a new wrench replaces it [s]."""
     grab_seconds: float = GRAB_SECONDS
     """Simulated time after which a grab ends, unless a new message on ~/grab moves it [s]."""
     oldest_stamp: float = OLDEST_STAMP
-    """Largest age of a message on ~/push and ~/grab by its time stamp [s]; a stamp of 0 means
-    now."""
+    """Largest age of a message on ~/push and ~/grab, determined from its time stamp [s]. A stamp of
+    0 means now."""
     frames: int | None = None
-    """Number of frames after which the simulation ends; default: no limit."""
+    """Number of frames after which the simulation ends; by default, there is no limit."""
     session: Path | None = None
-    """File for the session at the end: a scene that `phy124 generate --scene` repeats."""
+    """File for the session, written at the end. It is a scene that `phy124 generate --scene`
+    repeats."""
     record: Path | None = None
     """Also record the frames to this bag folder or .mcap file."""
     overwrite: bool = False
-    """With --record: replace an older recording."""
+    """With --record: replace an existing recording."""
     network: bool = False
-    """Also reach other machines; by default only this machine is reached."""
+    """Also reach other machines; by default, only programs on this machine are reached."""
     port: int = PORT
     """For Foxglove: port of the websocket."""
     messages: Messages = field(default_factory=Options)
@@ -263,14 +266,16 @@ class Steer:
         checked_duration("oldest_stamp", self.oldest_stamp)
         if self.frames is not None and self.frames < 1:
             limit = "it must be at least 1."
-            raise InputError("frames", self.frames, limit, "Leave the option out for no limit.")
+            raise InputError("frames", self.frames, limit, "Remove the option for no limit.")
         if self.session is not None:
             refuse_unwritable(self.session)
         backend = choose(self.backend)
         messages = self.messages
         if self.record is not None:
             McapSink(self.record, messages, overwrite=self.overwrite).check()
-        recorded = self.record is not None and messages.profile is None  # in the profile `full`
+        recorded = (
+            self.record is not None and messages.profile is None
+        )  # these exist only in the profile `full`
         velocities = messages.profile == "full" or recorded
         try:
             live, accuracy = make_live(
@@ -302,7 +307,7 @@ class Steer:
                     controls=offered,
                 )
                 sink = stack.enter_context(sink)
-                # Time stamps count from now, after the start of the backend.
+                # Time stamps count from this moment, after the start of the backend.
                 messages = messages.model_copy(update={"epoch": sink.start})
                 records = self._records(stack, messages, live, offered.published)
                 say(f"Publishing through {backend}. {sink.audience()}".rstrip())
@@ -347,7 +352,7 @@ class Recover:
     path: tyro.conf.Positional[Path]
     """The bag folder or the .mcap file."""
     output: Path | None = None
-    """File for the repaired copy; the damaged recording then stays unchanged."""
+    """File for the repaired copy. The damaged recording then remains unchanged."""
 
     def run(self, say: Say) -> int:
         """Repair the recording; print how many frames were recovered."""
@@ -359,7 +364,7 @@ class Recover:
 
 @dataclass(frozen=True)
 class Doctor:
-    """List the outlets that work on this machine, and the requirements of the others."""
+    """List the outlets that work on this machine, and what the other outlets require."""
 
     def run(self, say: Say) -> int:
         """Print the list."""
@@ -376,7 +381,7 @@ COMMANDS = {
     "recover": Recover,
     "doctor": Doctor,
 }
-"""Name of a command -> its class."""
+"""Classes of the commands, by the name of the command."""
 
 
 def _status(run: LiveRun | SteeredRun) -> int:

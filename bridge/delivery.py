@@ -1,7 +1,7 @@
 """Send frames no faster than subscribers acknowledge them, and wait for the last frames.
 
-Writers keep the last few frames. A subscriber loses a frame if a newer frame displaces it before
-the subscriber has acknowledged it, or if the publisher ends before that.
+Writers keep the last few frames. A subscriber loses a frame if a newer frame displaces the frame
+before the subscriber has acknowledged it. A frame is also lost if the publisher ends before that.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable
 LONGEST_WAIT = 1.0
 """Longest time that a frame waits before it displaces an unacknowledged frame [s]."""
 FAREWELL = 2.0
-"""Longest time that an ending publisher waits for acknowledgements of the last frames [s]."""
+"""Longest time that a publisher waits at its end until the last frames are acknowledged [s]."""
 STEP = 0.02
-"""Longest wait between two updates of the clock [s]; Ctrl-C is noticed after this wait, too."""
+"""Longest wait between two updates of the clock [s]. Ctrl-C is noticed only after such a wait."""
 IN_BUFFERS = 1 << 20
 """Amount of unacknowledged data that is assumed to have arrived [bytes]. Acknowledgements may take
 100 ms (Cyclone's heartbeat), and this amount fits into the default buffers of a subscriber."""
@@ -26,7 +26,7 @@ def wait_for_topics(acknowledged: Callable[[str, float], bool], topics: Iterable
     """Wait for up to `FAREWELL` in total until the last messages of all topics have arrived.
 
     Args:
-        acknowledged: Waits for a topic for up to this number of seconds.
+        acknowledged: Function that waits up to this number of seconds for the messages of a topic.
         topics: Names of the topics.
     """
     until = time.monotonic() + FAREWELL
@@ -45,26 +45,27 @@ class Delivery:
         *,
         patient: bool = True,
     ) -> None:
-        """Prepare the count; no frame has been sent yet.
+        """Prepare the count, while no frame has been sent yet.
 
         Args:
-            acknowledged: Waits for up to this number of seconds; returns whether all frames are
-                acknowledged, which is true without reliable subscribers.
+            acknowledged: Function that waits up to this number of seconds and returns whether all
+                frames are acknowledged. It returns true if there are no reliable subscribers.
             depth: Number of frames that the writer keeps.
-            meanwhile: Called repeatedly while waiting.
-            patient: Whether a frame waits before it displaces another one.
+            meanwhile: Function that is called repeatedly while waiting.
+            patient: Whether a frame waits before it displaces another frame.
         """
         self.lost = 0
         """Number of frames that at least one subscriber may not have received."""
         self._acknowledged, self._depth, self._meanwhile = acknowledged, depth, meanwhile
-        # Frames, bytes and counted losses since the last time that all were acknowledged.
+        # These count frames, bytes and losses since the last time that all frames were
+        # acknowledged.
         self._open = self._bytes = self._missed = 0
         self._patient, self._stuck = patient, not patient
 
     def before_frame(self, size: int) -> None:
-        """Wait if the frame would displace an unacknowledged frame.
+        """Wait if the new frame would displace an unacknowledged frame.
 
-        A subscriber that hangs delays only one frame.
+        A subscriber that no longer answers delays only one frame.
 
         Args:
             size: Size of the frame [bytes].
@@ -81,7 +82,7 @@ class Delivery:
         self._bytes += size
 
     def farewell(self) -> None:
-        """Wait for up to `FAREWELL` until the last frames have arrived; log missing frames."""
+        """Wait up to `FAREWELL` until the last frames have arrived; log how many are missing."""
         if not self._open or self._within(FAREWELL):
             return
         missing = self._open - self._missed
@@ -94,7 +95,7 @@ class Delivery:
         )
 
     def _within(self, seconds: float) -> bool:
-        """Wait for up to `seconds`; return whether all frames are acknowledged."""
+        """Wait up to `seconds`; return whether all frames are acknowledged."""
         until = time.monotonic() + seconds
         while not self._acknowledged(min(seconds, STEP)):
             if time.monotonic() >= until:

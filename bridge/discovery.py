@@ -3,7 +3,8 @@
 ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_STATIC_PEERS and ROS_DOMAIN_ID have the same meaning as for a ROS
 2 node ("improved dynamic discovery", ROS 2 Iron and later). In the range SUBNET the publisher is
 stricter than a node: without `network` it does not reach other machines. The older
-ROS_LOCALHOST_ONLY is honoured with a warning, as by nodes of Jazzy and Kilted; Lyrical removed it.
+ROS_LOCALHOST_ONLY is used with a warning, as nodes of Jazzy and Kilted do. Lyrical removed this
+variable.
 """
 
 from __future__ import annotations
@@ -26,17 +27,18 @@ RANGE, PEERS, LOCALHOST_ONLY, DOMAIN = (
     "ROS_DOMAIN_ID",
 )
 URI = "CYCLONEDDS_URI"
-"""Variable with Cyclone's settings: XML, or the address of a file."""
+"""Environment variable with the settings of Cyclone DDS: XML text, or the address of a file."""
 LAST_DOMAIN = 232
-"""Largest DDS domain number, limited by the range of port numbers."""
-# Only `max`: with `min`, the publisher would not start on hosts with a small rmem_max.
-# A heartbeat requests acknowledgements; the default interval of 100 ms is too long for 30 Hz.
+"""Largest DDS domain number. It follows from the range of port numbers."""
+# Only `max` is set: with `min`, the publisher would not start on hosts with a small rmem_max. A
+# heartbeat requests acknowledgements, and its default interval of 100 ms is too long for 30 Hz.
 BUFFERS = (
     '<Internal><SocketReceiveBufferSize max="4MB"/>'
     "<HeartbeatInterval>10 ms</HeartbeatInterval></Internal>"
 )
 # Cyclone DDS 11 rejects type objects of Fast DDS (vendor 1.15), and then does not connect with it.
-# Without them types are matched by name. Cyclone DDS 0.10, that of Jazzy, lacks this setting.
+# Without type objects, types are matched by name. Cyclone DDS 0.10, which Jazzy uses, lacks this
+# setting.
 FAST_DDS = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
 LOOPBACK = '<NetworkInterface address="127.0.0.1" multicast="false"/>'
 # ROS 2 nodes announce themselves on the default interface, and may not listen on loopback.
@@ -45,7 +47,8 @@ ON_THIS_MACHINE = (
     "<AllowMulticast>spdp</AllowMulticast><MulticastTimeToLive>0</MulticastTimeToLive>"
 )
 NO_MULTICAST = "<AllowMulticast>false</AllowMulticast>"
-# As in rmw_cyclonedds_cpp; the index limits the number of processes that can find each other.
+# The value is that of rmw_cyclonedds_cpp. The index limits the number of processes that can find
+# each other.
 INDEX = (
     "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
 )
@@ -54,14 +57,14 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Discovery:
-    """Where a publisher looks for other participants."""
+    """The machines on which a publisher looks for other participants."""
 
     range: Range = "SUBNET"
     peers: tuple[str, ...] = ()
-    """Other machines to look for, by name or address."""
+    """Other machines on which to look for participants, by name or address."""
     domain: int = 0
     network: bool = False
-    """With SUBNET: also reach other machines."""
+    """Whether to reach other machines in the range SUBNET."""
 
     @classmethod
     def from_environment(cls, *, network: bool = False) -> Discovery:
@@ -78,7 +81,7 @@ class Discovery:
             reach, peers = "LOCALHOST", ()
         if network and reach in ("LOCALHOST", "OFF"):
             limit = f"The environment restricts discovery to this machine (range {reach})."
-            remedy = f"`unset {LOCALHOST_ONLY}` and `export {RANGE}=SUBNET`, or leave network out."
+            remedy = f"`unset {LOCALHOST_ONLY}` and `export {RANGE}=SUBNET`, or remove network."
             raise InputError("network", network, limit, remedy)
         if peers and reach in ("OFF", "SYSTEM_DEFAULT"):
             log.warning("%s is ignored in the range %s.", PEERS, reach)
@@ -90,7 +93,7 @@ class Discovery:
         if self.range == "SYSTEM_DEFAULT":
             return (_xml(FAST_DDS),)
         if self.range == "OFF":
-            # With a unique tag, no participant of another process answers.
+            # The tag is unique, so no participant of another process answers.
             alone = f"<ParticipantIndex>none</ParticipantIndex><Tag>phy124_{os.getpid()}</Tag>"
             return (_xml(self._general(NO_MULTICAST) + self._discovery(alone) + FAST_DDS),)
         if self.network:
@@ -103,7 +106,7 @@ class Discovery:
         )
 
     def audience(self) -> str:
-        """Describe in a line who receives the frames, and the settings that receivers need."""
+        """Describe in a line who receives the frames, and which settings the receivers need."""
         who = {
             "SUBNET": "nodes on this machine and network"
             if self.network
@@ -117,7 +120,7 @@ class Discovery:
         return f"Discovery range {self.range}, domain {self.domain}: visible to {who}{also}{need}."
 
     def export(self) -> str:
-        """Return the shell command for the receiving machine."""
+        """Return the shell command to run on the receiving machine."""
         return f"export {DOMAIN}={self.domain} {RANGE}={self.range}"
 
     def _general(self, inner: str) -> str:
@@ -129,7 +132,7 @@ class Discovery:
 
 
 def domain_id() -> int:
-    """Return the domain number in ROS_DOMAIN_ID, or 0.
+    """Return the domain number in ROS_DOMAIN_ID; 0 if the variable is not set.
 
     Raises:
         InputError: The variable is not a domain number.
@@ -158,9 +161,9 @@ def _peers() -> tuple[str, ...]:
 
 @contextmanager
 def tuned_cyclone() -> Iterator[None]:
-    """Within this context, domains of Cyclone DDS that rclpy creates get the settings `BUFFERS`.
+    """Apply the settings `BUFFERS` to domains of Cyclone DDS that rclpy creates in this context.
 
-    A user's CYCLONEDDS_URI takes precedence. Other middlewares ignore the variable.
+    If the user has set CYCLONEDDS_URI, it takes precedence. Other middlewares ignore the variable.
     """
     if URI in os.environ:
         yield

@@ -39,17 +39,17 @@ class FrameEncoder:
 
     @cached_property
     def start(self) -> float:
-        """Time of the clip's start [s since 1970]; by default the time of the first use."""
+        """Time at which the clip starts [s since 1970]; by default, the time of the first use."""
         return time.time() if self.options.epoch is None else self.options.epoch
 
     @property
     def epoch(self) -> int:
-        """Time of the clip's start [ns since 1970]."""
+        """Time at which the clip starts [ns since 1970]."""
         return round(self.start * cdr.NANO)
 
     @property
     def topics(self) -> list[Topic]:
-        """Topics that will be published, the static transform first."""
+        """Topics that will be published, with the static transform first."""
         cameras = list_topics(self.options)
         static = [TF_STATIC] if self.options.parent_frame or cameras else []
         markers = [ELLIPSOIDS] if self.options.ellipsoids else []
@@ -58,22 +58,22 @@ class FrameEncoder:
 
     @property
     def main(self) -> Topic:
-        """Topic with the Gaussians of every frame."""
+        """Topic on which the Gaussians of every frame are published."""
         return SPLATS if self._profile == "splats" else POINTS
 
     def stamp(self, seconds: float) -> int:
-        """Return the time stamp [ns since 1970] of a time in the clip [s]."""
+        """Return the time stamp [ns since 1970] that belongs to a time in the clip [s]."""
         return self.epoch + round(seconds * cdr.NANO)
 
     def limit(self, points: int | None) -> None:
-        """Limit the points per frame from now on; None removes the limit."""
+        """Limit the number of points per frame from now on; None removes the limit."""
         self.options = self.options.model_copy(update={"max_points": points})
 
     def static(self) -> list[Message]:
-        """Return the static transforms: the world's, and those of all fixed cameras seen so far.
+        """Return the static transforms: those of the world and of all fixed cameras used so far.
 
-        Static transforms are sent before all frames; all of them are sent again when a camera is
-        added.
+        Static transforms are sent before all frames. When a camera is added, all of them are sent
+        again.
         """
         world = {
             "header": {"stamp": cdr.time(self.epoch), "frame_id": self.options.parent_frame},
@@ -87,7 +87,7 @@ class FrameEncoder:
         return [_message(TF_STATIC, self.epoch, {"transforms": links})] if links else []
 
     def encode(self, frame: Frame) -> list[Message]:
-        """Return the messages of a frame; the frame's time counts from the epoch."""
+        """Return the messages of a frame, whose time counts from the epoch (the clip's start)."""
         stamp = self.stamp(frame.time)
         header = {"stamp": cdr.time(stamp), "frame_id": self.options.frame_id}
         shown = self._thin(frame)
@@ -100,7 +100,7 @@ class FrameEncoder:
         return messages + self._pictures(frame, stamp)
 
     def _pictures(self, frame: Frame, stamp: int) -> list[Message]:
-        """Return the messages of the frame's cameras, their transforms first."""
+        """Return the messages of the frame's cameras, with the cameras' transforms first."""
         pictures = frame.pictures if isinstance(frame, SeenFrame) else ()
         links = {p.name: transform_of(p, self.options, stamp) for p in pictures if not p.fixed}
         messages = [_message(TF, stamp, {"transforms": [*links.values()]})] if links else []

@@ -33,20 +33,21 @@ LATER: dict[str, dict[str, Any]] = {
         "set_acceleration": bool,
     }
 }
-"""Request -> members that version 2 of its package (in Lyrical) adds after all others."""
+"""Members that version 2 of a request's package (in Lyrical) adds after all other members of the
+request."""
 
 
 @cache
 def idl_type(name: str) -> type[IdlStruct]:
-    """Return the final, keyless DDS type of a ROS message, with ROS 2's name for it."""
+    """Return the final, keyless DDS type of a ROS message; ROS 2's name identifies the type."""
     return _struct(name, {})
 
 
 @cache
 def service_type(name: str) -> type[IdlStruct]:
-    """Return the type of a service's request or response, with rmw_cyclonedds_cpp's header first.
+    """Return a service's request or response type, which begins with rmw_cyclonedds_cpp's header.
 
-    Requests may also have the flags of `LATER`.
+    Requests may also contain the flags in `LATER`.
     """
     header = {"client": types.uint64, "number": types.int64}
     kind = _struct(name, header)
@@ -56,7 +57,7 @@ def service_type(name: str) -> type[IdlStruct]:
         def deserialize(data: bytes, *args: Any, **options: Any) -> Any:
             try:
                 return later.deserialize(data, *args, **options)
-            except struct.error:  # The message ends before the flags.
+            except struct.error:  # The message ends before these flags.
                 return only_earlier(data, *args, **options)
 
         setattr(kind, "deserialize", staticmethod(deserialize))  # noqa: B010
@@ -76,10 +77,11 @@ def _struct(
 def encoded_type(name: str) -> type[IdlStruct]:
     """Return the type for writers whose samples are already CDR payloads; see `sample`.
 
-    For the response of a service, the type begins with the header of the request.
+    The type of a service's response begins with the header of the request.
     """
     kind = (service_type if name.endswith("_Response") else idl_type).__wrapped__(name)
-    # DataWriter.write calls serialize(); this skips the field-by-field encoder, which is slow.
+    # DataWriter.write calls serialize(). This method avoids the encoder of single fields, which is
+    # slow.
     setattr(kind, "serialize", _payload)  # noqa: B010
     return kind
 

@@ -1,4 +1,4 @@
-"""Describes a clip, a recording, or this machine's capabilities, in lines of plain text."""
+"""Describe a clip, a recording, or this machine's capabilities, in lines of plain text."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ from .sinks.mcap import require_mcap
 from .topics import MAIN
 
 WANTED_BUFFER = 4 << 20
-"""Receive buffer that holds a frame of 65,536 points of 60 bytes each [bytes]."""
+"""Receive buffer that can store a frame of 65,536 points of 60 bytes each [bytes]."""
 SHARED = (("NumPy", "numpy", 2), ("OpenCV", "cv2", 4))
-"""Packages that phy124 and ROS 2 share: name, module, newest major version that Lyrical accepts."""
+"""Packages that phy124 and ROS 2 share, each with its name, its module, and the newest major
+version that Lyrical accepts."""
 NUMPY_1 = ("humble", "jazzy", "kilted")
 """Distributions of ROS 2 whose packages are built for NumPy 1."""
 OPTIONAL = {
@@ -32,14 +33,14 @@ OPTIONAL = {
     "point_cloud_interfaces": "there are no points by Draco through rclpy",
     "foxglove_msgs": "cameras send no h264 through rclpy",
 }
-"""ROS 2 package -> the feature that is missing without it."""
+"""Features that are missing if a ROS 2 package is not installed, by package."""
 BUFFERS = Path("/proc/sys/net/core")
 SHORT = {
     "rmem_max": "too small for 65,536 points per frame",
     "rmem_default": "the most that Fast DDS uses: too small for 32,768 points per frame on a "
     "busy machine",
 }
-"""System setting of the receive buffer -> consequence of a value below `WANTED_BUFFER`."""
+"""Consequences of a value below `WANTED_BUFFER`, by system setting of the receive buffer."""
 
 
 def describe(path: Path) -> list[str]:
@@ -54,7 +55,7 @@ def describe(path: Path) -> list[str]:
 
 
 def describe_clip(clip: Clip) -> list[str]:
-    """Describe a clip: frames, points, error bound, and message sizes."""
+    """Describe a clip: number of frames and points, error bound, and message sizes."""
     from phy124.accuracy.promises import Promise
 
     count = clip.means.shape[1]
@@ -75,20 +76,20 @@ def describe_clip(clip: Clip) -> list[str]:
 
 
 def describe_recording(path: Path) -> list[str]:
-    """Describe a recording: topics, numbers of messages, and whether it is complete.
+    """Describe a recording: topics, numbers of messages, and whether the recording is complete.
 
     Args:
         path: The bag folder or the .mcap file.
 
     Raises:
-        InputError: There is no such recording, or the package `mcap` is missing.
+        InputError: There is no recording at this path, or the package `mcap` is missing.
     """
     files = bag.recorded_files(path)
     require_mcap()
     from mcap.records import Channel, Footer, Message
 
     counts: Counter[str] = Counter()
-    times: list[int] = []  # of the frames [ns]
+    times: list[int] = []  # times of the frames [ns]
     whole = path.suffix == bag.SUFFIX or (path / bag.METADATA).is_file()
     missing = [file.name for file in files if not file.is_file()]
     lines = []
@@ -120,7 +121,7 @@ def describe_recording(path: Path) -> list[str]:
 
 
 def diagnose() -> list[str]:
-    """List the capabilities of this machine, and the requirements of missing capabilities."""
+    """List what this machine can do, and what it needs for the rest."""
     lines = [f"python: {sys.version.split()[0]} on {sys.platform}"]
     for outlet in dict.fromkeys([*REQUIREMENTS, *sink_names()]):
         error = missing(outlet)
@@ -145,9 +146,7 @@ def _optional(package: str, lacking: str) -> str:
 
 
 def _beside_ros(name: str, module: str, newest: int) -> str:
-    """Describe the version of a package that a node imports, and whether ROS 2's packages accept
-    it.
-    """
+    """Describe which version of a package nodes import, and whether ROS 2's packages accept it."""
     spec = find_spec(module)
     if spec is None or spec.origin is None:
         return f"{name}: not installed"

@@ -1,8 +1,8 @@
 """Profiles of a PointCloud2: fields and byte layout of a point.
 
 All fields are little-endian float32, except in `small`. The 32 bits of `rgb` are 0x00RRGGBB, as
-RViz and Foxglove expect. phy124's world already follows REP-103 (metres, x forward, y left, z up):
-nothing is rotated.
+RViz and Foxglove expect. phy124's world already follows REP-103 (metres, x forward, y left, z up),
+so nothing is rotated.
 
 - `viz`, 16 bytes: x y z rgb.
 - `full`, 60 bytes: x y z rgb, then alpha 0..1, standard deviations sx sy sz [m], the orientation
@@ -11,9 +11,9 @@ nothing is rotated.
 - `small`, 10 bytes: x y z as int16, r g b a as uint8. After its last point the row has 16 more
   bytes: four float32 with the centre x y z [m] and the quantisation step [m]. A position is
   centre + step * (x, y, z); -32768 encodes NaN.
-- `splats` is no PointCloud2, see `splats`.
+- `splats` is not a PointCloud2, see `splats`.
 - `ply`, 68 bytes or more: names and raw values of a 3DGS PLY (Kerbl et al. 2023), which splat
-  viewers read: colours as harmonics, opacities as logits, scales as logarithms, rot_0 = w.
+  viewers read. Colours are harmonics, opacities are logits, scales are logarithms, and rot_0 is w.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ Profile = Literal["viz", "full", "small", "ply", "splats"]
 FLOAT32 = 7
 """`sensor_msgs/msg/PointField.FLOAT32`."""
 DATATYPES = {"<f4": FLOAT32, "<i2": 3, "<u4": 6, "|u1": 2}
-"""NumPy type -> constant of `sensor_msgs/msg/PointField`."""
+"""Constant of `sensor_msgs/msg/PointField` for each NumPy type."""
 VIZ = ("x", "y", "z", "rgb")
 SMALL = np.dtype([*((axis, "<i2") for axis in "xyz"), *((colour, "u1") for colour in "rgba")])
 LARGEST_STEP = 32767
-"""Largest magnitude of a quantised coordinate; -32768 encodes NaN."""
+"""Largest magnitude of a quantised coordinate. The value -32768 encodes NaN."""
 FULL = (*VIZ, "alpha", "sx", "sy", "sz", "qw", "qx", "qy", "qz", "vx", "vy", "vz")
 OBJECT = "object_id"
 FIRST = 4
-"""Offset of the first splat, after the number of splats [bytes]."""
+"""Offset of the first splat [bytes]. The number of splats is stored before it."""
 
 
 def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, Any]:
     """Return the PointCloud2 of a frame, ready for `cdr.encode`.
 
-    If the frame has no velocities, they are NaN in `full`, and `is_dense` is false.
+    If the frame has no velocities, the velocities in `full` are NaN, and `is_dense` is false.
     """
     table, tail = small_points(frame) if profile == "small" else (points(frame, profile), b"")
     known = profile != "full" or frame.velocities is not None
@@ -67,15 +67,15 @@ def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, A
 
 
 def draco_cloud(frame: Frame, bits: int, header: dict[str, Any]) -> dict[str, Any]:
-    """Return the CompressedPointCloud2 of `viz`, as draco_point_cloud_transport decodes it.
+    """Return the CompressedPointCloud2 of `viz`, in a form for draco_point_cloud_transport.
 
     The decoder of that package writes attribute i of the Draco data at the offset of field i. In
     this message attribute 0 has all three coordinates and attribute 1 the four bytes of `rgb`, so
-    `rgb` is the second field. Points that are not finite are left out.
+    `rgb` is the second field. Points that are not finite are removed.
 
     Args:
         frame: The frame.
-        bits: Bits per coordinate.
+        bits: Number of bits per coordinate.
         header: Header of the message.
     """
     import DracoPy
@@ -84,7 +84,7 @@ def draco_cloud(frame: Frame, bits: int, header: dict[str, Any]) -> dict[str, An
     finite = np.isfinite(means).all(axis=1)
     table = points(frame, "viz")[finite]
     colours = table["rgb"].copy().view(np.uint8).reshape(-1, 4)
-    # Order is preserved: without it, these points take more bytes and more time.
+    # Draco must preserve the order: otherwise these points take more bytes and more time.
     how = {"quantization_bits": bits, "preserve_order": True}
     # DracoPy cannot encode an empty cloud.
     data = DracoPy.encode(means[finite], colors=colours, **how) if len(table) else b""
@@ -124,7 +124,7 @@ def points(frame: Frame, profile: Profile) -> NDArray[Any]:
         members.append((OBJECT, "<u4"))
     table = np.empty((len(gaussians), len(members)), "<f4")
     table[:, :3] = gaussians.means
-    # Copied as integers, because copying floats may change the bits of a NaN.
+    # The values are copied as integers, because copying floats may change the bits of a NaN.
     table.view("<u4")[:, 3] = packed_rgb(gaussians)
     if profile == "full":
         table[:, 4] = gaussians.opacities
@@ -137,10 +137,10 @@ def points(frame: Frame, profile: Profile) -> NDArray[Any]:
 
 
 def small_points(frame: Frame) -> tuple[NDArray[Any], bytes]:
-    """Return the rows of `small` [N], and the 16 bytes with centre and quantisation step.
+    """Return the rows of `small` [N], and the 16 bytes with the centre and the quantisation step.
 
     The error of a position is at most half a step along each axis. The step is the longest side of
-    the frame's bounding box divided by 65,534.
+    the frame's bounding box, divided by 65,534.
     """
     gaussians = frame.gaussians
     means = gaussians.means.astype(np.float64)
@@ -165,15 +165,15 @@ def _field(dtype: Any, name: str) -> dict[str, Any]:
 
 
 def packed_rgb(gaussians: Gaussians) -> NDArray[np.uint32]:
-    """Return colours as 0x00RRGGBB [N]."""
+    """Return colours as integers 0x00RRGGBB [N]."""
     red, green, blue = np.rint(gaussians.rgb * 255).astype(np.uint32).T
     return red << 16 | green << 8 | blue
 
 
 def evenly(count: int, limit: int | None) -> NDArray[np.intp] | None:
-    """Return the indices of at most `limit` of `count` Gaussians; None keeps all.
+    """Return the indices of at most `limit` of `count` Gaussians; None means no limit.
 
-    The indices are evenly spaced, which gives the same choice in every frame and every run.
+    The indices are evenly spaced. The choice is therefore the same in every frame and every run.
     """
     if limit is None or count <= limit:
         return None
@@ -185,7 +185,7 @@ def splat_array(gaussians: Gaussians, stamp: int, frame: str) -> bytes:
 
     Args:
         gaussians: The Gaussians.
-        stamp: Time [ns since 1970].
+        stamp: Time of the message [ns since 1970].
         frame: Name of the coordinate frame.
     """
     count, numbers = len(gaussians), 3 * gaussians.sh.shape[1]
@@ -202,16 +202,17 @@ def splat_array(gaussians: Gaussians, stamp: int, frame: str) -> bytes:
 
 
 def _phases(count: int, sizes: dict[int, int]) -> NDArray[np.int64]:
-    """Return the offset of each splat modulo 8: 0 or 4."""
+    """Return the offset of each splat in the message modulo 8, which is 0 or 4."""
     phases = np.full(count, FIRST)
     if (FIRST + sizes[FIRST]) % 8 == 0:
-        # The second splat begins at a multiple of 8; later ones have the first or second phase.
+        # The second splat begins at a multiple of 8. Later splats have the offset (modulo 8) of the
+        # first or of the second splat.
         phases[1 :: 2 if sizes[0] % 8 else 1] = 0
     return phases
 
 
 def _layout(phase: int, frame: str, numbers: int) -> np.dtype[Any]:
-    """Return the members of a splat that begins at `phase` modulo 8, including padding."""
+    """Return the members of a splat whose offset modulo 8 is `phase`, including padding."""
     text = len(frame.encode()) + 1
     gap = -(phase + 12 + text) % 8
     return np.dtype(
@@ -232,7 +233,7 @@ def _layout(phase: int, frame: str, numbers: int) -> np.dtype[Any]:
 
 
 def _rows(gaussians: Gaussians, stamp: int, frame: str, layout: np.dtype[Any]) -> NDArray[np.uint8]:
-    """Return the bytes of splats [N, size]."""
+    """Return splats as bytes [N, size]."""
     table = np.zeros(len(gaussians), layout)
     table["stamp"] = divmod(stamp, NANO)
     table["length"], table["frame"] = len(frame.encode()) + 1, frame.encode()

@@ -27,7 +27,7 @@ SLOW = (
     "profile small or a lower rate help."
 )
 WORDS = ("play", "pause", "toggle", "next", "restart")
-"""Commands without a value; each is a method of `Player`."""
+"""Commands that have no value. Each is a method of `Player`."""
 KNOWN = f"{', '.join(WORDS)}, seek SECONDS, speed FACTOR, rate HZ, loop on|off"
 log = logging.getLogger(__name__)
 
@@ -48,10 +48,11 @@ def play(
         clip: The clip.
         sink: Shows the clip, and receives commands.
         player: Decides which frame is due.
-        records: Other sinks for the frames that are shown.
+        records: Other sinks, which record the frames that are shown.
         look: Adds the pictures of cameras to a frame.
-        clock: Current time [s].
-        going: Returns whether to go on, also after the last frame; None: until the last frame.
+        clock: Function that returns the current time [s].
+        going: Function that returns whether to continue, even after the last frame. If None,
+            playback ends after the last frame.
     """
 
     def obey(text: str) -> str | None:
@@ -86,15 +87,15 @@ def follow(
     """Send each frame of a running simulation as soon as it is computed and due.
 
     A simulation that is faster than `speed` is slowed down. A pause also pauses the simulation,
-    after the current frame. A separate thread receives commands at all times. Seeking and
-    restarting need a finished clip and are refused.
+    after the current frame. A separate thread receives commands at all times. Commands that seek or
+    restart need a finished clip, so they are refused.
 
     Args:
-        frames: The frames as they are computed.
+        frames: The frames, in the order in which they are computed.
         sink: Shows the frames, and receives commands.
-        records: Other sinks for the frames.
+        records: Other sinks, which record the frames.
         speed: Largest number of simulated seconds per real second.
-        clock: Current time [s].
+        clock: Function that returns the current time [s].
     """
     pacer = Pacer(speed, clock)
 
@@ -125,7 +126,7 @@ def command(player: Player, text: str, now: float) -> None:
         now: Current time [s].
 
     Raises:
-        InputError: There is no such command, or it cannot be carried out now.
+        InputError: There is no such command, or the command cannot be carried out now.
     """
     word, *values = text.split() or [""]
     if word in WORDS and not values:
@@ -154,28 +155,32 @@ class Pacer:
         self.paused = self.finished = False
         self.shown, self.position = 0, 0.0
         self._clock = clock
-        self._anchor: tuple[float, float] | None = None  # clock reading, clip time
+        self._anchor: tuple[float, float] | None = None  # reading of the clock, time in the clip
         self._lock = threading.Lock()
 
     def wait(self, time: float) -> float:
-        """Return the time until the frame of `time` s may be shown [s]; infinite while paused."""
+        """Return the time until a frame may be shown [s]; infinite while paused.
+
+        `time` is the frame's time in the clip [s].
+        """
         with self._lock:
             return self._wait(time, self._clock())
 
     def _wait(self, time: float, now: float) -> float:
         if self.paused:
-            # When playback continues, the next frame is due at once.
+            # When playback continues, the next frame is due immediately.
             self._anchor = None
             return math.inf
         start, first = self._anchor = self._anchor or (now, time)
         ahead = (time - first) / self.speed - (now - start)
         if ahead < 0:
-            # The simulation is slower than playback: shift later due times instead of catching up.
+            # The simulation is slower than playback. Shift later due times, so that playback does
+            # not try to catch up.
             self._anchor = now, time
         return max(ahead, 0.0)
 
     def note(self, frame: Frame) -> None:
-        """Count a frame that is now shown."""
+        """Record that a frame is now shown, and count it."""
         self.shown, self.position = self.shown + 1, frame.time
 
     def stamp_at(self, now: float) -> float:
@@ -187,7 +192,7 @@ class Pacer:
         """Pause, play or change the speed.
 
         Raises:
-            InputError: It is another command.
+            InputError: The command is a different one.
         """
         word, *values = text.split() or [""]
         if word in ("play", "pause", "toggle") and not values:
@@ -205,7 +210,7 @@ class Pacer:
 
 
 class _DropAnnouncer:
-    """Logs dropped frames, with one line at intervals instead of one line per frame."""
+    """Logs how many frames were dropped, at intervals instead of once per frame."""
 
     def __init__(self, player: Player, clock: Clock) -> None:
         self._player, self._clock = player, clock
@@ -219,7 +224,7 @@ class _DropAnnouncer:
 
 
 def _attempt(action: Callable[[], None]) -> str | None:
-    """Carry out a command; if it is refused, log and return the reason, and let playback go on."""
+    """Carry out a command; if it is refused, log and return the reason, and continue playback."""
     try:
         action()
     except InputError as error:
@@ -234,10 +239,10 @@ def number(text: str, values: list[str], known: str = KNOWN) -> float:
     Args:
         text: The command.
         values: Its words after the first.
-        known: The known commands, for the error message.
+        known: Description of the known commands, for the error message.
 
     Raises:
-        InputError: The command has no number, or several.
+        InputError: The command has no number, or more than one.
     """
     try:
         (number,) = map(float, values)
@@ -278,17 +283,17 @@ class Listener:
             self.check()
 
     def wait(self, seconds: float) -> None:
-        """Wait for a command for up to `seconds`.
+        """Wait up to `seconds` for a command.
 
-        If an error has ended the listening, it is raised here; an example is the KeyboardInterrupt
-        of a sink whose peer has disconnected.
+        If an error has ended the listening, this method raises the error. An example is the
+        KeyboardInterrupt of a sink whose peer has disconnected.
         """
         self._heard.wait(min(seconds, LONGEST_WAIT))
         self._heard.clear()
         self.check()
 
     def check(self) -> None:
-        """Raise the error that ended the listening, if any."""
+        """Raise the error that ended the listening, if there was an error."""
         if self._error is not None:
             raise self._error
 

@@ -4,11 +4,11 @@
     ros2 lifecycle set /phy124/player configure
 
 `configure` opens the clip and offers topics and services, `activate` plays, `deactivate` pauses,
-and `cleanup` closes the clip. Parameters that cannot change while the plain player runs are read by
-the next `configure`.
+and `cleanup` closes the clip. If a parameter cannot change while the plain player runs, the next
+`configure` reads it.
 """
 
-# rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
+# rclpy comes with ROS 2 and is in no package index, so type checkers do not find it.
 # pyright: reportMissingImports=false
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Work:
     """
 
     def __init__(self, node: Any) -> None:
-        """Declare the parameters of a node; raises InputError for a wrong value."""
+        """Declare the parameters of a node; raise InputError if a value is invalid."""
         self._node = node
         self._sink: RclpySink | None = None
         self._open = ExitStack()
@@ -55,7 +55,7 @@ class Work:
         declare(node, CLIP_PARAMETERS, fixed=False)
 
     def configure(self) -> None:
-        """Open the clip, and offer topics and services; raises InputError."""
+        """Open the clip, and offer topics and services; raise InputError if this is impossible."""
         node = self._node
         chosen = {
             name: convert(name, node.get_parameter(name).value, parameter)
@@ -71,7 +71,7 @@ class Work:
             self._sink, self._open = sink, stack.pop_all()
 
     def activate(self) -> None:
-        """Play, from the current frame on."""
+        """Play, starting at the current frame."""
         self._player.play(time.monotonic())
         self._active = True
 
@@ -81,7 +81,7 @@ class Work:
         self._active = False
 
     def clean_up(self) -> None:
-        """Close the clip, and end topics and services."""
+        """Close the clip, and remove the topics and services."""
         self._active, self._sink = False, None
         self._open.close()
 
@@ -111,7 +111,7 @@ class Work:
             executor.shutdown()
 
     def _obey_inactive(self, text: str) -> str | None:
-        """Carry out a change of a parameter; refuse all other commands."""
+        """Carry out a command that changes a parameter; refuse all other commands."""
         if not text.startswith(RUNNING):
             return INACTIVE
         try:
@@ -122,7 +122,7 @@ class Work:
 
 
 def managed_player(name: str, *, namespace: str) -> Any:
-    """Create the lifecycle node; its attribute `work` runs it."""
+    """Create the lifecycle node; its attribute `work` runs the node."""
     from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
     def attempt(action: Callable[[], None]) -> Any:

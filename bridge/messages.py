@@ -1,6 +1,6 @@
 """Definitions of the ROS 2 messages that the bridge uses, and their RIHS01 hashes in ROS 2 Jazzy.
 
-Constants are left out of the definitions, because they are not part of the wire format. The tests
+Constants are omitted from the definitions, because they are not part of the wire format. The tests
 compare every definition and hash of ROS 2 itself with the package rosbags. Other packages are
 represented by names and types: simulation_interfaces 2.1.0, splat_interfaces (of RVizSplat),
 foxglove_msgs and point_cloud_interfaces.
@@ -15,7 +15,7 @@ from functools import cache
 SEPARATOR = "=" * 80
 
 NOTHING = "uint8 structure_needs_at_least_one_member"
-"""The content of a ROS 2 message without members."""
+"""The content of a ROS 2 message that has no members."""
 RESULT = "simulation_interfaces/Result result"
 
 DEFINITIONS: dict[str, str] = {
@@ -124,7 +124,7 @@ DEFINITIONS: dict[str, str] = {
     "simulation_interfaces/srv/GetEntityState_Response": (
         f"{RESULT}\nsimulation_interfaces/EntityState state"
     ),
-    # As in version 1.5 of Jazzy; version 2.1 has flags in addition.
+    # This is version 1.5, which Jazzy uses. Version 2.1 has additional flags.
     "simulation_interfaces/srv/SetEntityState_Request": (
         "string entity\nsimulation_interfaces/EntityState state"
     ),
@@ -166,9 +166,10 @@ DEFINITIONS: dict[str, str] = {
         "rmw_dds_common/Gid gid\nrmw_dds_common/NodeEntitiesInfo[] node_entities_info_seq"
     ),
 }
-"""Type name -> its definition, in which inner messages are named `package/Name`.
+"""Definition of each type by name. Inner messages are named `package/Name`.
 
-Request and response of a service are the messages `package/srv/Name_Request` and `_Response`.
+The request and the response of a service are the messages `package/srv/Name_Request` and
+`_Response`.
 """
 
 HASHES: dict[str, str] = {
@@ -290,7 +291,7 @@ HASHES: dict[str, str] = {
         "RIHS01_718428121e0f1755720878d3c28f1688da7581ee5a5d56d26d10d941a28a50a0"
     ),
 }
-"""Type of a topic, or of a service's request or response -> its hash (REP-2011)."""
+"""Hash (REP-2011) of each type of a topic, or of a service's request or response."""
 
 
 @dataclass(frozen=True)
@@ -299,11 +300,11 @@ class Field:
 
     name: str
     base: str
-    """A primitive such as `uint8`, `string`, or a full message name."""
+    """Name of a primitive such as `uint8` or `string`, or full name of a message."""
     length: int | None
-    """None: a single value; 0: a sequence of any length; otherwise an array of this length."""
+    """None for a single value, 0 for a sequence of any length, otherwise the length of an array."""
     bound: int | None = None
-    """Largest length of the string [bytes]; None: no limit."""
+    """Largest length of the string [bytes]; None if there is no limit."""
 
 
 _LINE = re.compile(
@@ -313,7 +314,7 @@ _LINE = re.compile(
 
 @cache
 def fields(name: str) -> tuple[Field, ...]:
-    """Return the members of `package/msg/Name` in wire order; KeyError if it is unknown."""
+    """Return the members of `package/msg/Name` in wire order; raise KeyError if it is unknown."""
     return tuple(_field(line) for line in DEFINITIONS[name].splitlines())
 
 
@@ -335,7 +336,7 @@ def _field(line: str) -> Field:
 
 
 def _inner(name: str) -> list[str]:
-    """List all message types inside `name`, each once, depth first."""
+    """List all message types inside `name`, each once, in depth-first order."""
     types: list[str] = []
     for member in fields(name):
         if member.base in DEFINITIONS:

@@ -54,7 +54,7 @@ def simulation(args: list[str] | None = None) -> None:
 
 
 def play_clip(node: Any) -> None:
-    """Play the clip in the parameters, until ROS shuts down."""
+    """Play the clip that the parameters name, until ROS shuts down."""
     chosen = declare(node, CLIP_PARAMETERS)
     path = chosen["clip"]
     clip, player, options, clock = opened_clip(chosen)
@@ -73,10 +73,10 @@ def opened_clip(chosen: dict[str, Any]) -> tuple[Clip, Player, Options, bool]:
     """Return the clip, its player, the message options, and whether to publish /clock.
 
     Args:
-        chosen: Values of `CLIP_PARAMETERS`; they are removed.
+        chosen: Values of all parameters. Those of `CLIP_PARAMETERS` are removed from it.
 
     Raises:
-        InputError: A value is missing or wrong, or the clip cannot be read.
+        InputError: A value is missing or invalid, or the clip cannot be read.
     """
     path, clock, rate, speed, loop = _take(chosen, "clip", "clock", "rate", "speed", "loop")
     options = _options(chosen)
@@ -86,7 +86,7 @@ def opened_clip(chosen: dict[str, Any]) -> tuple[Clip, Player, Options, bool]:
 
 
 def simulate(node: Any) -> None:
-    """Simulate the source in the parameters, and show each frame as soon as it is computed."""
+    """Simulate the source that the parameters name; show each frame as soon as it is computed."""
     chosen = declare(node, {**SIMULATED, **RUNNING_LIVE, **message_options()})
     source, clock, speed = _take(chosen, "source", "clock", "speed")
     scene, changes, generator, device, more = _take(
@@ -112,12 +112,13 @@ def simulate(node: Any) -> None:
 def live_through(
     args: list[str] | None, work: Callable[[Any], None], make: Callable[..., Any] | None = None
 ) -> None:
-    """Run a node to its end; log a user's error as one FATAL line, with exit status 1.
+    """Run a node until it ends; log a user's error as one FATAL line, and exit with status 1.
 
     Args:
         args: `--ros-args` and the arguments after it.
-        work: Runs the node until ROS shuts down.
-        make: Makes the node from its name and namespace; None: a plain node.
+        work: Function that runs the node until ROS shuts down.
+        make: Function that makes the node from its name and namespace. If None, a plain node is
+            made.
     """
     refused = None
     try:
@@ -125,10 +126,10 @@ def live_through(
         with handling(interrupt, always=ALWAYS), ros_node(args, make=make) as node:
             refused = _attempt(node, work)
     except KeyboardInterrupt:
-        # Ctrl-C is the usual end of a node.
+        # Ctrl-C is the usual way to end a node.
         return
     except (ValueError, ImportError) as error:
-        # No node exists yet that could log the error.
+        # There is no node yet that could log the error.
         refused = failure(error).sentence
         sys.stderr.write(f"[FATAL] [{PLAYER}]: {refused}\n")
     if refused is not None:
@@ -140,7 +141,7 @@ def _attempt(node: Any, work: Callable[[Any], None]) -> str | None:
     try:
         work(node)
     except Exception as error:
-        # The sentence names the remedy; a traceback would hide it.
+        # The error message names the remedy. A traceback would hide it.
         refused = failure(error).sentence
         node.get_logger().fatal(refused)
         return refused
@@ -157,7 +158,7 @@ def _require(name: str, value: str, example: str) -> None:
 
 
 def _options(chosen: dict[str, Any]) -> Options:
-    """Return the options of the messages; a parameter of 0 means None."""
+    """Return the options of the messages; a parameter that is 0 stands for None."""
     optional = {
         name: chosen.get(name) or None for name in ("max_points", "epoch", "cameras", "draco")
     }

@@ -15,13 +15,15 @@ from .layout import Profile
 
 LIVE_PROFILE: Profile = "viz"
 LIVE_POINTS = 32_768
-"""Gaussians per frame that subscribers with default settings receive at 30 Hz (see
+"""Number of Gaussians per frame that subscribers with default settings receive at 30 Hz (see
 docs/guide/ros2-messages.md)."""
 LIVE_SPLATS = 8_192
-"""Largest number of Gaussians per frame in the profile `splats`, of 384 bytes each."""
+"""Largest number of Gaussians per frame in the profile `splats`, in which each takes 384 bytes."""
 Image = Literal["rgb", "depth", "mask", "flow", "jpeg", "h264"]
 LAST_SECOND = 2**31 - 1
-"""Largest time, because `builtin_interfaces/msg/Time` counts seconds in an int32 [s]."""
+"""Largest time [s]. It is limited because `builtin_interfaces/msg/Time` counts seconds in an
+int32.
+"""
 
 
 class Options(Section):
@@ -38,7 +40,7 @@ class Options(Section):
     )
     parent_frame: str = Field(
         default="map",
-        description="Parent frame of the static transform; empty: send no transform.",
+        description="Parent frame of the static transform; if empty, no transform is sent.",
     )
     translation: tuple[float, float, float] = Field(
         default=(0.0, 0.0, 0.0), description="Origin of the world in the parent frame [m]."
@@ -144,7 +146,7 @@ class Options(Section):
 
     @property
     def camera_names(self) -> tuple[str, ...]:
-        """Names of the cameras in topics, where ROS allows no hyphens or dots.
+        """Names of the cameras in topics, in a form without hyphens and dots, which ROS forbids.
 
         Raises:
             InputError: The file of cameras cannot be read.
@@ -162,8 +164,9 @@ class Options(Section):
         return tuple(map(camera_name, sides))
 
     def live(self) -> Options:
-        """Return the options with the defaults of live sinks, which limit points to the number that
-        arrives at 30 Hz.
+        """Return the options with the defaults of live sinks.
+
+        These limit the points to the number that arrives at 30 Hz.
         """
         chosen = {
             "max_points": live_points(self.profile, self.max_points),
@@ -172,12 +175,12 @@ class Options(Section):
         return self.model_copy(update=chosen)
 
     def for_recording(self) -> Options:
-        """Return the options with the defaults of recordings, which leave nothing out."""
+        """Return the options with the defaults of recordings, which omit nothing."""
         return self.model_copy(update={"profile": self.profile or "full"})
 
 
 def azimuth(view: str) -> float | None:
-    """Return the azimuth [deg] that a view names, or None if it is a word."""
+    """Return the azimuth [deg] that a view names, or None if the view is a word."""
     try:
         return float(view)
     except ValueError:
@@ -185,13 +188,14 @@ def azimuth(view: str) -> float | None:
 
 
 def camera_name(side: str) -> str:
-    """Return the name of a camera in topics and frames, where ROS allows no hyphens or dots."""
+    """Return a camera's name in topics and coordinate frames, without hyphens and dots."""
     return re.sub(r"\W", "_", side)
 
 
 def live_points(profile: Profile | None, asked: int | None) -> int:
-    """Return the Gaussians per frame of a live profile: the number `asked` or, if it is 0 or None,
-    the default.
+    """Return the number of Gaussians per frame of a live profile.
+
+    It is the number `asked` or, if `asked` is 0 or None, the default.
     """
     if profile == "splats":
         return min(asked or LIVE_SPLATS, LIVE_SPLATS)

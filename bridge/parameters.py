@@ -1,11 +1,11 @@
 """The options as ROS parameters of a node; four of them can be changed while the node runs.
 
 All parameters are declared with dynamic typing, because `-p speed:=2` is an integer for ROS but a
-float for the bridge; the node then stores the float. A wrong value is refused with an error
-message, both at the start and by `ros2 param set`.
+float for the bridge. The node then stores the float. A value of the wrong type is refused with an
+error message, both at the start and by `ros2 param set`.
 """
 
-# rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
+# rclpy comes with ROS 2 and is in no package index, so type checkers do not find it.
 # pyright: reportMissingImports=false
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Parameter:
     """A parameter of a node."""
 
     default: Any
-    """Default value, which defines the type; a list holds strings, a tuple floats."""
+    """Default value, which defines the type. A list contains strings, a tuple contains floats."""
     description: str
     limits: tuple[float, float] | None = None
     while_running: bool = False
@@ -48,10 +48,12 @@ class Parameter:
 
 
 RUNNING = {
-    "speed": Parameter(1.0, "Clip seconds per second.", SPEEDS, while_running=True),
+    "speed": Parameter(
+        1.0, "Playback speed: seconds of the clip per real second.", SPEEDS, while_running=True
+    ),
     "rate": Parameter(
         0.0,
-        "Largest number of frames per second; 0: every frame.",
+        "Largest number of frames per second; 0: every frame is sent.",
         (0.0, RATES[1]),
         while_running=True,
     ),
@@ -63,9 +65,9 @@ RUNNING = {
         while_running=True,
     ),
 }
-"""Parameters that can be changed while the node runs; changes take effect at once."""
+"""Parameters that can be changed while the node runs. Changes take effect immediately."""
 RUNNING_LIVE = {name: RUNNING[name] for name in ("speed", "max_points")}
-"""Parameters of a running simulation that can be changed."""
+"""Parameters that can be changed while a simulation runs."""
 MAKING: dict[str, Any] = {
     "reading": Reading,
     "effort": GeneratorOptions,
@@ -73,7 +75,7 @@ MAKING: dict[str, Any] = {
     "depth": DepthMap,
     "views": OtherViews,
 }
-"""Option of `LiveOptions` that concerns making Gaussians from the source -> its section.
+"""Sections of options for making Gaussians from the source, by their name in `LiveOptions`.
 
 Each field of a section is a parameter.
 """
@@ -112,16 +114,16 @@ def section_of(chosen: dict[str, Any], section: type[Made]) -> Made:
 
 
 TEXTS = {"views": [""], "images": ["rgb", "depth"]}
-"""Options that are lists of texts, with their initial values."""
+"""Options that are lists of strings, with their initial values."""
 
 
 def message_options() -> dict[str, Parameter]:
-    """Return the parameters for the message options; max_points is in `RUNNING`."""
+    """Return the parameters for the message options, except max_points, which is in `RUNNING`."""
     absent = {"epoch": 0.0, "profile": LIVE_PROFILE, "cameras": "", "draco": 0}
     fields = {n: field for n, field in Options.model_fields.items() if n not in RUNNING}
     return {
         name: Parameter(
-            # None, which ROS parameters lack, is replaced by another value.
+            # ROS parameters cannot be None, so another value stands for None.
             absent[name] if field.default is None else TEXTS.get(name, field.default),
             field.description or "",
         )
@@ -132,10 +134,10 @@ def message_options() -> dict[str, Parameter]:
 def declare(
     node: Any, parameters: Mapping[str, Parameter], *, fixed: bool = True
 ) -> dict[str, Any]:
-    """Declare parameters and return their values; raises InputError for a wrong value.
+    """Declare parameters and return their values; raise InputError if a value is invalid.
 
     Args:
-        node: The node.
+        node: The node that gets the parameters.
         parameters: The parameters by name.
         fixed: Whether parameters that cannot be changed while the node runs are read-only.
     """
@@ -146,7 +148,8 @@ def declare(
     for name, parameter in parameters.items():
         default = parameter.default
         start = list(default) if isinstance(default, tuple) else default
-        # Set limits after the declaration: a wrong value then gets our message, not ROS's.
+        # The limits are set after the declaration, so that an invalid value gets the bridge's error
+        # message, not that of ROS.
         value = node.declare_parameter(name, start, ParameterDescriptor(dynamic_typing=True)).value
         values[name] = convert(name, value, parameter)
         if isinstance(default, (float, tuple)):
@@ -157,7 +160,7 @@ def declare(
 
 
 def descriptor(parameter: Parameter, *, fixed: bool = True) -> Any:
-    """Describe a parameter for `ros2 param describe`."""
+    """Describe a parameter, for `ros2 param describe`."""
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
     about = ParameterDescriptor(
@@ -198,7 +201,7 @@ def convert(name: str, value: Any, parameter: Parameter) -> Any:
 
 
 class Running:
-    """Parameters that can be changed during playback; they also show its state."""
+    """Parameters that can be changed during playback; they also show the state of playback."""
 
     def __init__(
         self, node: Any, parameters: Mapping[str, Parameter], apply: Callable[[str, Any], None]
@@ -216,7 +219,7 @@ class Running:
         self._node.remove_post_set_parameters_callback(self._carry_out)
 
     def follow(self, values: Mapping[str, Any]) -> None:
-        """Update the parameters after a change by a command."""
+        """Update the parameters after a command has made a change."""
         from rclpy.parameter import Parameter as RosParameter
 
         for name in values.keys() & self._parameters.keys():
@@ -285,8 +288,8 @@ KINDS: dict[type, tuple[str, Callable[[Any], Any]]] = {
     tuple: ("a list of numbers", _numbers),
     list: ("a list of texts", _texts),
 }
-"""Type of the default -> name of the type in messages, and conversion to the type, which returns
-None for a value of another type."""
+"""For each type of the default: the name of the type in messages, and the conversion to the type.
+The conversion returns None for a value of another type."""
 
 
 def _example(default: Any) -> str:

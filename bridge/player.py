@@ -1,7 +1,6 @@
 """Player: decides when each frame is due, without any input or output.
 
-The current time is an argument (seconds of any monotonic clock), which allows tests without
-waiting.
+The current time is an argument (seconds of any monotonic clock), so that tests need not wait.
 """
 
 from __future__ import annotations
@@ -17,22 +16,22 @@ from phy124.errors import InputError
 SPEEDS = (0.01, 100.0)
 """Smallest and largest playback speed, relative to real time."""
 RATES = (0.0, 1000.0)
-"""Smallest and largest number of frames per second; 0 or None means every frame."""
+"""Smallest and largest number of frames per second. 0 or None means that every frame is shown."""
 LATENESS = 0.15
-"""Largest delay at which a frame is still sent [s]. Frames within this delay are sent in a burst;
-at 30 Hz, a burst has at most 5 frames, as many as subscribers keep."""
+"""Largest delay at which a frame is still sent [s]. Frames within this delay are sent in a burst.
+At 30 Hz, a burst has at most 5 frames, which is the number that subscribers keep."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """A frame to show."""
+    """A frame that is to be shown."""
 
     index: int
     """Index of the frame in the clip."""
     time: float
     """Time of the frame in the clip [s]."""
     stamp: float
-    """Seconds of the clip played so far; always increases, also at loops and seeks."""
+    """Seconds of the clip played so far. This time always increases, even at loops and seeks."""
 
 
 class Player:
@@ -51,15 +50,15 @@ class Player:
         """Start at the first frame; the clock starts with the first call of `due`.
 
         Args:
-            times: Ascending times of the frames [T], s.
-            speed: Clip seconds per real second.
-            loop: Start again after the last frame.
-            rate: Largest number of frames shown per second; None: all.
-            paused: Start paused at the first frame.
+            times: Times of the frames in ascending order [T], s.
+            speed: Playback speed: seconds of the clip per real second.
+            loop: Whether to start again after the last frame.
+            rate: Largest number of frames shown per second. If None, all frames are shown.
+            paused: Whether to start paused at the first frame.
             lateness: Largest delay at which a frame is still shown [s].
 
         Raises:
-            InputError: There are no frames, the times do not ascend, or a number is out of range.
+            InputError: There are no frames, the times do not increase, or a number is out of range.
         """
         self.times = np.asarray(times, dtype=np.float64)
         if not len(self.times) or not (np.diff(self.times) > 0).all():
@@ -68,23 +67,23 @@ class Player:
         self.loop, self.paused, self.rate = loop, paused, _checked_rate(rate)
         self.speed, self.lateness = checked_speed(speed), lateness
         self.shown = self.dropped = self.skipped = self.loops = 0
-        """Numbers of frames shown, dropped as late and skipped because of `rate`, and of loops
-        started."""
+        """Numbers of frames that were shown, dropped because late, and skipped because of `rate`,
+        and number of loops started."""
         self.finished = False
         self._next = 0
-        self._peek = True  # show the next frame even while paused
-        self._start: float | None = None  # clock reading at which `_anchor` is due
+        self._peek = True  # whether to show the next frame even while paused
+        self._start: float | None = None  # reading of the clock at which `_anchor` is due
         self._anchor = float(self.times[0])
-        self._offset = -self._anchor  # stamp minus time in the clip
+        self._offset = -self._anchor  # time stamp minus time in the clip
         self._shown_at = -math.inf  # time in the clip of the last frame shown since a jump
         self.position = self._anchor
         """Time in the clip of the last frame shown [s]."""
-        self._stamp: float | None = None  # stamp of the last frame shown
-        self._clock = 0.0  # last value returned by `stamp_at`
+        self._stamp: float | None = None  # time stamp of the last frame shown
+        self._clock = 0.0  # last value that `stamp_at` returned
 
     @property
     def interval(self) -> float:
-        """Mean time between frames [s]; in a loop, also the time from last frame to first."""
+        """Mean time between frames [s]; in a loop, also the time from last to first frame."""
         if len(self.times) == 1:
             return 1.0
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
@@ -115,7 +114,7 @@ class Player:
         return tick
 
     def play(self, now: float) -> None:
-        """Continue from the current position; restart a finished clip."""
+        """Continue from the current position; if the clip is finished, restart it."""
         if self.finished:
             self.restart(now)
         elif self.paused:
@@ -123,7 +122,7 @@ class Player:
             self._rebase(float(self.times[self._next]), now)
 
     def pause(self, now: float) -> None:
-        """Pause; the last frame shown stays visible."""
+        """Pause; the last frame shown remains visible."""
         del now
         self.paused = True
 
@@ -135,7 +134,7 @@ class Player:
             self.pause(now)
 
     def next(self, now: float) -> None:
-        """Show the next frame while paused.
+        """Show the next frame while playback is paused.
 
         Raises:
             InputError: Playback is not paused, or it has finished.
@@ -167,7 +166,7 @@ class Player:
         self._rebase(float(self.times[target]), now)
 
     def set_speed(self, speed: float, now: float) -> None:
-        """Change the speed without a jump in time; raises InputError if it is outside `SPEEDS`."""
+        """Change the speed without a jump in time; raise InputError if it is outside `SPEEDS`."""
         speed = checked_speed(speed)
         if self._start is not None:
             here = self._anchor + (now - self._start) * self.speed
@@ -175,7 +174,7 @@ class Player:
         self.speed = speed
 
     def set_rate(self, rate: float | None) -> None:
-        """Limit the frames shown per second; None removes the limit.
+        """Limit the number of frames shown per second; None removes the limit.
 
         Raises:
             InputError: The rate is not positive.
@@ -183,7 +182,7 @@ class Player:
         self.rate = _checked_rate(rate)
 
     def stamp_at(self, now: float) -> float:
-        """Return the seconds of the clip played by `now`; constant while paused."""
+        """Return how many seconds of the clip are played by `now`; constant while paused."""
         self._clock = max(self._clock, self._stamp or 0.0)
         if not self.paused and not self.finished and self._start is not None:
             next_one = float(self.times[self._next])
@@ -197,13 +196,14 @@ class Player:
         return text + (f", {self.skipped} skipped to keep to {self.rate:g} Hz" if self.rate else "")
 
     def _is_stale(self, now: float) -> bool:
-        """Return whether the next frame is too late while a newer frame is due."""
+        """Return whether the next frame is too late and a newer frame is due."""
         if self.paused or self._due_at(self._next + 1, now) > now:
             return False
         return now - self._due_at(self._next, now) > self.lateness
 
     def _too_soon(self, time: float) -> bool:
-        # With 0.5 % tolerance, a limit of 30 Hz skips no frame of a 30 Hz clip by rounding.
+        # The tolerance is 0.5 %, so that with a limit of 30 Hz no frame of a 30 Hz clip is skipped
+        # by rounding.
         return self.rate is not None and time - self._shown_at < 0.995 * self.speed / self.rate
 
     def _show(self, index: int) -> Tick | None:
@@ -230,7 +230,7 @@ class Player:
         first, last = float(self.times[0]), float(self.times[-1])
         period = last - first + self.interval
         again = self._due_at(len(self.times) - 1, now) + self.interval / self.speed
-        # Whole loops that passed during a long stall are not caught up; they count as dropped.
+        # Whole loops that passed during a long delay are not repeated. They count as dropped.
         missed = max(int((now - again) * self.speed // period), 0)
         self.dropped += missed * len(self.times)
         self.loops += 1 + missed
@@ -271,6 +271,6 @@ def checked_speed(speed: float) -> float:
 def _checked_rate(rate: float | None) -> float | None:
     if rate is not None and not rate > 0:
         raise InputError(
-            "rate", rate, "It must be positive.", "Leave the option out to show every frame."
+            "rate", rate, "It must be positive.", "Remove the option to show every frame."
         )
     return rate

@@ -1,7 +1,7 @@
 """Repair a recording whose writer was killed or whose disk was full.
 
 An MCAP file without its footer has no index, and readers refuse it. All complete records are copied
-into a new file, which then replaces the old file.
+into a new file. The new file then replaces the old file.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Recovery:
     frames: int
     """Number of frames in the recording."""
     repaired: bool
-    """False if the recording was already complete and was not changed."""
+    """False if the recording was already complete and therefore was not changed."""
 
 
 def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None) -> Recovery:
@@ -44,12 +44,12 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
 
     Args:
         path: The bag folder or the .mcap file.
-        output: Path of the repaired copy; None: repair in place.
+        output: Path of the repaired copy. If None, the repaired file replaces the recording.
 
     Raises:
-        InputError: There is no recording, the bridge did not make it, not even its beginning is
-            readable, the package `mcap` is missing, or the disk is full; the damaged file stays
-            unchanged.
+        InputError: There is no recording, the bridge did not make the recording, even its beginning
+            is unreadable, the package `mcap` is missing, or the disk is full. The damaged file
+            stays unchanged.
     """
     target = Path(output) if output else Path(path)
     source, *others = bag.recorded_files(Path(path))
@@ -85,14 +85,15 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
 def records(file: Path) -> Iterator[Any]:
     """Yield all complete records of an MCAP file in order, including those inside chunks.
 
-    A damaged chunk yields None instead of its records; a truncated record ends the iteration.
+    For a damaged chunk, None is yielded instead of its records. A truncated record ends the
+    iteration.
     """
     from mcap.exceptions import McapError
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader, breakup_chunk
     from zstandard import ZstdError
 
-    # lz4 raises RuntimeError; a wrong checksum raises ValueError.
+    # lz4 raises RuntimeError, and a wrong checksum raises ValueError.
     broken = (McapError, struct.error, ValueError, RuntimeError, ZstdError)
     with open(file, "rb") as stream:
         reader = iter(StreamReader(stream, emit_chunks=True).records)
@@ -118,7 +119,7 @@ def _is_finished(path: Path, source: Path) -> bool:
 
 
 def _refuse_foreign(file: Path) -> None:
-    """Raise InputError if the file does not begin as an MCAP file."""
+    """Raise InputError if the file does not begin like an MCAP file."""
     from mcap.writer import MCAP0_MAGIC
 
     with open(file, "rb") as stream:
@@ -129,7 +130,7 @@ def _refuse_foreign(file: Path) -> None:
 
 
 def _inspect(file: Path) -> tuple[bool, int]:
-    """Return whether the file has a footer and no damage, and its number of frames."""
+    """Return whether the file has a footer and no damage, and the number of its frames."""
     from mcap.records import Channel, Footer, Header, Message
 
     footer, damaged, frames, points = False, 0, 0, None
@@ -179,7 +180,8 @@ def _copy_records(source: Path, writer: Writer) -> bag.Counts:
     from mcap.records import Channel, Message, Metadata
 
     counts = bag.Counts()
-    # The summary of a finished file repeats the channels, in case their first chunk is damaged.
+    # The summary of a finished file repeats the channels. They are read from it in case their first
+    # chunk is damaged.
     names = {record.id: record.topic for record in records(source) if isinstance(record, Channel)}
     known = {number: find_recorded(name) for number, name in names.items()}
     topics = {number: topic for number, topic in known.items() if topic is not None}

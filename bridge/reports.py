@@ -17,7 +17,7 @@ from .sink import Playback
 from .topics import CLOCK, DIAGNOSTICS, STATUS, Message, Topic
 
 CLOCK_RATE = 40.0
-"""Rate of /clock [Hz], also while paused; as in `ros2 bag play --clock`."""
+"""Rate of /clock [Hz], even while paused; `ros2 bag play --clock` has the same rate."""
 DIAGNOSTICS_EVERY = 1.0
 """Time between two messages on /diagnostics [s]."""
 log = logging.getLogger(__name__)
@@ -27,9 +27,7 @@ OK, WARN = 0, 1
 
 @dataclass(frozen=True)
 class Audience:
-    """Numbers of subscribers, of frames that they may not have received, and of nodes of the same
-    name.
-    """
+    """Number of subscribers, of frames they may not have received, and of nodes with this name."""
 
     subscribers: int
     lost: int
@@ -52,15 +50,15 @@ class Reports:
         values: Callable[[], Mapping[str, Any]] = dict,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Prepare the reports; none is due before the first `change`.
+        """Prepare the reports; no report is due before the first call of `change`.
 
         Args:
-            encoder: Converts seconds of the clip to time stamps.
-            send: Publishes a message.
-            audience: Returns the current audience; called once a second.
+            encoder: Converts times in the clip to time stamps.
+            send: Function that publishes a message.
+            audience: Function that returns the current audience, called once a second.
             node: Full name of the node.
             clock: Whether to publish /clock.
-            values: Returns additional entries of /diagnostics.
+            values: Function that returns additional entries of /diagnostics.
             now: The clock that playback uses [s].
         """
         self._encoder, self._send, self._audience = encoder, send, audience
@@ -70,7 +68,9 @@ class Reports:
         self._clock, self._more = clock, values
         self._namesakes = 0
         self._lock = threading.Lock()
-        self._before: tuple[float, float, int] | None = None  # clock, stamp, frames in trouble
+        self._before: tuple[float, float, int] | None = (
+            None  # reading of the clock, time stamp, number of frames that may be lost
+        )
 
     @property
     def topics(self) -> list[Topic]:
@@ -91,7 +91,7 @@ class Reports:
         return max(min(self._due.values()) - self._now(), 0.0)
 
     def send_due(self) -> None:
-        """Publish the reports that are due; call this often, from any thread."""
+        """Publish the reports that are due; any thread should call this method often."""
         with self._lock:
             self._send_due(self._now())
 

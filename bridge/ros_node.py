@@ -1,6 +1,6 @@
-"""A ROS 2 node of rclpy, from start to clean shutdown."""
+"""A ROS 2 node of rclpy, from its start to its clean shutdown."""
 
-# rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
+# rclpy comes with ROS 2 and is in no package index, so type checkers do not find it.
 # pyright: reportMissingImports=false
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from .topics import NAMESPACE, PLAYER
 def ros_node(
     args: list[str] | None = None, name: str = PLAYER, make: Callable[..., Any] | None = None
 ) -> Iterator[Any]:
-    """Run the node /phy124/NAME within this context, with a clean shutdown; raises InputError.
+    """Run the node /phy124/NAME within this context, and shut it down cleanly at the end.
 
     Args:
         args: `--ros-args` and the arguments after it.
         name: Name of the node.
-        make: Makes the node from its name and namespace; None: a plain node.
+        make: Function that makes the node from its name and namespace. If None, a plain node is
+            made.
     """
     require_rclpy()
     import rclpy
@@ -80,7 +81,7 @@ def _start(start: Callable[[], Any]) -> Any:
 
 @contextmanager
 def temporary_entities(node: Any) -> Iterator[None]:
-    """Destroy the publishers, subscriptions and services that were made within this context."""
+    """Destroy the publishers, subscriptions and services that were created within this context."""
     kinds = ("publisher", "subscription", "service")
     before = {kind: list(getattr(node, f"{kind}s")) for kind in kinds}
     try:
@@ -93,15 +94,16 @@ def temporary_entities(node: Any) -> Iterator[None]:
 
 
 class RosHandler(logging.Handler):
-    """Passes records to the logger of a node, which publishes them on /rosout."""
+    """Passes log records to the logger of a node, which publishes them on /rosout."""
 
     def __init__(self, logger: Any) -> None:
         super().__init__()
         self._logger = logger
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Log a record. Each level has its own call, because rclpy allows one level per line of
-        code.
+        """Log a record.
+
+        Each level has its own call, because rclpy allows one level per line of code.
         """
         text = self.format(record)
         if record.levelno >= logging.CRITICAL:

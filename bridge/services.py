@@ -1,10 +1,10 @@
 """Services of a ROS 2 node: triggers, and the standard services of players and simulators.
 
-Requests are served on the thread that spins the node. An action computes its steps between other
-callbacks, which allows it to be cancelled.
+The thread that spins the node serves the requests. An action computes its steps between other
+callbacks, so that it can be cancelled.
 """
 
-# rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
+# rclpy comes with ROS 2 and is in no package index, so type checkers do not find it.
 # pyright: reportMissingImports=false
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ MISSING = (
 )
 INSTALL = "sudo apt install ros-${ROS_DISTRO}-simulation-interfaces"
 FALLBACK = {"step": "next", "reset": "restart"}
-"""Name of a service -> the command it sends."""
+"""Commands that the services send, by the name of the service."""
 
 
 class Services:
-    """Offers services; `ask(command)` carries out a request, and returns the refusal or None."""
+    """Offers services; `ask(command)` carries out a command; it returns why it refuses, or None."""
 
     def __init__(
         self, node: Any, ask: Callable[[str], str | None], playback: Callable[[], Playback | None]
@@ -75,7 +75,7 @@ class Services:
         return response
 
     def _set_rate(self, request: Any, response: Any) -> Any:
-        # The rate of rosbag2 is our speed: clip seconds per real second.
+        # The "rate" of rosbag2 is the playback speed here: seconds of the clip per real second.
         response.success = self._ask(f"speed {request.rate!r}") is None
         return response
 
@@ -102,7 +102,7 @@ def offer_standard(node: Any, controls: Controls, ask: Callable[[str], str | Non
     Args:
         node: The node.
         controls: The services.
-        ask: Carries out a command; returns the reason of a refusal, or None.
+        ask: Function that carries out a command and returns the reason of a refusal, or None.
     """
     if not controls.services:
         return

@@ -14,8 +14,8 @@ PACKAGE = ElementTree.parse(Path(__file__).with_name("package.xml")).getroot()
 NAME, VERSION, DESCRIPTION, LICENSE, MAINTAINER = (
     PACKAGE.findtext(tag, "") for tag in ("name", "version", "description", "license", "maintainer")
 )
-# This folder is itself the package. `colcon build --symlink-install` cannot link ".", so the folder
-# is named by its path from the parent folder.
+# This folder is itself the package. `colcon build --symlink-install` cannot link ".", so the path
+# names the folder starting from its parent folder.
 HERE = f"../{Path(__file__).resolve().parent.name}"
 EXECUTABLES = {
     "player": (f"{NAME}.start", "player", 0),
@@ -24,7 +24,7 @@ EXECUTABLES = {
     "live": (f"{NAME}.start", "live", 130),
     "bridge": (f"{NAME}.__main__", "main", 130),
 }
-"""Name -> module, function, and exit status after Ctrl-C."""
+"""Scripts by name, each with its module, its function, and its exit status after Ctrl-C."""
 SCRIPT = """{interpreter}
 try:
     from {module} import {function}
@@ -36,9 +36,9 @@ except KeyboardInterrupt:
 
 
 def quick(command):
-    """Return a setuptools command that writes `SCRIPT` for our executables.
+    """Return a setuptools command that writes `SCRIPT` for the executables of this package.
 
-    The scripts of setuptools first look up the package; Ctrl-C during this time would show a
+    The scripts of setuptools first look up the package. During this time, Ctrl-C would show a
     traceback.
     """
 
@@ -75,7 +75,7 @@ setup(
         (f"share/{NAME}/foxglove", ["foxglove/phy124.json"]),
     ],
     install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},  # tells `colcon test` to run pytest
+    extras_require={"test": ["pytest"]},  # makes `colcon test` run pytest
     zip_safe=False,
     entry_points={
         "console_scripts": [

@@ -1,8 +1,8 @@
-"""Protocols: a sink receives frames, and a playback has a state that sinks show.
+"""Protocols: a sink receives frames; a playback holds the state that the sinks display.
 
-A sink is a context manager with `write(frame)`. A live sink also receives the commands of
-`live.command`. A plug-in may inherit from `Sink` or `LiveSink`, whose methods do nothing; it is
-registered by an entry point `phy124.sinks`.
+A sink is a context manager with the method `write(frame)`. A live sink also receives the commands
+of `live.command`. A plug-in may inherit from `Sink` or `LiveSink`, whose methods do nothing. An
+entry point in the group `phy124.sinks` registers the plug-in.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 Obey = Callable[[str], "str | None"]
-"""Carries out a command; returns the reason of a refusal, or None."""
+"""Function that carries out a command; it returns the reason of a refusal, or None."""
 LONGEST_WAIT = 0.2
-"""Longest wait in `listen` [s]; Ctrl-C and the end of playback are noticed after it."""
+"""Longest wait in `listen` [s]. Ctrl-C and the end of playback are noticed after this time."""
 
 
 class Sink(Protocol):
@@ -46,22 +46,22 @@ class Sink(Protocol):
 
 
 class Recorder(Sink, Protocol):
-    """A sink that also receives messages without a frame."""
+    """A sink that also receives messages that belong to no frame."""
 
     def send(self, message: Message) -> None:
         """Receive a message."""
 
 
 class LiveSink(Sink, Protocol):
-    """A sink with viewers who send commands."""
+    """A sink whose viewers can send commands."""
 
     monotonic: bool = True
-    """True if time must not decrease; otherwise time jumps at each loop and seek."""
+    """True if time must not decrease. If false, time jumps at each loop and seek."""
 
     def listen(self, seconds: float, obey: Obey) -> bool | None:
-        """Wait for a command for up to `seconds`, and pass it to `obey`.
+        """Wait up to `seconds` for a command, and pass the command to `obey`.
 
-        This method may run in another thread than `write`; the other methods may not. Returns True
+        This method may run in another thread than `write`. The other methods may not. Return True
         if a command was read and more may be waiting.
         """
         del obey
@@ -73,13 +73,13 @@ class LiveSink(Sink, Protocol):
         return 0.0
 
     def show(self, playback: Playback) -> None:
-        """Publish the state of playback; called at the start and at each change."""
+        """Publish the state of playback; called at the start and at each change of the state."""
 
     def send(self, message: Message) -> None:
-        """Publish a message on a topic of the sink's `Controls`."""
+        """Publish a message on one of the topics in the sink's `Controls`."""
 
     def audience(self) -> str:
-        """Describe in a line who receives the frames, and the settings that receivers need."""
+        """Describe in a line who receives the frames, and which settings the receivers need."""
         return ""
 
 
@@ -98,11 +98,12 @@ class Playback(Protocol):
 
     speed: float
     rate: float | None
-    """Largest number of frames per second; None: every frame."""
+    """Largest number of frames per second; None if every frame is shown."""
     loop: bool
     shown: int
     dropped: int
-    """Number of frames shown, and of late frames that were dropped."""
+    """Number of frames that were shown, and number of frames that were dropped because they were
+    late."""
     position: float
     """Time in the clip of the last frame shown [s]."""
 

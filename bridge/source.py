@@ -33,15 +33,15 @@ class LiveOptions:
     """Options of a running simulation (`--live`)."""
 
     live: bool = False
-    """Simulate the source, a picture or a file of Gaussians, while it is shown."""
+    """Simulate the source (a picture or a file of Gaussians) while it is shown."""
     scene: str = "press"
     """Preset (see `phy124 scenes`) or path of a .toml file."""
     set: tuple[str, ...] = field(default_factory=tuple)
-    """Any value of the scene, as KEY=VALUE: accuracy=draft, time.frames=48."""
+    """Any values of the scene, as KEY=VALUE: accuracy=draft, time.frames=48."""
     generator: str = "relief"
     """Generator that turns a picture into Gaussians."""
     device: str = "auto"
-    """auto, cpu or cuda:0."""
+    """Device that simulates: auto, cpu or cuda:0."""
     more: tuple[Path, ...] = ()
     """Pictures, or files of Gaussians, of the scene's further objects."""
     reading: Reading = field(default_factory=Reading)
@@ -51,14 +51,14 @@ class LiveOptions:
     views: OtherViews = field(default_factory=OtherViews)
 
     def check(self) -> None:
-        """If `--live` is missing, refuse the options that need it.
+        """Refuse options that need `--live` if `--live` is missing.
 
         Raises:
-            InputError: Such an option is set.
+            InputError: An option that needs `--live` is set.
         """
         if not self.live and self != LiveOptions():
             limit = "Options of a simulation were given, but a saved clip is only played."
-            raise InputError("live", self.live, limit, "Add --live, or leave these options out.")
+            raise InputError("live", self.live, limit, "Add --live, or remove these options.")
 
     def resolve(self) -> Scene:
         """Return the scene with all changes, by default with velocities; raises InputError."""
@@ -68,7 +68,7 @@ class LiveOptions:
 
 
 class LiveRun:
-    """A simulation that does not keep its frames, since together they may exceed the memory."""
+    """A simulation that does not store its frames, which together may exceed the memory."""
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
         """Check the source and the scene.
@@ -76,7 +76,8 @@ class LiveRun:
         Args:
             source: A picture or a file of Gaussians.
             options: Options of the simulation.
-            progress: Called with (stage, steps done, total steps); may raise Cancelled.
+            progress: Function that is called with (stage, steps done, total steps). It may raise
+                Cancelled.
 
         Raises:
             InputError: The source does not exist, or the scene cannot be used.
@@ -86,13 +87,13 @@ class LiveRun:
         self._source, self._options, self._progress = source, options, progress
         self._simulation: Simulation | None = None
         self.stopped: str | None = None
-        """Reason for an early end, if any."""
+        """Reason why the simulation ended early; empty if it did not."""
 
     def __len__(self) -> int:
         return self.scene.time.frames
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames as they are computed; after an early end, `stopped` gives the reason."""
+        """Yield the frames as they are computed; after an early end, `stopped` is the reason."""
         from phy124.simulation import Stopped
 
         try:
@@ -101,7 +102,7 @@ class LiveRun:
             self.stopped = str(stop)
 
     def prepare(self) -> Simulation:
-        """Create the object and its solver unless they exist; raises InputError."""
+        """Create the object and its solver unless they exist; raise InputError on failure."""
         if self._simulation is None:
             self._simulation = self._make()
         return self._simulation
@@ -114,11 +115,12 @@ class LiveRun:
         from phy124.simulation import Simulation, prepare
 
         device = pick_device(self._options.device)
-        # This hides Warp's messages during compilation.
+        # This hides the messages that Warp prints during compilation.
         warp.config.log_level = warp.LOG_ERROR
         made = make_object(self._source, self._options, self.scene, device, self._progress)
         self.scene = made.scene
-        # Sinks receive each frame; storing all frames would limit the run's length by memory.
+        # Sinks receive each frame. If all frames were stored, memory would limit the length of the
+        # run.
         context = RunContext(device=device, progress=self._progress)
         setup = prepare(made.gaussians, made.scene, context, crop=made.crop, keep=False)
         return Simulation(setup)
@@ -152,14 +154,15 @@ def open_clip(path: str | Path) -> Clip:
 def make_object(
     source: Path, options: LiveOptions, scene: Scene, device: str, progress: Progress
 ) -> StaticObject:
-    """Make Gaussians from a picture or a file, and the scene for them; raises InputError.
+    """Make Gaussians from a picture or a file, and the scene for them; raise InputError on failure.
 
     Args:
         source: The picture or the file.
         options: The generator and its options.
         scene: The scene.
-        device: Device of the generator.
-        progress: Called with (stage, steps done, total steps); may raise Cancelled.
+        device: Device on which the generator runs.
+        progress: Function that is called with (stage, steps done, total steps). It may raise
+            Cancelled.
     """
     from phy124.pipeline import make_gaussians
 

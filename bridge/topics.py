@@ -1,10 +1,9 @@
 """Topics of the bridge with their quality of service, and types of a node's services.
 
-Topics are reliable and transient local by default: every subscriber is compatible, and a late
-subscriber gets the last messages (REP-2003 asks publishers of sensor data to be reliable if
-possible).
-To add a topic, declare it here (also in `RECORDED`, if recordings have it) and send it where its
-content is computed: `encoder`, `reports` or `steering/loop`.
+Topics are reliable and transient local by default. Every subscriber is therefore compatible, and a
+late subscriber gets the last messages (REP-2003 asks publishers of sensor data to be reliable if
+possible). To add a topic, declare it here (also in `RECORDED`, if recordings have it). Send it
+where its content is computed: `encoder`, `reports` or `steering/loop`.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ NAMESPACE = "phy124"
 STEERED = "live"
 """Name of the node of a steered run."""
 Hear = Callable[[Any], None]
-"""Receives a message, whose members are attributes."""
+"""Function that receives a message, whose members are attributes."""
 PLAYER = "player"
 """Name of the node that plays clips."""
 
@@ -32,7 +31,7 @@ class Topic:
     name: str
     type: str
     depth: int
-    """Number of recent messages that are kept for late subscribers."""
+    """Number of recent messages that are kept for subscribers that connect later."""
     reliable: bool = True
     transient_local: bool = True
 
@@ -44,7 +43,7 @@ class Message(NamedTuple):
     stamp: int
     """Time of the message [ns since 1970]."""
     data: bytes
-    """The payload as CDR, see `cdr`."""
+    """The payload in CDR format, see `cdr`."""
 
 
 POINTS = Topic("/phy124/points", "sensor_msgs/msg/PointCloud2", depth=5)
@@ -57,7 +56,7 @@ DIAGNOSTICS = Topic(
     "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", depth=10, transient_local=False
 )
 COMMAND = Topic("/phy124/command", "std_msgs/msg/String", depth=10, transient_local=False)
-"""The bridge subscribes to this topic; `live.command` defines the commands."""
+"""Topic of commands, to which the bridge subscribes; `live.command` defines the commands."""
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", depth=100, transient_local=False)
 PUSH = Topic("~/push", "geometry_msgs/msg/WrenchStamped", depth=64, transient_local=False)
 GRAB = Topic("~/grab", "geometry_msgs/msg/PointStamped", depth=10, transient_local=False)
@@ -74,10 +73,10 @@ CAMERA = {
     "jpeg": ("image_raw/compressed", "sensor_msgs/msg/CompressedImage"),
     "h264": ("video", "foxglove_msgs/msg/CompressedVideo"),
 }
-"""What a camera sends -> end of the topic's name, and type."""
+"""Kinds of data that a camera sends, each with the end of the topic's name and the message type."""
 DRACO = Topic("/phy124/points/draco", "point_cloud_interfaces/msg/CompressedPointCloud2", depth=5)
 MAIN = (POINTS.name, SPLATS.name)
-"""Names of the two topics of Gaussians; every frame is on one of them."""
+"""Names of the two topics of Gaussians. Every frame is published on one of them."""
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, DRACO, ELLIPSOIDS, SPLATS, TF)}
 """Topics in recordings, in addition to those of `contact`. The clock is not recorded, because it
 would conflict with the clock of `ros2 bag play --clock`."""
@@ -111,38 +110,41 @@ def find_recorded(name: str) -> Topic | None:
 
 
 def full_name(name: str, node: str) -> str:
-    """Resolve the tilde in the name of a node's topic or service."""
+    """Replace the tilde in the name of a node's topic or service."""
     return name.replace("~", f"/{NAMESPACE}/{node}", 1) if name.startswith("~") else name
 
 
 @dataclass(frozen=True)
 class Service:
-    """A service, which is served on the thread that calls the sink's `listen`."""
+    """A service; the thread that calls the sink's `listen` serves its requests."""
 
     name: str
     type: str
     """`package/srv/Name`."""
     serve: Callable[[Any], dict[str, Any]]
-    """Receives the request, whose members are attributes; returns the members of the response."""
+    """Function that receives the request, whose members are attributes, and returns the members of
+    the response."""
 
 
 @dataclass(frozen=True)
 class Controls:
-    """Topics and services of a sink in addition to frames; by default those of a clip's player."""
+    """Topics and services that a sink offers besides frames; by default those of a player."""
 
     node: str = PLAYER
     published: tuple[Topic, ...] = ()
-    """Topics published in addition to those of the frames."""
+    """Topics that are published in addition to those of the frames."""
     heard: Mapping[Topic, Hear] = field(default_factory=dict)
     services: tuple[Service, ...] = ()
     steps: Callable[[int], Any] | None = None
-    """Computes N steps; the iterator that it returns yields once per step."""
+    """Function that computes N steps. It returns an iterator that yields once per step."""
     refused: Callable[[str], object] = lambda sentence: None
-    """Receives the message of a refusal."""
+    """Function that receives the message of a refusal."""
     clock: bool = False
     """Whether /clock is published."""
     patient: bool = True
-    """Whether frames wait for slow subscribers; the program that computes the frames is then
-    delayed."""
+    """Whether frames wait for slow subscribers. If they do, the program that computes the frames is
+    delayed, too."""
     values: Callable[[], Mapping[str, Any]] = dict
-    """Returns values that the diagnostics show in addition to the state of playback."""
+    """Function that returns values that the diagnostics show in addition to the state of
+    playback.
+    """

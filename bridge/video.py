@@ -1,7 +1,7 @@
-"""H.264 as Foxglove expects it: Annex B, one access unit per picture, no B frames.
+"""H.264 video as Foxglove expects it: Annex B, one access unit per picture, no B frames.
 
 ffmpeg encodes without look-ahead. The output of ffmpeg is an AVI stream, whose chunks state their
-length, so that the bytes of a picture are complete before the next picture is sent.
+length. The bytes of a picture are therefore complete before the next picture is sent.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
 PRESET = "-preset ultrafast -tune zerolatency -crf 20"
 STREAM = "-bf 0 -fps_mode passthrough -x264-params aud=1:repeat-headers=1 -flush_packets 1 -f avi -"
 PROBE = "-probesize 32 -analyzeduration 0"
-"""Options with which ffmpeg does not wait for further pictures."""
+"""Options that make ffmpeg encode without waiting for further pictures."""
 CHUNK = struct.Struct("<4sI")
-"""Name and length of a chunk."""
+"""Name and length of a chunk in the AVI stream."""
 LISTS = (b"RIFF", b"LIST")
 
 
 class H264Encoder:
-    """Encodes pictures one by one; a key frame with its parameter sets comes once a second."""
+    """Encodes pictures one by one; a key frame with its parameter sets is sent once a second."""
 
     def __init__(self, width: int, height: int, fps: float) -> None:
         """Start the encoder.
 
         Args:
-            width: Width of the pictures, pixels.
-            height: Height of the pictures, pixels.
-            fps: Pictures per second.
+            width: Width of the pictures [pixels].
+            height: Height of the pictures [pixels].
+            fps: Number of pictures per second.
         """
         import imageio_ffmpeg
 
@@ -86,13 +86,13 @@ class H264Encoder:
             return self._read_picture()
         except (OSError, EOFError) as error:
             limit = f"the video encoder stopped (exit status {self._process.wait()})."
-            raise InputError("images", "h264", limit, "Leave h264 out.") from error
+            raise InputError("images", "h264", limit, "Remove h264.") from error
 
     def _read_picture(self) -> bytes:
         while True:
             name, size = CHUNK.unpack(self._read(CHUNK.size))
             if name in LISTS:
-                self._read(4)  # the list's chunks follow
+                self._read(4)  # the chunks of the list follow
                 continue
             data = self._read(size + size % 2)[:size]
             if name == b"00dc":

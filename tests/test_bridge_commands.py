@@ -147,7 +147,7 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
         (["info", "."], "There is no recording"),
         (["recover", "none"], "There is no recording"),
         (["record", "none.png", "--live"], "There is no such file"),
-        (["record", "CLIP", "--scene", "drop"], "Add --live, or leave these options out"),
+        (["record", "CLIP", "--scene", "drop"], "Add --live, or remove these options"),
         (["play", "CLIP", "--set", "seed=1"], "Add --live"),
         (["record", "CLIP", "--floor"], "Add --live"),
         (["record", "PNG", "--live", "--up", "z"], "relief: --up is for a file of Gaussians"),

@@ -1,7 +1,7 @@
 """Start the player, or a running simulation, and RViz.
 
 `ros2 launch phy124_bridge player.launch.py clip:=/path/clip.safetensors`, or with `source:=` a
-picture and `scene:=` its scene. The module launch comes with ROS 2 and is on no package index, so
+picture and `scene:=` its scene. The module launch comes with ROS 2 and is in no package index, so
 type checkers do not find it.
 """
 
@@ -22,19 +22,20 @@ PARAMETERS = {
     "clip": (str, "A clip.safetensors made by phy124; give either clip or source."),
     "source": (str, "A picture or a file of Gaussians, simulated while it is shown."),
     "scene": (str, "With source: preset (see `phy124 scenes`) or path of a .toml file."),
-    "profile": (str, "Numbers per point: viz, full, small, ply or splats."),
+    "profile": (str, "Values per point: viz, full, small, ply or splats."),
     "frame_id": (str, "Coordinate frame of the object's world."),
-    "speed": (float, "Clip seconds per second."),
+    "speed": (float, "Playback speed: seconds of the clip per real second."),
     "rate": (float, "Largest number of frames per second; 0: every frame."),
     "loop": (bool, "Start again after the last frame."),
 }
-"""Name -> type and description; an empty value keeps the value of the parameter file."""
+"""Type and description of each argument. If a value is empty, the value in the parameter file
+applies."""
 PLAYER = ("clip", "profile", "frame_id", "speed", "rate", "loop")
 SIMULATED = ("source", "scene", "profile", "frame_id", "speed")
 
 
 def generate_launch_description():
-    """Return the launch description; its user must give either `clip` or `source`."""
+    """Return the launch description; its user must set either `clip` or `source`."""
     config = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "player.yaml"])
     return LaunchDescription(
         [
@@ -51,7 +52,7 @@ def generate_launch_description():
             DeclareLaunchArgument(
                 "managed",
                 default_value="false",
-                description="With clip: start the lifecycle node, which a manager activates.",
+                description="With clip: start a lifecycle node, which a manager activates.",
             ),
             DeclareLaunchArgument(
                 "rviz", default_value="true", description="Also open RViz if it is installed."
@@ -62,10 +63,10 @@ def generate_launch_description():
 
 
 def _nodes(context):
-    """Return the node for the launch arguments, and RViz if it is installed."""
+    """Return the node with the launch arguments, and RViz if RViz is installed."""
     values = {name: LaunchConfiguration(name).perform(context) for name in PARAMETERS}
     if bool(values["clip"]) == bool(values["source"]):
-        # For launch, an exception is the only way to a nonzero exit status.
+        # launch reports a nonzero exit status only if an exception is raised.
         raise ValueError("Give clip:=/path/clip.safetensors, or source:=/path/photo.png.")
     namespace = "/" + LaunchConfiguration("namespace").perform(context).strip("/")
     executable, names = ("simulate", SIMULATED) if values["source"] else ("player", PLAYER)
@@ -91,7 +92,7 @@ def _nodes(context):
 
 
 def _end(event, context):
-    """End RViz, too; the exit status of launch is nonzero if that of the node is."""
+    """End RViz, too; if the node's exit status is nonzero, launch has a nonzero exit status."""
     del context
     if event.returncode:
         raise RuntimeError(f"The {PACKAGE} node has ended with exit status {event.returncode}.")

@@ -1,7 +1,7 @@
 """Background: runs another sink in a separate thread, so that recording never delays playback.
 
-Frames wait in a short queue. When the queue is full, frames are left out of the recording, counted
-and reported; playback continues.
+Frames wait in a short queue. When the queue is full, new frames are not recorded. Such frames are
+counted and reported, and playback continues.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ log = logging.getLogger(__name__)
 
 
 class Background:
-    """Writes to `sink` in a thread; `write` returns at once."""
+    """Writes to `sink` in a thread; `write` returns immediately."""
 
     def __init__(self, sink: Recorder, *, depth: int = 16) -> None:
-        """Prepare the thread; up to `depth` frames and messages may wait."""
+        """Prepare the thread; up to `depth` frames and messages may wait in the queue."""
         self.sink = sink
         self.dropped = 0
         """Number of frames that were not recorded because the sink was too slow or had failed."""
@@ -39,14 +39,14 @@ class Background:
         return self
 
     def write(self, frame: Frame) -> None:
-        """Queue a frame without waiting."""
+        """Append a frame to the queue without waiting."""
         try:
             self._queue.put_nowait(frame)
         except queue.Full:
             self._drop()
 
     def send(self, message: Message) -> None:
-        """Queue a message without waiting; if the queue is full, the message is dropped."""
+        """Append a message to the queue without waiting; if the queue is full, drop the message."""
         with suppress(queue.Full):
             self._queue.put_nowait(message)
 

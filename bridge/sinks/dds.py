@@ -1,8 +1,8 @@
 """DdsSink: ROS 2 topics without ROS 2, through the pip package cyclonedds.
 
-ROS 2 nodes accept this sink because of its mangled topic and type names, XCDR version 1, the type
-hash in the user data of the endpoints, and a sample on `ros_discovery_info` that names the node
-(Jazzy's rmw_dds_common). `DdsServices` offers the services.
+ROS 2 nodes accept this sink for four reasons: its mangled topic and type names, XCDR version 1, the
+type hash in the user data of the endpoints, and a sample on `ros_discovery_info` that names the
+node (Jazzy's rmw_dds_common). `DdsServices` offers the services.
 """
 
 from __future__ import annotations
@@ -35,13 +35,15 @@ log = logging.getLogger(__name__)
 DEPTH = 10
 AT_ONCE = 16
 """Largest number of messages or requests that are read from a topic before the next topic is
-read."""
+read.
+"""
 HEADER = struct.Struct("<Qq")
-"""Client identity and request number; 16 bytes long, so that the following members stay aligned."""
+"""Client identity and request number. They have 16 bytes, so that the following members stay
+aligned."""
 
 
 class DdsSink:
-    """Publishes frames over DDS; on this machine only, unless `network` is set."""
+    """Publishes frames over DDS; only to this machine, unless `network` is set."""
 
     monotonic = True
 
@@ -56,8 +58,9 @@ class DdsSink:
 
         Args:
             options: Options that define how frames become messages.
-            network: Also reach other machines. A CYCLONEDDS_URI overrides this and ROS's variables.
-            controls: Inputs, topics and services in addition to frames; None: those of a player.
+            network: Whether to reach other machines, too. A CYCLONEDDS_URI overrides this argument
+                and ROS's variables.
+            controls: Inputs, topics and services in addition to frames. If None, those of a player.
 
         Raises:
             InputError: cyclonedds is missing, or a ROS variable has an invalid value.
@@ -101,10 +104,11 @@ class DdsSink:
         """Wait until subscribers have received the last frames, then leave the domain."""
         try:
             self._delivery.farewell()
-            # In a short run, they may be acknowledged later than the frames.
+            # In a short run, these messages may be acknowledged later than the frames.
             wait_for_topics(self._acknowledged_on, self._writers)
         finally:
-            # DDS entities are deleted with their last reference; children must go before parents.
+            # A DDS entity is deleted with its last reference. Children must be deleted before their
+            # parents.
             self._writers.clear()
             self._heard.clear()
             del self._services, self._waitset, self._nodes, self._participant, self._domain
@@ -117,11 +121,11 @@ class DdsSink:
 
     @property
     def start(self) -> float:
-        """Time of the clip's start [s since 1970]."""
+        """Time at which the clip starts [s since 1970]."""
         return self._encoder.start
 
     def audience(self) -> str:
-        """Describe in a line who receives the frames, and the command that receivers need."""
+        """Describe in a line who receives the frames, and which command the receivers need."""
         if URI in os.environ:
             return (
                 f"Domain {self._discovery.domain}; {URI} determines "
@@ -155,11 +159,11 @@ class DdsSink:
         return more
 
     def show(self, playback: Playback) -> None:
-        """Publish the status."""
+        """Publish the status of playback."""
         self._reports.change(playback)
 
     def subscribers(self) -> int:
-        """Return the number of current readers of the points."""
+        """Return the number of subscribers that currently read the points."""
         return len(self._writers[self._encoder.main.name].get_matched_subscriptions())
 
     def _wait_acknowledged(self, seconds: float) -> bool:
@@ -186,7 +190,7 @@ class DdsSink:
         self._writers = {topic.name: self._writer(topic) for topic in dict.fromkeys(topics)}
         heard: dict[Topic, Hear] = {COMMAND: self._command, **self._controls.heard}
         self._heard = [(self._reader(topic), hear) for topic, hear in heard.items()]
-        # All nodes write to this topic, which has no key that distinguishes them.
+        # All nodes write to this topic. It has no key that distinguishes the nodes.
         self._nodes = self._reader(replace(DISCOVERY, depth=MANY))
         self._waitset = WaitSet(self._participant)
         unread = SampleState.NotRead | ViewState.Any | InstanceState.Any
@@ -237,7 +241,7 @@ class DdsSink:
         self.send(Message(DISCOVERY, 0, encode(DISCOVERY.type, info)))
 
     def _namesakes(self) -> int:
-        """Return the number of other participants with a node of this name."""
+        """Return how many other participants have a node with this name."""
         identity = self._participant.guid.bytes
         for sample in self._nodes.take(MANY):
             if hasattr(sample, "gid") and bytes(sample.gid.data) != identity:
@@ -336,7 +340,7 @@ def _offer(participant: Any, service: Service, node: str) -> _Offered:
 
     name = full_name(service.name, node)
     asked, answered = f"{service.type}_Request", f"{service.type}_Response"
-    # By the identity, a waiting client knows which reader and writer belong together.
+    # The identity tells a waiting client which reader and writer belong together.
     identity = ".".join(f"{byte:x}" for byte in participant.guid.bytes[:12])
     topics = {kind: Topic(name, kind, DEPTH, transient_local=False) for kind in (asked, answered)}
     qos = {kind: quality(topic, also=f"serviceid={identity};") for kind, topic in topics.items()}

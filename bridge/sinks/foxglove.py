@@ -1,6 +1,6 @@
 """FoxgloveSink: a websocket that Foxglove and Lichtblick open directly, with playback control.
 
-The messages (CDR) and schemas (ros2msg) are those of the other sinks; Foxglove's package
+The messages (CDR) and schemas (ros2msg) are the same as in the other sinks. Foxglove's package
 foxglove-sdk sends them. `foxglove_clients` receives the messages and service calls that steer a
 run.
 """
@@ -27,7 +27,7 @@ from .foxglove_clients import ENCODING as JSON
 from .foxglove_clients import Clients, Job
 
 PORT, PORTS = 8765, 65535
-"""Default port of Foxglove, and largest port."""
+"""Default port of Foxglove, and largest valid port number."""
 
 
 class FoxgloveSink:
@@ -42,18 +42,18 @@ class FoxgloveSink:
         port: int = PORT,
         controls: Controls | None = None,
     ) -> None:
-        """Prepare the sink; entering it starts the server.
+        """Prepare the sink; the server starts when the sink's context is entered.
 
         Args:
             options: Options that define how frames become messages.
-            duration: Length of the clip [s], for which viewers show play, pause, seek and speed;
+            duration: Length of the clip [s], for which viewers show play, pause, seek and speed.
                 None for a running simulation.
-            host: Address to listen on; by default only this machine can connect.
-            port: Port to listen on; 0 picks a free one.
-            controls: Inputs, topics and services in addition to frames; None: those of a player.
+            host: Address to listen on. By default, only this machine can connect.
+            port: Port to listen on. If it is 0, a free port is chosen.
+            controls: Inputs, topics and services in addition to frames. If None, those of a player.
 
         Raises:
-            InputError: foxglove-sdk is missing, or there is no such port.
+            InputError: foxglove-sdk is missing, or the port number is invalid.
         """
         require_foxglove()
         if not 0 <= port <= PORTS:
@@ -65,17 +65,17 @@ class FoxgloveSink:
         self._duration, self._host = duration, host
         self._controls = controls
         self.clients = Clients(controls or Controls(), self.post)
-        """Receiver of the messages and service calls of viewers."""
+        """Receiver of the messages and service calls that viewers send."""
         self._node = (controls or Controls()).node
         self._reports = None if controls is None else self._reporting(controls)
         self._viewers = 0
         self._jobs: queue.Queue[Job] = queue.Queue()
         self._latest: list[Message] = []
-        self._answers: str | None = None  # request to which the next state is the answer
+        self._answers: str | None = None  # request that the next state answers
         self._sought = False
 
     def __enter__(self) -> FoxgloveSink:
-        """Start the server; raises InputError if the port is in use."""
+        """Start the server; raise InputError if the port is in use."""
         import foxglove
 
         self._context = foxglove.Context()
@@ -113,9 +113,9 @@ class FoxgloveSink:
         self._log(self._latest)
 
     def listen(self, seconds: float, obey: Obey) -> bool:
-        """Carry out the viewers' commands, and send new viewers the transform and latest frame.
+        """Carry out the viewers' commands, and send new viewers the transform and the latest frame.
 
-        Returns whether more commands are waiting.
+        Return whether more commands are waiting.
         """
         if self._reports:
             self._reports.send_due()
@@ -148,24 +148,24 @@ class FoxgloveSink:
 
     @property
     def start(self) -> float:
-        """Time of the clip's start [s since 1970]."""
+        """Time at which the clip starts [s since 1970]."""
         return self._encoder.start
 
     def audience(self) -> str:
-        """Describe in a line the address to open."""
+        """Return a line with the address that viewers open."""
         there = self._host if self._host != "0.0.0.0" else "this machine's name"
         return f"Open ws://{there}:{self.port} in Foxglove."
 
     def post(self, job: Job) -> None:
-        """Queue a job of a server thread for the thread that calls `listen`."""
+        """Append a job of a server thread to the queue of the thread that calls `listen`."""
         self._jobs.put(job)
 
     def forget(self, topic: str) -> None:
-        """Count a viewer that unsubscribes; called by a server thread."""
+        """Count a viewer that unsubscribes; a server thread calls this method."""
         self._viewers -= topic == self._encoder.main.name
 
     def newcomer(self, topic: str) -> None:
-        """Count a subscribing viewer, and send the latest message; called by a server thread."""
+        """Count a new subscriber, and send the latest message to it; called by a server thread."""
         self._viewers += topic == self._encoder.main.name
         names = {t.name for t in self._encoder.topics if full_name(t.name, self._node) == topic}
         self.post(
@@ -175,13 +175,13 @@ class FoxgloveSink:
         )
 
     def control(self, playing: bool, speed: float, seek: int | None, request: str) -> None:
-        """Carry out a viewer's use of the playback controls; called by a server thread.
+        """Carry out a viewer's use of the playback controls; a server thread calls this method.
 
         Args:
             playing: True to play, False to pause.
-            speed: Clip seconds per real second.
-            seek: Time to seek [ns since 1970]; None: no seek.
-            request: Identifier that the next state must carry.
+            speed: Playback speed: seconds of the clip per real second.
+            seek: Time to seek [ns since 1970]. If None, the time does not change.
+            request: Identifier of the request, which the next state must contain.
         """
         orders = [f"speed {speed!r}"]
         if seek is not None:
@@ -227,7 +227,7 @@ class FoxgloveSink:
         return Channel(name, message_encoding=ENCODING, schema=schema, context=self._context)
 
     def _log(self, messages: list[Message]) -> None:
-        # Reports have no time stamp of their own.
+        # Reports contain no time stamp.
         now = self._latest[0].stamp if self._latest else self._encoder.epoch
         for message in messages:
             when = message.stamp or now

@@ -1,7 +1,7 @@
-"""Messages on topics and service calls that viewers send over Foxglove's websocket, as JSON.
+"""Messages and service calls that viewers send over Foxglove's websocket, as JSON.
 
-Messages and calls arrive on threads of the server, and are carried out on the thread that calls
-`listen`.
+The threads of the server receive messages and calls. The thread that calls `listen` carries them
+out.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from ..topics import COMMAND, Controls, Hear, Service, Topic, full_name
 
 ENCODING = "json"
 BACKLOG = 100
-"""Largest number of waiting messages; when it is exceeded, the oldest are dropped."""
+"""Largest number of waiting messages. When it is exceeded, the oldest messages are dropped."""
 FLOOD = f"Messages arrive faster than they are read: only the newest {BACKLOG} are kept."
 OFTEN = 0.2
 """Interval between two checks whether the sink was closed [s]."""
 Job = Callable[[Obey], object]
 INTEGERS = ("byte", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
 WORDS = {bool: "boolean", str: "string", int: "integer", float: "number"}
-"""Python type -> JSON Schema type."""
+"""JSON Schema type of each Python type."""
 REMEDY = "Send JSON with the members of the message; missing members are zero or empty."
 
 
@@ -40,8 +40,8 @@ class Clients:
         """Prepare to receive messages and calls from viewers.
 
         Args:
-            controls: Topics that are subscribed to, and services that are offered.
-            post: Passes a job to the thread that calls `listen`.
+            controls: The topics to subscribe to, and the services to offer.
+            post: Function that passes a job to the thread that calls `listen`.
         """
         self._post, self._node = post, controls.node
         heard = {full_name(t.name, self._node): (t, hear) for t, hear in controls.heard.items()}
@@ -51,12 +51,12 @@ class Clients:
         self._waiting: deque[tuple[str, bytes]] = deque(maxlen=BACKLOG)
         self._refused = controls.refused
         self._flooded = False
-        """Whether the overflow of messages has been reported."""
+        """Whether the loss of messages has been reported."""
         self.closed = False
         """Whether calls are no longer answered."""
 
     def advertise(self, client: int, channel: int, topic: str, encoding: str) -> None:
-        """Register that a viewer is going to publish on a topic.
+        """Record that a viewer is going to publish on a topic.
 
         Args:
             client: Number of the viewer.
@@ -77,11 +77,11 @@ class Clients:
             self._channels[client, channel] = topic
 
     def unadvertise(self, client: int, channel: int) -> None:
-        """Register that a viewer stops publishing on a channel."""
+        """Record that a viewer stops publishing on a channel."""
         self._channels.pop((client, channel), None)
 
     def message(self, client: int, channel: int, data: bytes) -> None:
-        """Queue a message that a viewer has published."""
+        """Append a message that a viewer has published to the queue."""
         topic = self._channels.get((client, channel))
         if topic is None:
             return
@@ -94,7 +94,7 @@ class Clients:
             self._post(_wake)
 
     def list_services(self) -> list[Any]:
-        """Return the services as the server needs them."""
+        """Return the services in the form that the server needs."""
         from foxglove import MessageSchema, Schema, ServiceSchema
         from foxglove import Service as Offered
 
@@ -149,7 +149,8 @@ class Clients:
 def _wake(obey: Obey) -> None:
     """Do nothing.
 
-    A queued job that does nothing wakes the waiting thread, which then reads the messages.
+    Append a job that does nothing, which wakes the waiting thread; the thread then reads the
+    messages.
     """
     del obey
 
@@ -157,7 +158,7 @@ def _wake(obey: Obey) -> None:
 def from_json(name: str, data: bytes) -> Any:
     """Parse a message; its members are attributes, and missing members are zero, empty or false.
 
-    NaN and Infinity, which JSON lacks, are accepted as Python writes them.
+    NaN and Infinity, which JSON lacks, are accepted in the form that Python writes.
 
     Raises:
         InputError: The data is not JSON, or a member is unknown or of the wrong type.
@@ -209,7 +210,7 @@ def _value(base: str, value: Any, where: str) -> Any:
 
 
 def _kind(base: str) -> tuple[tuple[type, ...], Any]:
-    """Return the accepted Python types of a primitive, and its zero value."""
+    """Return the Python types that are accepted for a primitive, and the primitive's zero value."""
     if base == "bool":
         return (bool,), False
     if base == "string":

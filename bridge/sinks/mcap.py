@@ -1,8 +1,8 @@
 """McapSink: writes frames to an MCAP file that ROS 2 plays as a bag.
 
-When `write` returns, the frame has been flushed to the operating system: a killed process loses at
-most the frame being written. `recover` repairs a file that a killed process left. metadata.yaml is
-written last.
+When `write` returns, the operating system has the frame. A killed process therefore loses at most
+the frame that is being written. `recover` repairs a file that a killed process left. metadata.yaml
+is written last.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ from ..topics import PLAYER, Message, Topic, full_name
 
 Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
-"""Size of a chunk [bytes]; a larger frame gets a chunk of its own."""
+"""Size of a chunk [bytes]. A larger frame gets a chunk of its own."""
 OLDER = ".old"
-"""Suffix of an older recording in a bag folder, until the recording that replaces it is
-complete."""
+"""Suffix of an existing recording in a bag folder until the recording that replaces it is
+complete.
+"""
 log = logging.getLogger(__name__)
 
 
@@ -49,18 +50,18 @@ class McapSink:
         topics: Sequence[Topic] = (),
         node: str = PLAYER,
     ) -> None:
-        """Prepare a recording; no file is changed before the sink is entered.
+        """Prepare a recording; no file is changed before the sink's context is entered.
 
         Args:
             path: The folder or the .mcap file to create.
             options: Options that define how frames become messages.
-            compression: Compression of the chunks. Files with moving Gaussians hardly become
+            compression: Compression of the chunks. It hardly makes files with moving Gaussians
                 smaller, and `none` is fastest.
-            scene: The resolved scene as plain data, to be stored in the file.
-            report: Called at the end; its result is stored in the file.
-            overwrite: Replace an existing bag.
-            topics: Additional topics, whose messages come by `send`.
-            node: Node to which names of topics are relative.
+            scene: The complete scene as plain data, to be stored in the file.
+            report: Function that is called at the end. Its result is stored in the file.
+            overwrite: Whether to replace an existing bag.
+            topics: Additional topics. Their messages arrive by `send`.
+            node: Node to which the names of topics are relative.
 
         Raises:
             InputError: The package `mcap` is missing.
@@ -77,7 +78,8 @@ class McapSink:
         self._topics = {t.name: replace(t, name=full_name(t.name, node)) for t in announced}
         self._counts = bag.Counts()
         self._single = self.path.suffix == bag.SUFFIX
-        # A complete single file gets its final name; a bag is complete with metadata.yaml.
+        # A complete single file gets its final name. A bag is complete when it contains
+        # metadata.yaml.
         self.file = (
             self.path.with_name(self.path.name + bag.PART)
             if self._single
@@ -125,7 +127,7 @@ class McapSink:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Complete the file; after a disk error the file stays as `write` left it."""
+        """Complete the file; after a disk error, the file stays as `write` left it."""
         if self._stream.closed:
             return
         try:
@@ -134,14 +136,14 @@ class McapSink:
             failure = self._failure()
             if kind is None:
                 raise failure from error
-            # Another error came first and is the one that is raised.
+            # Another error came first. That error is raised.
             log.error(str(failure))
 
     def write(self, frame: Frame) -> None:
         """Append a frame.
 
         Raises:
-            Incomplete: The disk is full or gone; frames written so far stay in the file.
+            Incomplete: The disk is full or was removed. The frames written so far stay in the file.
         """
         try:
             for message in self._encoder.encode(frame):
@@ -152,10 +154,10 @@ class McapSink:
         self.frames += 1
 
     def send(self, message: Message) -> None:
-        """Append a message of an announced topic; it is flushed with the next frame.
+        """Append a message of an announced topic; the message is flushed with the next frame.
 
         Raises:
-            Incomplete: The disk is full or gone; frames written so far stay in the file.
+            Incomplete: The disk is full or was removed. The frames written so far stay in the file.
         """
         if message.topic.name not in self._topics:
             return
@@ -165,12 +167,12 @@ class McapSink:
             raise self._failure() from error
 
     def _put_aside(self) -> None:
-        """Rename the older recording, which is kept until the new one is complete."""
+        """Rename the existing recording, which is kept until the new recording is complete."""
         sweep_parts(self.file.parent)
         if self._single:
             return  # the new file has a temporary name until it is complete
         finished = (self.path / bag.METADATA).exists()
-        # An old metadata.yaml must not describe a new file.
+        # An old metadata.yaml must not describe the new file.
         (self.path / bag.METADATA).unlink(missing_ok=True)
         if self.file.exists() and (finished or not self._older.exists()):
             os.replace(self.file, self._older)
@@ -222,11 +224,11 @@ class McapSink:
             self._older.unlink(missing_ok=True)
 
     def _failure(self) -> Incomplete:
-        """Close the file, keeping all flushed data; return the error to raise."""
+        """Close the file and keep all flushed data; return the error that should be raised."""
         try:
             self._stream.close()
         except OSError:
-            # Closing flushes again and fails again, but closes the file nevertheless.
+            # Closing flushes the data again. This fails again, but the file is closed nevertheless.
             assert self._stream.closed
         kept = f"{self.frames} frames are safe in {self.file}"
         if not self._single and self._older.exists():

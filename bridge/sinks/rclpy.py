@@ -1,10 +1,10 @@
 """RclpySink: publishes frames and offers services through rclpy.
 
 Messages are published as encoded bytes (`publisher.publish(bytes)`), because filling rclpy's Python
-fields is slow. Names are relative to the namespace `phy124`, which allows remapping.
+fields is slow. Names are relative to the namespace `phy124`, so that they can be remapped.
 """
 
-# rclpy comes with ROS 2 and is on no package index, so type checkers do not find it.
+# rclpy comes with ROS 2 and is in no package index, so type checkers do not find it.
 # pyright: reportMissingImports=false
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from ..topics import COMMAND, NAMESPACE, Controls, Hear, Message, Topic
 
 
 class RclpySink:
-    """Publishes frames through a ROS 2 node and offers its services."""
+    """Publishes frames through a ROS 2 node and offers the node's services."""
 
     monotonic = True
 
@@ -45,16 +45,16 @@ class RclpySink:
         running: Mapping[str, Parameter] = RUNNING,
         controls: Controls | None = None,
     ) -> None:
-        """Prepare the sink; entering it starts the node.
+        """Prepare the sink; the node starts when the sink's context is entered.
 
         Args:
             options: Options that define how frames become messages.
-            clock: Whether to publish /clock; no other node may publish it then.
-            node: The node to use, with its executor if it has one; None: create a node that ends
+            clock: Whether to publish /clock. If so, no other node may publish it.
+            node: The node to use, with its executor if it has one. If None, create a node that ends
                 with the sink.
             args: `--ros-args` and the arguments after it, for the created node.
-            running: Parameters that can be changed during playback; declared if necessary.
-            controls: Inputs, topics and services in addition to frames; None: those of a player.
+            running: Parameters that can be changed during playback. They are declared if necessary.
+            controls: Inputs, topics and services in addition to frames. If None, those of a player.
 
         Raises:
             InputError: rclpy cannot be imported.
@@ -66,9 +66,9 @@ class RclpySink:
         self._parameters, self._running = running, None
         self._playback: Playback | None = None
         self._obey: Obey = self._remember
-        self._values: dict[str, Any] = {}  # state of playback, by parameter
-        self._received = 0  # messages on all subscribed topics
-        self._wishes: list[str] = []  # commands that came before the start of playback
+        self._values: dict[str, Any] = {}  # state of playback, by name of the parameter
+        self._received = 0  # number of messages on all subscribed topics
+        self._wishes: list[str] = []  # commands that arrived before the start of playback
 
     def __enter__(self) -> RclpySink:
         """Start the node, and offer topics and services."""
@@ -121,11 +121,11 @@ class RclpySink:
 
     @property
     def start(self) -> float:
-        """Time of the clip's start [s since 1970]."""
+        """Time at which the clip starts [s since 1970]."""
         return self._encoder.start
 
     def audience(self) -> str:
-        """Describe in a line the node, and who receives the frames."""
+        """Return a line that names the node, and who receives the frames."""
         return (
             f"Node {self._name}; ROS 2's environment variables determine which "
             "machines receive its topics (ros2 node list)."
@@ -140,9 +140,9 @@ class RclpySink:
             self.send(message)
 
     def listen(self, seconds: float, obey: Obey) -> bool:
-        """Spin the node for up to `seconds`; raises KeyboardInterrupt if ROS shuts down.
+        """Spin the node for up to `seconds`; raise KeyboardInterrupt if ROS shuts down.
 
-        A spin runs at most one callback. Returns whether it received a message.
+        A spin runs at most one callback. Return whether the node received a message.
         """
         self._obey = obey
         while self._wishes:
@@ -221,7 +221,7 @@ class RclpySink:
         """Wait for the last frames, unless ROS has already been shut down."""
         if self._node.context.ok():
             self._delivery.farewell()
-            # In a short run, they may be acknowledged later than the frames.
+            # In a short run, these messages may be acknowledged later than the frames.
             wait_for_topics(self._acknowledged_on, self._publishers)
 
     def _audience(self) -> Audience:
@@ -235,7 +235,7 @@ class RclpySink:
 
     @contextmanager
     def _until_shutdown(self) -> Iterator[None]:
-        """Within this context, turn errors after the shutdown of ROS into a KeyboardInterrupt."""
+        """Turn errors after the shutdown of ROS into a KeyboardInterrupt within this context."""
         try:
             yield
         finally:
@@ -247,7 +247,7 @@ class RclpySink:
         from rclpy.qos import QoSPolicyKind as Kind
         from rclpy.qos_overriding_options import QoSOverridingOptions
 
-        # By default users cannot override durability.
+        # By default, users cannot override the durability.
         kinds = [Kind.HISTORY, Kind.DEPTH, Kind.RELIABILITY, Kind.DURABILITY]
         try:
             return self._node.create_publisher(

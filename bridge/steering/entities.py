@@ -1,7 +1,8 @@
 """Objects of a steered run as entities of simulation_interfaces (1.x and 2.x).
 
-An entity's pose is its centre of mass and the rotation that fits best to the motion of its
-particles. A run has a fixed set of objects, so spawning and deleting are refused by result codes.
+An entity's pose is its centre of mass and the rotation that best fits the motion of its particles.
+A run has a fixed set of objects, so requests to spawn or delete objects are refused by result
+codes.
 """
 
 from __future__ import annotations
@@ -37,12 +38,13 @@ class Code(IntEnum):
 INVALID_POSE = 101
 """Additional result code of SetEntityState."""
 DYNAMIC, STATIC = 4, 5
-"""Categories of `simulation_interfaces/msg/EntityCategory`: of moving objects, and of held
+"""Categories of `simulation_interfaces/msg/EntityCategory`: for moving objects, and for held
 objects."""
 EMPTY, BOX, CONVEX, SPHERE = range(4)
 """Types of `simulation_interfaces/msg/Bounds`."""
 FARTHEST = 5.0
-"""Largest distance of a new position from the middle of the scene [sizes of the object]."""
+"""Largest distance of a new position from the middle of the scene, as a multiple of the object's
+size."""
 FIXED = "The objects of a run are fixed; {} of entities is not supported. Start `live` with --more."
 
 
@@ -50,7 +52,7 @@ class Entities:
     """Services that list, describe and move the entities (objects and props)."""
 
     def __init__(self, run: SteeredRun, options: Options) -> None:
-        """Store the run, and the options with the name of its coordinate frame."""
+        """Store the run, and the options, which name its coordinate frame."""
         self._run, self._options = run, options
 
     def list(self, request: Any) -> dict[str, Any]:
@@ -97,7 +99,7 @@ class Entities:
         }
 
     def state(self, request: Any) -> dict[str, Any]:
-        """Return pose and twist of an entity in the frame of the run (GetEntityState)."""
+        """Return the pose and twist of an entity in the run's coordinate frame (GetEntityState)."""
         motion = self._motions.get(request.entity)
         if motion is None:
             return {"result": self._unknown(request.entity)}
@@ -166,7 +168,7 @@ class Entities:
         return result(Code.NOT_FOUND, f"There is no {name!r}, only {', '.join(self._motions)}.")
 
     def _overlapping(self, bounds: Any) -> set[str] | None:
-        """Return the entities with at least one point within the bounds; None if all match."""
+        """Return the entities with at least one point within the bounds; None means all."""
         if bounds.type == EMPTY:
             return None
         first, second = (np.array([p.x, p.y, p.z]) for p in bounds.points[:2])
@@ -182,7 +184,7 @@ class Entities:
         return overlapping
 
     def _asked_motion(self, before: Motion, state: Any, *, pose: bool, twist: bool) -> Motion:
-        """Return the motion that a request asks for; raises InputError."""
+        """Return the motion that a request asks for; raise InputError if the motion is invalid."""
         frame = state.header.frame_id
         base = np.eye(4) if not frame else self._run.inputs.pose(frame)
         motion = before

@@ -1,7 +1,8 @@
 """Receives messages that push or grab the object, and applies them between two frames.
 
-Of the messages between two frames, only the newest wrench in each coordinate frame and the newest
-grab are applied: the work does not depend on the number of messages.
+Of all messages that arrive between two frames, only two kinds are applied: the newest wrench in
+each coordinate frame, and the newest
+grab. The work therefore does not depend on the number of messages.
 """
 
 from __future__ import annotations
@@ -28,9 +29,13 @@ import time
 MOST = 32
 """Largest number of coordinate frames in which wrenches may act between two frames of the run."""
 READER_DEPTH = 100
-"""Queue depth of the reader of /tf_static; each publishing node keeps a message there."""
+"""Queue depth of the reader of /tf_static. The queue contains one message of each publishing
+node.
+"""
 EVERY = 1.0
-"""Shortest interval between two lines of the log [s]: peers may send thousands of messages."""
+"""Shortest interval between two lines in the log [s], because peers may send thousands of
+messages.
+"""
 log = logging.getLogger(__name__)
 
 
@@ -45,7 +50,7 @@ def object_frame(options: Options, name: str) -> str:
 
 
 class Inputs:
-    """Collects wrenches, grabs and transforms from peers."""
+    """Collects wrenches, grabs and transforms that peers send."""
 
     def __init__(
         self,
@@ -58,16 +63,16 @@ class Inputs:
         oldest: float,
         now: Callable[[], float],
     ) -> None:
-        """Start without inputs.
+        """Start without any inputs.
 
         Args:
             live: The run on which the inputs act.
             options: Names of the coordinate frames.
-            remarks: Receives the refusals.
-            push_seconds: Duration of a wrench, unless a new wrench replaces it [s].
-            grab_seconds: Simulated time after which a grab ends without a new message [s].
-            oldest: Largest age of a message by its time stamp [s].
-            now: Returns the simulated time in time stamps [s since 1970].
+            remarks: Records the reasons of refusals.
+            push_seconds: Time for which a wrench acts, unless a new wrench replaces it [s].
+            grab_seconds: Simulated time after which a grab ends if no new message arrives [s].
+            oldest: Largest age of a message, determined from its time stamp [s].
+            now: Function that returns the simulated time as used in time stamps [s since 1970].
         """
         self._live, self._remarks = live, remarks
         self._push_seconds, self._grab_seconds = push_seconds, grab_seconds
@@ -87,7 +92,7 @@ class Inputs:
 
     @property
     def heard(self) -> Mapping[Topic, Hear]:
-        """Topics to subscribe to -> the function that receives a message."""
+        """Functions that receive the messages, by the topics to subscribe to."""
         static = Topic(TF_STATIC.name, TF_STATIC.type, depth=READER_DEPTH)
         return {PUSH: self.push, GRAB: self.grab, TF: self.transform, static: self.transform}
 
@@ -105,7 +110,7 @@ class Inputs:
             )
 
     def grab(self, message: Any) -> None:
-        """Receive a PointStamped; a message without a frame releases the object."""
+        """Receive a PointStamped; a message without a coordinate frame releases the object."""
         if message.header.frame_id and not self._is_fresh("~/grab", message):
             return
         self._grab = message if message.header.frame_id else None
@@ -130,11 +135,11 @@ class Inputs:
         self._attempt(lambda: self._transforms.hear(message))
 
     def pose(self, frame: str) -> np.ndarray:
-        """Return the pose of a coordinate frame in the world [4,4]; raises InputError."""
+        """Return the pose of a coordinate frame in the world [4,4]; raise InputError if unknown."""
         return self._transforms.pose(frame)
 
     def apply(self) -> None:
-        """Apply the inputs that came since the last frame."""
+        """Apply the inputs that have arrived since the last frame."""
         if self._let_go:
             self._live.release()
         for message in self._pushes.values():
@@ -150,7 +155,7 @@ class Inputs:
         self.clear()
 
     def clear(self) -> None:
-        """Discard the inputs that came since the last frame."""
+        """Discard the inputs that have arrived since the last frame."""
         self._pushes, self._grab, self._let_go = {}, None, False
 
     def _push(self, message: Any) -> None:
@@ -170,8 +175,9 @@ class Inputs:
         )
 
     def _hold(self) -> None:
-        """Grab the object, or move the grab's target; a point in an object's frame selects the
-        object.
+        """Grab the object, or move the grab's target.
+
+        A point in an object's coordinate frame selects that object.
         """
         frame = self._grab.header.frame_id
         name = self._objects.get(frame)
@@ -189,7 +195,7 @@ class Inputs:
         return place
 
     def _attempt(self, action: Callable[[], None]) -> None:
-        """Carry out an action; a refusal is only noted in the remarks."""
+        """Carry out an action; if it is refused, record this in the remarks and continue."""
         try:
             # A huge number may overflow to infinity, which the run refuses.
             with np.errstate(over="ignore", invalid="ignore"):
@@ -199,16 +205,14 @@ class Inputs:
 
 
 def _numbers(field: str, point: Any) -> np.ndarray:
-    """Check and return the three numbers of a vector or point; raises InputError."""
+    """Return the three numbers of a vector or point; raise InputError if they are invalid."""
     from phy124.live.limits import check_vector
 
     return np.array(check_vector(field, (point.x, point.y, point.z)))
 
 
 def _static(options: Options) -> Any:
-    """Return the TFMessage of the static transform that the sinks publish, as if it were an
-    input.
-    """
+    """Return the TFMessage of the sinks' static transform, in the form of a received message."""
     x, y, z = options.translation
     qx, qy, qz, qw = options.rotation
     transform = SimpleNamespace(
@@ -227,7 +231,7 @@ class Remarks:
         self.count = 0
         """Number of sentences so far."""
         self.last = ""
-        """The last sentence."""
+        """The latest sentence."""
         self._clock, self._logged = clock, -math.inf
 
     def add(self, sentence: str) -> None:

@@ -24,20 +24,20 @@ if TYPE_CHECKING:
     from phy124.live import Live
 
 IDLE = 3
-"""After this number of reads without a message, no message is assumed to be waiting."""
+"""Number of reads without a message after which no message is assumed to be waiting."""
 READING, SHARE = 0.02, 0.25
-"""Reading before a frame takes at most this time [s] or, if longer, this fraction of the time since
-the last reading: a slower run has more messages to read."""
+"""Longest time spent on reading before a frame [s], and as a fraction of the time since the last
+reading; the longer of the two applies. A slower run has more messages to read."""
 FLOOD = "Messages arrive faster than they are read: only the newest of each topic are kept."
 
 
 def controls(run: SteeredRun, options: Options, accuracy: str, *, action: bool) -> Controls:
-    """Return the controls that a sink offers to peers that steer a run.
+    """Return the controls that a sink offers to peers, so that they can steer a run.
 
     Args:
         run: The run.
         options: Options that define how frames become messages.
-        accuracy: Sentence about the accuracy, for the diagnostics.
+        accuracy: Sentence about the accuracy of the run, for the diagnostics.
         action: Whether the sink supports actions.
     """
     from phy124.monitor.wrenches import wall_names
@@ -75,10 +75,10 @@ def steer(
     Args:
         run: The run.
         sink: Sink that shows the run and receives inputs, opened with its `controls`.
-        options: Options that define how frames become messages, with an epoch.
+        options: Options that define how frames become messages, with an epoch (time of the start).
         records: Recordings of the frames and wrenches.
         look: Adds the pictures of cameras to a frame.
-        frames: Number of frames after which the run ends; None: no limit.
+        frames: Number of frames after which the run ends. If None, there is no limit.
     """
     from phy124.live import RealTime
 
@@ -103,7 +103,7 @@ def steer(
 
 
 class _Outlets:
-    """Sends each frame to the sink and the recordings, with its messages."""
+    """Sends each frame to the sink and the recordings, together with the frame's messages."""
 
     def __init__(
         self, run: SteeredRun, sink: LiveSink, options: Options, records: Sequence[Recorder]
@@ -126,11 +126,11 @@ class _Listening:
         self._last = time.perf_counter()
 
     def once(self, seconds: float) -> bool:
-        """Wait for an input for up to `seconds`; return whether more may be waiting."""
+        """Wait up to `seconds` for an input; return whether more may be waiting."""
         return bool(self._sink.listen(seconds, self._obey))
 
     def briefly(self) -> None:
-        """Read the inputs that have already arrived, for a bounded time."""
+        """Read the inputs that have already arrived, for a limited time."""
         inputs, idle = self._run.inputs, 0
         before, start = inputs.wrenches, time.perf_counter()
         until = start + max(READING, SHARE * (start - self._last))
@@ -156,14 +156,14 @@ class _Listening:
 
 
 def contact_messages(live: Live, options: Options, seconds: float) -> list[Message]:
-    """Return messages with force and torque on walls and between objects, and with their frames.
+    """Return messages with the force and torque on walls and between objects, with their frames.
 
-    Torques on a wall are about the centre of mass of all objects; torques on an object are about
+    Torques on a wall are about the centre of mass of all objects. Torques on an object are about
     that object's centre of mass. The header names the coordinate frame.
 
     Args:
         live: The run, after a frame.
-        options: Names of the frames, and the epoch.
+        options: Names of the coordinate frames, and the epoch.
         seconds: Time of the frame since the epoch [s].
     """
     stamp, centre = stamp_of(options, seconds), live.centre
@@ -189,7 +189,7 @@ def contact_messages(live: Live, options: Options, seconds: float) -> list[Messa
 
 
 def _standing(at: NDArray[np.float64]) -> dict[str, Any]:
-    """Return the transform to a position [3], m; the axes are those of the world."""
+    """Return the transform to a position [3], m; its axes are those of the world."""
     return {"translation": at.tolist(), "rotation": (0.0, 0.0, 0.0, 1.0)}
 
 

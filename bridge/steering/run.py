@@ -1,8 +1,8 @@
-"""A live run with a state, steered by peers.
+"""A live run whose state peers steer.
 
 The class is not thread-safe: sinks call it from `listen`, on the thread that also computes the
-frames. Requests act from the next frame on. The same requests at the same frames therefore give the
-same bytes.
+frames. Requests act from the next frame on. If the same requests arrive at the same frames, the
+results are identical in every byte.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
 from enum import IntEnum
 
 WORDS = ("play", "pause", "toggle", "next", "restart")
-"""Commands without a value."""
+"""Commands that have no value."""
 DURATIONS = (0.001, 3600.0)
 """Shortest and longest duration of a wrench [s]."""
 KNOWN = f"{', '.join(WORDS)}, step COUNT, speed FACTOR"
 MOST_STEPS = 100_000
-"""Largest number of steps of one request."""
+"""Largest number of steps that one request may ask for."""
 
 
 GRAB_SECONDS, OLDEST_STAMP = 60.0, 2.0
-"""Default values: time after which a grab ends, and largest age of a message [s]."""
+"""Default values of the time after which a grab ends, and of the largest age of a message [s]."""
 
 
 def checked_duration(name: str, seconds: float) -> float:
-    """Check a duration [s], the option `name`.
+    """Check a duration [s], which is the value of the option `name`.
 
     Raises:
         InputError: The duration is out of range.
@@ -45,7 +45,7 @@ def checked_duration(name: str, seconds: float) -> float:
     shortest, longest = DURATIONS
     if not shortest <= seconds <= longest:
         limit = f"It must lie between {shortest:g} and {longest:g}."
-        raise InputError(name, seconds, limit, "Leave the option out for the default.")
+        raise InputError(name, seconds, limit, "Remove the option for the default.")
     return seconds
 
 
@@ -70,14 +70,14 @@ class SteeredRun:
         speed: float = 1.0,
         paused: bool = False,
     ) -> None:
-        """Prepare to `advance` to the first frame.
+        """Prepare the run; the first call of `advance` computes the first frame.
 
         Args:
             live: The run.
             options: Options that define how frames become messages.
-            push_seconds: Duration of a wrench, unless a new wrench replaces it [s].
+            push_seconds: Time for which a wrench acts, unless a new wrench replaces it [s].
             grab_seconds: Time after which a grab ends, unless a new message moves it [s].
-            oldest_stamp: Largest age of a message by its time stamp [s].
+            oldest_stamp: Largest age of a message, determined from its time stamp [s].
             speed: Simulated seconds per real second.
             paused: Whether the run starts paused.
 
@@ -98,13 +98,14 @@ class SteeredRun:
         )
         self.state = State.PAUSED if paused else State.PLAYING
         self.stopped: str | None = None
-        """Reason for an early end, if any."""
+        """Reason why the run ended early; empty if it did not."""
         self.speed = checked_speed(speed)
         self.shown, self.position = 0, 0.0
         self.show: Callable[[Frame], object] = lambda frame: None
-        """Receives each frame; its time counts from the start or the last reset of time."""
+        """Function that receives each frame. The frame's time counts from the start or from the
+        last reset of time."""
         self.changed: Callable[[], object] = lambda: None
-        """Called when the state or the speed has changed."""
+        """Function that is called when the state or the speed has changed."""
         self._ticks, self._note = 0, ""
 
     @property
@@ -114,7 +115,7 @@ class SteeredRun:
 
     @property
     def paused(self) -> bool:
-        """Whether simulated time stands still."""
+        """Whether the simulated time does not advance."""
         return self.state in (State.PAUSED, State.STOPPED)
 
     @property
@@ -128,7 +129,7 @@ class SteeredRun:
         return self.position
 
     def advance(self) -> None:
-        """Compute and show the next frame; if the simulation fails for good, the run ends."""
+        """Compute and show the next frame; end the run if the simulation fails permanently."""
         from phy124.simulation import Stopped
 
         self.inputs.apply()
@@ -145,7 +146,7 @@ class SteeredRun:
         self.show(replace(frame, time=self.position))
 
     def steps(self, count: float) -> Iterator[int]:
-        """Compute `count` frames as fast as possible; after each, yield the number done.
+        """Compute `count` frames as fast as possible; after each frame, yield the number done.
 
         Raises:
             InputError: The run is not paused, or the number is out of range.
@@ -167,14 +168,14 @@ class SteeredRun:
             raise InputError("steps", count, limit, "Pause it first.")
 
     def enter(self, state: State) -> None:
-        """Change to another state; the state STOPPED resets the run."""
+        """Change to another state; the state STOPPED also resets the run."""
         if state is State.STOPPED:
             self._restart(time=True)
         self.state = state
         self.changed()
 
     def reset(self, *, time: bool = True, state: bool = True) -> None:
-        """Reset the object to its start, the time to 0, or both."""
+        """Reset the object to its initial state, the time to 0, or both."""
         if state:
             self._restart(time=time)
         elif time:

@@ -1,4 +1,4 @@
-"""Create the live run that is steered, from a picture, a file of Gaussians or a clip."""
+"""Create the live run that peers steer, from a picture, a file of Gaussians or a clip."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ class SteeredOptions(LiveOptions):
 
     live: tyro.conf.Suppress[bool] = True
     scene: str = ""
-    """Preset (see `phy124 scenes`) or path of a .toml file; default: the scene of the clip, or
-    drop."""
+    """Preset (see `phy124 scenes`) or path of a .toml file. The default is the scene of the clip,
+    or drop."""
     threads: int | None = None
-    """CPU threads of the simulation; default: one per free core, or fewer if there is little
+    """CPU threads of the simulation. The default is one per free core, or fewer if there is little
     work."""
     max_error: float | None = None
-    """Largest error bound, as a fraction of the object's size. The coarsest grid that meets it is
-    used, even if that grid is too slow for real time. Default: the finest grid that is fast
-    enough."""
+    """Largest error bound, as a fraction of the object's size. The coarsest grid that meets this
+    bound is used, even if that grid is too slow for real time. The default is the finest grid that
+    is fast enough."""
 
 
 def make_live(
@@ -45,12 +45,12 @@ def make_live(
 ) -> tuple[Live, str]:
     """Create a live run; return it with a sentence about its accuracy.
 
-    The grid is chosen for this machine, which also draws cameras and encodes messages, unless the
-    options set an accuracy.
+    Unless the options set an accuracy, the grid is chosen for the speed of this machine, which also
+    draws cameras and encodes messages.
 
     Args:
         source: A picture, a file of Gaussians or a clip.
-        options: Scene and accuracy.
+        options: Scene and accuracy of the run.
         messages: Options that define how frames become messages.
         speed: Requested simulated seconds per real second.
         velocities: Whether frames have velocities.
@@ -68,7 +68,7 @@ def make_live(
     from phy124.simulation.bodies import proportions_of
 
     refuse_unopened(source)
-    # This hides Warp's messages during compilation.
+    # This hides the messages that Warp prints during compilation.
     warp.config.log_level = warp.LOG_ERROR
     device = pick_device(options.device)
     gaussians, scene = _object(source, options, device)

@@ -1,6 +1,6 @@
 """Standard services of simulators (simulation_interfaces 1.x and 2.x) for a steered run.
 
-A run has a fixed scene: it supports states, steps and resets, and `entities` describes its objects.
+A run has a fixed scene. It supports states, steps and resets, and `entities` describes its objects.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Feature(IntEnum):
 SCOPE_TIME, SCOPE_STATE = 1, 2
 """Bits of the scope of ResetSimulation."""
 EVERYTHING = (0, 255)
-"""Scopes that mean both time and state: SCOPE_DEFAULT and SCOPE_ALL."""
+"""Scopes that reset both the time and the state: SCOPE_DEFAULT and SCOPE_ALL."""
 
 
 class Standard:
@@ -86,7 +86,7 @@ class Standard:
         return {"state": {"state": int(self._run.state)}, "result": result(Code.OK)}
 
     def set_state(self, request: Any) -> dict[str, Any]:
-        """Play, pause, stop (which resets), or quit."""
+        """Play, pause, stop (and reset), or quit the run."""
         wanted = request.state.state
         if wanted not in tuple(State):
             said = (

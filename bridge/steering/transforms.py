@@ -1,6 +1,6 @@
 """Stores the transforms from /tf and /tf_static, and computes poses of coordinate frames.
 
-Only the latest transform of each frame is stored; there is no interpolation in time.
+Only the latest transform of each frame is stored. Transforms are not interpolated in time.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from phy124.errors import InputError
 MOST = 1000
 """Largest number of coordinate frames."""
 DEEPEST = 64
-"""Largest number of links from a frame to the root of its tree."""
+"""Largest number of transforms between a frame and the root of its tree."""
 Pose = NDArray[np.float64]
 """Rotation and translation as a matrix [4,4], m."""
 

@@ -28,7 +28,7 @@ TIMEOUT = 20.0
 
 @pytest.mark.launch_test
 def generate_test_description():
-    """Start the managed node with a clip that it plays in a loop."""
+    """Start the managed node; it plays a clip in a loop."""
     clip = save_clip(Path(tempfile.mkdtemp()))
     node = Node(
         package="phy124_bridge",

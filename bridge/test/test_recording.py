@@ -11,7 +11,7 @@ FRAMES, POINTS = 3, 20
 
 
 def save_clip(folder):
-    """Save a small clip that no simulation made; return its path."""
+    """Save a small clip that was made without a simulation; return its path."""
     rng = np.random.default_rng(0)
     quats = rng.normal(size=(FRAMES, POINTS, 4))
     Clip(
