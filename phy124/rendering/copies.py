@@ -1,4 +1,4 @@
-"""Copies a device's arrays to the host's memory while the device goes on working."""
+"""Copies a device's arrays to the host's memory while the device continues to work."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from numpy.typing import NDArray
 
 
 class HostCopies:
-    """Copies the results of one picture to the host; `wait` returns them.
+    """Copies the results of one picture to the host; `wait` returns the copies.
 
     On a GPU the host's memory is page-locked, so that `start` returns without waiting until the
     device has computed the arrays. The memory is reused for the next picture.
     """
 
     def __init__(self, device: Any) -> None:
-        """Start without memory; the first arrays determine its size and its device."""
+        """Start without memory; the first arrays determine its size and device."""
         self._device = device
         self._memory: dict[str, wp.array] = {}
         self._started: dict[str, wp.array] = {}
         self._done = wp.Event(device) if device.is_cuda else None
 
     def start(self, **arrays: wp.array) -> None:
-        """Copy one-dimensional arrays once the earlier launches have computed them."""
+        """Copy one-dimensional arrays once the earlier kernel launches have computed them."""
         self._started = {name: self._copy(name, array) for name, array in arrays.items()}
         if self._done is not None:
             self._device.stream.record_event(self._done)
 
     def wait(self) -> dict[str, NDArray[Any]]:
-        """Return the copied arrays; the next `start` overwrites them."""
+        """Return the copied arrays; the next call of `start` overwrites them."""
         if self._done is not None:
             wp.synchronize_event(self._done)
         return {name: np.asarray(array.numpy()) for name, array in self._started.items()}

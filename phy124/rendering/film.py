@@ -48,13 +48,13 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 MOST_PIXELS = 1 << 23
-"""Largest number of pixels that are encoded at the same time, about those of four pictures in full
-HD."""
+"""Largest number of pixels that are encoded at the same time. It is about the number of pixels of
+four full HD pictures."""
 WAITING = 4
 """Largest number of pictures that wait for an encoder."""
 NEAR = 0.05
-"""Limit on the RMS distance between the last and the first pose, in object sizes; up to it a film
-fades."""
+"""Limit on the RMS distance between the last and the first pose, in units of the object's size. Up
+to this limit, the end of a film fades into its start."""
 
 
 def film(
@@ -64,22 +64,22 @@ def film(
     context: RunContext | None = None,
     **fields: Unpack[ContextOptions],
 ) -> list[Path]:
-    """Write every format and output of a view from each side.
+    """Write the files of a view in every format, with every output, from each side.
 
-    Each frame is drawn from all sides before the next, and each film has an encoder that receives
-    its pictures as they are drawn. Large pictures are drawn from fewer sides at a time
-    (`MOST_PIXELS`), because every encoder holds several of them.
+    Each frame is drawn from all sides before the next frame. Each film has an encoder that receives
+    the film's pictures as they are drawn. Large pictures are drawn from fewer sides at a time
+    (`MOST_PIXELS`), because every encoder stores several pictures.
 
     Args:
         clip: The clip to film.
         view: Sides, size, background, formats and outputs.
-        folder: The folder to write; it is created if it is missing.
-        context: Device, threads, stopwatch, and progress: called as ("render", pictures done,
-            total pictures), and as ("outputs SIDE", ...).
-        **fields: `device`, `threads` and `progress`, if there is no context.
+        folder: The folder to write. It is created if it does not exist.
+        context: Device, number of threads, stopwatch, and a progress function, which is called as
+            ("render", pictures done, total pictures), and as ("outputs SIDE", ...).
+        **fields: `device`, `threads` and `progress`, if no context is passed.
 
     Returns:
-        The files and folders written.
+        The files and folders that were written.
 
     Raises:
         InputError: The clip lacks the data of an output, or a package is missing.
@@ -125,21 +125,23 @@ def _encode_sides(
     images: Iterator[Picture],
     context: RunContext,
 ) -> dict[tuple[str, str], Path]:
-    """Encode pictures in all formats at the same time; the pictures are ordered by frame and then
-    by side.
+    """Encode pictures in all formats at the same time.
 
-    If an encoder fails, the other films are completed before its exception is raised.
+    The pictures are ordered by frame and then by side.
+
+    If an encoder fails, the other films are completed first. Then the encoder's exception is
+    raised.
 
     Args:
         clip: The clip.
         view: The view.
-        loop: Order and fading of the pictures.
-        first: Index of the first of these sides.
+        loop: Order of the pictures, and fading between them.
+        first: Index of the first of these sides among all sides of the view.
         sides: Sides that are drawn together.
         formats: Formats that are made from pictures.
         folder: The folder to write.
-        images: The pictures.
-        context: Stopwatch and progress.
+        images: The pictures to encode.
+        context: Stopwatch and progress function.
 
     Returns:
         The file or folder of each format and side.
@@ -169,15 +171,17 @@ def _encode_sides(
 
 @dataclass(frozen=True)
 class Loop:
-    """The frames of a film in order, and the number of pictures that fade into the first ones."""
+    """The order of a film's frames, and the number of last pictures that fade into the first."""
 
     order: Sequence[int]
     fading: int = 0
 
     @classmethod
     def of(cls, clip: Clip, view: View) -> Loop:
-        """Choose how a view's film repeats: it fades if the cameras stand still and the object
-        nearly returns to its first pose; otherwise it also runs backwards.
+        """Choose how the film of a view repeats.
+
+        If the cameras stand still and the object nearly returns to its first pose, the end of the
+        film fades into its start. Otherwise the film also runs backwards.
         """
         count = len(clip)
         if not view.seamless or count < 3:
@@ -217,10 +221,10 @@ class Loop:
 
 
 class Feed(Iterator[Picture]):
-    """The pictures of one film, passed to the thread that encodes them."""
+    """The pictures of one film, which are passed to the thread that encodes them."""
 
     task: Future[Path]
-    """The encoder's thread."""
+    """The thread of the encoder."""
 
     def __init__(self) -> None:
         self._queue: SimpleQueue[Picture | BaseException] = SimpleQueue()
@@ -236,7 +240,7 @@ class Feed(Iterator[Picture]):
         self._queue.put(picture)
 
     def close(self, error: BaseException | None = None) -> None:
-        """End the film; with an error, the encoder removes the unfinished film."""
+        """End the film; if `error` is set, the encoder removes the unfinished film."""
         self._queue.put(error or StopIteration())
 
     def __next__(self) -> Picture:
@@ -297,14 +301,13 @@ def _html(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
 
 
 def write_player(path: PathLike, clip: Clip, view: View, side: str) -> None:
-    """Write one HTML file that plays a clip on the stage of a view; the player starts from one
-    side.
+    """Write one HTML file that plays a clip on the stage of a view.
 
     Args:
         path: The file.
         clip: The clip.
         view: Size, colours and stage of the picture.
-        side: Name of the side from which the clip is seen first.
+        side: Name of the side from which the clip is seen when the player starts.
 
     Raises:
         InputError: The clip is empty, or the file cannot be written.
@@ -336,7 +339,8 @@ ENCODERS: dict[str, Encoder] = {
     "gif": _encode("gif", write_animation),
     "png": _png,
 }
-"""Formats made from the pictures of a side; each function returns its file or folder."""
+"""Formats that are made from the pictures of a side, each with a function that returns the file or
+folder."""
 PLAYED = {"mp4", "webm", "mov", "webp", "gif"}
 """Formats that have a playback rate."""
 SMOOTH = 12.0
@@ -346,7 +350,9 @@ EXPORTS: dict[str, Callable[[Clip, View, Path, Progress], Path]] = {
     "ply": _ply,
     "html": _html,
 }
-"""Formats made from the whole clip; each function returns its file or folder."""
+"""Formats that are made from the whole clip, each with a function that returns the file or
+folder.
+"""
 
 
 def playback(fps: float, view: View) -> float:
@@ -355,7 +361,7 @@ def playback(fps: float, view: View) -> float:
 
 
 def describe_playback(clip: Clip, view: View) -> dict[str, Any]:
-    """Return frame rate [1/s], speed and duration [s] of the videos, for the report."""
+    """Return the frame rate [1/s], the speed and the duration [s] of the videos, for the report."""
     real = rate(clip)
     shown = playback(real, view)
     pictures = Loop.of(clip, view).pictures
@@ -376,8 +382,8 @@ def refuse_unfilmable(scene: Scene) -> None:
     """Refuse a scene whose films or outputs cannot be made on this machine.
 
     Raises:
-        InputError: No video format has this playback rate, an output is impossible, or a program
-            is missing.
+        InputError: No video format has this playback rate, an output is impossible, or a program is
+            missing.
     """
     refuse_outputs(scene.view, scene.time.frames)
     refuse_missing_writers(scene.view)
@@ -403,5 +409,5 @@ def refuse_missing_writers(view: View) -> None:
 
 
 def rate(clip: Clip) -> float:
-    """Return the frames per second at which a clip plays in real time."""
+    """Return the number of frames per second at which a clip plays in real time."""
     return float((len(clip) - 1) / (clip.times[-1] - clip.times[0])) if len(clip) > 1 else 24.0

@@ -1,4 +1,4 @@
-"""Renders frames with several threads, and yields the images in order."""
+"""Renders frames with several threads, and yields the images in the order of the frames."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.cores import cores
 
 SHADOWS = 4
-"""Number of threads that compute the shadows of frames that a GPU draws one after the other."""
+"""Number of threads that compute shadows for a GPU, which draws the frames one after the other."""
 MOST_SPLATS = 1 << 24
-"""Largest number of splats that all threads hold, about a hundred bytes each; two threads may hold
-more."""
+"""Largest number of splats that all threads together store. A splat takes about a hundred bytes.
+Two threads may store more."""
 LOOK_AHEAD = 4
 """Largest number of frames that each thread of `render_frames` renders before the reader needs
 them."""
@@ -45,21 +45,22 @@ def render_frames(
 ) -> Generator[NDArray[np.uint8], None, None]:
     """Yield images [H,W,3] uint8 of the frames, in order, until frames or cameras run out.
 
-    Without a background, images are [H,W,4]: colours before blending, with the coverage as last
-    channel. Closing the iterator stops the threads, which render only a few frames ahead of the
-    reader.
+    Without a background, the images are [H,W,4]: colours before blending, with the coverage as the
+    last channel. Closing the iterator stops the threads, which render only a few frames ahead of
+    the reader.
 
     Args:
-        frames: The frames to draw; a clip's `frames()`, or `itertools.repeat` of a still frame.
+        frames: The frames to draw: a clip's `frames()`, or `itertools.repeat` of a still frame.
         cameras: One camera for all frames, or an iterable with a camera per frame.
-        size: Width and height in pixels, or one number for both; default: the cameras' sizes.
-        background: Colour behind the Gaussians, 0..1; None for none.
-        device: Warp's name of the device; default: CUDA if there is one.
-        stage: Returns the stage of a frame; the stage replaces the background.
+        size: Width and height in pixels, or one number for both. By default, each camera's size is
+            used.
+        background: Colour behind the Gaussians, 0..1. None means no background.
+        device: Warp's name of the device. The default is CUDA if there is a CUDA device.
+        stage: Function that returns the stage of a frame. The stage replaces the background.
         filter: Anti-aliasing filter, one of `FILTERS`.
-        threads: Number of frames rendered at once on a CPU, where kernels use one core each;
-            None: the number of cores.
-        progress: Called as ("render", frames done, total frames, or 0 if unknown).
+        threads: Number of frames that are rendered at the same time on a CPU, where each kernel
+            uses one core. If None, the number of cores.
+        progress: Function that is called as ("render", frames done, total frames, or 0 if unknown).
 
     Raises:
         InputError: There is no such device, or a camera or the background cannot be used.
@@ -74,7 +75,8 @@ def render_frames(
     splats = max((len(frame.gaussians) for frame in ahead), default=1)
     threads = min(threads, total or threads, max(2, MOST_SPLATS // max(splats, 1)))
     threads = 1 if first.device.is_cuda else max(1, threads)
-    # Warp cannot load kernels from several threads at once: the first renderer has loaded them.
+    # Warp cannot load kernels from several threads at once. The first renderer has already loaded
+    # them.
     renderers: SimpleQueue[Renderer] = SimpleQueue()
     for renderer in [first] + [Renderer(device=device, filter=filter) for _ in range(threads - 1)]:
         renderers.put(renderer)
@@ -101,7 +103,8 @@ def render_frames(
     pool = ThreadPoolExecutor(threads, thread_name_prefix="render")
     try:
         tasks = (pool.submit(draw, *task) for task in zip(frames, every, strict=False))
-        # On a GPU a task only starts its picture, so that several are drawn without a wait.
+        # On a GPU a task only starts the drawing of its picture. Several pictures are therefore
+        # drawn without a wait.
         for done, finish in enumerate(_in_order(tasks, LOOK_AHEAD * threads), 1):
             image = finish()
             progress("render", done, total)
@@ -111,7 +114,7 @@ def render_frames(
 
 
 def _in_order(tasks: Iterator[Future], ahead: int) -> Iterator[Any]:
-    """Yield the results of tasks in order; at most `ahead` later tasks are started in advance."""
+    """Yield the results of tasks in order; start at most `ahead` later tasks in advance."""
     waiting = deque(itertools.islice(tasks, ahead))
     while waiting:
         result = waiting.popleft().result()

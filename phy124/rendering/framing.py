@@ -22,30 +22,31 @@ from phy124.scene import View
 from phy124.scene.cameras import Poses
 
 STEP = 0.1
-"""Step to which recommended distances are rounded, in object sizes."""
+"""Step to which recommended camera distances are rounded, in units of the object's size."""
 LARGEST = 5.0
-"""Largest extent of a motion that a fixed camera shows, in object sizes; otherwise the camera
-follows."""
+"""Largest extent of a motion that a fixed camera shows, in units of the object's size. If the
+motion is larger, the camera follows the object."""
 WINDOW = 0.3
-"""A camera that moves in and out shows the motion from this time before a frame to this time after
-it [s]."""
+"""Time interval that a moving camera shows around each frame: from this time before the frame to
+this time after it [s]."""
 NEARER = 1.1
-"""With several objects, the camera moves in and out if the movement usually enlarges them by at
-least this factor."""
+"""If there are several objects, the camera moves in and out if this enlarges the objects in most
+frames by at least this factor."""
 MORE = 1.5
 """A container is shown as a whole if this increases the camera's distance by at most this
-factor."""
+factor.
+"""
 FARTHEST = 100.0
-"""Largest allowed distance of a view, in object sizes."""
+"""Largest allowed camera distance of a view, in units of the object's size."""
 
 
 def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
     """Return the camera of each frame from one side: fixed, circling, moving, or following the
     object.
 
-    Unless the distance is set (`View.fits`), the camera is as near as possible while it shows the
-    whole motion; if the motion would then look too small, the camera follows the object. With
-    several objects, the camera moves in and out instead.
+    If the distance is not set (`View.fits`), the camera is as near as possible while it shows the
+    whole motion. If the motion would then look too small, the camera follows the object. If there
+    are several objects, the camera moves in and out instead.
     """
     known = _placed.setdefault(clip, {})
     if (view, side) not in known:
@@ -54,11 +55,12 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
 
 
 _placed: WeakKeyDictionary[Clip, dict[tuple[View, str], list[Camera]]] = WeakKeyDictionary()
-"""The cameras of each clip in use: its films and the report of its run need the same cameras."""
+"""Cameras of each clip in use. They are stored because a clip's films and its run's report need the
+same cameras."""
 
 
 def _place(clip: Clip, view: View, side: str) -> list[Camera]:
-    """Place the camera of each frame."""
+    """Compute the camera of each frame."""
     camera, poses = view.camera(side), _poses(clip, view, side)
     if view.fits and not (camera is not None and camera.chosen):
         return _nearest(clip, view, poses)
@@ -67,19 +69,20 @@ def _place(clip: Clip, view: View, side: str) -> list[Camera]:
     path = Sample.of(clip).path if view.follow else 0.0
     targets = (low + high) / 2 + size * poses.target + path
     width, height = view.size
-    # A portrait camera stands farther away, to show as much width as a square picture does.
+    # A portrait camera stands farther away, so that it shows the same width as a square picture.
     portrait = max(1.0, height / width)
     return _make_cameras(view, poses, poses.distance * size * portrait, targets)
 
 
 def still_camera(clip: Clip, view: View, side: str) -> Camera:
-    """Return the fixed camera of a player."""
+    """Return the camera of a player, which does not move."""
     return cameras(clip, view.model_copy(update={"follow": False}), side)[0]
 
 
 def _nearest(clip: Clip, view: View, poses: Poses) -> list[Camera]:
-    """Place cameras as near as the motion allows; they show a motion of at most `LARGEST` object
-    sizes.
+    """Place cameras as near as the motion allows.
+
+    The cameras show a motion of at most `LARGEST` object sizes.
     """
     low, high = _box(clip, view)
     size = float((high - low).max())
@@ -121,7 +124,7 @@ def _containers(clip: Clip, view: View) -> Iterator[NDArray]:
 
 
 def _make_cameras(view: View, poses: Poses, radii: Values, targets: Values) -> list[Camera]:
-    """Create cameras that look at targets [T,3] m from distances [T] m away."""
+    """Create cameras that look at targets [T,3] m from distances [T] m."""
     lists = (poses.azimuth, poses.elevation, radii, targets, poses.fov)
     return [
         Camera.orbit(azimuth, elevation, radius, view.size, (x, y, z), fov)
@@ -157,11 +160,11 @@ class Departure:
     frame: int
     """Index of the first frame in which part of the object is outside the picture."""
     worst_frame: int
-    """Index of the frame in which the largest part of the object is outside."""
+    """Index of the frame in which the largest part of the object is outside the picture."""
     outside: float
-    """Fraction of the object that is outside in that frame."""
+    """Fraction of the object that is outside the picture in frame `worst_frame`."""
     distance: float
-    """Camera distance at which the whole object would be visible, in object sizes."""
+    """Camera distance at which the whole object would be visible, in units of the object's size."""
 
 
 def departures(clip: Clip, view: View) -> list[Departure]:
@@ -176,7 +179,7 @@ def departures(clip: Clip, view: View) -> list[Departure]:
 
 
 def describe_framing(clip: Clip, view: View) -> dict[str, Any]:
-    """Return `departures`, and `notes` on these and on camera paths longer than the clip."""
+    """Return `departures`, with `notes` on them and on camera paths longer than the clip."""
     left = departures(clip, view)
     notes = [note for note in (_note_departures(clip, view, left), _note_cut(clip, view)) if note]
     return {"departures": [asdict(departure) for departure in left], "notes": notes}
@@ -214,7 +217,7 @@ def _note_departures(clip: Clip, view: View, left: list[Departure]) -> str | Non
 
 
 def _find_departure(clip: Clip, view: View, side: str) -> Departure | None:
-    """Return how the object leaves the picture of a side, or None if it stays inside."""
+    """Return how the object leaves the picture of a side, or None if it stays in the picture."""
     sample, seen = Sample.of(clip), cameras(clip, view, side)
     points = sample.means[:, sample.moving]
     needed = _radii(points, seen)
@@ -232,7 +235,7 @@ def _find_departure(clip: Clip, view: View, side: str) -> Departure | None:
 
 
 def _radii(points: NDArray[np.floating], cameras: list[Camera]) -> Values:
-    """Return the smallest camera distances from the target that show each point [T,S], m."""
+    """Return the smallest distances from the target at which each point is visible [T,S], m."""
 
     def radius(points: NDArray[np.floating], camera: Camera) -> Values:
         across, down, ahead = ((points - camera.target) @ camera.view[:3, :3].T).T
@@ -243,8 +246,9 @@ def _radii(points: NDArray[np.floating], cameras: list[Camera]) -> Values:
 
 
 def _box(clip: Clip, view: View) -> tuple[NDArray, NDArray]:
-    """Return the corners of the box around the resting object; the box reaches the ground if the
-    object can fall.
+    """Return the corners of the box around the resting object.
+
+    If the object can fall, the box reaches the ground.
     """
     corners = Sample.of(clip).corners
     if corners is None:

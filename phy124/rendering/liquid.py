@@ -1,12 +1,13 @@
-"""Shapes the Gaussians of a liquid: discs on its surface, drops where it tears, and nothing inside.
+"""Shapes the Gaussians of a liquid: discs on its surface, drops where it tears, nothing inside.
 
-Each Gaussian stands for a volume. These volumes, smoothed over `BLUR` cells, are the fraction of
-space phi that the liquid fills; its surface is phi = `LEVEL`. Gaussians near the surface move onto
-it and become discs, those deeper inside are not drawn, and those in thin spray become balls. Near
-flat walls, phi is the filled fraction of the space in front of the walls. Gaussians that are closer
-to a wall than to the free surface move onto the wall. The opacity of a disc follows from the
-thickness of the liquid behind it (Beer-Lambert): both faces of a layer take half of its optical
-depth each, divided by the number of discs that overlap. A thin film on a wall has only one face.
+Each Gaussian represents a volume of liquid. These volumes, smoothed over `BLUR` cells, give the
+fraction of space phi that the liquid fills. The liquid's surface is where phi = `LEVEL`. Gaussians
+near the surface move onto it and become discs. Gaussians deeper inside are not drawn, and Gaussians
+in thin spray become balls. Near flat walls, phi is the filled fraction of the space in front of the
+walls. Gaussians that are closer to a wall than to the free surface move onto the wall. The opacity
+of a disc follows from the thickness of the liquid behind the disc (Beer-Lambert). Each of the two
+faces of a layer takes half of the layer's optical depth, divided by the number of discs that
+overlap. A thin film on a wall has only one face.
 """
 
 from __future__ import annotations
@@ -20,66 +21,68 @@ from numpy.typing import NDArray
 from phy124.gaussians import SH_C0, Gaussians
 
 BLUR, WHOLE = 0.85, 0.945
-"""Standard deviations of the smoothing, in cells of the simulation's grid: of the filter alone, and
-of the filter together with the spread of each point to the eight cells around it."""
+"""Two standard deviations, in cells of the simulation's grid: that of the smoothing filter alone,
+and that of the filter together with the spread of each point to the eight cells around it."""
 LEVEL = 0.45
 """Fraction of space that is filled with liquid at the liquid's surface."""
 MOST = 4_000_000
-"""Largest number of cells; if the liquid is too scattered for them, the cells are larger."""
+"""Largest number of cells. If the liquid is too scattered for this number, the cells are larger."""
 SAMPLE = 8192
 """Number of points that determine the extent of the grid."""
 AHEAD, FILLED = 1.2, (0.22, 0.42)
-"""Distance outwards from a disc, in cells, and two values of phi there: at the first the disc
-begins to fade, at the second it has vanished."""
+"""Distance outwards from a disc, in cells, and two values of phi at this distance. At the first
+value the disc begins to fade. At the second value the disc has vanished."""
 STEEP = (0.2, 0.35)
-"""Gradient of phi relative to phi, per cell: below the first value discs are invisible, above the
-second they do not fade."""
+"""Two values of the gradient of phi relative to phi, per cell. Below the first value discs are
+invisible. Above the second value they do not fade."""
 MOVES = (-0.35, 0.9)
-"""Largest displacements onto the surface, inwards and outwards, in cells."""
+"""Largest displacements of a Gaussian onto the surface: inwards and outwards, in cells."""
 OVERLAP, NARROW, BROAD, WIDEST, FLAT = 0.95, 0.4, 0.55, 0.7, 0.3
-"""Discs: radius relative to the distance between discs; lower bound of the radius, lower bound for
-a film on a wall, and upper bound, all in cells; thickness relative to the radius."""
+"""Sizes of discs: the radius relative to the distance between discs; the lower bound of the radius,
+the lower bound for a film on a wall, and the upper bound, all in cells; the thickness relative to
+the radius."""
 TOUCH, FILM, EDGE = 0.75, (1.5, 2.5), 0.5
-"""All in cells. Largest distance from a wall at which Gaussians are drawn on the wall. Thicknesses
-of a film on a wall between which the film's face on the wall fades in. Smallest depth below the
-free surface at which Gaussians are drawn on a wall."""
+"""All in cells: the largest distance from a wall at which Gaussians are drawn on the wall; two
+thicknesses of a film on a wall, between which the film's face on the wall fades in; the smallest
+depth below the free surface at which Gaussians are drawn on a wall."""
 WETTED = 0.6
-"""Smallest phi at which a liquid touches a wall."""
+"""Smallest value of phi at which a liquid touches a wall."""
 LONG = 3.0
-"""Largest length of liquid along a line of sight, relative to the liquid's smallest thickness
-there."""
+"""Largest length of liquid along a line of sight, relative to the liquid's smallest thickness at
+that point."""
 RIM = 0.3
-"""Length of the normals of discs at the rim of a liquid on a wall. Their gloss is weak, because
-these normals differ from disc to disc."""
+"""Length of the normals of discs at the rim of a liquid on a wall. Short normals give a weak gloss,
+which is needed because these normals differ from disc to disc."""
 LITTLE = 0.02
-"""Lower bound of the fraction of space before walls; averages are divided by this fraction."""
+"""Lower bound of the fraction of space in front of walls. Averages are divided by this fraction."""
 THICKER = 4.0
-"""Largest factor by which the volumes of Gaussians in thin parts at rest are enlarged."""
+"""Largest factor by which the volumes of Gaussians are enlarged if they are in thin parts of the
+liquid at rest."""
 ALONE, DROP = 0.4, 0.42
-"""Drops: largest phi at a drop's centre, relative to the drop's volume in cells; standard deviation
-of a drop, relative to the edge of a cube of the same volume."""
+"""Drops: the largest phi at a drop's centre, relative to the drop's volume in cells; the standard
+deviation of a drop, relative to the edge of a cube of the same volume."""
 TORN, THINNER, KEPT = 0.62, 0.85, 0.6
-"""Jets: largest spread of a jet, and largest ratio of that spread to the spread at rest; fraction
-of a jet's Gaussians that are not drawn."""
+"""Jets: the largest spread of a jet, and the largest ratio of this spread to the spread at rest;
+the fraction of a jet's Gaussians that are not drawn."""
 OPAQUE, LEAST = 6.0, 0.35
-"""Largest optical depth of a surface, and its smallest opacity."""
+"""Largest optical depth of a surface, and smallest opacity of a surface."""
 PALE = np.array([0.9, 0.97, 1.0], np.float32)
 """Colour of thin liquid and of spray."""
 THIN, SPRAY = 0.2, 0.6
-"""Largest fractions of the pale colour, in a thin layer and in a drop."""
+"""Largest fractions of the pale colour: in a thin layer, and in a drop."""
 
 
 class Planes(NamedTuple):
     """The flat walls that a liquid may touch."""
 
     normals: NDArray
-    """Unit normals out of the walls [W,3]."""
+    """Unit normals that point out of the walls [W,3]."""
     offsets: NDArray
     """Distances of the walls from the origin along their normals [W], m."""
 
 
 NOWHERE = Planes(np.zeros((0, 3)), np.zeros(0))
-"""Planes of a liquid without walls."""
+"""Value for a liquid that has no walls."""
 
 
 class Surface(NamedTuple):
@@ -88,23 +91,24 @@ class Surface(NamedTuple):
     means: NDArray
     """Centres [N,3], m."""
     quats: NDArray
-    """Orientations [N,4]; the z axis of a disc points outwards."""
+    """Orientations [N,4]. The z axis of a disc points outwards."""
     scales: NDArray
     """Standard deviations [N,3], m."""
     opacities: NDArray
-    """Opacities [N]; 0 inside the liquid."""
+    """Opacities [N]. They are 0 for Gaussians inside the liquid."""
     rgb: NDArray
     """Colours without reflection [N,3]."""
     normals: NDArray
-    """Unit normals of discs, pointing outwards [N,3]; 0 for balls."""
+    """Unit normals of discs, pointing outwards [N,3]. They are 0 for balls."""
 
 
 class Field:
-    """Values of points, summed and smoothed on a grid."""
+    """A grid on which values of points are added up and smoothed."""
 
     def __init__(self, x: NDArray, cell: float, planes: Planes = NOWHERE) -> None:
-        """Place points [N,3] m on a grid with spacing `cell` m, or a larger one if the grid would
-        be huge.
+        """Place points [N,3] m on a grid with spacing `cell` m.
+
+        If this grid would have too many cells, the spacing is larger.
         """
         low, high = np.percentile(x[:: 1 + len(x) // SAMPLE], [0.1, 99.9], axis=0)
         spare = 4 * BLUR * cell
@@ -119,8 +123,9 @@ class Field:
         self.open, self._room = self._before(planes, low - spare)
 
     def _before(self, planes: Planes, corner: NDArray) -> tuple[NDArray | float, NDArray | float]:
-        """Return the fraction of each cell that lies in front of all walls, and the same fraction
-        after smoothing.
+        """Return the fraction of each cell that lies in front of all walls.
+
+        Return the same fraction after smoothing, too.
 
         Args:
             planes: The walls.
@@ -138,8 +143,9 @@ class Field:
         return shares[0], np.maximum(shares[1], LITTLE)
 
     def sum(self, values: NDArray | None, chosen: NDArray | slice = slice(None)) -> NDArray:
-        """Return the sum of the values of chosen points in each cell; without values, the number of
-        points.
+        """Return the sum of the values of chosen points in each cell.
+
+        If there are no values, return the number of points in each cell.
         """
         cells = int(np.prod(self._size))
         return np.bincount(self._flat[chosen], values, minlength=cells).reshape(self._size)
@@ -158,12 +164,12 @@ class Field:
     def fill(self, volumes: NDArray) -> NDArray[np.float32]:
         """Return the smoothed fraction phi of each cell that points of volumes [N] m^3 fill.
 
-        The fraction is capped at 1, since points lie closer together where a liquid is compressed.
+        The fraction is at most 1, because points lie closer together where a liquid is compressed.
         """
         return self.smooth(np.minimum(self._spread(volumes) / self.cell**3, 1))
 
     def _spread(self, volumes: NDArray) -> NDArray[np.float64]:
-        """Return the volume in each cell [m^3]; each point is divided linearly among 8 cells."""
+        """Return the volume in each cell [m^3], after distributing each point among 8 cells."""
         first = np.clip(np.floor(self._at).astype(int), 0, np.array(self._size)[:, None] - 2)
         upper = np.clip(self._at - first, 0, 1)
         flat: Any = np.ravel_multi_index(tuple(first), self._size)
@@ -175,22 +181,20 @@ class Field:
         return total.reshape(self._size)
 
     def nearest(self, field: NDArray, chosen: NDArray | slice = slice(None)) -> NDArray[np.float32]:
-        """Return the values of a field in the cells of chosen points."""
+        """Return the values of a field in the cells that contain the chosen points."""
         return field.reshape(-1)[self._flat[chosen]]
 
     def sample(
         self, field: NDArray, chosen: NDArray | slice = slice(None), away: NDArray | float = 0.0
     ) -> NDArray[np.float32]:
-        """Interpolate a field at chosen points, or `away` [3,n] cells from them."""
+        """Interpolate a field at chosen points, or at positions `away` [3,n] cells from them."""
         at = self._at[:, chosen] + away
         values: Any = scipy.ndimage.map_coordinates(field, at, order=1, mode="nearest")
         return np.asarray(values, np.float32)
 
 
 def _touch(x: NDArray, planes: Planes, cell: float) -> tuple[NDArray, NDArray]:
-    """Return the distances of points [N,3] m from the nearest wall, in cells, and that wall's
-    normals.
-    """
+    """Return the distances of points [N,3] m from the nearest wall, in cells, and its normals."""
     gap, facing = np.full(len(x), np.inf, np.float32), np.zeros((len(x), 3), np.float32)
     for normal, offset in zip(*planes, strict=True):
         away = ((x @ normal - offset) / cell).astype(np.float32)
@@ -213,18 +217,19 @@ class Liquid:
         """Measure the liquid while it is at rest.
 
         Args:
-            x: Centres of its Gaussians at rest [N,3], m.
+            x: Centres of the liquid's Gaussians at rest [N,3], m.
             cell: Cell size of the simulation's grid, m.
-            visibility: Distance over which the liquid dims light to 1/e, m; None: it is opaque.
-            planes: Its flat walls.
-            volumes: Volumes of its Gaussians [N], m^3; None: equal volumes that fill the liquid at
-                rest.
+            visibility: Distance over which the liquid dims light to 1/e, m. None means that the
+                liquid is opaque.
+            planes: Flat walls that the liquid may touch.
+            volumes: Volumes of the liquid's Gaussians [N], m^3. None means equal volumes that fill
+                the liquid at rest.
         """
         self._cell, self._visibility, field = cell, visibility, Field(x, cell, planes)
         if volumes is None:
             density = np.median(field.sample(field.smooth(field.sum(None))))
             volumes = np.full(len(x), field.cell**3 / max(float(density), 2.0))
-        # Thin parts have few particles: without more volume, they would not be drawn.
+        # Thin parts have few particles. Without additional volume, these parts would not be drawn.
         here = np.maximum(field.sample(field.fill(volumes)), 1e-6)
         self._volumes = volumes = volumes * np.clip(LEVEL / here, 1, THICKER)
         self._spread = _measure_spread(field, field.fill(volumes))
@@ -239,8 +244,9 @@ class Liquid:
 
 
 def _measure_spread(field: Field, phi: NDArray) -> NDArray[np.float32]:
-    """Return the factor by which smoothing lowers phi at points [N]: about 1/2 in jets and 0.7 in
-    sheets.
+    """Return the factor by which smoothing lowers phi at points [N].
+
+    The factor is about 1/2 in jets and 0.7 in sheets.
     """
     return field.nearest(field.smooth(phi * field.open) / np.maximum(phi, 1e-6))
 
@@ -260,8 +266,10 @@ def _shape(
         field: The grid of their centres.
         phi: Fraction of the space in each cell that the liquid fills, smoothed.
         volumes: Volumes of the Gaussians [N], in cells.
-        torn: Mask of the Gaussians in jets, of which some are drops and the others are not drawn.
-        visibility: Distance over which the liquid dims light to 1/e, m; None: it is opaque.
+        torn: Mask of the Gaussians in jets. Some of these Gaussians are drawn as drops, and the
+            others are not drawn.
+        visibility: Distance over which the liquid dims light to 1/e, m. None means that the liquid
+            is opaque.
     """
     x, n, cell = part.means.astype(np.float64), len(part), field.cell
     here = field.sample(phi)
@@ -277,7 +285,7 @@ def _shape(
     ahead[near] = field.sample(inside, near, AHEAD * normals[near].T)
     depth = AHEAD * (here - LEVEL) / np.maximum(here - ahead, 1e-6)
     upright = np.sum(normals * field.facing, axis=1)
-    # How much of the face on the wall is drawn; sheets in the air have two faces.
+    # This is the drawn fraction of the face on the wall. Sheets in the air have two faces.
     lower = np.where(upright > 0.5, smoothstep(field.gap + depth, *FILM), 1)
     thin = close & (lower == 0)
     rim = (field.gap + depth < FILM[0]) & (upright < 0.9)
@@ -293,7 +301,8 @@ def _shape(
     means, scales, opacities = x.copy(), np.full((n, 3), 0.1 * cell), np.zeros(n)
     depth = np.where(wet, field.gap, np.maximum(depth.clip(*MOVES), -field.gap))[on]
     means[on] += normals[on] * (depth * cell)[:, None]
-    # Discs per cell of the surface: smoothed, a layer of them is as high as the Gaussian.
+    # This is the number of discs per cell of the surface. Smoothing lowers the value of a layer to
+    # the peak of the filter's Gaussian.
     around = field.sample(field.blur(field.sum(fade[on], on)), on)
     layer = around * np.sqrt(2 * np.pi) * BLUR
     narrow = BROAD + lower[on] * (NARROW - BROAD)
@@ -302,7 +311,8 @@ def _shape(
     per_cell = cell / visibility if visibility else np.inf
     faces = 1 + lower[on]
     tau = np.minimum(_thickness(inside, field, on, normals[on]) * per_cell / faces, OPAQUE)
-    # The mean of the discs around: particles in stretched rows would be seen as stripes.
+    # The mean over neighbouring discs is used. Otherwise particles in stretched rows would appear
+    # as stripes.
     tau = field.sample(field.blur(field.sum(fade[on] * tau, on)), on) / np.maximum(around, 1e-6)
     overlapping = np.maximum(2 * np.pi * radius**2 * layer, 0.5)
     opacities[on] = fade[on] * -np.expm1(-np.maximum(tau, -np.log1p(-LEAST)) / overlapping)
@@ -326,7 +336,7 @@ def _balls(
 ) -> tuple[NDArray, NDArray]:
     """Return standard deviations [n], in cells, and opacities [n] of drops and of balls in spray.
 
-    In spray that is too dense for separate drops, balls overlap; together they absorb as much light
+    In spray that is too dense for separate drops, balls overlap. Together they absorb as much light
     as their volume would.
     """
     apart = np.cbrt(volumes / np.maximum(phi, 1e-3))
@@ -337,7 +347,7 @@ def _balls(
 
 
 def _touches(field: Field, phi: NDArray, close: NDArray) -> NDArray[np.bool_]:
-    """Return the mask of those points `close` to a wall at which the liquid touches the wall."""
+    """Return the mask of the points `close` to a wall at which the liquid touches this wall."""
     mask, which = close.copy(), np.flatnonzero(close)
     onto = -field.gap[which] * field.facing[which].T
     mask[which] = field.sample(phi, which, onto) > WETTED
@@ -348,7 +358,7 @@ def _thickness(phi: NDArray, field: Field, on: NDArray, normals: NDArray) -> NDA
     """Return the thickness of the liquid along the normals [n,3] of points `on`, in cells.
 
     The thickness is interpolated between the lengths of the liquid along the three axes. It is
-    limited so that the edge of a film is as pale as the film.
+    limited so that the edge of a film is as pale as the rest of the film.
     """
     sums, least = np.zeros(len(on)), np.full(len(on), np.inf)
     for axis in range(3):
@@ -365,13 +375,13 @@ def _thickness(phi: NDArray, field: Field, on: NDArray, normals: NDArray) -> NDA
 
 
 def _rotations(normals: NDArray) -> NDArray:
-    """Return the shortest rotations [N,4] from the z axis to normals; for -z, about x."""
+    """Return the shortest rotations [N,4] from the z axis to normals; for -z, rotate about x."""
     x, y, z = normals.T
     quats = np.stack([1 + z, np.where(z > -0.9999, -y, 1), x, 0 * z], axis=1)
     return quats / np.linalg.norm(quats, axis=1, keepdims=True)
 
 
 def smoothstep(x: NDArray, low: float, high: float) -> NDArray:
-    """Return the cubic step from 0 at `low` to 1 at `high`."""
+    """Return a smooth cubic step that rises from 0 at `low` to 1 at `high`."""
     t = np.clip((x - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)

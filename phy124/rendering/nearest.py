@@ -1,11 +1,11 @@
 """Finds the nearest camera position that shows the whole motion, and the camera's target.
 
 A point is in the picture if it lies between four planes through the camera. Consider the planes
-that touch the outermost Gaussians: the two vertical planes intersect in one line, and the two
-horizontal planes in another line. The more distant line gives the distance; both lines give the
-target. An object that is much longer along the view than across, such as a sword seen from its tip,
-would look distorted and blurred from this distance. The camera then stands farther away with a
-narrower field of view, in which the object has the same size.
+that touch the outermost Gaussians. The two vertical planes intersect in one line, and the two
+horizontal planes in another line. The more distant line gives the camera's distance. Both lines
+together give the target. An object that is much longer along the view than across, such as a sword
+viewed end-on, would look distorted and blurred from this distance. The camera then stands farther
+away with a narrower field of view, so that the object has the same size in the picture.
 """
 
 from __future__ import annotations
@@ -26,45 +26,48 @@ from phy124.rendering.liquid import MOVES, WIDEST
 Values = NDArray[np.float64]
 
 SAMPLE = 8192
-"""Largest number of Gaussians that represent the object; they are picked at even intervals."""
+"""Largest number of Gaussians that represent the object (the sample). They are picked at even
+intervals."""
 MOST_VALUES, FEWEST = 1 << 20, 128
-"""Largest product of the sample's Gaussians and the frames; for longer clips the sample is reduced,
-but to no fewer Gaussians than the second number."""
+"""Largest product of the number of Gaussians in the sample and the number of frames. For longer
+clips the sample is reduced, but to no fewer Gaussians than the second number."""
 BLOCK = 64
-"""Number of frames whose distances from the picture's edges are computed at a time."""
+"""Number of frames that are processed at a time when distances from the picture's edges are
+computed."""
 VISIBLE = 0.1
 """Smallest opacity of a Gaussian that counts as part of the object."""
 OUTSIDE = 0.01
 """Fraction of the object that may be outside the picture without a warning."""
 LEFT_OUT = 1.5e-4
-"""Fraction of the sample that may lie outside each edge, so that single drops have no effect."""
+"""Fraction of the sample that may lie outside each edge of the picture, so that single drops have
+no effect."""
 DEPTHS = 1.5
 """Smallest distance of the camera from a motion, in units of the motion's depth along the view."""
 CLOSE, TRIES = 0.98, 8
-"""Fraction of the smallest distance at which the search for a zoom ends, and largest number of
-zooms tried."""
+"""The search for a zoom ends when the camera's distance is at least this fraction of the smallest
+distance, or after this number of trials."""
 ZOOM = 40.0
 """Largest factor by which the field of view is narrowed."""
 ROOM = 1.08
-"""Width (or height) of the picture divided by the width (or height) of the whole motion."""
+"""Width (or height) of the picture, divided by the width (or height) of the whole motion."""
 MOST = 0.8
-"""Fraction of frames that define a motion's usual extent; the other frames are rare moments."""
+"""Fraction of frames that define a motion's usual extent. The other frames are rare moments."""
 RARE = 1.5
-"""Smallest factor by which rare moments enlarge a motion's extent if the camera is to follow the
-motion."""
+"""Smallest factor by which rare moments must enlarge a motion's extent so that the camera follows
+the motion."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Visible Gaussians that represent a clip's object."""
+    """Visible Gaussians that represent a clip's object (the sample)."""
 
     means: NDArray[np.floating]
-    """Centres [T,S,3], m; values that are not finite are replaced by those of the first frame."""
+    """Centres [T,S,3], m. Values that are not finite are replaced by those of the first frame."""
     covariances: Array
     """Covariance matrices [T,S,3,3], m^2."""
     corners: tuple[NDArray, NDArray] | None = None
-    """Corners of the box around all of the object's centres in the first frame [3], [3], m; None if
-    no centre is finite."""
+    """Lowest and highest corner of the box around all of the object's centres in the first frame
+    [3], [3], m. None if no centre is finite."""
 
     @classmethod
     def of(cls, clip: Clip) -> Sample:
@@ -77,7 +80,8 @@ class Sample:
     def _of(cls, clip: Clip) -> Sample:
         visible = np.flatnonzero(clip.object_mask & (clip.opacities >= VISIBLE))
         chosen = visible if len(visible) else np.flatnonzero(clip.object_mask)
-        # One row per axis: minimum and maximum of long contiguous rows are faster.
+        # One row per axis, because minimum and maximum of long contiguous rows are faster to
+        # compute.
         rest = np.ascontiguousarray(clip.means[0].T)
         rest = np.compress(clip.object_mask & np.isfinite(rest).all(axis=0), rest, axis=1)
         corners = (rest.min(axis=1), rest.max(axis=1)) if rest.size else None
@@ -96,7 +100,7 @@ class Sample:
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """Mask of the moving Gaussians [S]; all Gaussians if none moves."""
+        """Mask of the moving Gaussians [S]. If no Gaussian moves, it contains all of them."""
         moves: NDArray[np.bool_] = (self.means != self.means[0]).any(axis=(0, 2))
         return moves if moves.any() else ~moves
 
@@ -114,7 +118,8 @@ class Sample:
 
     def with_fixed(self, points: NDArray) -> Sample:
         """Add fixed points [K,3] m to the sample; they count as part of the object."""
-        # Repeated, they are not among the few that may lie outside the picture.
+        # The points are repeated, so that they are not among the few that may lie outside the
+        # picture.
         times, still = len(self.means), np.repeat(points, 1 + len(self.means[0]) // 256, axis=0)
         means = np.broadcast_to(still.astype(np.float32), (times, *still.shape))
         shapes = np.zeros((*means.shape, 3), np.float32)
@@ -128,7 +133,7 @@ class Sample:
     def has_rare_moment(self, largest: float) -> bool:
         """Return whether a few frames make the motion too large for a fixed camera.
 
-        A fixed camera always suffices for motions of an extent up to `largest` [m].
+        If the extent of a motion is at most `largest` [m], a fixed camera always suffices.
         """
         low, high = self._boxes(self.means)
         whole = _extent(low, high)
@@ -137,8 +142,9 @@ class Sample:
         return far and whole > RARE * _extent(*self._boxes(self.follow().means))
 
     def _boxes(self, means: NDArray[np.floating]) -> tuple[Values, Values]:
-        """Return the object's lowest and highest corner in each frame [T,3], [T,3], without
-        outermost Gaussians.
+        """Return the lowest and the highest corner of the object in each frame [T,3], [T,3].
+
+        The few outermost Gaussians are ignored.
         """
         ends = [OUTSIDE / 2, 1 - OUTSIDE / 2]
         parts = (means[part].astype(np.float64) for part in _blocks(len(means)))
@@ -147,12 +153,14 @@ class Sample:
 
 
 _samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
-"""The sample of each clip in use; the cameras of all sides of a view are placed by it."""
+"""Samples of the clips in use. They are stored because the cameras of all sides of a view need
+them."""
 
 
 def _reach_of_discs(clip: Clip) -> Values:
-    """Return how far discs on a liquid's surface reach beyond the liquid's Gaussians [N], m; 0 for
-    other Gaussians.
+    """Return how far discs on a liquid's surface extend beyond the liquid's Gaussians [N], m.
+
+    The value is 0 for Gaussians that are not part of a liquid.
     """
     reach = np.zeros(len(clip.opacities))
     cell = float(clip.report.get("grid", {}).get("dx", 0.0))
@@ -178,9 +186,10 @@ def place_nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) 
 
     Args:
         sample: The object in motion.
-        cameras: A camera for each frame, which defines orientation, field of view and, if the
-            cameras turn during the clip, target.
-        zooms: Whether the field of view may be narrowed to keep the distance `DEPTHS`.
+        cameras: A camera for each frame. It defines the orientation and the field of view. If the
+            cameras turn during the clip, it also defines the target.
+        zooms: Whether the field of view may be narrowed so that the camera keeps the distance
+            `DEPTHS`.
     """
     seen, halves = _Seen.by(sample, cameras), np.array(cameras[0].halves) / ROOM
     least = DEPTHS * seen.depth if zooms else 0.0
@@ -188,7 +197,8 @@ def place_nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) 
     for _ in range(TRIES):
         if stand.distance >= CLOSE * least:
             break
-        # Except where the outermost Gaussian changes, the distance is almost linear in the zoom.
+        # The distance is almost linear in the zoom, except at zooms where another Gaussian becomes
+        # the outermost.
         slope = slope or stand.distance / stand.zoom
         more = seen.standing(halves, min(stand.zoom + (least - stand.distance) / slope, ZOOM))
         if more.zoom == stand.zoom:
@@ -204,18 +214,18 @@ def place_along(
     """Place cameras that move in and out smoothly and show the object in every frame.
 
     The camera positions from which a point is in the picture form a convex set. If several camera
-    positions show a frame, their mean therefore shows this frame as well.
+    positions show a frame, the mean of these positions therefore shows the frame as well.
 
     Args:
         sample: The object in motion.
-        cameras: A camera for each frame, which defines orientation, field of view and, if the
-            cameras turn during the clip, target.
-        still: The nearest positions that show the whole motion; their zoom and, if the cameras
-            turn, their target are kept.
+        cameras: A camera for each frame. It defines the orientation and the field of view. If the
+            cameras turn during the clip, it also defines the target.
+        still: The nearest positions that show the whole motion. Their zoom is kept. If the cameras
+            turn, their target is kept, too.
         window: Number of frames before and after a frame that the frame's camera also shows.
 
     Returns:
-        Distances from the targets [T], m, and displacements of the targets [T,3], m.
+        Distances of the cameras from the targets [T], m, and displacements of the targets [T,3], m.
     """
     seen, halves = _Seen.by(sample, cameras), np.array(cameras[0].halves) / ROOM
     if seen.turning:
@@ -234,12 +244,12 @@ def place_along(
 
 @dataclass(frozen=True)
 class _Seen:
-    """A sample of Gaussians in the axes of the cameras."""
+    """A sample of Gaussians in the coordinate axes of the cameras."""
 
     points: NDArray[np.floating]
-    """Positions to the right of, below and beyond the target [T,3,S], m."""
+    """Positions relative to the target: to the right, downwards and ahead [T,3,S], m."""
     reach: NDArray[np.floating]
-    """Standard deviations to the right and downwards [T,2,S], m."""
+    """Standard deviations of the Gaussians to the right and downwards [T,2,S], m."""
     axes: Values
     """Unit vectors of each camera: right, down and ahead [T,3,3]."""
 
@@ -260,9 +270,7 @@ class _Seen:
 
     @property
     def depth(self) -> float:
-        """Extent of the motion along the view [m]; if cameras turn, its largest value in any
-        frame.
-        """
+        """Extent of the motion along the view [m]; its largest value if the cameras turn."""
         ahead = np.quantile(self.points[:, 2], [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         if self.turning:
             return float((ahead[1] - ahead[0]).max())
@@ -274,15 +282,16 @@ class _Seen:
         return not np.allclose(self.axes, self.axes[0])
 
     def standing(self, halves: Values, zoom: float) -> Standing:
-        """Return the nearest camera positions at a zoom; `halves` [2] is defined as in
-        `Camera.halves`.
+        """Return the camera positions nearest to the object at a given zoom.
+
+        `halves` [2] is defined as in `Camera.halves`.
         """
         halves = halves / zoom
         edges = self._edges(halves).max(axis=0)
         if not self.turning:
             distance, shift = self._between(edges, halves)
             return Standing(float(distance), shift, zoom)
-        # All cameras look at the same point, which may only move up or down.
+        # All cameras look at the same point. This point may only move up or down.
         along = halves[1] * (edges[1, 0] - edges[1, 1]) / 2
         shift = np.array([0.0, 0.0, along * self.axes[:, 1, 2].mean()])
         moved = replace(self, points=self.points - (self.axes @ shift)[..., None])
@@ -292,15 +301,17 @@ class _Seen:
         return Standing(float(edges.max()), np.zeros(3), zoom)
 
     def _between(self, edges: Values, halves: Values) -> tuple[Values, Values]:
-        """Return the distances [...] m and shifts [...,3] m of cameras that do not turn and see
-        what is between edges [...,2,2] m.
+        """Return the distances [...] m and shifts [...,3] m of cameras that do not turn.
+
+        The cameras see what is between the edges [...,2,2] m.
         """
         shift = halves * (edges[..., 0] - edges[..., 1]) / 2
         return edges.sum(axis=-1).max(axis=-1) / 2, shift @ self.axes[0, :2]
 
     def _edges(self, halves: Values) -> Values:
-        """Return the distances [T,2,2] m that keep the sample of each frame inside the edges: right
-        and left, bottom and top.
+        """Return the distances [T,2,2] m at which the sample of each frame is inside the edges.
+
+        The edges are ordered as right and left, bottom and top.
         """
         few, needed = int(LEFT_OUT * self.points.shape[2]), []
         for part in _blocks(len(self.points)):

@@ -13,17 +13,19 @@ from phy124.particles.thinning import thin
 from phy124.rendering.render import BLACK, WHITE, Renderer
 
 ENOUGH = 30_000
-"""Number of Gaussians that suffices for these pictures."""
+"""Number of Gaussians that suffices for pictures of the orientations."""
 UPS = ("-y", "y", "z", "-z", "x", "-x")
-"""The six possible up axes; the most common comes first."""
+"""The six possible up axes, with the most common axis first."""
 TURNS = ("x", "y", "z", "-x", "-y", "-z")
 UNTURNED = Reading(up="z", front="x")
-"""Axes of a file that needs no rotation, since they are phy124's axes."""
+"""Axes of a file that needs no rotation, because they are the axes of phy124."""
 
 
 def candidates(up: str | None) -> list[Reading]:
-    """Return the orientations to draw: one per up axis, with its usual front, or one per front if
-    the up axis is known.
+    """Return the orientations to draw.
+
+    There is one per up axis, with the usual front of this axis. If the up axis is known, there is
+    one per front axis.
     """
     if up is None:
         return [Reading(up=axis, front=FRONTS[axis]) for axis in UPS]
@@ -31,8 +33,7 @@ def candidates(up: str | None) -> list[Reading]:
 
 
 def samples(path: str) -> tuple[Gaussians, tuple[str, ...]]:
-    """Read at most `ENOUGH` of a file's Gaussians, in the file's axes; return them and notes on the
-    file.
+    """Read at most `ENOUGH` of a file's Gaussians, in the file's axes; return them with notes.
 
     Raises:
         InputError: The file cannot be read (see `PlyFile.open`), or all centres coincide.
@@ -52,11 +53,11 @@ def draw_oriented(
         gaussians: The object in the axes of its file, of any size.
         reading: The file's axes that point up and to the front.
         size: Width and height of the picture [pixels].
-        alpha: Whether the background is transparent, with the coverage as fourth channel; otherwise
-            it is white.
+        alpha: Whether the background is transparent, with the coverage as the fourth channel.
+            Otherwise the background is white.
 
     Raises:
-        InputError: All centres coincide.
+        InputError: The centres of all Gaussians coincide.
     """
     standing = normalise_size(rotate_gaussians(gaussians, orientation(reading.up, reading.front)))
     camera = Camera.orbit(20.0, 15.0, 1.6, size)

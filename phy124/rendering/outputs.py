@@ -1,11 +1,11 @@
 """Writes depth, normals, flow, force and other quantities per pixel, as training data.
 
-The renderer blends values instead of colours. A pixel therefore has the mean value of the Gaussians
-that it shows, weighted by their contributions to the pixel,
+The renderer blends values in the same way as colours. The value of a pixel is therefore the mean of
+the values of the Gaussians that it shows, weighted by their contributions to the pixel,
 
     value = sum_i w_i value_i / sum_i w_i,    w_i = alpha_i prod_{j<i} (1 - alpha_j).
 
-Forces add up: they are distributed over the pixels, not averaged.
+Forces add up. They are therefore distributed over the pixels, not averaged.
 """
 
 from __future__ import annotations
@@ -42,10 +42,11 @@ from phy124.scene.view import Output
 
 Values = NDArray[np.float64]
 FARTHEST_FLOW = 4
-"""Largest flow, in picture sizes; only Gaussians that pass through the camera would exceed it."""
+"""Largest optical flow, in units of the picture's size. Only Gaussians that pass through the camera
+would exceed it."""
 
 SHARP = 0.3
-"""Largest standard deviation of a blur that is negligible and therefore left out, px."""
+"""Largest standard deviation of a blur that is negligible and therefore omitted, px."""
 
 
 class Quantity(NamedTuple):
@@ -90,30 +91,29 @@ QUANTITIES: dict[Output, Quantity] = {
         "frame's force. Its resolution is one grid cell; it is blurred by half a cell.",
     ),
 }
-"""Unit and meaning of each output; `channels` are the channel names in an EXR file."""
+"""Unit and meaning of each output. `channels` are the names of its channels in an EXR file."""
 
 
 def refuse_outputs(view: View, frames: int) -> None:
     """Refuse a view's outputs if they cannot be made from this number of frames.
 
     Raises:
-        InputError: Motion is requested of a single frame, or a package is missing.
+        InputError: An output that describes motion is requested for a single frame, or a package is
+            missing.
     """
     moving = [name for name in view.outputs if name in ("flow", "velocity")]
     if moving and frames < 2:
         limit = "flow needs at least two frames."
-        raise InputError(
-            "view.outputs", moving[0], limit, "Leave the output out, or keep two frames."
-        )
+        raise InputError("view.outputs", moving[0], limit, "Remove the output, or keep two frames.")
     if view.outputs and view.output_format == "exr":
         refuse_missing_exr()
 
 
 def refuse_unkept(clip: Clip, view: View) -> None:
-    """Refuse a view's outputs if they need data that the clip lacks.
+    """Refuse a view's outputs if they need data that the clip does not contain.
 
     Raises:
-        InputError: The clip lacks the data, or `refuse_outputs` refuses the outputs.
+        InputError: The clip does not contain the data, or `refuse_outputs` refuses the outputs.
     """
     refuse_outputs(view, len(clip))
     if "force" in view.outputs and clip.contacts is None:
@@ -133,10 +133,11 @@ def write_outputs(
 
     Args:
         clip: The clip to draw.
-        view: Names the outputs and their format.
-        side: The side.
+        view: View that names the outputs and their file format.
+        side: The side from which the outputs are drawn.
         folder: An existing folder.
-        context: Device, and progress: called as ("outputs SIDE", frames done, total frames).
+        context: Device, and a progress function, which is called as ("outputs SIDE", frames done,
+            total frames).
 
     Returns:
         The folder that was written.
@@ -205,9 +206,7 @@ class Seen:
         return {name: rasters[name] for name in self.outputs if name in rasters}, alpha > 0
 
     def steps(self) -> dict[Output, float]:
-        """Return the quantisation step of the 16-bit values of each output; it is the same for all
-        frames.
-        """
+        """Return the quantisation step of each output's 16-bit values, the same for all frames."""
         largest = dict.fromkeys(self.outputs, 0.0) | {"alpha": 1.0, "normals": 1.0}
         if set(self.outputs) & {"depth", "flow", "velocity"}:
             for index, camera in enumerate(self.cameras):
@@ -240,10 +239,10 @@ def means_seen(
     """Render each pixel's mean values [H,W,C], with 0 where nothing is visible, and alpha [H,W].
 
     Args:
-        renderer: Renders three columns at a time.
+        renderer: The renderer, which renders three columns of values at a time.
         gaussians: The Gaussians to draw.
-        camera: The camera.
-        values: Values of the Gaussians, each [N,C].
+        camera: The camera that sees the Gaussians.
+        values: Arrays of values of the Gaussians, each [N,C].
     """
     columns = np.concatenate([*values, np.zeros((len(gaussians), 0))], axis=1)
     images = [
@@ -260,7 +259,7 @@ def _draw_means(
 ) -> tuple[Array, Array]:
     """Render the means [H,W,C] of up to three columns of values [N,C], and alpha [H,W]."""
     count = columns.shape[1]
-    # The renderer accepts colours in 0..1: map the values to this range and back.
+    # The renderer accepts colours from 0 to 1. The values are mapped to this range and back.
     ahead = camera.project(gaussians.means)[1] > NEAR
     shown = (columns[ahead] if ahead.any() else np.zeros((1, count))).T
     low, high = shown.min(axis=1), shown.max(axis=1)
@@ -270,7 +269,7 @@ def _draw_means(
     painted = Gaussians.from_rgb(g.means, g.quats, g.scales, g.opacities, rgb)
     image = renderer(painted, camera, BLACK, alpha=True)
     alpha = image[..., 3]
-    # An object covers a small part of its picture, so only covered pixels are computed.
+    # An object covers a small part of its picture. Therefore only covered pixels are computed.
     covered = np.flatnonzero(alpha > 0)
     drawn = image.reshape(-1, 4)[covered]
     means = np.zeros((alpha.size, count), np.float32)
@@ -279,8 +278,9 @@ def _draw_means(
 
 
 def normals(gaussians: Gaussians, camera: Camera) -> Values:
-    """Return the shortest axis of each Gaussian, directed towards the camera: unit vectors [N,3] in
-    the world's axes.
+    """Return the shortest axis of each Gaussian, directed towards the camera.
+
+    The axes are unit vectors [N,3] in the world's axes.
     """
     axes = rotation_matrices(gaussians.quats)
     shortest = axes[np.arange(len(gaussians)), :, gaussians.scales.argmin(axis=1)]
@@ -289,7 +289,7 @@ def normals(gaussians: Gaussians, camera: Camera) -> Values:
 
 
 def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Values:
-    """Return displacements of points in the picture until the next frame [N,2], right and down, px.
+    """Return how far points move in the picture until the next frame [N,2], right and down, px.
 
     Args:
         before: The points in this frame, m.
@@ -304,7 +304,9 @@ def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Valu
 
 
 def spread(values: Array, points: Array, camera: Camera, blur: float) -> Array:
-    """Distribute values of points over pixels [H,W,C]; the sum over the picture stays the same.
+    """Distribute values of points over pixels [H,W,C].
+
+    The sum of all pixels is the sum of all values.
 
     Args:
         values: Value of each point [N,C].
@@ -340,7 +342,7 @@ def _write(
     steps: Mapping[Output, float],
 ) -> None:
     quantity = QUANTITIES[name]
-    # A force is defined everywhere; without contact it is zero.
+    # A force is defined everywhere. Without contact it is zero.
     covered = np.ones_like(covered) if name == "force" else covered
     if path.suffix == ".exr":
         write_exr(path, raster, quantity.channels)

@@ -15,20 +15,21 @@ from phy124.kernels.splat import screen
 Filter = tuple[float, bool]
 
 FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
-"""Anti-aliasing filter -> addition to the screen covariance [px^2], and whether opacity is reduced
-to compensate. 3D Gaussian Splatting does not reduce it, which thickens thin objects seen from far
-away; Mip-Splatting does (Yu et al. 2024, section 4.2)."""
+"""Anti-aliasing filters. Each has the addition to the screen covariance [px^2], and whether opacity
+is reduced to compensate for the addition. 3D Gaussian Splatting does not reduce the opacity, which
+thickens thin objects seen from far away. Mip-Splatting does (Yu et al. 2024, section 4.2)."""
 NEAR = 0.01
-"""Smallest distance from the camera at which a Gaussian is drawn, measured to its centre, m."""
+"""Smallest distance between the camera and the centre of a Gaussian at which the Gaussian is drawn,
+m."""
 FRUSTUM_MARGIN = 1.3
-"""Largest offset from the image centre at which the projection is linearised, relative to half the
-image (Kerbl et al. 2023)."""
+"""Largest offset from the image centre at which the projection is linearised, as a fraction of half
+the image (Kerbl et al. 2023)."""
 MAX_PIXELS = 1 << 26
 """Number of pixels of the largest image (8192 x 8192)."""
 
 
 def make_view(camera: Camera, filter: Filter) -> Any:
-    """Return a camera with an anti-aliasing filter as a `screen.View`.
+    """Return a camera with an anti-aliasing filter, as a `screen.View`.
 
     Args:
         camera: The camera.

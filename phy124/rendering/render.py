@@ -1,9 +1,10 @@
 """Renders Gaussians from a camera, with kernels that run on CPU and CUDA alike.
 
-EWA splatting (Zwicker et al. 2001) with the conventions of 3D Gaussian Splatting (Kerbl et al.
-2023): screen covariance plus 0.3 px^2 (or the filter of Mip-Splatting), front-to-back blending in
-the order of the centres' depths, alpha at most 0.99, contributions below 1/255 skipped.
-Every splat extends to where its contribution falls to 1/255, so that no cut-off is visible.
+The method is EWA splatting (Zwicker et al. 2001) with the conventions of 3D Gaussian Splatting
+(Kerbl et al. 2023). The screen covariance is enlarged by 0.3 px^2 (or by the filter of
+Mip-Splatting). Splats are blended from front to back in the order of the centres' depths. Alpha is
+at most 0.99, and contributions below 1/255 are skipped. Every splat extends to where its
+contribution falls to 1/255, so that no cut-off is visible.
 """
 
 from __future__ import annotations
@@ -32,24 +33,26 @@ Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
 MAX_PAIRS = 1 << 24
-"""Largest number of tile entries at once; larger scenes are blended in several groups of tiles."""
+"""Largest number of splats in the lists of all tiles at once. Larger scenes are blended in several
+groups of tiles."""
 TILES_PER_SPLAT = 4
-"""Expected number of tiles that a splat touches, for the memory of a renderer's first picture."""
+"""Expected number of tiles that a splat touches. It determines the memory for a renderer's first
+picture."""
 BLENDS = {
     "simd": blend.blend_tiles_simd,
     "plain": blend.blend_tiles,
     "pixel": blend.blend_pixels,
 }
-"""Variants of the blending stage. `simd`: one tile per thread in vectorised C++ (CPU only);
-`plain`: the same in Warp; `pixel`: one pixel per thread (used on CUDA)."""
+"""Variants of the blending stage. `simd`: one tile per thread in vectorised C++ (CPU only).
+`plain`: the same in Warp. `pixel`: one pixel per thread (used on CUDA)."""
 BLEND_STAGED = stage.blend_staged_simd
 """The kernel of the variant `simd` for pictures with a stage behind the Gaussians."""
 
 
 class Renderer:
-    """Renders Gaussians on one device; buffers are reused from call to call.
+    """Renders Gaussians on one device; later calls reuse the buffers of earlier calls.
 
-    An instance must be used by one thread at a time.
+    Only one thread at a time may use an instance.
     """
 
     def __init__(
@@ -58,7 +61,7 @@ class Renderer:
         """Compile or load the kernels for a device.
 
         Args:
-            device: Warp's name of the device; None: CUDA if there is one.
+            device: Warp's name of the device. If None, CUDA if there is a CUDA device.
             blend: Variant of the blending stage, one of `BLENDS`, or auto.
             filter: Anti-aliasing filter, one of `FILTERS`.
         """
@@ -77,20 +80,20 @@ class Renderer:
                 "Choose auto, plain or pixel; on a CPU also simd.",
             )
         self._blend = BLENDS[blend]
-        # Binning follows the blending variant, so a CPU can test the GPU's variant.
+        # The binning method depends on the blending variant, so a CPU can test the GPU's variant.
         self._per_pixel = blend == "pixel"
         binned = project.bin_parallel if self._per_pixel else project.bin_serial
-        # Gaussians per thread, and the kernel of the projection.
+        # Number of Gaussians per thread, and the kernel that projects them.
         self._vectorised = simd = blend == "simd"
         self._projection = (16, project.project_simd) if simd else (1, project.project)
         compile_missing((self._projection[1], binned, self._blend), str(self.device))
         self._around = Surroundings(self.device, simd=simd)
         self._room = 0
-        """Number of entries for which the lists of all tiles have memory, if the lists are counted
-        on the device.
+        """Number of entries that fit into the memory for the lists of all tiles, if the device
+        counts the entries.
         """
         self._free: list[HostCopies] = []
-        """Host memory of pictures that no caller is waiting for."""
+        """Host memory of pictures for which no caller is waiting."""
         self._seen: tuple[Camera, Any] | None = None
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
@@ -107,14 +110,14 @@ class Renderer:
     ) -> Array:
         """Render one image [H,W,3] float32 in 0..1.
 
-        Colours are blended as stored (sRGB). Gaussians that are not finite, closer than `NEAR` or
-        fainter than 1/255 are not drawn.
+        Colours are blended as they are stored (sRGB). Gaussians that are not finite, closer than
+        `NEAR` or fainter than 1/255 are not drawn.
 
         Args:
             gaussians: The Gaussians to draw.
             camera: The camera, which defines the image's size.
             background: Colour behind the Gaussians, 0..1.
-            alpha: Whether to return [H,W,4], with the coverage as last channel.
+            alpha: Whether to return [H,W,4], with the coverage as the last channel.
             stage: Surroundings of the Gaussians, which replace the background.
 
         Raises:
@@ -158,11 +161,12 @@ class Renderer:
         *,
         stage: StageFrame | None = None,
     ) -> Callable[[], NDArray[np.uint8]]:
-        """Start to render one image as bytes; return a function that waits for the image, as
-        `picture` does.
+        """Start to render one image as bytes; return a function that waits for the image.
+
+        The function returns the same image as `picture`.
 
         A GPU draws while the caller prepares the next picture. The returned function must be called
-        once.
+        exactly once.
 
         Args:
             gaussians: The Gaussians to draw.
@@ -178,7 +182,8 @@ class Renderer:
             finish = self._start(gaussians, camera, background, stage, ("bytes",))
             return lambda: finish()["bytes"].reshape(shape).copy()
         image = self._start(gaussians, camera, background, stage, ("image",))()["image"]
-        # In place: clearing new memory for each picture takes up to half as long as drawing it.
+        # The image is changed in place, because clearing new memory for each picture takes up to
+        # half as long as drawing.
         image *= 255
         image += 0.5
         picture = image.astype(np.uint8).reshape(shape)
@@ -194,9 +199,9 @@ class Renderer:
     ) -> Callable[[], dict[str, NDArray[Any]]]:
         """Start to render an image; return a function that waits for the named arrays.
 
-        The arrays are the colours `image` [H*W,3], `coverage` [H*W] and, with a thread per pixel,
-        `bytes` [H*W*3]. On a CPU without a thread per pixel, the arrays alias the renderer's
-        buffers.
+        The arrays are the colours `image` [H*W,3], the `coverage` [H*W] and, if each thread draws a
+        pixel, the `bytes` [H*W*3]. If the device is a CPU and threads draw tiles, the arrays alias
+        the renderer's buffers.
         """
         view, pixels = self._look(camera), camera.width * camera.height
         colour = wp.vec3(*_checked_background(BLACK if stage else background))
@@ -227,8 +232,9 @@ class Renderer:
     def _finish(
         self, copies: HostCopies, draw: Callable[[], int], room: int
     ) -> dict[str, NDArray[Any]]:
-        """Wait for a picture; draw it again if the tiles' lists were too long for the memory
-        `room`.
+        """Wait for a picture.
+
+        If the lists of the tiles were too long for the memory `room`, draw the picture again.
         """
         drawn = copies.wait()
         while (total := int(drawn["total"][0])) > room:
@@ -242,7 +248,7 @@ class Renderer:
     def _draw(self, gaussians: Gaussians, view: Any, colour: Any, stage: StageFrame | None) -> None:
         """Draw colours and coverage into the buffers `image` [H*W,3] and `coverage` [H*W].
 
-        With a thread per pixel, nothing is drawn if the tiles' lists exceed `_room`.
+        If each thread draws a pixel, nothing is drawn if the lists of the tiles exceed `_room`.
         """
         pixels = view.width * view.height
         self._project(gaussians, view)
@@ -285,18 +291,19 @@ class Renderer:
         return view, self._counts(view)
 
     def _look(self, camera: Camera) -> Any:
-        """Return the camera as a `screen.View` with the renderer's filter."""
+        """Return the camera, with the renderer's filter, as a `screen.View`."""
         if self._seen is None or self._seen[0] is not camera:
             self._seen = camera, make_view(camera, self._filter)
         return self._seen[1]
 
     def _project(self, gaussians: Gaussians, view: Any) -> None:
-        """Compute `splats`, their `order` by depth, and the marks from which `_counts` counts
-        splats per tile.
+        """Compute the `splats` and their `order` by depth.
+
+        Also compute the marks from which `_counts` counts the splats of each tile.
         """
         n = len(gaussians)
         splats, tiles = self._buffer("splats", n, screen.Splat), self._buffer("tiles", n, wp.vec4i)
-        # Sorting needs buffers of twice the size.
+        # Sorting needs buffers of twice the size of the arrays.
         depths = self._buffer("depths", 2 * n, wp.float32)
         order = self._buffer("order", 2 * n, wp.int32)
         shape = (view.rows + 1, view.columns + 1)
@@ -326,8 +333,8 @@ class Renderer:
     def _count_on_device(self, corners: wp.array, view: Any) -> None:
         """Compute the number of splats in all tiles `before` each tile, in each tile, and in total.
 
-        The projection marks the four corners of each splat's rectangle of tiles; cumulative sums
-        along both axes turn the marks into counts.
+        The projection marks the four corners of each splat's rectangle of tiles. Cumulative sums
+        along both axes turn these marks into numbers of splats.
         """
         tiles = view.rows * view.columns
         counts: Any = self._buffer("counts", tiles + 1, wp.int32)[: tiles + 1]
@@ -398,18 +405,17 @@ class Renderer:
         return lists
 
     def _buffer(self, name: str, size: int, dtype: Any) -> wp.array:
-        """Return the named buffer, enlarged to at least `size` items if needed; its content may be
-        lost.
-        """
+        """Return a named buffer, enlarged to at least `size` items; its content may be lost."""
         buffer = self._buffers.get(name)
         if buffer is None or buffer.size < size:
-            # A fifth more than requested: a moving scene needs slightly more space in later frames.
+            # The buffer is a fifth larger than requested, because a moving scene needs slightly
+            # more space in later frames.
             buffer = wp.empty(max(1, size + size // 5), dtype=dtype, device=self.device)
             self._buffers[name] = buffer
         return buffer
 
     def _fill(self, name: str, values: NDArray[np.int32]) -> Any:
-        """Copy values into the named buffer; return a view of the same length."""
+        """Copy values into a named buffer; return a view of the buffer with the same length."""
         buffer = self._buffer(name, len(values), wp.int32)[: len(values)]
         buffer.assign(values)
         return buffer
@@ -420,7 +426,7 @@ class Renderer:
         Args:
             array: The array.
             dtype: Warp's type of its items.
-            name: Buffer that receives the copy; None: new memory.
+            name: Name of the buffer that receives the copy. If None, new memory is used.
         """
         if name is None or not self.device.is_cuda:
             return wp.array(array, dtype=dtype, device=self.device, copy=False)
@@ -429,13 +435,11 @@ class Renderer:
         return buffer
 
     def _constant(self, name: str, array: Array, dtype: Any) -> wp.array:
-        """Upload an array that is constant within a clip; later calls reuse the copy on the
-        device.
-        """
+        """Upload an array that is constant within a clip; later calls reuse the copy."""
         where = (array.ctypes.data, array.shape)
         known = self._constants.get(name)
         if known is None or known[0] != where:
-            # A reference to the array keeps its memory address from being reused.
+            # A reference to the array prevents its memory address from being reused.
             known = self._constants[name] = (where, array, self._upload(array, dtype))
         return known[2]
 
@@ -454,8 +458,8 @@ def render(
         gaussians: The Gaussians to draw.
         camera: The camera, which defines the image's size.
         background: Colour behind the Gaussians, 0..1.
-        alpha: Whether to return [H,W,4], with the coverage as last channel.
-        device: Warp's name of the device; default: CUDA if there is one.
+        alpha: Whether to return [H,W,4], with the coverage as the last channel.
+        device: Warp's name of the device. The default is CUDA if there is a CUDA device.
 
     Raises:
         InputError: There is no such device, or the camera or the background cannot be used.
@@ -464,7 +468,7 @@ def render(
 
 
 def to_bytes(image: Array) -> NDArray[np.uint8]:
-    """Convert an image in 0..1 to bytes, rounded to the nearest integer."""
+    """Convert an image with values from 0 to 1 to bytes, rounded to the nearest integer."""
     return (image * 255 + 0.5).astype(np.uint8)
 
 
@@ -490,8 +494,9 @@ def _checked_background(background: Colour) -> Colour:
 
 
 def runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
-    """Split tiles into runs [first, last) of at most `limit` entries; a tile with more entries is a
-    run of its own.
+    """Split tiles into runs [first, last) of at most `limit` entries.
+
+    A tile with more entries is a run of its own.
     """
     sums, first = np.cumsum(counts), 0
     while first < len(counts):

@@ -1,11 +1,12 @@
 """Adds highlights and reflections to fluids and metal, computed from their surface normals.
 
-Colours of Gaussians contain no gloss. For each frame and camera, the Gaussians of glossy laws get
-new colours: with the highlight (Blinn 1977) of a lamp above, and reflections of a bright sky and a
-dark floor. Water reflects little, but more at grazing angles (Schlick 1994), and is bright where it
-refracts the lamp's light towards the camera. Metal reflects almost all light, tinted with its
-colour. Liquids are drawn as their surface (`phy124.rendering.liquid`). The normals of metal are the
-shortest axes of its Gaussians.
+The colours of Gaussians contain no gloss. For each frame and camera, the Gaussians of glossy laws
+get
+new colours with the highlight of a lamp above (Blinn 1977), and with reflections of a bright sky
+and a dark floor. Water reflects little light, but more at grazing angles (Schlick 1994). It is
+bright where it refracts the lamp's light towards the camera. Metal reflects almost all light,
+tinted with the colour of the metal. Of a liquid, only the surface is drawn
+(`phy124.rendering.liquid`). The normals of metal are the shortest axes of its Gaussians.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from phy124.rendering.stage.solids import place_walls
 from phy124.scene import View
 
 KEPT = 256 * 2**20
-"""Memory for liquid surfaces that are reused in further views [bytes]."""
+"""Memory for liquid surfaces that further views reuse [bytes]."""
 LAMP = np.array([0.434, -0.338, 0.835], np.float32)
 """Direction towards the lamp (unit vector)."""
 REFRACTION = 1.33
@@ -49,20 +50,20 @@ class Gloss(NamedTuple):
     sharpness: float
     """Exponent of the highlight."""
     floor: float
-    """Brightness of the reflected floor, relative to the sky."""
+    """Brightness of the reflected floor, relative to that of the reflected sky."""
     glow: float
-    """Strength of the lamp's light that is refracted through the material."""
+    """Strength of the light of the lamp that the material refracts."""
 
 
 GLOSSES = {
     "fluid": Gloss(0.03, 0.75, 0.0, 1.0, 40.0, 0.1, 0.7),
     "metal": Gloss(0.75, 0.85, 0.85, 0.7, 30.0, 0.12, 0.0),
 }
-"""Law -> reflection properties, for the laws that are glossy."""
+"""Reflection properties of the constitutive laws that are glossy, by the name of the law."""
 
 
 class Shine:
-    """The gloss of a clip, and the surfaces of its liquids; further views reuse both."""
+    """The gloss of a clip, and the surfaces of the clip's liquids; further views reuse both."""
 
     def __init__(self, clip: Clip) -> None:
         """Determine from the clip's report which Gaussians are glossy."""
@@ -78,11 +79,11 @@ class Shine:
             if "fluid" in self._parts and self._cell > 0 and len(which := _indices(liquid["runs"]))
         ]
         self.seconds = 0.0
-        """Time spent on gloss since the start [s]."""
+        """Time spent on the computation of gloss since the start [s]."""
 
     def _liquid(self, clip: Clip, which: NDArray, liquid: dict[str, Any]) -> Liquid:
         """Measure one of the report's liquids in the first frame; `which` selects its Gaussians."""
-        volumes = liquid.get("volumes")  # absent in old clips
+        volumes = liquid.get("volumes")  # missing in clips of earlier versions
         if volumes is not None:
             volumes = np.repeat(volumes, [last - first for first, last in liquid["runs"]])
         before = self._planes[0] if self._planes else NOWHERE
@@ -122,10 +123,12 @@ class Shine:
         return replace(frame, gaussians=self._surface(frame)[0])
 
     def pack(self, clip: Clip) -> tuple[Clip, dict[str, Any]]:
-        """Return, for the player, the clip with its liquids in the form in which they are drawn,
-        and its gloss.
+        """Return the clip for the player, and its gloss.
 
-        The gloss is plain data, except the colours and opacities of all frames, `hues` [T,N,4].
+        The liquids of the clip are in the form in which they are drawn.
+
+        The gloss consists of plain data, except the colours and opacities of all frames, `hues`
+        [T,N,4].
         """
         laws = [
             {"gloss": list(GLOSSES[law]), "outwards": law != "metal", "runs": runs_of(which)}
@@ -141,13 +144,14 @@ class Shine:
             means[k], quats[k], scales[k] = shown.means, shown.quats, shown.scales
             rgb = np.clip(0.5 + SH_C0 * shown.sh[:, 0], 0, 1)
             hues[k] = np.rint(np.column_stack([rgb, shown.opacities]) * 255)
-        # The player interpolates quaternions between frames, so their signs must agree.
+        # The player interpolates quaternions between frames, so the signs of these quaternions must
+        # agree.
         for before, after in pairwise(quats):
             after[(before * after).sum(axis=1) < 0] *= -1
         return replace(clip, means=means, quats=quats, scales=scales), {**gloss, "hues": hues}
 
     def _surface(self, frame: Frame) -> tuple[Gaussians, dict[str, NDArray]]:
-        """Return the Gaussians to draw, and the normals [n,3] of each glossy law."""
+        """Return the Gaussians to draw, and the normals [n,3] of those of each glossy law."""
         if frame.index in self._surfaces:
             return self._surfaces[frame.index]
         gaussians, normals = frame.gaussians, {}
@@ -188,8 +192,9 @@ def add_gloss(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
 
 
 def drawn_frames(clip: Clip, view: View) -> Iterator[Frame]:
-    """Yield the frames of a clip with liquids in the form in which they are drawn, without
-    reflections.
+    """Yield the frames of a clip, with liquids in the form in which they are drawn.
+
+    Reflections are not added.
     """
     shine = make_shine(clip, view)
     return clip.frames() if shine is None else map(shine.shape, clip.frames())
@@ -206,7 +211,7 @@ def reflect(rgb: NDArray, normals: NDArray, towards: NDArray, gloss: Gloss) -> N
 
     Args:
         rgb: Colours without reflection [N,3].
-        normals: Normals [N,3]; a normal shorter than 1 reflects less.
+        normals: Normals of the surface [N,3]. A normal shorter than 1 reflects less light.
         towards: Directions towards the camera [N,3].
         gloss: Reflection properties of the material.
     """
@@ -227,7 +232,7 @@ def reflect(rgb: NDArray, normals: NDArray, towards: NDArray, gloss: Gloss) -> N
 
 
 def shortest_axes(gaussians: Gaussians) -> NDArray[np.float32]:
-    """Return the shortest axis of each Gaussian [N,3]; its sign is arbitrary."""
+    """Return the shortest axis of each Gaussian [N,3]; the sign of the axis is arbitrary."""
     w, x, y, z = gaussians.quats.T
     axes = np.stack(
         [
@@ -263,12 +268,12 @@ def _planes(clip: Clip) -> list[Planes]:
 
 
 def _indices(runs: Any) -> NDArray[np.int64]:
-    """Return the integers in runs [first, last + 1]."""
+    """Return the integers that runs [first, last + 1] contain."""
     return np.concatenate([np.arange(*run) for run in runs or [(0, 0)]])
 
 
 def _finite(x: NDArray) -> NDArray:
-    """Replace points that are not finite by the median of the others."""
+    """Replace points that are not finite by the median of the other points."""
     if np.isfinite(x.sum()):
         return x
     good = np.atleast_1d(np.isfinite(x).all(axis=1))

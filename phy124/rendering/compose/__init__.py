@@ -1,8 +1,8 @@
 """Films the moving object inside the photograph from which it was made.
 
-Generators assume a camera straight in front of the object. The zoom and shift of the assumed camera
-are matched to the photograph. The object is removed from the photograph by inpainting; the moving
-object and its shadow are drawn over the result.
+Generators assume that the camera is straight in front of the object. The zoom and shift of the
+assumed camera are matched to the photograph. Inpainting removes the object from the photograph. The
+moving object and its shadow are then drawn over the result.
 """
 
 from __future__ import annotations
@@ -40,19 +40,20 @@ def compose(
     context: RunContext | None = None,
     **fields: Unpack[ContextOptions],
 ) -> tuple[Path, dict[str, Any]]:
-    """Write composed.mp4: the clip in the photograph.
+    """Write composed.mp4, which shows the moving object of a clip in its photograph.
 
     Args:
         clip: The clip of the object made from the photograph.
-        view: View that defines the filter and the playback rate.
-        photograph: The photograph.
+        view: View that defines the anti-aliasing filter and the playback rate.
+        photograph: The photograph from which the object was made.
         folder: An existing folder.
-        context: Device, and progress: called as ("compose", pictures done, total pictures).
-        **fields: `device` and `progress`, if there is no context.
+        context: Device, and a progress function, which is called as ("compose", pictures done,
+            total pictures).
+        **fields: `device` and `progress`, if no context is passed.
 
     Returns:
-        The file, and the PSNR of its first picture inside the object [dB]: `psnr`, and
-        `psnr_before` before colours and sizes were matched.
+        The file, and two PSNR values of its first picture inside the object [dB]: `psnr`, and
+        `psnr_before`, the value before colours and sizes were matched.
     """
     context = RunContext.of(context, **fields)
     device, progress = context.device, context.progress

@@ -17,25 +17,26 @@ from phy124.rendering.compose.photograph import Photograph, likeness
 from phy124.rendering.render import BLACK, MAX_PAIRS, Renderer, runs
 
 ROUNDS = 12
-"""Number of corrections."""
+"""Number of iterations of the colour correction."""
 SIZES = (1.0, 0.8)
-"""Relative sizes of splats to try; smaller ones help because generators let splats overlap too
+"""Relative sizes of splats to try. Smaller sizes help because generators let splats overlap too
 much."""
 AROUND = 9
-"""Width of the square around a Gaussian whose pixels' colours bound the Gaussian's colour [px]."""
+"""Width of a square of pixels around a Gaussian [px]. The colours of these pixels bound the
+Gaussian's colour."""
 BEHIND = 0.03
-"""Largest distance behind the visible surface at which Gaussians count as visible, relative to the
-object's depth."""
+"""Largest distance behind the visible surface at which a Gaussian counts as visible, relative to
+the object's depth."""
 
 
 @dataclass(frozen=True, eq=False)
 class ColourMatch:
-    """Colours and sizes of Gaussians with which they match a photograph best."""
+    """Colours and sizes of the Gaussians that match a photograph best."""
 
     psnr: float
     """PSNR of the rendered picture inside the object [dB]."""
     sh: Array
-    """Coefficients of the harmonics [N,K,3]."""
+    """Coefficients of the spherical harmonics [N,K,3]."""
     sizes: Array
     """Sizes of the Gaussians relative to their original sizes [N]."""
 
@@ -55,8 +56,8 @@ def match_colours(
         gaussians: The object as the photograph shows it.
         camera: The photograph's camera.
         photograph: The photograph.
-        device: Warp's name of the rendering device.
-        each: Called before each correction; may raise Cancelled.
+        device: Warp's name of the device that renders.
+        each: Function that is called before each correction. It may raise Cancelled.
     """
     renderer = Adjoint(device=device)
     seen = _seen(renderer, gaussians, camera, photograph)
@@ -81,12 +82,12 @@ def _fit_colours(
 ) -> Gaussians:
     """Fit colours by least squares, within the range of colours of nearby pixels of the photograph.
 
-    Let W map colours to pixels. Each step adds a Gaussian's mean residual, W^T r / W^T 1, to its
-    colour (SIRT), with Nesterov's momentum.
+    Let W map the colours of Gaussians to pixels. Each step adds a Gaussian's mean residual, W^T r /
+    W^T 1, to its colour (SIRT), with Nesterov's momentum.
     """
     photo, inside = photograph.rgb / np.float32(255), photograph.alpha[..., None] > 0.9
     pixels, _ = camera.project(gaussians.means[seen].astype(float))
-    # Without these bounds, rings would appear at edges.
+    # Without these bounds, rings would appear along edges in the picture.
     lowest = sample_maps(scipy.ndimage.minimum_filter(photo, (AROUND, AROUND, 1)), pixels) - 0.5
     highest = sample_maps(scipy.ndimage.maximum_filter(photo, (AROUND, AROUND, 1)), pixels) - 0.5
     now = ahead = gaussians.sh[seen, 0]
@@ -101,7 +102,7 @@ def _fit_colours(
 
 
 def _recolour(gaussians: Gaussians, seen: NDArray[np.bool_], colours: NDArray) -> Gaussians:
-    """Set the constant harmonics of the visible Gaussians."""
+    """Set the constant spherical harmonics of the visible Gaussians."""
     sh = gaussians.sh.copy()
     sh[seen, 0] = colours
     return replace(gaussians, sh=sh)
@@ -133,7 +134,7 @@ def sample_maps(maps: NDArray, pixels: NDArray) -> NDArray[np.float32]:
 
 
 class Adjoint(Renderer):
-    """A renderer that also sums pixel values per Gaussian: the transpose of rendering."""
+    """A renderer that also adds up pixel values per Gaussian, the transpose of rendering."""
 
     def sums(
         self, gaussians: Gaussians, camera: Camera, values: NDArray

@@ -22,21 +22,21 @@ from phy124.rendering.render import BLACK, Renderer
 CUTOUT = "cutout.png"
 """Name of the file in a run's folder whose alpha shows the object's position in the photograph."""
 LARGEST = 1024
-"""Largest side of a photograph [pixels]; larger photographs are reduced to it."""
+"""Largest side of a photograph [pixels]. Larger photographs are reduced to this size."""
 MARGIN = 0.015
-"""Width of the rim that is inpainted together with the object, relative to the photograph's longest
+"""Width of the rim around the object that is inpainted, too, relative to the photograph's longest
 side."""
 HOLE = 320
-"""Longest side of the picture in which holes are inpainted [pixels]; larger is slower and no
-better."""
+"""Longest side of the picture in which holes are inpainted [pixels]. A larger picture takes longer
+and gives no better result."""
 DISTANCES = (2.0, 1.6, 3.0)
-"""Camera distances to try, relative to the silhouette's size: those of relief, of LGM, and of a
-longer lens."""
+"""Camera distances to try, relative to the silhouette's size. They are the distances that relief
+and LGM assume, and the distance of a longer lens."""
 RIM = 0.008
-"""Width of the rim that is compared together with the object, relative to the photograph's longest
+"""Width of the rim around the object that is compared, too, relative to the photograph's longest
 side."""
 ROUNDS = (False, False, False, True, True)
-"""For each correction of the camera: whether only the object and its rim are compared."""
+"""For each correction of the camera: whether to compare only the object and its rim."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,9 @@ class Photograph:
 
     @classmethod
     def of(cls, picture: Image.Image, cutout: Image.Image) -> Photograph:
-        """Combine a picture, white where it is transparent, with its cut-out; their sizes may
-        differ.
+        """Combine a picture with its cut-out; their sizes may differ.
+
+        Transparent areas of the picture become white.
 
         Raises:
             InputError: The cut-out is empty.
@@ -103,8 +104,8 @@ def match(
     Args:
         gaussians: The object as the photograph shows it.
         photograph: The photograph.
-        device: Warp's name of the rendering device.
-        each: Called before each correction; may raise Cancelled.
+        device: Warp's name of the device that renders.
+        each: Function that is called before each correction. It may raise Cancelled.
     """
     renderer = Renderer(device=device)
     tried = []
@@ -122,13 +123,13 @@ def match(
 def likeness(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph
 ) -> float:
-    """Return the PSNR of a rendered picture against the photograph inside the object [dB].
+    """Return the PSNR of a rendered picture inside the object, compared with the photograph [dB].
 
     Args:
-        renderer: The renderer.
+        renderer: The renderer that renders the picture.
         gaussians: The object.
         camera: The camera to compare.
-        photograph: The reference.
+        photograph: The photograph to compare with.
     """
     inside = photograph.alpha > 0.99
     seen = renderer(gaussians, camera)[inside] - photograph.rgb[inside] / np.float32(255)
@@ -136,7 +137,7 @@ def likeness(
 
 
 def _first_camera(gaussians: Gaussians, photograph: Photograph, distance: float) -> Camera:
-    """Return a camera in front whose picture matches the object's size and position."""
+    """Return a camera in front that shows the object at its size and position in the photograph."""
     means = gaussians.means[gaussians.opacities > 0.1].astype(float)
     means = means[np.isfinite(means).all(axis=1)]
     low, high = means.min(axis=0), means.max(axis=0)
@@ -144,7 +145,7 @@ def _first_camera(gaussians: Gaussians, photograph: Photograph, distance: float)
     size = float((high - low)[1:].max())
     rows, columns = np.nonzero(photograph.alpha > 0.5)
     height, width = photograph.alpha.shape
-    # A trial focal length of a thousand pixels gives the scale.
+    # The scale is found by a trial with a focal length of a thousand pixels.
     camera = _camera((x + distance * size, y, z), (x, y, z), (width, height), 1000.0, (0.0, 0.0))
     pixels, _ = camera.project(means)
     seen = pixels.max(axis=0) - pixels.min(axis=0)
@@ -166,7 +167,7 @@ def _correct_camera(
 ) -> Camera:
     """Correct the camera's zoom and shift by aligning its picture with the photograph.
 
-    The alignment is ECC (Evangelidis and Psarakis 2008).
+    The alignment method is ECC (Evangelidis and Psarakis 2008).
     """
     import cv2
 
@@ -182,7 +183,8 @@ def _correct_camera(
         )
     except cv2.error:
         return camera
-    # Pixel p of the photograph is pixel scale * p + offset of the picture; centres are at + 1/2.
+    # Pixel p of the photograph corresponds to pixel scale * p + offset of the picture. Pixel
+    # centres are at + 1/2.
     scale = float(np.sqrt(abs(np.linalg.det(warp[:, :2]))))
     if not 0.5 < scale < 2:
         return camera
@@ -194,8 +196,9 @@ def _correct_camera(
 
 
 def _near(photograph: Photograph) -> NDArray[np.uint8]:
-    """Return the mask of the object and a thin rim [H,W]; the rim allows for flat ends that are
-    rendered too long.
+    """Return the mask of the object and a thin rim [H,W].
+
+    The rim allows for flat ends of the object, which are rendered too long.
     """
     import cv2
 

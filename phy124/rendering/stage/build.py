@@ -25,17 +25,18 @@ from phy124.scene import Scene, View
 
 RECENT = 64
 """Number of frames whose surroundings are stored, because pictures from other sides need them,
-too."""
+too.
+"""
 SAMPLE = 1024
 """Number of Gaussians whose paths determine how large the shadow map is."""
 OUTLIERS = (0.5, 99.5)
-"""Percentiles of the positions of the `SAMPLE` Gaussians in each frame; the shadow map covers the
-range between them."""
+"""Percentiles of the positions of `SAMPLE` Gaussians in each frame. The shadow map covers the range
+between these percentiles."""
 ROOM = 0.9
 """Margin of the shadow map around the range of positions, relative to the object's largest height
 above the floor."""
 LARGEST = 4.0
-"""Half the side of the largest map, in object sizes."""
+"""Half the side of the largest shadow map, in units of the object's size."""
 PICTURE_SIDE = 1280
 """Longest side of the backdrop picture in a player [pixels]."""
 
@@ -50,18 +51,20 @@ class Stage:
     walls: tuple[tuple[Solid, NDArray[np.float64], NDArray[np.bool_]], ...]
     """Solid, displacement [T,3] m, and presence [T] of each boundary."""
     caster: Caster | None
-    """Computes the shadows; None without a floor."""
+    """Object that computes the shadows; None if there is no floor."""
     shadowing: NDArray[np.bool_] | None = None
-    """Mask of the Gaussians that cast a shadow [N]; None: all."""
+    """Mask of the Gaussians that cast a shadow [N]; None if all of them do."""
     pool: float = POOL
     """Additional brightness in the middle of the floor."""
     frames: dict[int, StageFrame] = field(default_factory=dict)
-    """The surroundings in the last `RECENT` frames that were requested, by index."""
+    """The surroundings in the last `RECENT` frames that were requested, by the index of the
+    frame.
+    """
     lock: Any = field(default_factory=Lock)
 
     def at(self, frame: Frame) -> StageFrame:
         """Return the surroundings of the object in a frame of the clip."""
-        with self.lock:  # threads that draw the same frame from several sides ask at the same time
+        with self.lock:  # threads that draw a frame from several sides request it at the same time
             if frame.index not in self.frames:
                 while len(self.frames) >= RECENT:
                     del self.frames[next(iter(self.frames))]
@@ -91,12 +94,12 @@ class Stage:
 def make_stage(
     clip: Clip, view: View, *, rest: NDArray | None = None, device: str = "cpu"
 ) -> Stage | None:
-    """Build the stage of a clip; None if the view shows the object before a plain background.
+    """Build the stage of a clip; None if the view shows the object in front of a plain background.
 
     Args:
         clip: The clip.
-        view: View that defines stage and background.
-        rest: Positions of the object at rest [N,3], m; None: those of the first frame.
+        view: View that defines the stage and the background.
+        rest: Positions of the object at rest [N,3], m. If None, the positions in the first frame.
         device: Warp's name of the device that computes the shadows.
 
     Raises:
@@ -108,7 +111,7 @@ def make_stage(
         return None
     background = backdrop(view)
     rest = np.asarray(clip.means[0][clip.object_mask] if rest is None else rest)
-    # Column-major order, in which minimum and maximum are several times faster.
+    # The order is column-major, in which minimum and maximum are computed several times faster.
     rest = np.asfortranarray(rest[_finite(rest)], np.float64)
     if view.stage == "plain" or not len(rest):
         return Stage(background, np.zeros(len(clip)), (), None)
@@ -124,7 +127,7 @@ def make_stage(
 
 
 def _finite(points: NDArray) -> NDArray[np.bool_]:
-    """Return a mask of the finite points among [N,3]."""
+    """Return a mask of the points [N,3] that are finite."""
     return np.asarray(np.isfinite(np.asfortranarray(points)).all(axis=1))
 
 
@@ -145,7 +148,7 @@ def boundaries_of(clip: Clip) -> Sequence[Boundary]:
 
 
 def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
-    """Yield all subclasses that name their kind."""
+    """Yield all subclasses that define the name of their kind."""
     for kind in base.__subclasses__():
         if "kind" in kind.model_fields:
             yield kind
@@ -174,8 +177,8 @@ def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
 def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Glass]:
     """Yield the optical depth of each glass solid for two layers of the shadow map.
 
-    The two layers are just below and just above the solid's lowest point. Weights that add up to 1
-    interpolate between the layers' heights.
+    The two layers are just below and just above the solid's lowest point. Two weights, whose sum is
+    1, interpolate between the heights of the layers.
     """
     for solid in solids:
         x, y, z = solid.centre.tolist()
@@ -193,8 +196,9 @@ def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Gla
 
 
 def _capsule_mask(solid: Solid, x: Array, y: Array) -> Array:
-    """Return 1 for positions under a capsule and 0 elsewhere; positions are relative to its
-    centre.
+    """Return 1 for positions under a capsule and 0 elsewhere.
+
+    The positions are relative to the capsule's centre.
     """
     ax, ay = solid.axes[0, :2]
     along = x * ax + y * ay
@@ -220,7 +224,8 @@ def pack_stage(
 ) -> tuple[dict[str, Any], NDArray[np.uint8]] | None:
     """Return a clip's stage in the format of the player (phy124/io/viewer/stage.js).
 
-    The result consists of plain data, and of shadow maps [T,cells,cells], where 255 means no light.
+    The result consists of plain data, and of shadow maps [T,cells,cells], in which 255 means no
+    light.
 
     Args:
         stage: The stage.

@@ -20,17 +20,17 @@ NO_SHADE = np.zeros((2, 2), np.uint16)
 
 
 class Uploaded:
-    """A frame's stage on a device, independent of the camera."""
+    """The stage of a frame on a device; it does not depend on the camera."""
 
     def __init__(self, shown: StageFrame, device: Any) -> None:
-        """Upload a stage frame."""
+        """Upload the stage of a frame."""
         levels = NO_SHADE if shown.floor is None else shown.floor.levels
         self.setting = setting(shown)
         self.shade = wp.array(levels, dtype=wp.uint16, device=device, copy=False)
-        # The few solids are arranged on the CPU, so that no picture waits for their number.
+        # The few solids are arranged on the CPU, so that no picture waits for the number of solids.
         self._numbers: Any = wp.array(shown.table, dtype=float, device="cpu")
         kind: Any = glass.Solid
-        # An alias of `_numbers`, which owns the memory. A structured NumPy array would be
+        # This is an alias of `_numbers`, which owns the memory. A structured NumPy array would be
         # simpler, but with several threads Warp sometimes rejects the array's type.
         self.solids = wp.array(
             ptr=self._numbers.ptr, shape=len(shown.solids), dtype=kind, device="cpu"
@@ -38,11 +38,11 @@ class Uploaded:
 
 
 class Surroundings:
-    """The stage on a device; a renderer uses the same one for all pictures."""
+    """The stage on a device; a renderer uses the same instance for all pictures."""
 
     among: int
-    """Number of solids that are drawn among the Gaussians, neither behind nor in front of all of
-    them."""
+    """Number of solids that are drawn between the Gaussians: not behind all of them, and not in
+    front of all of them."""
 
     def __init__(self, device: Any, *, simd: bool) -> None:
         """Create an empty stage on a Warp device; with `simd`, a CPU draws 16 pixels at a time."""
@@ -53,11 +53,11 @@ class Surroundings:
         self._counts = wp.zeros(3, dtype=int, device="cpu")
 
     def look(self, shown: StageFrame, view: Any, means: Array) -> None:
-        """Upload a stage, and sort its solids into those before, among and behind the Gaussians.
+        """Upload a stage; sort its solids into those in front of, between and behind the Gaussians.
 
         Args:
-            shown: The stage.
-            view: The view, a `screen.View`.
+            shown: The stage of a frame.
+            view: The camera, as a `screen.View`.
             means: Positions of the Gaussians [N,3], m.
         """
         count, uploaded = len(shown.solids), self._uploaded.get(shown)
@@ -100,8 +100,9 @@ class Surroundings:
         wp.launch(stage.draw_setting, threads, inputs=inputs, outputs=[image], device=self.device)
 
     def _allocate(self, count: int, device: Any) -> tuple[Any, Any]:
-        """Return arrays for the sorted solids and their outlines; they are reused if the counts are
-        equal.
+        """Return arrays for the sorted solids and their outlines.
+
+        Existing arrays are reused if their lengths are right.
         """
         key = count, str(device)
         if key not in self._arrays:
@@ -124,7 +125,7 @@ def setting(shown: StageFrame) -> Any:
 
 
 def picture(backdrop: Backdrop, width: int, height: int) -> NDArray[np.float32]:
-    """Return the backdrop's picture [H*W,3], 0..1, cropped and scaled to fill the frame.
+    """Return the picture of the backdrop [H*W,3], 0..1, cropped and scaled to fill the frame.
 
     The array is empty if the backdrop has no picture.
     """

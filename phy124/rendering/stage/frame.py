@@ -14,9 +14,10 @@ Colour = tuple[float, float, float]
 Box = tuple[Array, Array]
 """Lowest and highest corner [3], m."""
 TOGETHER = 64
-"""Number of points per row in the computation of minimum and maximum; wide rows are faster."""
+"""Number of points per row in the computation of minimum and maximum, which is faster for wide
+rows."""
 POOL = 0.5
-"""Brightness added in the middle of a studio's floor whose grey is 1/2."""
+"""Brightness added in the middle of a studio's floor if the grey of the floor is 1/2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,7 @@ class Backdrop:
     bottom: Colour
     """Colour of the last row, 0..1."""
     picture: NDArray[np.uint8] | None = None
-    """A picture [H,W,3] that replaces the gradient."""
+    """A picture [H,W,3] that replaces the gradient. None if there is no picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,23 +39,24 @@ class Floor:
     height: float
     """Height of the floor, m."""
     middle: tuple[float, float]
-    """Centre of the square that is covered by the shadow map, m."""
+    """Centre of the square that the shadow map covers, m."""
     reach: float
-    """Half the side of that square, m."""
+    """Half the side of the square that the shadow map covers, m."""
     shade: Array
     """Fraction of the light that the shadow removes from each cell [cells along x, cells along
-    y]."""
+    y].
+    """
     pool: float = POOL
-    """Additional brightness in the middle of the floor, for a grey of 1/2."""
+    """Additional brightness in the middle of the floor, if its grey is 1/2."""
 
     @cached_property
     def levels(self) -> NDArray[np.uint16]:
-        """`shade` as 16-bit integers for the kernels; 65535 means no light."""
+        """The values of `shade` as 16-bit integers for the kernels; 65535 means no light."""
         return (self.shade * 65535 + 0.5).astype(np.uint16)
 
     @cached_property
     def shaded(self) -> tuple[int, int, int, int]:
-        """First and last cell along x, then along y, that are in shade."""
+        """First and last cell in shade along x, then those along y."""
         along_x, along_y = (np.flatnonzero(self.shade.any(axis=axis)) for axis in (1, 0))
         if not len(along_x):
             return 0, 0, 0, 0
@@ -70,9 +72,9 @@ class Solid:
     axes: NDArray[np.float64]
     """Axes [3,3], a unit vector in each row."""
     half: NDArray[np.float64]
-    """Half sizes [3], m; for a capsule (half length, 0, 0)."""
+    """Half the side lengths [3], m. For a capsule (half length, 0, 0)."""
     radius: float = 0.0
-    """Radius of a capsule, m; 0 for a box."""
+    """Radius of a capsule, m. It is 0 for a box."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +85,12 @@ class StageFrame:
     floor: Floor | None = None
     solids: tuple[Solid, ...] = ()
     box: Box | None = None
-    """A box around all Gaussians, if known; from it the drawing order of the solids is
-    determined."""
+    """A box around all Gaussians, or None if it is unknown. The box determines the drawing order of
+    the solids."""
 
     @cached_property
     def table(self) -> Array:
-        """The solids as kernels read them [S,16]."""
+        """The solids in the form that kernels read [S,16]."""
         table = np.empty((len(self.solids), 16), np.float32)
         for row, solid in zip(table, self.solids, strict=True):
             row[:3], row[3:12] = solid.centre, np.ravel(solid.axes)

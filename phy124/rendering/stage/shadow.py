@@ -4,13 +4,13 @@ The floor is lit by a soft lamp above and by the sky of a room. Gaussians are pr
 lamp's direction, like splats (Zwicker et al. 2001), and sorted into layers by height. Seen from the
 floor, a layer hides the layers above it. A layer at height h then dims
 
-- the lamp: by its coverage, blurred by a Gaussian of standard deviation `SOFTNESS` h, the lamp's
-  image through a hole at that height;
-- the sky: by its coverage weighted with h^2 / (pi (h^2 + r^2)^2), the part of a uniform sky's light
-  that comes through it (ambient occlusion).
+- the lamp: by its coverage, blurred by a Gaussian of standard deviation `SOFTNESS` h, which is the
+  lamp's image through a hole at that height;
+- the sky: by its coverage weighted with h^2 / (pi (h^2 + r^2)^2), which is the part of a uniform
+  sky's light that comes through it (ambient occlusion).
 
-The blur and the weighted coverage are convolutions: a map takes one Fourier transform per layer,
-and one inverse transform.
+The blur and the weighted coverage are convolutions. A map therefore takes one Fourier transform per
+layer, and one inverse transform.
 """
 
 from __future__ import annotations
@@ -34,30 +34,33 @@ from phy124.runtime.device import lock_gpu
 CELLS = 128
 """Number of cells along a side of the shadow map."""
 LAYERS = 7
-"""Number of layers; the height of layer i is proportional to i^2."""
+"""Number of layers. The height of layer i is proportional to i^2."""
 SLOPE = (-0.30, 0.22)
-"""Displacement of the lamp's rays along x and y per metre of descent; the lamp is in front, on the
-left, above.
+"""Displacement of the lamp's rays along x and y per metre of descent. The lamp is in front of, to
+the left of and above the object.
 """
 SOFTNESS = 0.25
 """Standard deviation of the penumbra of the lamp, per metre of height."""
 LAMP, SKY = 0.22, 0.32
-"""Fractions of the floor's light from lamp and sky; the remaining light casts no shadow."""
+"""Fractions of the floor's light that come from the lamp and from the sky. The remaining light
+casts no shadow."""
 SAMPLE = 65536
-"""Largest number of Gaussians that cast shadows; larger objects are subsampled and widened."""
+"""Largest number of Gaussians that cast shadows. Larger objects are subsampled, and their Gaussians
+are widened."""
 GLASS = 0.25
 """Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255
-"""Shade that is halved. Fainter shade almost vanishes; otherwise the sky's shadow would be
-unlimited."""
+"""Value of the shade that is halved. Smaller values almost vanish. Otherwise the sky's shadow would
+be unlimited."""
 UNSEEN = 0.1 / 255
-"""Smallest shade that is visible; less is set to zero."""
+"""Smallest value of the shade that is visible. Smaller values are set to zero."""
 FAINTEST = 1e-4
-"""Smallest frequency response of a layer that is taken into account."""
+"""Smallest frequency response of a layer that is not neglected."""
 EDGE = 0.1
 """Fraction of the map, at each border, over which the shadow fades."""
 Glass = tuple[tuple[int, slice, slice], Array | float]
-"""A part of a layer as (layer, rows, columns), and the optical depth that is added there."""
+"""A rectangle of cells in a layer, as (layer, rows, columns), and the optical depth that is added
+to it."""
 
 
 def covering(device: str) -> tuple[Any, int]:
@@ -106,7 +109,7 @@ class Caster:
         depth = self._depth(gaussians, floor)
         for cells, dark in glass:
             depth[cells] += dark
-        # Most rows of cells are empty and are skipped.
+        # Most rows of cells are empty, and empty rows are skipped.
         rows = np.flatnonzero(depth.sum(axis=0).any(axis=1))
         covered = slice(rows[0], rows[-1] + 1) if len(rows) else slice(0)
         depth = depth[:, covered]
@@ -148,16 +151,17 @@ class Caster:
 
     @cached_property
     def _response(self) -> list[NDArray[np.complex64]]:
-        """Frequency response of each layer [CELLS,K], K <= CELLS/2+1.
+        """Frequency response of each layer [CELLS,K], where K <= CELLS/2+1.
 
-        Higher layers are smoother and need fewer frequencies along y.
+        Higher layers are smoother. They therefore need fewer frequencies along y.
         """
         kx = 2 * np.pi * scipy.fft.fftfreq(CELLS, self.cell)[:, None]
         ky = 2 * np.pi * scipy.fft.rfftfreq(CELLS, self.cell)[None, :]
         h = self.heights[:, None, None]
         k = np.hypot(kx, ky)
         blur = np.exp(-0.5 * (SOFTNESS * h * k) ** 2)
-        # Transform of h^2 / (pi (h^2 + r^2)^2), shifted back by the lamp's displacement.
+        # This is the transform of h^2 / (pi (h^2 + r^2)^2), shifted back by the lamp's
+        # displacement.
         kh = np.maximum(k * h, 1e-9)
         sky = kh * scipy.special.k1(kh) * np.exp(1j * h * (kx * SLOPE[0] + ky * SLOPE[1]))
         smooth = np.exp(-0.5 * (0.7 * self.cell * k) ** 2)
@@ -167,7 +171,7 @@ class Caster:
 
     @cached_property
     def _window(self) -> Array:
-        """Window [CELLS,CELLS] that is 1 inside the map and falls to 0 at the borders."""
+        """Window [CELLS,CELLS] that is 1 inside the map and decreases to 0 at the borders."""
         inwards = (np.arange(CELLS) + 0.5) / CELLS
         side = np.clip(np.minimum(inwards, 1 - inwards) / EDGE, 0, 1)
         side = side * side * (3 - 2 * side)
@@ -180,13 +184,13 @@ class Caster:
         return self.middle[0] + along, self.middle[1] + along
 
     def within(self, x: float, y: float, reach_x: float, reach_y: float) -> tuple[slice, slice]:
-        """Return rows and columns of the cells around a position.
+        """Return the rows and columns of the cells around a position.
 
         Args:
             x: Position along x, m.
             y: Position along y, m.
-            reach_x: Largest distance of a cell's centre along x, m.
-            reach_y: Largest distance along y, m.
+            reach_x: Largest distance of a cell's centre from the position along x, m.
+            reach_y: Largest distance of a cell's centre from the position along y, m.
         """
         ends = zip(self.cell_centres, (x, y), (reach_x, reach_y), strict=True)
         along_x, along_y = (

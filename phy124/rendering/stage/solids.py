@@ -1,6 +1,4 @@
-"""Converts the scene's boundaries to visible solids: plates, walls, boxes and balls at their
-positions.
-"""
+"""Converts the scene's boundaries to visible solids: plates, walls, boxes and balls."""
 
 from __future__ import annotations
 
@@ -20,28 +18,30 @@ from phy124.rendering.stage.frame import Solid
 LEVEL = 0.999
 """Cosine of the largest slope at which a plane counts as a floor."""
 THICK = 0.04
-"""Rendered thickness of a wall or plate, in object sizes; the boundary itself has none."""
+"""Rendered thickness of a wall or plate, in units of the object's size. The boundary itself has no
+thickness."""
 WIDE = 1.1
-"""Rendered width of a wall or plate, relative to the object's width; the boundary itself is
+"""Rendered width of a wall or plate, relative to the object's width. The boundary itself is
 infinite."""
 MARGIN = 0.02
-"""Distance by which a rendered clamp extends beyond the clamped material, in object sizes."""
+"""Distance by which a rendered clamp extends beyond the clamped material, in units of the object's
+size."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedWall:
-    """One wall of the scene with a simple shape, and its motion."""
+    """One wall of the scene that has a simple shape, and the motion of the wall."""
 
     outline: str
     """Name of the wall's distance function."""
     shape: NDArray[np.float64]
-    """The three parameter vectors of the distance function [3,3], m."""
+    """The three parameter vectors of the wall's distance function [3,3], m."""
     track: Track | None
     holds: bool
-    """Whether the wall is a clamp: a clamp holds the object and does not obstruct it."""
+    """Whether the wall is a clamp. A clamp holds the object and does not obstruct it."""
     span: Corners
-    """Box within which an infinite wall is rendered, m."""
+    """Box to which the rendering of an infinite wall is limited, m."""
 
     @property
     def is_floor(self) -> bool:
@@ -54,7 +54,7 @@ class PlacedWall:
         return float(self.shape[0][2])
 
     def displacements(self, times: NDArray) -> NDArray[np.float64]:
-        """Return the displacement at each time [T,3], m."""
+        """Return the displacement of the wall at each time [T,3], m."""
         return np.zeros((len(times), 3)) if self.track is None else self.track.values(times)
 
     def present(self, times: NDArray) -> NDArray[np.bool_]:
@@ -64,12 +64,12 @@ class PlacedWall:
         return (times >= self.track.start) & (times < self.track.end)
 
     def solid(self) -> Solid:
-        """Return the solid to render, at rest."""
+        """Return the solid to render, in its initial position."""
         return SHAPES[self.outline](self)
 
 
 def place_walls(boundaries: Sequence[Boundary], rest: NDArray) -> list[PlacedWall]:
-    """Split boundaries into simple walls, placed around an object at rest [N,3], m."""
+    """Split boundaries into walls of simple shape, placed around an object at rest [N,3], m."""
     return [wall for boundary in boundaries for wall in _walls(boundary, rest)]
 
 
@@ -87,10 +87,11 @@ def _walls(boundary: Boundary, rest: NDArray) -> Iterator[PlacedWall]:
 
 
 def span_container(container: Container, low: NDArray, high: NDArray) -> Corners:
-    """Return the box that shows a container around an object that lies, at rest, between two
-    corners [m].
+    """Return the box that shows a container around an object.
 
-    The walls of the box end a little above the object; open sides end at 2 object sizes.
+    At rest, the object lies between two corners [m].
+
+    The walls of the box end slightly above the object. Open sides end at 2 object sizes.
     """
     size = float((high - low).max())
     room = size * np.array([2.0, 2.0, 0.1])
@@ -99,9 +100,10 @@ def span_container(container: Container, low: NDArray, high: NDArray) -> Corners
 
 
 def _shape(part: Boundary, body: AtRest) -> tuple[str, NDArray[np.float64] | None]:
-    """Return the distance function of a simple wall, and its parameters.
+    """Return the distance function of a wall of simple shape, and the function's parameters.
 
-    A plug-in with another distance function is rendered as its bounding box, if it has one.
+    A plug-in that has another distance function is rendered as its bounding box, if the plug-in
+    defines one.
     """
     with suppress(NotImplementedError, AttributeError):
         if (outline := part.outline()) in SHAPES:
@@ -134,7 +136,7 @@ def _clamped_span(wall: PlacedWall, rest: NDArray) -> Corners:
 
 
 def _around_cylinder(axis: NDArray, sizes: NDArray) -> NDArray[np.float64]:
-    """Return the half sizes of the bounding box of a cylinder; `sizes` is (radius, half length)."""
+    """Return the half sizes of a cylinder's bounding box; `sizes` is (radius, half length)."""
     return np.where(np.abs(axis) > 0.5, sizes[1], sizes[0])
 
 
@@ -153,8 +155,9 @@ def _panel(wall: PlacedWall) -> Solid:
 
 
 def _frame_of(normal: NDArray) -> NDArray[np.float64]:
-    """Return three unit axes [3,3]: the normal, an axis that is horizontal if possible, and the
-    third axis.
+    """Return three unit axes [3,3].
+
+    The first is the normal, the second is horizontal if possible, and the third is normal to both.
     """
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < LEVEL else np.array([1.0, 0.0, 0.0])
     second = np.cross(up, normal)
@@ -167,14 +170,14 @@ def _between(low: NDArray, high: NDArray) -> Solid:
 
 
 def _box(wall: PlacedWall) -> Solid:
-    """Return a box; for a clamp, the box around the clamped points."""
+    """Return a box; for a clamp, return the box around the clamped points."""
     if wall.holds:
         return _between(*wall.span)
     return Solid(wall.shape[0], np.eye(3), np.abs(wall.shape[1]))
 
 
 def _cylinder(wall: PlacedWall) -> Solid:
-    """Return the box around a cylinder, or around the points that it clamps."""
+    """Return the box around a cylinder, or around the points that the cylinder clamps."""
     if wall.holds:
         return _between(*wall.span)
     point, axis, sizes = wall.shape
@@ -200,7 +203,7 @@ SHAPES: dict[str, Any] = {
     "sphere": _ball,
     "capsule": _capsule,
 }
-"""Name of a boundary's distance function -> function that returns the solid to render."""
+"""Functions that return the solid to render, by the name of the boundary's distance function."""
 
 
 def floor_heights(
@@ -208,8 +211,8 @@ def floor_heights(
 ) -> NDArray[np.float64]:
     """Return the height of the floor at each time [T], m.
 
-    The floor is the scene's highest horizontal plane that faces up; without such a plane, it is at
-    the lowest point of the object at rest.
+    The floor is the scene's highest horizontal plane that faces up. If there is no such plane, the
+    floor is at the lowest point of the object at rest.
     """
     levels = [wall for wall in walls if wall.is_floor]
     if not levels:
