@@ -1,4 +1,4 @@
-"""Clamps on a lattice, and the contact impulses that act on clamped nodes.
+"""Represents clamps on a lattice, and transfers contact impulses on clamped nodes to the clamps.
 
 Nodes inside a clamp have the clamp's velocity. The node next to the clamp's surface moves in the
 opposite direction to its free neighbour, so that the interpolated motion vanishes at the surface.
@@ -24,19 +24,22 @@ from phy124.mpm.model import Model
 from phy124.mpm.tracks import Track, Tracks
 
 HELD = 0.5
-"""Up to this distance from a clamp's surface [cells], a held node moves opposite to its free
-neighbour, so that the motion vanishes at the surface. Nodes farther inside do not move.
+"""Distance from the surface of a clamp [cells] up to which a held node moves opposite to its free
+neighbour, so that the motion vanishes at the surface. Nodes farther inside the clamp do not move.
 """
 INSET = 0.2
-"""Depth inside a clamp at which the motion is set to zero [cells]. A B-spline that vanishes at a
-surface is also flat there, so a plate held at the surface would be too short by about this depth.
+"""Depth inside a clamp at which the motion of the material is set to zero [cells]. A B-spline that
+vanishes at a surface is also flat there, so a plate held at the surface would be too short by about
+this depth.
 """
 STILL = Track(((0.0, (0.0, 0.0, 0.0)),))
-"""The track of a wall that never moves."""
+"""The track for walls that never move."""
 
 
 class Clamp:
-    """The nodes that a clamp holds, and the launch that sets their velocity to the clamp's."""
+    """The nodes that a clamp holds, and the launch that gives these nodes the velocity of the
+    clamp.
+    """
 
     def __init__(
         self,
@@ -59,7 +62,7 @@ class Clamp:
             tracks: The tracks, to which the clamp's displacement is added.
             sums: Sums of the clamp's impulse and work.
             row: Index of these sums.
-            holder: Row of the clamp that holds each node [N]; the launches write it.
+            holder: Row of the clamp that holds each node [N], which the launches write.
 
         Raises:
             InputError: The clamp holds only some directions.
@@ -90,11 +93,11 @@ class Clamp:
         """Record the launches of one substep.
 
         If a node is inside several active clamps, the last of these clamps holds it. A node inside
-        a clamp belongs to that clamp, even if it is at the surface of another one.
+        a clamp belongs to this clamp, even if the node is also at the surface of another clamp.
 
         Args:
-            earlier: The clamps that precede this one in the scene.
-            later: The clamps that follow it.
+            earlier: The clamps that precede this clamp in the scene.
+            later: The clamps that follow this clamp in the scene.
         """
         model, nodes, tracks = self._model, self._nodes, self._tracks
         inputs = [self._row, self.slot, nodes.inverse, nodes.rest, nodes.u, tracks.values]
@@ -134,7 +137,7 @@ class PassedOn:
             clock: The clock of the substeps.
             holder: Row of `sums` of the clamp that holds each node [N].
             sums: Sums of all simple walls [W,16].
-            impulses: Sums per surface point and node; None if they are not kept.
+            impulses: Sums per surface point and node; None if impulses are not summed.
         """
         self._model, self._nodes, self._clock, self._sums = model, nodes, clock, sums
         self._holder = holder
@@ -155,7 +158,8 @@ class PassedOn:
             near: Indices of the points.
             points: Nodes and weights of each point.
             force: Mean force on each point in a substep [S,3], N.
-            sums: Sums of what exerts the force, which include its work; None: there are none.
+            sums: Sums of the wall or body that exerts the force, including the work; None if there
+                are no such sums.
         """
         nodes, kernel = self._nodes, make_pass_on(self._model.real)
         inputs = [near, *points, nodes.movable, nodes.inverse, self._holder, nodes.rest, nodes.u]
@@ -167,7 +171,8 @@ class PassedOn:
 def pins(
     lattice: RestLattice, far: NDArray[np.float64], affected: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return pairs of a column's last held and first free node, and ratios of the pairs' motions.
+    """Return the pairs of the last held and the first free node in each column, and the ratios of
+    their motions.
 
     Args:
         lattice: The lattice at rest.
@@ -181,7 +186,7 @@ def pins(
     step = np.zeros((len(middle), 3), np.int64)
     step[np.arange(len(middle)), axis[middle]] = np.sign(lean[middle]).astype(np.int64)
     front = lattice.step_from(middle, step)
-    # A node may be the front of one column only, so that no two threads write to it.
+    # A node may be the first free node of one column only, so that no two threads write to it.
     present = np.flatnonzero(front >= 0)
     _, first = np.unique(front[present], return_index=True)
     chosen = present[first]
@@ -193,11 +198,11 @@ def pins(
 def slots_at(
     nodes: NDArray[np.int64], clamps: Sequence[tuple[int, NDArray[np.int64]]], device: str
 ) -> wp.array:
-    """Return the tracks of the clamps that have each node [K,L], -1 for none.
+    """Return the tracks of the clamps that contain each node [K,L]; -1 means no clamp.
 
     Args:
         nodes: Indices of nodes [K].
-        clamps: Track and nodes of each clamp; clamps without any of the nodes are left out.
+        clamps: Track and nodes of each clamp; clamps that contain none of the nodes are ignored.
         device: Warp device.
     """
     among = [(slot, np.isin(nodes, theirs)) for slot, theirs in clamps]
@@ -207,14 +212,16 @@ def slots_at(
 
 
 def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether a simple wall acts on each of K bodies [K]."""
+    """Return, for each of K bodies, whether a simple wall acts on the body [K]."""
     if part.object is None:
         return np.ones(len(body), bool)
     return np.asarray(body == model.names.index(part.object))
 
 
 def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
-    """Return a simple wall's normals and signed distances [m] at points [N,3], as rows [N,4]."""
+    """Return the normals of a simple wall and the signed distances from it [m] at points [N,3], as
+    rows [N,4].
+    """
     t = types(model.real)
     shape, points = t.mat33(*np.ravel(part.geometry(model))), model.array(x, t.vec3)
     out = wp.zeros(len(x), dtype=t.vec4, device=model.device)

@@ -1,10 +1,9 @@
 """Arranges the copies of nodes in memory so that cells still touch rows of three nodes along z.
 
-A node has copies where separate pieces of a body lie in its support
-(phy124/particles/pieces.py). In a row of three nodes, a copy may follow a node that several copies
-share. Each such row is stored on its own, and repeats the shared node. A repeated node is
-tied with weight 1 to the node that it repeats, so nothing else has to distinguish it from other
-tied nodes.
+A node has copies where separate pieces of a body lie in the support of the node
+(phy124/particles/pieces.py). In a row of three nodes, a copy may follow a node that several rows
+share. Each such row is stored separately, and repeats the shared node. A repeated node is tied with
+weight 1 to the node that it repeats, so the rest of the code can treat it like other tied nodes.
 """
 
 from __future__ import annotations
@@ -17,18 +16,18 @@ from numpy.typing import NDArray
 
 
 class Layout(NamedTuple):
-    """Order in memory of D distinct nodes, some of which are repeated."""
+    """Order in which D distinct nodes, some of them repeatedly, are stored in memory."""
 
     node: NDArray[np.int64]
-    """Index of the distinct node at each place [N]."""
+    """Index of the distinct node that is stored at each place in memory [N]."""
     home: NDArray[np.int64]
-    """Place of each distinct node [D]; its other places repeat it."""
+    """Main place in memory of each distinct node [D]; other places repeat the node."""
     rows: NDArray[np.int64]
-    """First place of each cell's nine rows of three nodes along z [C,9]."""
+    """First place in memory of each of a cell's nine rows of three nodes along z [C,9]."""
 
     @property
     def repeats(self) -> NDArray[np.bool_]:
-        """Whether each place in memory only repeats a node, whose main place is elsewhere [N]."""
+        """Whether each place in memory only repeats a node whose main place is elsewhere [N]."""
         mask: NDArray[np.bool_] = self.home[self.node] != np.arange(len(self.node))
         return mask
 
@@ -38,12 +37,12 @@ class Layout(NamedTuple):
         ties: scipy.sparse.csr_matrix,
         pushes: scipy.sparse.csr_matrix,
     ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-        """Return the tied nodes, their ties [T,N], and the matrix [N,N] that moves forces; repeated
-        nodes are tied.
+        """Return the tied nodes, including repeated nodes, their ties [T,N], and the matrix [N,N]
+        that moves forces.
 
         Args:
             tied: Indices of the distinct nodes that are tied.
-            ties: Their ties [T,D].
+            ties: Ties of these nodes [T,D].
             pushes: Weights of pushes on distinct nodes [D,D], as in `RestLattice.pushes`.
         """
         count, distinct = len(self.node), len(self.home)
@@ -65,7 +64,7 @@ def lay_out(index: NDArray[np.int64], copy: NDArray, cells: NDArray[np.int64]) -
 
     Args:
         index: Indices of the distinct nodes, sorted by x, y, z and copy [D,3].
-        copy: Number of each node's copy [D]; a node without copies has the number 0.
+        copy: Number of the copy that each node is [D]; it is 0 for a node without copies.
         cells: The distinct nodes of each cell [C,27].
     """
     rows, which = np.unique(cells.reshape(-1, 3), axis=0, return_inverse=True)
@@ -81,7 +80,8 @@ def lay_out(index: NDArray[np.int64], copy: NDArray, cells: NDArray[np.int64]) -
     order = np.lexsort((index[node, 2], run, index[node, 1], index[node, 0]))
     place = np.empty(len(node), np.int64)
     place[order] = np.arange(len(node))
-    # The first copies are at home in the rows of whole nodes, all others in their first chain.
+    # The main places of first copies are in the rows of whole nodes; those of other copies are in
+    # their first chain.
     home = np.full(len(index), len(node))
     np.minimum.at(home, node[len(first) :], place[len(first) :])
     home[first] = place[: len(first)]
@@ -112,5 +112,5 @@ def _chain(rows: NDArray[np.int64]) -> list[list[int]]:
 
 
 def _ones(rows: NDArray, columns: NDArray, shape: tuple[int, int]) -> scipy.sparse.csr_matrix:
-    """Return a matrix of ones at some rows and columns, and zeros elsewhere."""
+    """Return a matrix with ones at the given rows and columns, and zeros elsewhere."""
     return scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=shape)

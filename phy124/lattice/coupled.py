@@ -25,11 +25,13 @@ from phy124.mpm.pairs import fill_of
 from phy124.mpm.timestep import Substep
 
 STATE = ("x", "v", "C", "F")
-"""Names of the arrays of `State` that the points of a lattice have."""
+"""Names of those arrays of `State` that exist for the points of a lattice."""
 
 
 class CoupledClock(Clock):
-    """The clock of the particles, whose substeps are also short enough for the lattices."""
+    """The clock of the particles, which takes substeps that are also short enough for the
+    lattices.
+    """
 
     lattice: Clock | None = None
     """The clock of the lattices."""
@@ -59,16 +61,16 @@ class CoupledSolver(Solver):
         ceiling: float = math.inf,
         **options: Any,
     ) -> None:
-        """Divide the bodies between two solvers.
+        """Divide the bodies between the solver of lattices and the solver of particles.
 
         Args:
             model: All particles; the bodies `Model.wet` are on lattices.
             surface: Surface points [m], outward normals at rest, and indices of bodies [S,7].
-            state: Their initial state.
-            uniform: The forces as they act on the lattices, which must be uniform.
-            walls: The boundaries as they act on the lattices.
+            state: Initial state of the particles.
+            uniform: The forces on the lattices, which must be uniform.
+            walls: The boundaries for the lattices.
             pairs: Pairs of bodies whose contact differs from the default.
-            copies: Which copy of each of its 27 nodes a cell uses [C,27]; None: no node has copies.
+            copies: Copy of each of the 27 nodes that a cell uses [C,27]; None: no node has copies.
             still: Bodies on lattices that never move.
             ceiling: Longest substep allowed [s].
             options: Further arguments of `Solver`.
@@ -135,7 +137,7 @@ class CoupledSolver(Solver):
 
     @property
     def guest(self) -> CoupledSolver:
-        """This solver, whose `launch` runs between the update of the grids and the walls."""
+        """This solver, whose `launch` runs after the grids are updated and before the walls act."""
         return self
 
     @property
@@ -145,7 +147,7 @@ class CoupledSolver(Solver):
 
     @property
     def nodes(self) -> int:
-        """Number of nodes of all windows and lattices."""
+        """Number of nodes in all windows and lattices."""
         return super().nodes + (self._lattice.nodes if self._lattice is not None else 0)
 
     def bind(
@@ -158,15 +160,15 @@ class CoupledSolver(Solver):
         uniform: Sequence[Attachable] = (),
         walls: Sequence[Any] = (),
     ) -> None:
-        """From the next substep on, use other forces, boundaries and sums.
+        """Replace forces, boundaries and sums, from the next substep on.
 
         Args:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that are updated in every substep.
             planes: Flat walls with which free bodies collide.
-            uniform: The forces as they act on the lattices.
-            walls: The boundaries as they act on the lattices.
+            uniform: The forces on the lattices.
+            walls: The boundaries for the lattices.
 
         Raises:
             InputError: As in `__init__`.
@@ -178,10 +180,11 @@ class CoupledSolver(Solver):
             self.rejection.keep(_Undo(self))
 
     def stages(self, passed: PassedOn | None) -> list[list[Any]]:
-        """Return the lattices' launches for contact between lattices and particles.
+        """Return the launches of the lattices for contact between lattices and particles.
 
         Args:
-            passed: Passes impulses on held nodes on to clamps; None without clamps.
+            passed: Records launches that transfer impulses on held nodes to clamps; None if there
+                are no clamps.
         """
         for material in self.materials:
             material.pass_on(passed)
@@ -191,7 +194,7 @@ class CoupledSolver(Solver):
         ]
 
     def launch(self) -> None:
-        """Kick the lattices' nodes, then apply all contact of the lattices."""
+        """Kick the nodes of the lattices, then apply all contact impulses of the lattices."""
         if self._lattice is not None:
             self._lattice.start_step(*self._kick)
 
@@ -223,7 +226,7 @@ class CoupledSolver(Solver):
             self.pairs.add(other, soft, impulse, moment)
 
     def _copy_state(self) -> None:
-        """Copy the state of the lattices' points to that of all particles."""
+        """Copy the state of the lattices' points to the state of all particles."""
         for name in STATE:
             array = getattr(self.state, name)
             values = array.numpy()
@@ -242,7 +245,9 @@ class CoupledSolver(Solver):
         super()._stable_step(until)
 
     def step(self, kick: float, drift: float) -> None:
-        """Take one substep: velocities change over `kick` [s], positions and F over `drift` [s]."""
+        """Take one substep in which velocities change for the time `kick` [s], and positions and F
+        for the time `drift` [s].
+        """
         super().step(kick, drift)
         self.lattice.end_step(drift)
 
@@ -273,7 +278,9 @@ class CoupledSolver(Solver):
         return {**super().snapshot(), **_Undo(self).snapshot()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore a snapshot; the result is exact only if the number of threads is the same."""
+        """Restore a snapshot; the run continues bit for bit only if the number of threads is the
+        same.
+        """
         super().restore(snapshot)
         _Undo(self).restore(snapshot)
 
@@ -297,7 +304,7 @@ class _Undo:
 
 
 def _part_of(model: Model, bodies: Sequence[int], still: Sequence[int]) -> Model:
-    """Return a model of only some bodies, numbered in the given order."""
+    """Return a model that contains only some of the bodies, numbered in the given order."""
     groups, runs, start = [], [], 0
     for place, body in enumerate(bodies):
         for group in model.groups:

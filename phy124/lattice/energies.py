@@ -1,7 +1,9 @@
-"""Energies: sums the work on bodies by cause, in every substep of a run that requests it.
+"""Energies: sums the work on bodies separately for each cause, in every substep of a run that
+requests it.
 
-Two phases are inserted before the drift: the first sums the forces of viscosity alone, the second
-multiplies all forces by the mean velocities of the substep. Contact and clamps sum their own work.
+Two phases are inserted before the drift. The first phase sums the forces of viscosity alone, and
+the second phase multiplies all forces by the mean velocities of the substep. The kernels of contact
+and of clamps sum their work themselves.
 """
 
 from __future__ import annotations
@@ -22,44 +24,50 @@ from phy124.lattice.work import ContactWork
 from phy124.mpm.stage import Named
 
 STAGE = "dissipation"
-"""Name of the stages, the same as for other materials."""
+"""Name of the stages in reports, which is the same as for other materials."""
 EXTERNAL = "external work"
-"""Name of the stage that sums impulse and work of forces on points for the balance."""
+"""Name of the stage that sums the impulse and the work of forces on points, for the balance of
+momentum and energy.
+"""
 ROOM = 24
-"""Length of a worker's array of sums; with this length, no two workers write to the same cache
-line.
+"""Length of the array of sums of each worker; with this length, no two workers write to the same
+cache line.
 """
 
 
 class Works(NamedTuple):
-    """Work on all bodies since the start [J]; negative if they lost energy."""
+    """Work on all bodies since the start [J], separately for each cause; negative if the bodies
+    lost energy.
+    """
 
     forces: float
-    """Uniform acceleration, and forces on points."""
+    """Work of the uniform acceleration and of forces on points."""
     walls: float
-    """Walls, by their motion."""
+    """Work of walls due to their motion."""
     held: float
-    """Clamps, by their motion."""
+    """Work of clamps due to their motion."""
     solids: float
-    """Free solids, with their friction."""
+    """Work of rigid solids that move freely, including their friction."""
     elastic: float
-    """Elastic stress."""
+    """Work of the elastic stress."""
     viscous: float
-    """Viscosity."""
+    """Work of the viscosity of materials."""
     shock: float
-    """Artificial viscosity."""
+    """Work of the artificial viscosity."""
     friction: float
-    """Impulses of walls across their normals."""
+    """Work of the tangential impulses of walls."""
     impacts: float
-    """Impulses of walls along their normals, and of clamps, relative to their motion."""
+    """Work of the normal impulses of walls and of the impulses of clamps, without the part due to
+    their motion.
+    """
     itself: float
-    """Contact of bodies with themselves."""
+    """Work of the contact of bodies with themselves."""
     pairs: float
-    """Contact of bodies with each other."""
+    """Work of the contact of bodies with each other."""
 
 
 class Energies:
-    """Adds the launches that sum work; there are none before `start` is called."""
+    """Adds the launches that sum work; no work is summed before `start` is called."""
 
     def __init__(self, solver: Any) -> None:
         """Store the solver; its launches are not recorded yet."""
@@ -68,15 +76,16 @@ class Energies:
         self._sums = wp.zeros(shape, dtype=wp.float64, device=solver.model.device)
         self._on = False
         self.pushes: wp.array | None = None
-        """Sums of impulse and work of forces on points, for each worker [W,16]; None: not summed.
+        """Sums of impulse and work of forces on points, for each worker [W,16]; None if they are
+        not summed.
         """
         self._clamps = np.zeros(2)
-        """Since the start: work of the clamps of earlier walls, and the part of it by the clamps'
-        motion [J].
+        """Work [J] since the start of the clamps that have been replaced, and the part of it that
+        is due to the clamps' motion.
         """
 
     def start(self) -> None:
-        """Sum the work from now on."""
+        """Start to sum the work."""
         crew = self._solver.crew
         self._on, self._pools = True, {at.SHOCK: crew.new_pool()}
         if crew.viscous:
@@ -84,7 +93,7 @@ class Energies:
         self._solver.record()
 
     def attach(self) -> None:
-        """Make contact sum its work from the next recording of its launches on."""
+        """Make the contact sum its work, from the next recording of the contact's launches on."""
         solver = self._solver
         self._clamps += self._of_clamps() if self._walls is not solver.walls else 0
         self._walls = solver.walls
@@ -94,7 +103,7 @@ class Energies:
             solver.walls.work = solver.meetings.work = solver.free.work = work
 
     def extend(self, *, pushed: bool) -> None:
-        """Insert the phases that sum work, before the drift of a substep.
+        """Insert the phases that sum work before the drift of a substep.
 
         Args:
             pushed: Whether forces act on points.
@@ -109,7 +118,7 @@ class Energies:
             worker.phases[-1:-1] = works
 
     def _fill(self, index: int) -> list[Named]:
-        """Return a worker's launches that sum the forces of viscosity alone."""
+        """Return the launches with which a worker sums the forces of viscosity alone."""
         solver, crew = self._solver, self._solver.crew
         worker = solver.workers[index]
         pools = {key: crew.part_of(pool, index) for key, pool in self._pools.items()}
@@ -121,7 +130,7 @@ class Energies:
         return _rename(filled)
 
     def _multiply(self, index: int, forces: Sequence[int]) -> list[Named]:
-        """Return a worker's launches that sum the work of forces on its nodes."""
+        """Return the launches with which a worker sums the work of forces on the worker's nodes."""
         solver, crew = self._solver, self._solver.crew
         known = solver.tracks, cast("wp.array", self._sums[index])
         worker, works = solver.workers[index], []
@@ -133,13 +142,15 @@ class Energies:
         return _rename(works)
 
     def _exchange(self, index: int, sums: wp.array) -> list[Named]:
-        """Return a worker's launch that sums impulse and work of forces on points."""
+        """Return the launch with which a worker sums the impulse and the work of forces on
+        points.
+        """
         solver, row = self._solver, cast("wp.array", sums[index])
         work = solver.crew.push_work(solver.workers[index], solver.tracks, row)
         return [(EXTERNAL, launch) for _, launch in work]
 
     def read(self) -> Works:
-        """Return the work so far."""
+        """Return the work done since the start."""
         total: NDArray[Any] = np.asarray(self._sums.numpy()).sum(axis=0)
         walls = total[at.WALLS : at.WALLS + 3]
         clamps, held = self._clamps + self._of_clamps()
@@ -160,7 +171,7 @@ class Energies:
         return Works(*map(float, works))
 
     def clear(self) -> None:
-        """Start all sums at zero."""
+        """Set all sums to zero."""
         self._sums.zero_()
         self._clamps = -self._of_clamps()
 
@@ -180,7 +191,9 @@ class Energies:
         self._clamps = np.array(snapshot["clamps"])
 
     def _of_clamps(self) -> NDArray[np.float64]:
-        """Return the work of clamps, and the part done by their motion, from the walls' sums."""
+        """Return the work of clamps, and the part due to the clamps' motion, computed from the sums
+        of the walls.
+        """
         if self._walls is None:
             return np.zeros(2)
         rows = np.asarray(self._walls.sums.numpy(), np.float64)[self._walls.holding]
@@ -188,5 +201,5 @@ class Energies:
 
 
 def _rename(launches: Sequence[Named]) -> list[Named]:
-    """Return the launches, renamed so that their time counts as time of the sums."""
+    """Return the launches, renamed so that their time is counted as time of the sums of work."""
     return [(STAGE, launch) for _, launch in launches]

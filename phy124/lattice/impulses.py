@@ -1,4 +1,4 @@
-"""Sums of impulses: those of walls on each surface point, and those of clamps on each node.
+"""Sums the impulses of walls on each surface point, and the impulses of clamps on each node.
 
 Impulses are summed only if the forces on Gaussians are stored (phy124/monitor/lattice.py).
 """
@@ -19,26 +19,27 @@ from phy124.mpm.tracks import Tracks
 
 
 class Impulses:
-    """The sums since they were last cleared."""
+    """The impulses since the sums were last cleared."""
 
     def __init__(self, model: Model, points: int, nodes: Any, tracks: Tracks) -> None:
-        """Start at zero.
+        """Set all sums to zero.
 
         Args:
             model: The constants of the run.
             points: Number of surface points.
             nodes: Arrays of the nodes.
-            tracks: The tracks, which hold the clock.
+            tracks: The tracks, which contain the clock.
         """
         self._model, self._nodes, self._clock = model, nodes, tracks.clock
         count = points + len(nodes.rest)
         self.sums = wp.zeros(count, dtype=wp.vec3d, device=model.device)
-        """Impulse on each surface point, then on each node [S+N,3], N s."""
+        """Impulse on each surface point, followed by the impulse on each node [S+N,3], N s."""
         self.of_nodes = cast("wp.array", self.sums[points:])
         """Impulse on each node [N,3], N s."""
 
     def press(self, near: wp.array, force: wp.array) -> wp.Launch:
-        """Record the launch that adds the impulses of a wall on the points near it.
+        """Record the launch that adds the impulses of a wall on the points near the wall to the
+        sums.
 
         Args:
             near: Indices of the points; the launch's size is their number.
@@ -49,11 +50,11 @@ class Impulses:
         return cast("wp.Launch", launch)
 
     def hold(self, clamps: list[Named], held: NDArray[np.int64]) -> list[Named]:
-        """Return the clamps' launches, enclosed by launches that sum the momenta of held nodes.
+        """Return the launches of clamps, enclosed by launches that sum the momenta of held nodes.
 
         Args:
             clamps: The launches of all clamps.
-            held: Indices of the nodes that they change.
+            held: Indices of the nodes that these launches change.
         """
         model, nodes = self._model, self._nodes
         chosen = wp.array(held.astype(np.int32), dtype=int, device=model.device)

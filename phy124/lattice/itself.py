@@ -1,13 +1,14 @@
 """Computes contact between the surface points of two bodies, or of two parts of a body.
 
-Every point is paired with an opposite position on the other surface. The opposite position is at
-first the nearest point of the other surface, and then follows the paired point along that surface.
-The weights of the pair are those of the point minus those of the opposite position, so that an
-impulse along the surface's normal acts on both parts along one line, with opposite signs. Impulses
-are computed like those of walls.
+Every point is paired with an opposite position on the other surface. At first, the opposite
+position is the nearest point of the other surface. Later, it follows the paired point along the
+other surface. The weights of the pair are those of the point minus those of the opposite position,
+so that an impulse along the surface's normal acts on both parts along one line, with opposite
+signs. Impulses are computed like those of walls.
 
-Pairs are listed again when a part has moved relative to the mean motion of both parts. A sample of
-the surfaces shows whether parts are near each other; if not, nothing else is computed.
+The pairs are determined again when a part has moved relative to the mean motion of both parts. A
+sample of the surface points shows whether parts are near each other; if they are not, nothing else
+is computed.
 """
 
 from __future__ import annotations
@@ -33,13 +34,17 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 MOVED, BETWEEN = 0.6, 0.15
-"""Half the relative displacement [cells] after which two parts of a body (`MOVED`), or two bodies
-(`BETWEEN`), are compared again.
+"""Half of the relative displacement [cells] after which the distances of two parts of a body
+(`MOVED`), or of two bodies (`BETWEEN`), are compared again.
 """
 SLID = 0.4
-"""Pairs are listed again after a point has moved this far along the other surface [cells]."""
+"""Distance [cells] along the other surface by which a point may move before the pairs are
+determined again.
+"""
 FRICTION = 0.5
-"""Coefficient of friction of a body with itself; it is also the default for pairs of objects."""
+"""Friction coefficient of the contact of a body with itself, which is also the default for pairs of
+objects.
+"""
 
 
 class Meeting:
@@ -67,14 +72,14 @@ class Meeting:
             model: The constants of the run.
             nodes: Arrays of the nodes.
             tracks: The tracks, which hold the clock.
-            partners: The search for points that may touch.
-            restore: Gain by which points come out of each other [1/s].
+            partners: Searches for points that may touch.
+            restore: Gain of the speed at which points that penetrate each other separate [1/s].
             sample: Indices of the sampled points of the two bodies [K].
             bodies: Indices of the two bodies, equal for a body with itself.
             friction: Coefficient of Coulomb friction.
-            sticky: Whether points that have touched stay together.
-            sums: Impulse of the first body on the second and its moment, to which impulses are
-                added; None for a body with itself.
+            sticky: Whether points that have touched stick together.
+            sums: Sums of the impulse of the first body on the second and of its moment; None for a
+                body with itself.
         """
         self.bodies, self._sums = bodies, sums
         self._restore, self._friction = restore, friction
@@ -95,18 +100,20 @@ class Meeting:
         self._points: NDArray[np.int64] = np.zeros(0, np.int64)
         """Points that have a partner [K]."""
         self.most = 0
-        """Largest number of pairs so far."""
+        """Largest number of pairs in any substep so far."""
         self._work: ContactWork | None = None
         self._passed: PassedOn | None = None
         self._reserve(0)
         self._seen: NDArray[np.float64] = surface.x[sample]
         self._flagged: NDArray[np.bool_] = np.zeros(len(sample), bool)
-        """Whether pairs were listed near each sampled point."""
+        """Whether pairs were determined near each sampled point."""
         self.slack = 0.0
-        """Further relative displacement [m] after which the parts are compared again."""
+        """Additional relative displacement [m] after which the distances of the parts are compared
+        again.
+        """
         self._away = self._between or bool(surface.side[sample].any())
-        """Whether pairs must be listed next time: bodies were far from each other, or pieces may be
-        near at rest.
+        """Whether pairs must be determined at the next call, because bodies were far from each
+        other or pieces may be near each other at rest.
         """
 
     def _reserve(self, count: int) -> None:
@@ -128,8 +135,8 @@ class Meeting:
             "force": zeros(t.vec3, count),
             "sign": zeros(real, count),
         }
-        """For each pair: arguments of `make_meet`, the mean force on its point, and 1 if the point
-        is on the second body, -1 if it is on the first.
+        """For each pair: the arguments of `make_meet`, the mean force on the pair's point, and 1 if
+        the point is on the second body or -1 if it is on the first.
         """
         self._launches: list[Any] = []
         if not count:
@@ -168,10 +175,12 @@ class Meeting:
         """Return the stages that apply the previous impulses, correct them and sum them.
 
         Args:
-            work: Records the launch that sums their work; None if it is not summed.
-            passed: Passes impulses on held nodes on to clamps; None without clamps.
+            work: Records the launch that sums the work of the impulses; None if the work is not
+                summed.
+            passed: Records launches that transfer impulses on held nodes to clamps; None if there
+                are no clamps.
         """
-        # Pairs of a body with itself are not on held nodes.
+        # Pairs of a body with itself are never on nodes that clamps hold.
         passed = passed if self._between else None
         if work is not self._work or passed is not self._passed:
             kept, self._work, self._passed = self.snapshot(), work, passed
@@ -196,7 +205,7 @@ class Meeting:
         return [stage(0), stage(1), *([stage(*sums)] if sums else [])]
 
     def follow(self, x: NDArray[np.float64]) -> None:
-        """List the pairs again if parts have moved relative to each other.
+        """Determine the pairs again if parts have moved relative to each other.
 
         Args:
             x: Current positions of the sampled points [K,3], m.
@@ -209,11 +218,11 @@ class Meeting:
             self.slack = most
 
     def part(self) -> None:
-        """Remove all pairs of points; call this if the bodies are far from each other."""
+        """Remove all pairs of points; call this method if the bodies are far from each other."""
         self._points, self._away = self._points[:0], True
 
     def _look(self, x: NDArray[np.float64]) -> None:
-        """List the pairs.
+        """Determine the pairs.
 
         Args:
             x: Current positions of the sampled points [K,3], m.
@@ -230,7 +239,9 @@ class Meeting:
             self._list(self._mine[flagged[self._nearest]])
 
     def _list(self, points: NDArray[np.int64]) -> None:
-        """List the pairs of some points; points that already had a partner keep their forces."""
+        """Determine the pairs of some points; points that already had a partner keep their contact
+        forces.
+        """
         surface = self._surface
         partners = self._partners.find(points, between=self._between)
         a, b = partners.pop("a"), partners.pop("b")
@@ -248,10 +259,11 @@ class Meeting:
         self._fill(a, {**pairs, **partners})
 
     def _overlap(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return by how much the surfaces of separate pieces overlap at rest at each pair [K], m.
+        """Return the depth by which the surfaces of separate pieces overlap at rest at each pair
+        [K], m.
 
-        Surfaces are only as exact as voxels. Contact does not push apart surfaces that overlap at
-        rest.
+        Such overlaps occur because surfaces are only as exact as voxels. Contact does not push
+        apart surfaces that overlap at rest.
         """
         surface = self._surface
         way = surface.x[a] - surface.x[b]

@@ -1,4 +1,4 @@
-"""Lists the kernels of a run on lattices, so that they can be compiled before the run."""
+"""Lists the kernels of a run on lattices, so that all of them can be compiled before the run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def of_bodies(
     Args:
         materials: Materials of the bodies.
         boundaries: Boundaries of the run.
-        shapes: Shapes of free solids.
+        shapes: Shapes of the rigid solids that move freely.
         real: wp.float32 or wp.float64.
         device: Name of the device.
         dx: Side of a cell [m].
@@ -46,7 +46,9 @@ def of_bodies(
 
 
 def of_workers(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -> Iterator[Any]:
-    """Yield the kernels of a run; `model_laws` are pairs of a law and whether it is viscous."""
+    """Yield the kernels of a run; each item of `model_laws` is a law and whether the law is
+    viscous.
+    """
     vectors = simd.usable(real, device)
     if vectors:
         yield from (simd.make_kick_simd(), simd.make_drift_simd(), simd.make_follow_simd())

@@ -1,6 +1,7 @@
-"""Contact of surface points on lattices with bodies of the material point method.
+"""Computes the contact of surface points on lattices with bodies of the material point method.
 
-Contact is computed on the particles' grid, after its update in a substep and before walls act.
+Contact is computed on the grid of the particles, after the grid is updated in a substep and before
+walls act.
 """
 
 from __future__ import annotations
@@ -45,9 +46,9 @@ class Material:
             nodes: The nodes of the lattices.
             model: The constants of the bodies on lattices.
             pair: The contact of the two bodies.
-            fill: Fraction of the space that particles fill around a node, per mass at the node
+            fill: Volume fraction that particles fill around a node per unit mass at the node
                 [1/kg].
-            body: Index of the body among those on lattices.
+            body: Index of the body among the bodies on lattices.
             moves: Whether the particles may move.
         """
         self.pair, self._model, self._nodes = pair, model, nodes
@@ -63,7 +64,7 @@ class Material:
         self._gap, self._on, self._place = zeros(t.vec4), zeros(t.vec4), zeros(t.vec3)
         self._yields, self.force = zeros(model.real), zeros(t.vec3)
         self.sums = wp.zeros(SUMS, dtype=wp.float64, device=device)
-        """Impulse of the particles on the body, and its moment about the origin."""
+        """Impulse of the particles on the body, and the moment of this impulse about the origin."""
         self._points = [
             wp.array(surface.nodes, dtype=int, device=device),
             model.array(surface.weights, model.real),
@@ -81,7 +82,7 @@ class Material:
         Args:
             grid: The grid of the particles.
             clock: The clock of the substeps.
-            recovery: Gain by which points come out of the material [1/s].
+            recovery: Gain of the speed at which points inside the material move out [1/s].
         """
         model, nodes, rows = self._model, self._nodes, self._nodes.rows
         on_grid = [grid.lattice, grid.window, grid.nodes]
@@ -102,14 +103,14 @@ class Material:
         self._launches = [cast("wp.Launch", launch) for launch in (touch, resist, total)]
 
     def pass_on(self, passed: PassedOn | None) -> None:
-        """In the last stage, add impulses on held nodes to the sums of these clamps; None if there
-        is no clamp.
+        """In the last stage, add impulses on held nodes to the sums of the given clamps (None if
+        there are no clamps).
         """
         points = self._points[0], self._points[1]
         self._passed = None if passed is None else passed.of(self._list, points, self.force)
 
     def stage(self, number: int) -> Callable[[], None]:
-        """Return a stage of the substep: apply impulses, correct them, or sum them."""
+        """Return a stage of the substep, which applies impulses, corrects them, or sums them."""
 
         def act() -> None:
             if number == 0 and self.due:
@@ -142,7 +143,7 @@ class Material:
                 self._list[: len(near)].assign(self._near)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return forces and sums."""
+        """Return the contact forces and the sums of impulses."""
         near = self._near.copy()
         return {"force": self.force.numpy().copy(), "sums": self.sums.numpy().copy(), "near": near}
 

@@ -1,7 +1,7 @@
-"""Meetings: all contact of bodies with each other, and of each body with itself.
+"""Meetings: computes all contact of bodies with each other, and of each body with itself.
 
 A sample of the surface shows whether two bodies, or two parts of a body, are near each other. If
-all are apart, nothing else is computed.
+all of them are apart, nothing else is computed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ SAMPLED = 1.5
 
 
 class Meetings:
-    """Contact in all pairs of bodies that may touch, and of bodies that may touch themselves."""
+    """Contact between all pairs of bodies that may touch, and of bodies that may touch
+    themselves.
+    """
 
     def __init__(
         self,
@@ -42,7 +44,7 @@ class Meetings:
         pairs: Pairs,
         restore: float,
     ) -> None:
-        """Prepare contact without any pair of points.
+        """Prepare the contact, at first without any pairs of points.
 
         Args:
             surface: Points that may touch.
@@ -53,11 +55,13 @@ class Meetings:
             restore: Gain by which points come out of each other [1/s].
         """
         self.work: ContactWork | None = None
-        """Records launches that sum the work of contact; None: it is not summed."""
+        """Records launches that sum the work of contact; None if the work is not summed."""
         self.way = math.inf
-        """Bound of the displacement of any point since sampled points were compared [m]."""
+        """Upper bound of the displacement of all points since sampled points were compared [m]."""
         self._slack = 0.0
-        """Relative displacement [m] from then on, after which bodies must be compared again."""
+        """Relative displacement [m] since that comparison after which bodies must be compared
+        again.
+        """
         self._dx = model.dx
         cube = np.floor(surface.x / (SAMPLED * model.dx)).astype(np.int64)
         _, sample = np.unique(np.column_stack([surface.body, cube]), axis=0, return_index=True)
@@ -98,23 +102,24 @@ class Meetings:
 
     @property
     def every(self) -> list[Meeting]:
-        """All meetings; those of bodies with themselves come first."""
+        """All contacts; those of bodies with themselves come first."""
         return [*self.of_bodies, *self.of_pairs]
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the launches of a substep that apply earlier impulses, correct and sum them.
+        """Return the launches of a substep that apply earlier impulses, correct them and sum them.
 
         Args:
-            passed: Passes impulses on held nodes on to clamps; None without clamps.
+            passed: Records launches that transfer impulses on held nodes to clamps; None if there
+                are no clamps.
         """
         stages = [meeting.record(self.work, passed) for meeting in self.every]
         return [[each[k] for each in stages if len(each) > k] for k in range(3)]
 
     def follow(self, step: float) -> None:
-        """List the pairs of points again where bodies have moved relative to each other.
+        """Determine the pairs of points again where bodies have moved relative to each other.
 
         Args:
-            step: Largest distance by which a point moves in a substep [m].
+            step: Largest distance that a point moves in a substep [m].
         """
         if self._place is None:
             return

@@ -1,4 +1,6 @@
-"""Nodes of a lattice when a run starts: rest positions, and velocities from the points' motion."""
+"""Creates the nodes of a lattice at the start of a run, with velocities computed from the motion of
+the points.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +15,14 @@ from phy124.mpm.model import Model, State
 
 
 def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: bool) -> Nodes:
-    """Return nodes at rest positions with velocities from the points, exact for affine motions.
+    """Return nodes at their rest positions, with velocities computed from the points (exactly for
+    affine motions).
 
     Args:
-        model: The constants of the run; nodes of its held bodies do not move.
+        model: The constants of the run; the nodes of held bodies do not move.
         lattice: The lattice at rest.
         state: The motion of the points.
-        vectors: Whether rows of nodes are read by the vector units of a CPU.
+        vectors: Whether rows of nodes are read with the vector instructions of a CPU.
     """
     t, count = types(model.real), len(lattice)
     free = (lattice.mass > 0) & ~np.isin(lattice.body, list(model.held))
@@ -40,11 +43,14 @@ def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: boo
 
 
 def _motion(model: Model, lattice: RestLattice, state: State) -> NDArray[np.float64]:
-    """Return velocities of the nodes [N,3]: means over neighbouring cells, extrapolated by C."""
+    """Return the velocities of the nodes [N,3]: means over the neighbouring cells' velocities,
+    extrapolated with C.
+    """
     v, C = (np.asarray(a.numpy(), np.float64) for a in (state.v, state.C))
     if not v.any() and not C.any():
         return np.zeros((len(lattice), 3))
-    # Cells may use only the repetitions of a node with copies, so all count for that node.
+    # Cells may use only repetitions of a node with copies, so all repetitions contribute to that
+    # node.
     nodes = np.repeat(lattice.source[lattice.nodes_of()], 8, axis=0)
     total, number = np.zeros((len(lattice), 3)), np.zeros(len(lattice))
     for k in range(27):

@@ -16,9 +16,11 @@ from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Model
 
 FAR = 3.0
-"""The surroundings of two sampled points may touch if the points are closer than this [cells]."""
+"""Distance between two sampled points [cells] below which the surfaces around them may touch."""
 REACH, NEAR = 1.4, 1.0
-"""Largest distance of points that may touch [cells]: in one body, and between two bodies."""
+"""Largest distance between points that may touch [cells], within one body and between two
+bodies.
+"""
 LEAST = 0.05
 """Smallest volume ratio used to map displacements on the surface to the body at rest."""
 BUCKETS = 32
@@ -26,7 +28,7 @@ BUCKETS = 32
 
 
 class Partners:
-    """Search for points that may touch, among the surface points of all bodies."""
+    """Searches for points that may touch, among the surface points of all bodies."""
 
     def __init__(self, surface: Surface, model: Model, nodes: Nodes) -> None:
         """Prepare the search.
@@ -41,12 +43,12 @@ class Partners:
     def flag(
         self, sample: NDArray[np.int64], x: NDArray[np.float64], *, between: bool
     ) -> NDArray[np.bool_]:
-        """Return the indices of the sampled points that may touch another part [K].
+        """Return the indices of the sampled points that may touch another part or body [K].
 
         Args:
             sample: Indices of the sampled points [K].
-            x: Their current positions [K,3], m.
-            between: Whether the parts are two bodies.
+            x: Current positions of the sampled points [K,3], m.
+            between: Whether the other part is a different body.
         """
         model, arrays = self._model, self._arrays
         places = model.array(x, types(model.real).vec3)
@@ -58,16 +60,16 @@ class Partners:
         return np.asarray(flagged.numpy() > 0)
 
     def find(self, points: NDArray[np.int64], *, between: bool) -> dict[str, NDArray[Any]]:
-        """Return the points that have a partner, and their partners.
+        """Return the points that have a partner, and the partners.
 
         Args:
             points: Indices of the points among which to search [K].
             between: Whether the points belong to two bodies.
 
         Returns:
-            `a` and `b`, the indices of the points and partners [M]; `normal`, from the partner to
-            the point [M,3]; and `back`, which maps displacements on the surface at the partner to
-            the body at rest [M,3,3].
+            `a` and `b`, the indices of the points and of their partners [M]; `normal`, the
+            direction from the partner to the point [M,3]; and `back`, which maps displacements
+            along the surface at the partner to the body at rest [M,3,3].
         """
         model, arrays, count = self._model, self._arrays, len(points)
         t, reach = types(model.real), NEAR if between else REACH
@@ -94,7 +96,7 @@ class Partners:
 
     @cached_property
     def _arrays(self) -> dict[str, wp.array]:
-        """The surface on the device."""
+        """Arrays of the surface on the device."""
         surface, model = self._surface, self._model
         t = types(model.real)
         return {

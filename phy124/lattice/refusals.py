@@ -13,7 +13,7 @@ from phy124.materials import LAWS, Material
 from phy124.materials.elastic import Elastic
 
 TRANSFERS = ("transfer", "gradient", "rpic_damping")
-"""Settings of the accuracy for transfers; the lattice solver has no transfers."""
+"""Settings of the accuracy that concern transfers, which the lattice solver does not have."""
 REMEDY = 'Use accuracy.solver = "mpm", or leave {field} out.'
 
 
@@ -29,8 +29,8 @@ class Refusal(NamedTuple):
 def reason_for_particles(scene: Any) -> str:
     """Return the reason why a scene's elastic objects cannot use lattices; empty if they can.
 
-    The reason does not depend on `accuracy.solver`, and is determined without Gaussians. With a
-    file of properties, the laws in this file are read.
+    The reason does not depend on `accuracy.solver`, and is determined without Gaussians. If the
+    scene has a file of properties, the constitutive laws are read from this file.
 
     Raises:
         InputError: The scene's file of properties cannot be read.
@@ -58,10 +58,10 @@ def refuse_for_lattice(scene: Any, materials: Sequence[Material]) -> None:
 
     Args:
         scene: The scene.
-        materials: Materials of its particles.
+        materials: Materials of the scene's particles.
 
     Raises:
-        InputError: The scene has something that the lattice solver cannot do yet.
+        InputError: The scene has a feature that the lattice solver does not support.
     """
     for refusal in _refusals(scene, materials):
         remedy = refusal.remedy or REMEDY.format(field=refusal.field)
@@ -69,7 +69,9 @@ def refuse_for_lattice(scene: Any, materials: Sequence[Material]) -> None:
 
 
 def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
-    """Yield the features that the lattice solver lacks, in the order of the scene's fields."""
+    """Yield the scene's features that the lattice solver lacks, in the order of the scene's
+    fields.
+    """
     if scene.couples:
         yield from _refusals_of_couples(scene)
     yield from _refusals_of_materials(scene, materials)
@@ -88,7 +90,9 @@ def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
 
 
 def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
-    """Yield refusals of plastic or fluid laws of an object that the scene declares as elastic."""
+    """Yield an error for each plastic or fluid law of an object that the scene declares as
+    elastic.
+    """
     remedy = 'Use accuracy.solver = "mpm", or an elastic law.'
     for section in materials:
         if not is_elastic(section) and not scene.couples:
@@ -103,7 +107,7 @@ def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterato
 
 
 def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
-    """Yield the features that a scene with both lattices and particles cannot have."""
+    """Yield the features that are not supported in a scene with both lattices and particles."""
     limit = "it is not supported if objects on lattices and objects of particles are mixed."
     for number, force in enumerate(scene.acting):
         if not force.uniform:

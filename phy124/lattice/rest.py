@@ -1,14 +1,15 @@
-"""The lattices of bodies at rest: nodes, cells, weights of points, masses and ties.
+"""Builds the lattices of bodies at rest: nodes, cells, weights of points, masses and ties.
 
 Node i is at (i + 1/2) dx, in the middle of cell i, and its quadratic B-spline covers the cells
 i - 1 to i + 1. A cell's eight points (phy124/particles/lattice.py) therefore touch the same 27
 nodes, and each weight is a single polynomial in the cell. If the points were placed between nodes
 instead of between knots, some motions of cut cells would have no stiffness.
 
-A body that only partly fills its cells has nodes of almost no mass, which have almost no stiffness
-either. Nodes lighter than `LIGHTEST` are tied: their motion is extrapolated linearly from heavier
-nodes, and the transpose of this extrapolation distributes their force and mass over these nodes.
-Tying nodes in this way conserves momentum and angular momentum.
+A body that only partly fills its cells has nodes with almost no mass and almost no stiffness. Nodes
+lighter than `LIGHTEST` are tied to heavier nodes: the motion of a tied node is extrapolated
+linearly from heavier nodes, and the transpose of this extrapolation distributes the force and the
+mass of the tied node over these nodes. Tying nodes in this way conserves momentum and angular
+momentum.
 """
 
 from __future__ import annotations
@@ -27,24 +28,27 @@ from phy124.lattice.copies import lay_out
 from phy124.particles.lattice import PER_CELL
 
 LIGHTEST = 1e-3
-"""Mass below which a node is tied, as a fraction of the mass of a node inside the body. With 0.01,
-plates of 0.3 cells are 4 to 14 % too stiff.
+"""Mass below which a node is tied, as a fraction of the mass of a node inside the body. With a
+value of 0.01, plates with a thickness of 0.3 cells would be 4 to 14 % too stiff.
 """
 CORNER = 0.01
-"""Like `LIGHTEST`, for a node that belongs to a single cell. Large forces would turn that cell
-inside out, because its points have small strain even if the node is displaced by many cells.
+"""Like `LIGHTEST`, but for a node that belongs to a single cell. Large forces would turn this cell
+inside out, because its points are only slightly strained even if the node is displaced by many
+cells.
 """
 LIGHT, GIVING = 0.02, 0.2
-"""Nodes that are not tied get at least the mass `LIGHT`, taken from nodes of at least the mass
-`GIVING`. Both are fractions of the mass of a node inside the body. Lighter nodes vibrate too fast
-where the body is squeezed.
+"""Nodes that are not tied get at least the mass `LIGHT`, which is taken from nodes with at least
+the mass `GIVING`. Both values are fractions of the mass of a node inside the body. Lighter nodes
+vibrate too fast where the body is squeezed.
 """
 DONORS, NEAR = 27, 3.0
-"""A tied node is extrapolated from at most `DONORS` nodes at a distance below `NEAR` [cells]."""
+"""The motion of a tied node is extrapolated from at most `DONORS` nodes, at distances below `NEAR`
+[cells].
+"""
 ROW = 9
 """Number of rows of three nodes along z that a cell touches."""
 STEPS = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-"""The 27 nodes of a cell, relative to its middle node."""
+"""Indices of the 27 nodes of a cell, relative to the cell's middle node."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,25 +60,29 @@ class RestLattice:
     index: NDArray[np.int64]
     """Indices of the nodes [N,3]."""
     rows: NDArray[np.int32]
-    """First node of each cell's nine rows of three nodes along z [C,9]."""
+    """First node of each of a cell's nine rows of three nodes along z [C,9]."""
     offset: NDArray[np.float64]
     """Position of each point relative to its cell's first node [P,3], in cells, about 0.5 to 1.5.
     """
     mass: NDArray[np.float64]
-    """Mass of each node plus that of the nodes tied to it; 0 for a tied node [N], kg."""
+    """Mass of each node plus the mass of the nodes tied to it [N], kg; 0 for a tied node."""
     tied: NDArray[np.int64]
     """Indices of the tied nodes [T]."""
     ties: scipy.sparse.csr_matrix
-    """Weights of the other nodes' motions in the motion of each tied node [T,N]."""
+    """Weights with which the motions of all nodes contribute to the motion of each tied node
+    [T,N].
+    """
     pushes: scipy.sparse.csr_matrix
     """Weights with which pushes on other nodes are added to the push on each node [N,N]. Pushes on
-    tied nodes, and on mass given to another node, thereby act on the nodes that have the mass. A
-    uniform push then accelerates all nodes equally.
+    tied nodes, and on mass that was moved to another node, thereby act on the nodes that have the
+    mass. A uniform push then accelerates all nodes equally.
     """
     body: NDArray[np.int64]
     """Index of the body of each node [N]."""
     source: NDArray[np.int64]
-    """Index of the node that each node repeats; its own index if it repeats none [N]."""
+    """Index of the node that each node repeats [N]; the node's index if it repeats no other
+    node.
+    """
 
     @classmethod
     def of(
@@ -86,7 +94,7 @@ class RestLattice:
         spans: Sequence[slice] = (slice(None),),
         copies: NDArray | None = None,
     ) -> RestLattice:
-        """Return the lattices of all bodies' integration points; bodies share no node.
+        """Return the lattices for the integration points of all bodies; bodies do not share nodes.
 
         Args:
             x: Positions of the points at rest [P,3], m; eight consecutive points form a cell.
@@ -94,7 +102,7 @@ class RestLattice:
             volume: Volumes of the points [P], m^3.
             dx: Side of a cell [m].
             spans: Points of each body, in order.
-            copies: Which copy of each of its 27 nodes a cell uses [C,27]; None: nodes have no
+            copies: Copy of each of the 27 nodes that a cell uses [C,27]; None: nodes have no
                 copies.
 
         Raises:
@@ -163,7 +171,7 @@ class RestLattice:
             len(nodes),
         )
         density = float(mass.sum() / volume.sum())
-        # A body of needles, or of thin sheets, has no node with the mass of one inside a body.
+        # A body of needles or thin sheets has no node that is as heavy as a node inside a body.
         whole = min(density * dx**3, of_nodes.max() / GIVING)
         corner = (np.bincount(number.ravel()) == 1) & (of_nodes < CORNER * whole)
         tied, ties, of_nodes = _tie_light(index, number, of_nodes, LIGHTEST * whole, corner)
@@ -171,7 +179,8 @@ class RestLattice:
         carried = ties.T @ _rows(tied, len(index))
         pushes = scipy.sparse.csr_matrix(carried + shares + shares @ carried)
         rows, source = number[:, ::3], np.arange(len(index))
-        # Cells may use only later copies of a node; the first that they use is its first copy.
+        # Cells may use only later copies of a node; the first copy that cells use becomes the
+        # node's first copy.
         copy = np.arange(len(nodes)) - np.searchsorted(nodes // room, nodes // room)
         if copy.any():
             layout = lay_out(index, copy, number)
@@ -206,7 +215,8 @@ class RestLattice:
 
     @property
     def sides(self) -> NDArray[np.int64]:
-        """Number of each cell's separate piece [C]; 0 for a cell whose nodes have no copies.
+        """Number of the separate piece to which each cell belongs [C]; 0 for a cell whose nodes
+        have no copies.
 
         Cells that use the same copy of a node belong to the same piece.
         """
@@ -225,10 +235,10 @@ class RestLattice:
         return sides
 
     def step_from(self, nodes: NDArray, step: NDArray) -> NDArray[np.int64]:
-        """Return the nodes at a step from each node; -1 where there is none [K].
+        """Return the nodes at a given step from each node [K]; -1 if there is no such node.
 
-        From a node with copies, or to such a node, the step leads to a node of the same piece: a
-        node that shares a cell with the first.
+        If the node or the node at the step has copies, the result is the copy of the same piece,
+        that is, a node that shares a cell with the first node.
 
         Args:
             nodes: Indices of nodes [K].
@@ -263,7 +273,8 @@ class RestLattice:
         return sum(int(np.ptp(index, axis=0).max()) - 1 for index in bodies)
 
     def respond(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the points' accelerations [P], m/s^2, under forces [P], N, along one direction.
+        """Return the accelerations of the points [P], m/s^2, under forces [P], N, along one
+        direction.
 
         Accelerations are computed in the cells on which forces act, and are 0 elsewhere.
         """
@@ -282,18 +293,20 @@ class RestLattice:
         return result
 
     def find(self, index: NDArray, body: NDArray | int = 0) -> NDArray[np.int64]:
-        """Return the indices of the nodes at these grid positions; -1 where there is no node.
+        """Return the indices of the nodes at the given grid positions; -1 where there is no node.
 
-        Of a node with copies, the first copy is returned.
+        If a node has copies, the first copy is returned.
 
         Args:
             index: Indices of nodes [...,3].
-            body: Indices of their bodies [...].
+            body: Indices of the bodies of these nodes [...].
         """
         low, size = self.index.min(axis=0), np.ptp(self.index, axis=0) + 1
         shape = (int(self.body[-1]) + 1, *size.tolist())
         keys: NDArray = np.asarray(np.ravel_multi_index((self.body, *(self.index - low).T), shape))
-        order = np.argsort(keys, kind="stable")  # The first copy of a node comes first.
+        order = np.argsort(
+            keys, kind="stable"
+        )  # The first copy of a node precedes the other copies.
         keys = keys[order]
         inside = ((index >= low) & (index < low + size)).all(axis=-1)
         at = np.clip(index - low, 0, size - 1)
@@ -304,7 +317,7 @@ class RestLattice:
 
 
 def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
-    """Return which copies of nodes the cells of a body use; None if nodes have no copies.
+    """Return the copies of nodes that the cells of a body use; None if nodes have no copies.
 
     Args:
         copies: Copies of all bodies [C,27].
@@ -318,7 +331,9 @@ def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
 
 
 def splines(offset: NDArray) -> NDArray[np.float64]:
-    """Return the quadratic B-spline weights of three nodes [...,3] for offsets from the first."""
+    """Return the quadratic B-spline weights of three nodes [...,3] for offsets from the first
+    node.
+    """
     parts = [0.5 * (1.5 - offset) ** 2, 0.75 - (offset - 1) ** 2, 0.5 * (offset - 0.5) ** 2]
     return np.stack(parts, axis=-1)
 
@@ -337,7 +352,8 @@ def _tie_light(
     least: float,
     corner: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, NDArray[np.float64]]:
-    """Return tied nodes, the nodes that carry them, and all masses; a tied node's mass is 0.
+    """Return the tied nodes, the weights of the nodes that carry them, and the masses of all nodes,
+    which are 0 for tied nodes.
 
     Args:
         index: Indices of the nodes [N,3].
@@ -347,7 +363,7 @@ def _tie_light(
         corner: Whether a node is tied in any case [N].
     """
     candidates, light = mass, corner
-    # Weights of ties can be negative: nodes that would be left without mass are tied, too.
+    # Weights of ties can be negative, so nodes that would be left without mass are tied, too.
     while True:
         candidates = np.where(light, 0, candidates)
         tied, ties = _tie(index, cells, candidates, least, least)
@@ -366,10 +382,12 @@ def _share(
     least: float,
     giving: float,
 ) -> tuple[NDArray[np.float64], scipy.sparse.csr_matrix]:
-    """Return the masses after mass was moved from heavy nodes to nodes lighter than `least` [kg].
+    """Return the masses after mass has been moved from heavy nodes to nodes lighter than `least`
+    [kg].
 
     The total mass and its centre are preserved. No node loses more than half of its mass. The
-    matrix [N,N] moves forces with the mass: the moved mass has the light node's acceleration.
+    matrix [N,N] moves forces with the mass, since the moved mass has the acceleration of the light
+    node.
     """
     light, weights = _tie(index, cells, mass, least, giving)
     light, weights = light[mass[light] > 0], weights[mass[light] > 0]
@@ -403,9 +421,9 @@ def _tie(
     """Return the nodes lighter than `least` [kg], and the weights that extrapolate them.
 
     The weights reproduce every linear function that is determined by the nearby nodes with a mass
-    of at least `giving` [kg]. Nodes that share a cell with the light node are preferred: others may
-    belong to another part of the body, such as a leaf near a stem, to which the light node would
-    be glued. A light node that has no such node nearby is not tied.
+    of at least `giving` [kg]. Nodes that share a cell with the light node are preferred. Other
+    nodes may belong to another part of the body, such as a leaf near a stem, and the light node
+    would be glued to this part. A light node that has no such heavy node nearby is not tied.
     """
     count = len(index)
     light, heavy = np.flatnonzero(mass < least), np.flatnonzero(mass >= giving)
@@ -414,7 +432,9 @@ def _tie(
     donors, distance = _nearest_in_cells(index, cells, light, heavy)
     weight, complete = _extrapolate(index, light, donors, distance)
     alone = np.flatnonzero(~complete)
-    if len(alone) and len(np.unique(index, axis=0)) < count:  # The nearest may be of another piece.
+    if (
+        len(alone) and len(np.unique(index, axis=0)) < count
+    ):  # The nearest node may belong to another piece.
         donors[alone], away = _nearest_in_cells(index, cells, light[alone], heavy, chained=True)
         weight[alone], _ = _extrapolate(index, light[alone], donors[alone], away)
     elif len(alone):
@@ -437,17 +457,19 @@ def _nearest_in_cells(
     *,
     chained: bool = False,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the heavy nodes that share a cell with each node, the nearest first.
+    """Return the heavy nodes that share a cell with each of some nodes, sorted by distance.
 
     Args:
         index: Indices of the nodes [N,3].
         cells: The nodes of each cell [C,27].
         some: The nodes whose neighbours are returned [T].
         heavy: The nodes that may be returned [H].
-        chained: Whether nodes also count that share a cell with a node of a node's cells.
+        chained: Whether to include neighbours of neighbours: nodes that share a cell with a node in
+            one of the node's cells.
 
     Returns:
-        The neighbours [T,`DONORS`] and their distances [cells], infinite where there is none.
+        The neighbours [T,`DONORS`] and their distances [cells], which are infinite where there is
+        no neighbour.
     """
     of_cells = np.repeat(np.arange(len(cells)), cells.shape[1])
     entries = (np.ones(cells.size, np.float32), (cells.ravel(), of_cells))
@@ -476,8 +498,8 @@ def _extrapolate(
     Args:
         index: Indices of the nodes [N,3].
         light: The nodes that are extrapolated [T].
-        donors: The nodes from which each is extrapolated [T,K].
-        distance: Their distances [T,K], cells; infinite where there is no donor.
+        donors: The nodes from which each light node is extrapolated [T,K].
+        distance: Distances of the donors [T,K], cells; infinite where there is no donor.
     """
     arm = (index[donors] - index[light][:, None]).astype(np.float64)
     basis = np.concatenate([np.ones((*arm.shape[:2], 1)), arm], axis=2)

@@ -1,10 +1,11 @@
-"""Fast compression: an artificial viscosity, and the shorter substeps that it needs.
+"""Handles fast compression by an artificial viscosity, and by the shorter substeps that this
+viscosity needs.
 
 An impact near the speed of sound would squeeze the first layer of points flat before the stress of
 the next layer stops it. The viscosity (phy124/kernels/lattice/stress.py, `make_shock`) spreads such
 a shock over a few cells. The viscosity acts while opposite sides of a cell approach each other fast
-(`largest_calm_rate`). The rate of compression alone does not show a shock: where a crease squeezes
-a few points flat, slow motions have a high rate.
+(`largest_calm_rate`). The rate of compression alone does not indicate a shock, because slow motions
+have a high rate where a crease squeezes a few points flat.
 """
 
 from __future__ import annotations
@@ -20,29 +21,31 @@ from phy124.mpm.timestep import Extremes, Substep, decay
 
 FAST = 0.25
 """Closing rate above which the artificial viscosity acts, relative to c / dx. If an undamped block
-is pressed to a fifth, points enter walls by up to 0.36 cells; with 0.6, by up to 0.66 cells.
+is pressed to a fifth of its height, points enter walls by up to 0.36 cells; with a value of 0.6,
+they would enter by up to 0.66 cells.
 """
 LEAST = 0.1
 """Largest compression in a substep while the artificial viscosity acts. The viscosity grows with
-the rate, so it is stable up to a fixed compression. With 0.2, cells invert in impacts at ten times
-the speed of sound.
+the rate, so it is stable up to a fixed compression. With a value of 0.2, cells would invert in
+impacts at ten times the speed of sound.
 """
 IMPACT = 0.3
-"""A point that moves farther than this in a substep may be squeezed too much at a wall [cells]."""
+"""Distance that a point moves in a substep [cells] above which a wall may squeeze the point too
+much.
+"""
 UNSEEN = 0.6
-"""Longest way of a point since the velocities that were last measured [cells]: at a wall, short
-substeps together squeeze it as much as a long one.
+"""Longest distance that a point may move after its velocity was last measured [cells]. At a wall,
+several short substeps together squeeze the point as much as a long substep.
 """
 COLLAPSED = 1e-6
-"""The motion is no longer sound if substeps are shorter than this fraction of the undeformed body's
-substep.
+"""Fraction of the undeformed body's substep; the motion is no longer sound if substeps are shorter.
 """
 STALLED = 1000
 """Number of substeps that must together last at least as long as one substep of the undeformed
 body.
 """
 KEPT = ("closing", "lasting", "seen")
-"""Further numbers of the clock's state."""
+"""Names of further numbers in the clock's state."""
 
 
 class LatticeClock(Clock):
@@ -53,13 +56,13 @@ class LatticeClock(Clock):
     shocked = 0
     """Number of substeps with artificial viscosity."""
     closing = lasting = 0.0
-    """Largest closing rate in the last measurement, and largest recent one, which decays slowly
-    [1/s].
+    """Largest closing rate in the last measurement, and largest recent closing rate, which decays
+    slowly [1/s].
     """
     seen = 0.0
     """Time at which all points had the velocities that were last measured [s]."""
     _marked = (0, 0.0)
-    """Number of substeps and time [s] at which the progress was last examined."""
+    """Number of substeps, and time [s], when the progress was last examined."""
 
     @property
     def _rate(self) -> float:
@@ -76,7 +79,7 @@ class LatticeClock(Clock):
         return max(self.closing, self.lasting) > self.calm
 
     def limit_by(self, extremes: Extremes, *, complete: bool, acceleration: float = 0.0) -> None:
-        """Use measured values as limits, as in `Clock`; `closing` has already been set."""
+        """Use measured values as limits, as in `Clock`; `closing` must already be set."""
         self.lasting = max(self.closing, decay(self.lasting, self.since_measured))
         super().limit_by(extremes, complete=complete, acceleration=acceleration)
 
@@ -88,7 +91,7 @@ class LatticeClock(Clock):
         return limit
 
     def may_crush(self, speed: float, drift: float) -> bool:
-        """Return whether a substep needs a measurement before anything moves.
+        """Return whether the motion must be measured before a substep moves any point.
 
         Args:
             speed: Largest speed relative to a wall [m/s].
@@ -124,8 +127,8 @@ class LatticeClock(Clock):
 def largest_calm_rate(materials: Sequence[Material], dx: float) -> float:
     """Return the closing rate above which the artificial viscosity acts [1/s].
 
-    Up to the rate eta / (rho dx^2) the pressure of the material's own damping eta is larger than
-    that of the artificial viscosity.
+    Up to the rate eta / (rho dx^2), the pressure due to the damping eta of the material is larger
+    than the pressure due to the artificial viscosity.
 
     Args:
         materials: The materials of all bodies.

@@ -1,7 +1,7 @@
-"""Solids: free rigid solids that exchange impulses with the surface points of bodies.
+"""Solids: rigid solids that move freely and exchange impulses with the surface points of bodies.
 
-Contact of each solid with each body is computed. Each impulse acts on the solid and on the body, so
-that momentum is conserved.
+The contact of each solid with each body is computed. Each impulse acts on the solid and, with the
+opposite sign, on the body, so that momentum is conserved.
 """
 
 from __future__ import annotations
@@ -31,13 +31,15 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 
 DEEPEST = 0.5
-"""Depth in a box [cells], measured along a point's normal, up to which this normal is used."""
+"""Depth of a point in a box [cells], measured along the point's normal, up to which this normal is
+used for contact.
+"""
 LISTED = 1.0
 """Margin added to the contact distance when points near a solid are listed [cells]."""
 
 
 class Solids(FreeBodies):
-    """All free rigid solids of a run on the lattice."""
+    """All rigid solids that move freely in a run on lattices."""
 
     def __init__(
         self, model: Model, solids: Sequence[FreeBody], surface: Surface, nodes: Nodes
@@ -55,14 +57,16 @@ class Solids(FreeBodies):
         """
         self._nodes, self._surface = nodes, surface
         self.work: ContactWork | None = None
-        """Records launches that sum the work of contact; None: it is not summed."""
+        """Records launches that sum the work of contact; None if the work is not summed."""
         shape = len(solids), model.bodies, SUMS
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
-        """Sums of the impulses of each solid on each body, like those of walls [F,bodies,16]."""
+        """Sums of the impulses of each solid on each body [F,bodies,16], in the same layout as
+        those of walls.
+        """
         self._impulses: list[wp.array] = []
         super().__init__(model, solids)
         self.recovery = 0.0
-        """Speed at which points come out of a solid, per depth [1/s]."""
+        """Speed at which points inside a solid move out, per unit depth [1/s]."""
         self._points = [
             wp.array(surface.nodes, dtype=int, device=model.device),
             model.array(surface.weights, model.real),
@@ -73,7 +77,7 @@ class Solids(FreeBodies):
         """Distance within which points touch solids until the next measurement [m]."""
 
     def _total(self) -> NDArray[np.float64]:
-        """Return each solid's sums of impulse and work on each body [F,bodies,EXCHANGE]."""
+        """Return the sums of impulse and work of each solid on each body [F,bodies,EXCHANGE]."""
         sums = np.asarray(self._sums.numpy(), np.float64)
         moment, rest = sums[..., MOMENT : MOMENT + 3], sums[..., IMPULSE + 3 : EXCHANGE]
         return np.concatenate([sums[..., :3], moment, rest], axis=-1)
@@ -96,7 +100,7 @@ class Solids(FreeBodies):
 
         Args:
             tracks: The tracks, which hold the clock.
-            recovery: Gain by which points come out of a solid [1/s].
+            recovery: Gain of the speed at which points inside a solid move out [1/s].
         """
         self.recovery, forces, sides = recovery, self._forces(), self._sides()
         self._touches = [
@@ -111,7 +115,8 @@ class Solids(FreeBodies):
         """Return the launches of a substep that apply impulses, correct them and sum them.
 
         Args:
-            passed: Passes impulses on held nodes on to clamps; None without clamps.
+            passed: Records launches that transfer impulses on held nodes to clamps; None if there
+                are no clamps.
         """
         model, tracks = self._model, getattr(self, "_tracks", None)
         if tracks is None:
@@ -148,7 +153,7 @@ class Solids(FreeBodies):
             touch.list_near(self._reach_points, LISTED * self._model.dx)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which to continue; empty if there are no solids."""
+        """Return the state from which the run can continue; it is empty if there are no solids."""
         if not self.all:
             return {}
         return {
@@ -188,7 +193,9 @@ class Solids(FreeBodies):
         return {str(i): touch.side.numpy().copy() for i, touch in enumerate(self._touches)}
 
     def _put_sides(self, sides: dict[str, NDArray]) -> None:
-        """Set the normals of flat points; they are updated only when limits are measured."""
+        """Set the normals at points on flat parts of the surface; they are updated only when limits
+        are measured.
+        """
         for number, touch in enumerate(self._touches):
             if str(number) in sides:
                 touch.side.assign(sides[str(number)])
@@ -223,7 +230,7 @@ class _Touch:
             [self._gaps],
         )
         self.side = wp.zeros_like(self.force)
-        """Normals of flat points that are near a box [S,3]."""
+        """Normals at points that are near a box and on flat parts of the surface [S,3]."""
         deepest = DEEPEST * model.dx
         inputs = [self._list, 0, 0.0, deepest, shape, solid.mass, moments, *points, self.side]
         inputs += [nodes.movable, nodes.u, tracks.clock, state]
@@ -241,7 +248,7 @@ class _Touch:
         self._launches.append(cast("wp.Launch", launch))
 
     def stage(self, number: int) -> Callable[[], None]:
-        """Return a stage of the substep: apply impulses, correct them, or sum them."""
+        """Return a stage of the substep, which applies impulses, corrects them, or sums them."""
 
         def act() -> None:
             if len(self._near):
@@ -259,7 +266,7 @@ class _Touch:
         """Add launches to the last stage; pass None to add none.
 
         Args:
-            work: Sums the work of the impulses by cause.
+            work: Records launches that sum the work of the impulses for each cause.
             passed: Passes impulses on held nodes on to clamps.
         """
         points = self._solids._points[0], self._solids._points[1]
@@ -293,7 +300,7 @@ class _Touch:
         account.set_dim(max(1, len(near)))
 
     def _turn(self, points: NDArray[np.int64]) -> None:
-        """Update the normals of flat points."""
+        """Update the normals at points on flat parts of the surface."""
         surface = self._solids._surface
         points = points[surface.flat[points]]
         side = np.zeros((surface.count, 3))
@@ -302,7 +309,7 @@ class _Touch:
 
 
 def kernels_of(shapes: Iterable[str], real: Any, device: str) -> Iterator[Any]:
-    """Yield the kernels of contact with free solids of the given shapes."""
+    """Yield the kernels for contact with freely moving solids of the given shapes."""
     distinct, rows = list(dict.fromkeys(shapes)), rows_for(real, device)
     if not distinct:
         return

@@ -43,21 +43,21 @@ from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_launches, run_time
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN, WAY = 0.25, 0.25
-"""`STRAIN`: largest strain between two measurements of the frequency. `WAY`: largest displacement
-of a point [cells] between two measurements of its distance from walls.
+"""`STRAIN`: largest strain between two measurements of the largest frequency. `WAY`: largest
+displacement of a point [cells] between two measurements of the point's distance from walls.
 """
 TRAVEL = 3.0
-"""Points may approach walls by this much before all distances are measured again [cells]."""
+"""Distance by which points may approach walls before all distances are measured again [cells]."""
 VIOLENT = 0.35
-"""Rate of strain times substep, above which the limits are measured before every substep."""
+"""Strain rate times substep length above which the limits are measured before every substep."""
 FORGET = 4
-"""An earlier frequency decays this many times as fast as in the default solver, because the fastest
-vibration belongs to a few points that are squeezed for a short time.
+"""Factor by which the influence of an earlier frequency decays faster than in the default solver,
+because the fastest vibration belongs to a few points that are squeezed for a short time.
 """
 KEPT = ("u", "residue", "v", "lagging")
-"""Arrays of the nodes that have a state."""
+"""Names of the node arrays that belong to the state."""
 PARTS = ("walls", "meetings", "pairs", "free", "clock", "spectrum")
-"""Parts of the solver that have a state, in the order in which they are restored."""
+"""Names of the solver's parts that have a state, in the order in which they are restored."""
 
 
 class LatticeSolver:
@@ -91,13 +91,14 @@ class LatticeSolver:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that are updated in every substep.
-            planes: Flat walls with which free solids collide.
+            planes: Flat walls with which freely moving solids collide.
             pairs: Pairs of bodies whose contact differs from the default.
             free: Rigid solids that move freely.
-            copies: Which copy of each of its 27 nodes a cell uses [C,27]; None: no node has copies.
+            copies: Copy of each of the 27 nodes that a cell uses [C,27]; None: no node has copies.
             ceiling: Longest substep allowed [s].
-            threads: Number of CPU threads; None: chosen by the number of free cores and of points.
-            vectors: Whether to use the vector units of a CPU where there are kernels for them.
+            threads: Number of CPU threads; None: chosen according to the numbers of free cores and
+                of points.
+            vectors: Whether to use the vector instructions of a CPU where vectorised kernels exist.
 
         Raises:
             InputError: The region of a force holds no particle, or a clamp holds only some
@@ -108,7 +109,8 @@ class LatticeSolver:
         self.clock.calm = largest_calm_rate(model.materials, model.dx)
         # Viscosity is part of the measured stiffness.
         self.clock.viscous = math.inf
-        # Since the frequency is measured, `accuracy.cfl` is the fraction of its limiting square.
+        # Since the frequency is measured, `accuracy.cfl` is a fraction of the largest stable
+        # squared frequency.
         self.clock.cfl = math.sqrt(model.cfl)
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         spans = [model.particles(body) for body in range(model.bodies)]
@@ -124,13 +126,13 @@ class LatticeSolver:
         self.grid.size = np.ptp(self.lattice.index, axis=0) + 1
         self.pairs = Pairs(model, pairs, 1)
         self.free = Solids(model, free, self.surface, self.nodes_state)
-        # Bodies on their lattices need none of these; observers and reports read them.
+        # Bodies on lattices do not use these attributes; observers and reports read them.
         self.repair = Repair(model, self.state, needed=False)
         self.outliers = Outliers(model, self.state)
         self.guests: list[Any] = []
-        """Further contact, with launches like those of walls."""
+        """Further kinds of contact, with launches like those of walls."""
         self.softened = 1.0
-        """Factor by which all stiffnesses are currently scaled."""
+        """Factor by which the stiffness of all materials is currently multiplied."""
         nodes, lattice, complete = self.nodes_state, self.lattice, self.runner.complete
         with self.runner.on_threads():
             self.spectrum = Spectrum(model, self.crew, nodes, lattice, lambda: complete(TRIAL))
@@ -140,10 +142,12 @@ class LatticeSolver:
         self._probing = False
         """Whether the next substep measures the largest frequency."""
         self._strain, self._probed = math.inf, 0
-        """Bound of the strain since the frequency was measured, and the substep of measurement."""
+        """Upper bound of the strain since the frequency was measured, and the substep in which it
+        was measured.
+        """
         self._travel, self._measured = 0.0, 0.0
-        """Bound of any point's or wall's displacement since points near walls were listed [m], and
-        the time of the last measurement [s].
+        """Upper bound of the displacement of points and walls since points near walls were listed
+        [m], and the time of the last measurement [s].
         """
         self.bind(forces, boundaries, accumulators, planes)
 
@@ -163,7 +167,7 @@ class LatticeSolver:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that are updated in every substep.
-            planes: Flat walls with which free solids collide.
+            planes: Flat walls with which freely moving solids collide.
 
         Raises:
             InputError: The region of a force holds no particle, or a clamp holds only some
@@ -193,7 +197,9 @@ class LatticeSolver:
         self._measured = measured
 
     def keep_pushes(self, sums: wp.array) -> None:
-        """Add impulse and work of forces on points to a row of sums per worker, from now on."""
+        """From now on, add the impulse and the work of forces on points to a row of sums for each
+        worker.
+        """
         self.energies.pushes = sums
         self.record()
 
@@ -219,7 +225,9 @@ class LatticeSolver:
         """Index of the phase after which the forces on all nodes are known."""
 
     def _contact(self) -> list[Named]:
-        """Return the launches of all contact; they apply all impulses before they correct any."""
+        """Return the launches of all kinds of contact, which apply all impulses before they correct
+        any impulse.
+        """
         passed, parts = self.walls.passed_on(), (self.walls, self.meetings, self.free, *self.guests)
         everything = [part.stages(passed) for part in parts]
         return [
@@ -227,8 +235,8 @@ class LatticeSolver:
         ]
 
     def _push(self, worker: int) -> list[Any]:
-        """Return a worker's launches of forces on points; the first worker runs all of them if one
-        cannot be divided.
+        """Return the launches with which a worker applies forces on points; the first worker runs
+        all of them if one cannot be divided.
         """
 
         def record(stages: Sequence[Stage]) -> list[Any]:
@@ -246,12 +254,12 @@ class LatticeSolver:
 
     @property
     def boundaries(self) -> Sequence[Stage]:
-        """Stages of boundaries on a grid: none, because walls act on surface points."""
+        """Stages of boundaries on a grid; there are none, because walls act on surface points."""
         return ()
 
     @property
     def timings(self) -> Timings:
-        """Seconds and launches of each stage, in the first thread."""
+        """Seconds and number of launches of each stage in the first thread."""
         return self.workers[0].timings
 
     def advance(
@@ -287,10 +295,12 @@ class LatticeSolver:
     def carry_nodes(
         self, carry: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]], body: int = 0
     ) -> None:
-        """Set positions and velocities of a body's nodes, and reset the forces of walls to zero.
+        """Set the positions and velocities of a body's nodes, and reset the forces of walls to
+        zero.
 
         Args:
-            carry: Returns new positions and velocities [N,3] of the nodes from the present ones.
+            carry: Function that computes new positions and velocities [N,3] of the nodes from the
+                present values.
             body: Index of the body.
         """
         nodes, rest, mine = self.nodes_state, self.lattice.x, self.lattice.body == body
@@ -320,12 +330,14 @@ class LatticeSolver:
         taken = self.step(kick, dt)
         if taken == rest:
             clock.time = until
-        # After a shortened substep velocities are less behind positions, or even ahead.
+        # After a shortened substep, velocities lag less behind positions, or are even ahead of
+        # them.
         clock.last_dt = dt if taken == dt else clock.last_dt + 2 * (taken - kick)
         clock.count(limit.limiter, needed=dt / limit.dt)
 
     def step(self, kick: float, drift: float) -> float:
-        """Take one substep: velocities change over `kick` [s], displacements over `drift` [s].
+        """Take one substep in which velocities change for the time `kick` [s] and displacements for
+        the time `drift` [s].
 
         Returns:
             The time over which displacements changed [s], which is shorter than `drift` if a point
@@ -339,25 +351,26 @@ class LatticeSolver:
         return drift
 
     def _shorten(self, drift: float) -> float:
-        """Return a time of at most `drift` [s] in which no point is squeezed too much."""
+        """Return a duration of at most `drift` [s] in which no point is squeezed too much."""
         self.runner.join()
         self.runner.complete(MEASURE)
-        # They are not reset: where the stress measures, the end of the substep reads them, too.
+        # The maxima are not reset: if the stress kernels measure, the end of the substep also reads
+        # them.
         speed, gradient, self.clock.closing = self.crew.maxima()
         self.clock.extremes = self.clock.extremes._replace(speed=speed, gradient=gradient)
         self.clock.seen = self.clock.time
         longest = STRAIN_PER_STEP / max(gradient, 1e-30)
-        # If the stress measures, it also sees what the next substeps do.
+        # If the stress kernels measure, they also measure the motion in the next substeps.
         if longest < drift or self.clock.in_shock or not self.crew.measuring:
             self.clock.expire()
         return min(drift, longest)
 
     def _fastest(self) -> float:
-        """Return the largest speed of a point, a wall or a free solid [m/s]."""
+        """Return the largest speed [m/s] of all points, walls and freely moving solids."""
         return max(self.clock.extremes.speed, self.rejection.wall, self.free.fastest())
 
     def start_step(self, kick: float, drift: float) -> None:
-        """Kick the nodes and apply contact, which is all of a substep except the drift."""
+        """Kick the nodes and apply the contact impulses: all of a substep except the drift."""
         self.measure_if_due()
         self.clock.begin(kick, drift)
         self.clock.shocked += self.clock.in_shock
@@ -369,7 +382,7 @@ class LatticeSolver:
                 self._measure_frequency()
 
     def end_step(self, drift: float) -> None:
-        """Move the nodes over `drift` [s]."""
+        """Move the nodes for the time `drift` [s]."""
         self.runner.run(len(self.workers[0].phases) - 1)
         self.runner.join()
         self.clock.finish(drift)
@@ -437,10 +450,10 @@ class LatticeSolver:
             self.clock.expire()
 
     def _refuse_collapse(self) -> None:
-        """Raise Unstable if a number is not finite, or substeps became too short.
+        """Raise Unstable if a number is not finite, or if substeps have become too short.
 
-        The next attempt then takes substeps of half the length at rest; with substeps as short as
-        now, it would never end.
+        The next attempt then takes substeps of half the length at rest; with the present short
+        substeps, the run would never end.
         """
         clock, lost = self.clock, int(self.crew.stray.numpy()[0])
         usual = min(self.substep_at_rest, clock.ceiling)
@@ -454,7 +467,9 @@ class LatticeSolver:
         raise Unstable(f"the body was squeezed so fast that {what}")
 
     def _measure_frequency(self) -> None:
-        """Measure the largest frequency; call this after forces are summed and before they act."""
+        """Measure the largest frequency; call this method after forces are summed and before they
+        act.
+        """
         self._probing, self._strain, self._probed = False, 0.0, self.clock.substeps
         self.runner.join()
         run_timed(self.timings, "frequency", self.spectrum.follow)
@@ -495,7 +510,7 @@ class LatticeSolver:
     def snapshot(self) -> dict[str, Any]:
         """Return the state that `restore` needs to continue bit for bit.
 
-        The points are left out, because their state follows from the nodes.
+        The points are not included, because their state is computed from the nodes.
         """
         nodes = self.nodes_state
         return {
@@ -515,7 +530,7 @@ class LatticeSolver:
         self._strain, self._probed = snapshot["probed"]
         self.crew.stray.zero_()
         self.crew.take_maxima()
-        # Distances from moving walls are those at the time of the snapshot.
+        # Distances from moving walls are the distances at the time of the snapshot.
         self.clock.begin(0.0, 0.0)
         self._sample.launch()
         self._look()

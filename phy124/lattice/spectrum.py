@@ -1,8 +1,8 @@
-"""Spectrum: the largest angular frequency of the body, which limits the substep.
+"""Spectrum: measures the largest angular frequency of the body, which limits the substep.
 
 At rest, the frequency is found by power iteration. In motion, one more iteration is made every few
 substeps, from the last shape and the current accelerations. The accelerations direct the iteration
-to material that has just been squeezed, or whose vibration begins to grow.
+to material that has just been squeezed, or that begins to vibrate more strongly.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ from phy124.mpm.model import Model
 
 ROUNDS, DAMPED, TRIAL = 60, 8, 1e-3
 """`ROUNDS`: power iterations for the largest frequency at rest. `DAMPED`: further iterations for
-the largest rate of damping. These start from the shape of the fastest vibration; if materials
-differ, additional ones start from an arbitrary shape. `TRIAL`: size of trial displacements [cells].
+the largest rate of damping. These iterations start from the shape of the fastest vibration; if
+materials differ, additional iterations start from an arbitrary shape. `TRIAL`: size of trial
+displacements [cells].
 """
 FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
 """A measurement takes one iteration, but takes `FOLLOWED` iterations if the squared frequency
@@ -34,9 +35,11 @@ below `UNDAMPED`. The fastest vibration then moves through the body faster than 
 can follow, and without viscosity it grows.
 """
 MIXED = 0.1
-"""An iteration starts from the last shape plus the accelerations, scaled to this relative size."""
+"""Size of the accelerations, relative to the last shape, that are added to the shape at the start
+of an iteration.
+"""
 MISSED = 1.1
-"""Factor on squared frequencies, which the iterations underestimate."""
+"""Factor by which squared frequencies are multiplied, because the iterations underestimate them."""
 
 
 class Spectrum:
@@ -50,7 +53,7 @@ class Spectrum:
         lattice: RestLattice,
         run_trials: Callable[[], None],
     ) -> None:
-        """Measure the body at rest.
+        """Measure the largest frequency of the body at rest.
 
         Args:
             model: The constants of the run.
@@ -73,7 +76,9 @@ class Spectrum:
         crew.accelerate(trial=True)
         crew.a.assign(crew.trial_a)
         self._least = MISSED * self._iterate(0.0, ROUNDS)
-        if self._least == 0:  # All bodies are held, so no node moves; as in unbounded material.
+        if (
+            self._least == 0
+        ):  # All bodies are held, so no node moves; use the value for unbounded material.
             fastest = max(section.sound_speed() for section in model.materials)
             self._least = (2 * fastest / model.dx) ** 2
         self._delay = 0.0
@@ -92,13 +97,14 @@ class Spectrum:
         self.square = self._least
         """Square of the largest angular frequency, as last measured [1/s^2]."""
         self._stiffened = 1.0
-        """Ratio of all stiffnesses to those at the start, at least 1."""
+        """Ratio of the stiffness of all materials to the initial stiffness, at least 1."""
 
     def stiffen(self, factor: float) -> float:
-        """Set the factor that multiplies the initial stiffnesses; return `stiffness`.
+        """Set the factor by which the initial stiffness of all materials is multiplied, and return
+        `stiffness`.
 
         A larger factor shortens substeps at once, because the frequency is measured only after a
-        substep. A factor below 1 is ignored: substeps at rest are then shorter than necessary.
+        substep. A factor below 1 is ignored, so substeps at rest are then shorter than necessary.
         """
         stiffened = max(1.0, factor)
         ratio, self._stiffened = stiffened / self._stiffened, stiffened
@@ -124,7 +130,9 @@ class Spectrum:
         return 2 / math.sqrt(self._least) / _shorten(z)
 
     def follow(self) -> None:
-        """Measure the current state; the forces of all points must have been summed."""
+        """Measure the largest frequency in the current state; the forces of all points must already
+        be summed.
+        """
         self._crew.accelerate()
         largest = float(np.abs(self._crew.a.numpy()).max())
         share = MIXED / largest if largest > 0 else 0.0
@@ -140,14 +148,16 @@ class Spectrum:
         small motions of all nodes.
 
         Args:
-            share: Factor of the accelerations that the shape gets.
+            share: Factor with which the accelerations are added to the shape.
             rounds: Number of iterations.
             velocities: Velocities of the nodes, which are changed instead of the displacements, so
                 that the result is the largest rate of damping [1/s]; None: the displacements.
         """
         square, peak = 0.0, self._peak()
         for _ in range(rounds):
-            if not peak > 0:  # The trial vanished in rounding: a needle has no other motion.
+            if (
+                not peak > 0
+            ):  # The trial motion vanished in rounding errors, as in a needle, which has no other motion.
                 return square
             for index, value in enumerate((1 / peak, share, self._size)):
                 self._try.set_param_at_index(index, value)
@@ -182,7 +192,7 @@ class Spectrum:
 
 
 def _shorten(z: float) -> float:
-    """Return how many times shorter stable substeps are because of a damping ratio z.
+    """Return the factor by which a damping ratio z shortens stable substeps.
 
     Viscosity acts on delayed velocities (`RECENT`), so that only half of it damps the vibration
     that limits the substep.

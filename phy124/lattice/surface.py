@@ -1,12 +1,12 @@
 """Finds a body's surface points, with the nodes and weights by which contact acts on them.
 
-A surface point takes the weights of a position a quarter of a cell inside the body, without the
-tied nodes. The weights are then corrected so that they reproduce every linear function at the
-point. The true weights at the surface depend mostly on the lightest nodes, which would vibrate.
+The weights of a surface point are computed at a position a quarter of a cell inside the body,
+ignoring the tied nodes. They are then corrected so that they reproduce every linear function at the
+point. The exact weights at the surface would act mostly on the lightest nodes, which would vibrate.
 
-Points are sorted by eight colours: neighbouring points of a colour are about a cell apart. In the
-order of colours, the error after a pass of Gauss-Seidel is a tenth of the error after a pass from
-row to row.
+Points are sorted by eight colours; points of the same colour are at least about one cell apart. In
+the order of colours, the error after a pass of Gauss-Seidel is a tenth of the error after a pass
+from row to row.
 """
 
 from __future__ import annotations
@@ -25,23 +25,27 @@ from phy124.particles.lattice import APART, PER_CELL
 INSIDE = 0.25
 """Depth below the surface at which a point's weights are computed [cells]."""
 SUPPORTED = 0.5
-"""Smallest sum of a point's weights on free nodes; points with a smaller sum are dropped."""
+"""Smallest allowed sum of a point's weights on nodes that are not tied; points with a smaller sum
+are removed.
+"""
 FLAT = 0.9
-"""A point is at an edge if the mean of the normals within a cell is shorter than this."""
+"""Length of the mean of the normals within a cell of a point below which the point counts as lying
+at an edge.
+"""
 SHARP, CLOSEST = 0.6, 24
-"""`SHARP`: a part is a tip, a hair or a sheet if the mean of the normals within a cell is shorter
-than this. `CLOSEST`: largest number of normals in such a mean.
+"""`SHARP`: length of the mean of the normals within a cell below which a part counts as a tip, a
+hair or a sheet. `CLOSEST`: largest number of normals in such a mean.
 """
 
 REGULAR = 1e-5
-"""Smallest ratio of the determinant of second moments to the cube of their trace for which they are
-inverted by cofactors.
+"""Smallest ratio of the determinant of a matrix of second moments to the cube of its trace for
+which the matrix is inverted by cofactors.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Points at which the body touches walls, and their weights."""
+    """Points at which the body can touch walls, and the weights of these points."""
 
     x: NDArray[np.float64]
     """Positions at rest [S,3], m."""
@@ -50,8 +54,8 @@ class Surface:
     body: NDArray[np.int64]
     """Index of the body of each point [S]."""
     side: NDArray[np.int64]
-    """Number of the separate piece of each point [S]; 0 where no node has copies. Points with two
-    different numbers above 0 belong to different pieces.
+    """Number of the separate piece to which each point belongs [S]; 0 where no node has copies.
+    Points with two different numbers above 0 belong to different pieces.
     """
     nodes: NDArray[np.int32]
     """Nodes of each point [S,27]: nine groups of three nodes that are consecutive in memory."""
@@ -93,12 +97,12 @@ class Surface:
 
     @cached_property
     def flat(self) -> NDArray[np.bool_]:
-        """Whether each point's normal agrees with those of its neighbours, as it does away from
-        edges and tips [S].
+        """Whether the normal at each point agrees with the normals at its neighbours, as on flat
+        parts of the surface [S].
         """
         near = KDTree(self.x).query_pairs(self.dx, output_type="ndarray")
         a, b = np.concatenate([near, near[:, ::-1]]).T
-        # The other side of a thin part does not count.
+        # Points on the other side of a thin part are ignored.
         same = (self.body[a] == self.body[b]) & ((self.normal[a] * self.normal[b]).sum(1) > OTHER)
         a, b = a[same], b[same]
         near_sum = [np.bincount(a, n, self.count) for n in self.normal[b].T]
@@ -108,7 +112,7 @@ class Surface:
 
 
 def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
-    """Return the surface points that the lattice supports.
+    """Return the surface points that have enough weight on the nodes of the lattice.
 
     Args:
         points: Positions [m], outward normals and indices of bodies [S,7].
@@ -151,11 +155,11 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
 def _nearest_pieces(
     at: NDArray[np.float64], body: NDArray[np.int64], lattice: RestLattice
 ) -> NDArray[np.int64]:
-    """Return the cells with the integration points that are nearest to some positions [K].
+    """Return the cells whose integration points are nearest to the given positions [K].
 
     Args:
         at: Positions [K,3], cells.
-        body: Indices of their bodies [K].
+        body: Indices of the bodies at these positions [K].
         lattice: The lattices at rest.
     """
     nearest = np.zeros(len(at), np.int64)
@@ -170,12 +174,12 @@ def _nearest_pieces(
 def _within_rows(nodes: NDArray[np.int64], weights: NDArray) -> NDArray[np.float64]:
     """Return weights [S,27] that are 0 in every group except at three consecutive nodes.
 
-    The nodes with the largest sum of weights remain. In a group, a copy of a node may be far in
-    memory from a node without copies.
+    The three nodes with the largest sum of weights keep their weights. In a group, a copy of a node
+    may be far in memory from a node without copies.
 
     Args:
         nodes: Nodes of the points [S,27].
-        weights: Their weights [S,27].
+        weights: Weights of these nodes [S,27].
     """
     nodes, weights = nodes.reshape(-1, 1, 3), weights.reshape(-1, 1, 3)
     start = np.swapaxes(nodes, 1, 2)
@@ -188,8 +192,8 @@ def _within_rows(nodes: NDArray[np.int64], weights: NDArray) -> NDArray[np.float
 def _points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.float64]:
     """Return the integration points in sharp parts as surface points without a normal [K,7].
 
-    A tip smaller than a cell can turn into a wall although its surface points are outside: the tip
-    moves with tied nodes, which the weights of surface points leave out.
+    A tip smaller than a cell can rotate into a wall although its surface points stay outside,
+    because the tip moves with tied nodes, which the weights of surface points ignore.
 
     Args:
         points: Positions [m], outward normals and indices of bodies [S,7].
@@ -222,7 +226,7 @@ def _consecutive(
 
     Args:
         nodes: Nodes of the points [S,27].
-        weights: Their weights, 0 for nodes that do not exist [S,27].
+        weights: Weights of these nodes [S,27], 0 for nodes that do not exist.
         count: Number of all nodes.
     """
     nodes, weights = nodes.reshape(-1, 3), weights.reshape(-1, 3)
@@ -236,10 +240,12 @@ def _consecutive(
 
 
 def _inverses(moments: NDArray) -> NDArray[np.float64]:
-    """Return the inverses of second moments [K,3,3]; the pseudoinverses of singular ones."""
+    """Return the inverses of matrices of second moments [K,3,3]; for singular matrices, the
+    pseudoinverses.
+    """
     turned = _cofactors(moments)
     det = (moments[:, 0] * turned[:, 0]).sum(axis=1)
-    # The ratio of the least to the largest eigenvalue is at least det / trace^3.
+    # The ratio of the smallest to the largest eigenvalue is at least det / trace^3.
     flat = ~(det > REGULAR * np.trace(moments, axis1=1, axis2=2) ** 3)
     inverses: NDArray[np.float64] = turned / np.where(flat, 1.0, det)[:, None, None]
     if flat.any():

@@ -1,6 +1,6 @@
-"""Records the launches of walls and clamps on a lattice, which also sum impulse and work.
+"""Records the launches of walls and clamps on a lattice, which also sum the impulse and the work.
 
-Walls act on surface points, clamps on nodes (phy124/lattice/clamps.py).
+Walls act on surface points, and clamps act on nodes (phy124/lattice/clamps.py).
 """
 
 from __future__ import annotations
@@ -44,21 +44,23 @@ from phy124.mpm.tracks import Tracks
 REACH = 0.6
 """Largest distance from a wall within which contact is computed [cells]."""
 AHEAD, CLOSE = 2.0, 0.1
-"""Contact is computed within `AHEAD` times a substep's displacement plus `CLOSE` [cells]."""
+"""Contact is computed within a distance of `AHEAD` times the displacement in a substep plus `CLOSE`
+[cells].
+"""
 STEP = 0.5
-"""The distance up to which points are listed grows in steps of this size [cells]."""
+"""Size of the steps in which the distance up to which points are listed grows [cells]."""
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
-"""Gain by which points come out of a wall, in units of (pi / 2 H)^2 / dt, for a body of H cells and
-substeps dt at rest. The slowest angular frequency of a body that stands on the wall is pi c / 2 H.
-Bodies that a wall holds also rock and shear, more slowly.
+"""Gain of the speed at which points inside a wall move out, in units of (pi / 2 H)^2 / dt, for a
+body of H cells and substeps dt at rest. The slowest angular frequency of a body that stands on the
+wall is pi c / 2 H. Bodies that a wall holds also rock and shear, at lower frequencies.
 """
 
 
 class Boundary(Protocol):
-    """The members of a boundary (phy124.boundaries) that the lattice's contact reads."""
+    """The members of a boundary (phy124.boundaries) that the contact on lattices reads."""
 
     holds: ClassVar[bool]
-    """Whether the boundary holds material in place instead of blocking its way."""
+    """Whether the boundary holds material in place instead of only blocking it."""
 
     def parts(self) -> list[Any]:
         """Return the simple walls of which the boundary consists."""
@@ -92,7 +94,7 @@ class Nodes:
 
 
 class Walls:
-    """All walls of a run: their launches, and their impulse and work on the body."""
+    """All walls of a run, with their launches, and their impulse and work on the body."""
 
     def __init__(
         self,
@@ -125,16 +127,16 @@ class Walls:
         self.impulses: Impulses | None = None
         """Sums per surface point and node; None unless `keep_impulses` was called."""
         self.work: ContactWork | None = None
-        """Records launches that sum the work of contact; None: it is not summed."""
+        """Records launches that sum the work of contact; None if the work is not summed."""
         self.holding = [number for number, (holds, _) in enumerate(simple) if holds]
         """Rows of `sums` that belong to clamps."""
         self._dx, self._listed = model.dx, 0
         self._around = model, surface.count, nodes, tracks
         points = _Points.of(surface, lattice, model, substep)
         self.recovery = RESTORE["separate"] * points.slowest
-        """Speed at which points come out of a wall, per depth [1/s]."""
+        """Speed at which points inside a wall move out, per unit depth [1/s]."""
         self._holder = wp.zeros(len(nodes.rest), dtype=int, device=model.device)
-        # Clamps that are no longer there have released their nodes.
+        # Clamps that no longer exist have released their nodes.
         wp.copy(nodes.movable, nodes.inverse)
         self._clamps: list[Clamp] = []
         self._contacts: list[_Contact] = []
@@ -157,8 +159,8 @@ class Walls:
         self.impulses = Impulses(*self._around)
 
     def passed_on(self) -> PassedOn | None:
-        """Return the recorder of launches that add impulses to the sums of clamps; None if there is
-        no clamp.
+        """Return the object that records the launches that add impulses to the sums of clamps; None
+        if there are no clamps.
         """
         if not self._clamps:
             return None
@@ -166,12 +168,13 @@ class Walls:
         return PassedOn(model, nodes, tracks.clock, self._holder, self.sums, self.impulses)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the launches of a substep that apply earlier impulses, correct and sum them.
+        """Return the launches of a substep that apply earlier impulses, correct them and sum them.
 
         Clamps act before the impulses.
 
         Args:
-            passed: Passes impulses on held nodes on to clamps; None without clamps.
+            passed: Records launches that transfer impulses on held nodes to clamps; None if there
+                are no clamps.
         """
         every = self._clamps
         records = [clamp.record(every[:i], every[i + 1 :]) for i, clamp in enumerate(every)]
@@ -221,13 +224,15 @@ class Walls:
         return {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}
 
     def put_forces(self, forces: dict[str, wp.array]) -> None:
-        """Set the contact forces of the last substep unless they belong to another set of walls."""
+        """Set the contact forces of the last substep, unless the forces belong to another set of
+        walls.
+        """
         if len(forces) == len(self._contacts):
             for i, contact in enumerate(self._contacts):
                 contact.force.assign(forces[str(i)])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return sums and contact forces."""
+        """Return the sums and the contact forces."""
         kept = {"sums": wp.clone(self.sums), "forces": self.forces()}
         return kept if self.impulses is None else {**kept, "impulses": wp.clone(self.impulses.sums)}
 
@@ -340,7 +345,7 @@ class _Contact:
             known = self._gap, self.force, self._slot if self._moving else 0
             self._of_all.append(work.of(WALLS, self._list, points, *known))
         (yields, *sums), (first, second, *works) = self._of_each, self._of_all
-        # Those of all points; later they change only where clamps hold or release nodes.
+        # Responses of all points; later they change only where clamps hold or release nodes.
         self._list.assign(np.arange(self._points.count, dtype=np.int32))
         yields.launch()
         if len(self._near):
@@ -357,14 +362,16 @@ class _Contact:
             launch.set_dim(max(1, len(self._near)))
 
     def _yield(self) -> wp.Launch:
-        """Record the launch that computes how impulses change the points' velocities."""
+        """Record the launch that computes the velocity change of points per unit impulse."""
         points, nodes = self._points, self._nodes
         inputs = [self._list, points.nodes, points.weights, nodes.movable, nodes.inverse]
         kernel = make_yields(self._model.real, nodes.rows)
         return cast("wp.Launch", self._model.launch(kernel, points.count, inputs, [self._yields]))
 
     def _touch(self) -> wp.Launch:
-        """Record the launch that finds touching points and applies their previous impulses."""
+        """Record the launch that finds touching points and applies the previous impulses on
+        them.
+        """
         model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
         inputs = [
             self._list, 0, REACH * model.dx, self._shape, self._slot, points.nodes,
@@ -405,7 +412,7 @@ def kernels(
         boundaries: The boundaries of the scene.
         real: wp.float32 or wp.float64.
         device: Name of the device.
-        several: Whether to yield those of contact between bodies, too.
+        several: Whether to yield also the kernels of contact between bodies.
     """
     rows = rows_for(real, device)
     yield from (

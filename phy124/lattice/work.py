@@ -12,7 +12,7 @@ from phy124.mpm.tracks import Tracks
 
 
 class ContactWork:
-    """The sums of a run, and the arrays that all launches read."""
+    """The sums of contact work in a run, and the arrays that all launches read."""
 
     def __init__(self, model: Model, nodes: Any, tracks: Tracks, sums: wp.array) -> None:
         """Store the nodes of a run.
@@ -20,7 +20,7 @@ class ContactWork:
         Args:
             model: The constants of the run.
             nodes: Arrays of the nodes.
-            tracks: The tracks, which hold the clock and the velocities of walls.
+            tracks: The tracks, which contain the clock and the velocities of walls.
             sums: The sums to which work is added (phy124/kernels/lattice/work.py).
         """
         self._model, self._nodes, self._tracks, self._sums = model, nodes, tracks, sums
@@ -34,10 +34,11 @@ class ContactWork:
         force: wp.array,
         slot: int = 0,
     ) -> wp.Launch:
-        """Record the launch that sums the work on listed points, whose number is its parameter 1.
+        """Record the launch that sums the work on listed points; the launch's parameter 1 is their
+        number.
 
         Args:
-            at: Index of the first of three works.
+            at: Index of the first of three sums of work.
             near: Indices of the points.
             points: Nodes and weights of each point.
             gap: Normal and distance of each point.

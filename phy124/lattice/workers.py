@@ -33,7 +33,7 @@ from phy124.particles.lattice import PER_CELL
 MEASURE, TRIAL = -1, -2
 """Two tasks in addition to the phases: measure the motion, and compute the forces of a trial."""
 LINE = 16
-"""Numbers per cache line; no two workers write to the same line."""
+"""Number of values per cache line; no two workers write to the same cache line."""
 
 
 @dataclass
@@ -43,27 +43,29 @@ class Worker:
     points: slice
     """Span of the worker's points, which fill a whole number of cells."""
     nodes: slice
-    """Span of the nodes that it moves."""
+    """Span of the nodes that the worker moves."""
     touched: slice
-    """Span of the nodes that its cells touch."""
+    """Span of the nodes that the worker's cells touch."""
     forces: wp.array
     """Forces on the touched nodes by the stress in the worker's cells, N."""
     pushes: wp.array
     """Forces on the touched nodes by pushes on the worker's points, N."""
     maxima: wp.array
-    """Largest speed and rate of strain of its points."""
+    """Largest speed and strain rate of the worker's points."""
     trial: wp.array
-    """Like `forces`, for the trial displacements from which the largest frequency is found."""
+    """Like `forces`, but for the trial displacements from which the largest frequency is
+    computed.
+    """
     phases: list[list[Named]] = field(default_factory=list)
     """Launches of a substep by phase; threads wait for each other between phases."""
     measures: list[Named] = field(default_factory=list)
-    """Launches that measure the largest speed and rate of strain. Kernels of viscous stress on
-    vector units measure both as well.
+    """Launches that measure the largest speed and rate of strain. Vectorised kernels of viscous
+    stress also measure both.
     """
     trials: list[Named] = field(default_factory=list)
     """Launches that compute `trial`."""
     follows: list[Named] = field(default_factory=list)
-    """Launches that update the state of its points."""
+    """Launches that update the state of the worker's points."""
     timings: Timings = field(default_factory=dict)
 
     def run(self, task: int) -> None:
@@ -88,15 +90,15 @@ class Crew:
         *,
         vectors: bool = True,
     ) -> None:
-        """Divide cells and nodes evenly.
+        """Divide the cells and nodes evenly among the workers.
 
         Args:
             model: The integration points.
-            state: Their state, which follows the nodes.
+            state: State of the points, which follows the nodes.
             lattice: The lattice at rest.
             nodes: Arrays of the nodes.
             count: Number of workers.
-            vectors: Whether to use the vector units of a CPU where there are kernels for them.
+            vectors: Whether to use the vector instructions of a CPU where vectorised kernels exist.
         """
         self._model, self._state, self._nodes = model, state, nodes
         self._lattice = lattice
@@ -146,24 +148,26 @@ class Crew:
         self._still = wp.zeros(1, dtype=t.vec4, device=device)
         """A uniform acceleration of zero."""
         self._middle = wp.zeros_like(self.a)
-        """An unused output [N,3]: velocities after pushes and before all other forces."""
+        """Output [N,3] that is not used: velocities after pushes and before all other forces."""
         self._unread = wp.zeros(MAXIMA, dtype=model.real, device=device)
         self.measuring = all(self.vectors(g) and is_viscous(g, model) for g in model.groups)
-        """Whether the stress measures the largest speed and rate of strain in every substep."""
+        """Whether the stress kernels measure the largest speed and strain rate in every substep."""
         self._accelerate = [self._record_accelerate(trial=trial) for trial in (False, True)]
         for worker in self.workers:
             worker.measures = self._measure(worker)
             worker.trials = self.force(worker, trial=True)
 
     def _sparse(self, lattice: RestLattice, ties: Any) -> list[wp.array]:
-        """Return the ties on the device: a row per node, with indices of nodes and weights."""
+        """Return the ties on the device: one row per node, with the indices and weights of other
+        nodes.
+        """
         model, count = self._model, len(lattice)
         starts, columns = ties.indptr, ties.indices
-        if ties.shape[0] != count:  # A row per tied node: the other nodes get empty rows.
+        if ties.shape[0] != count:  # There is a row per tied node; the other nodes get empty rows.
             lengths = np.zeros(count, np.int64)
             lengths[lattice.tied] = np.diff(starts)
             starts = np.concatenate([[0], np.cumsum(lengths)])
-        elif ties.shape[1] != count:  # A column per tied node.
+        elif ties.shape[1] != count:  # There is a column per tied node.
             columns = lattice.tied[columns]
         numbers = [np.asarray(values, np.int32) for values in (starts, columns)]
         arrays = [wp.array(values, dtype=int, device=model.device) for values in numbers]
@@ -236,7 +240,7 @@ class Crew:
     def viscosity(self, worker: Worker, out: wp.array) -> list[Named]:
         """Return the launches that add the force of viscosity to the nodes, after the kick.
 
-        The force of viscosity is the force of a material without stiffness.
+        The force of viscosity is computed as the force of a material without stiffness.
 
         Args:
             worker: The worker.
@@ -252,7 +256,7 @@ class Crew:
         return launches(records)
 
     def new_pool(self) -> wp.array:
-        """Return zero forces of all workers."""
+        """Return an array for the forces of all workers, filled with zeros."""
         return wp.zeros_like(self._pool)
 
     def part_of(self, pool: wp.array, index: int) -> wp.array:
@@ -269,7 +273,8 @@ class Crew:
             at: Index of the sum (phy124/kernels/lattice/work.py).
             tracks: The tracks, which hold the clock and the uniform acceleration.
             out: The sums.
-            pool: The forces; None: those of the stress, or those of pushes if `at` is `PUSHED`.
+            pool: The forces; None: the forces of the stress, or the forces of pushes if `at` is
+                `PUSHED`.
         """
         pushed = at == PUSHED
         if pool is None:
@@ -336,7 +341,7 @@ class Crew:
             group: The group, whose points also belong to other workers.
             motion: Displacements and velocities of the nodes.
             outputs: Forces on nodes, maxima of the motion, and number of points that are not
-                finite; only vector units compute the latter two.
+                finite; only vectorised kernels compute the latter two.
         """
         model, span = self._model, _common(worker.points, group.particles)
         name = f"stress {group.law.name}"
@@ -350,11 +355,13 @@ class Crew:
         return name, model.launch(kernel, span.stop - span.start, inputs, outputs[:1])
 
     def vectors(self, group: Group) -> bool:
-        """Return whether a group's stress runs on the vector units of a CPU."""
+        """Return whether the stress of a group is computed with the vector instructions of a
+        CPU.
+        """
         return self._vectors and simd.has_stress(group.law)
 
     def totals(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
-        """Record the launches that sum energy and power over a group's points on vector units."""
+        """Record the vectorised launches that sum energy and power over the points of a group."""
         constants = [group.start, self._model.dx, group.theta]
         motion, kernel = [self._nodes.u, self._nodes.v], simd.make_totals_simd(group.law)
         spans = [_common(worker.points, group.particles) for worker in self.workers]
@@ -396,7 +403,7 @@ class Crew:
     def _over_nodes(
         self, span: slice, plain: Any, make_simd: Callable[[], Any], inputs: list[Any]
     ) -> list[Named]:
-        """Return the launch of a kernel over a span of nodes, in plain form or on vector units."""
+        """Return the launch of a kernel over a span of nodes, in scalar or in vectorised form."""
         count, kernel = span.stop - span.start, plain
         if self._vectors:
             count, kernel = -(-count // simd.NODES), make_simd()
@@ -419,7 +426,7 @@ class Crew:
         return launches([("follow", model.launch(kernel, span.stop - span.start, inputs, outputs))])
 
     def maxima(self) -> list[float]:
-        """Return the largest speed, rate of strain and closing rate since they were reset."""
+        """Return the largest speed, strain rate and closing rate since these maxima were reset."""
         rows = [worker.maxima.numpy() for worker in self.workers]
         return [float(value) for value in map(max, *rows, rows[0])]
 
@@ -485,7 +492,7 @@ def is_viscous(group: Group, model: Model) -> bool:
 
 
 def _sections(group: Group, model: Model) -> list[Any]:
-    """Return the materials with a group's law."""
+    """Return the materials that have the law of a group."""
     return [section for section in model.materials if section.device_law.name == group.law.name]
 
 
@@ -496,6 +503,6 @@ def _span_of_cells(lattice: RestLattice, first: int, last: int) -> slice:
 
 
 def _common(a: slice, b: slice) -> slice:
-    """Return the indices that are in both spans."""
+    """Return the span of indices that two spans have in common."""
     start = max(a.start, b.start)
     return slice(start, max(start, min(a.stop, b.stop)))

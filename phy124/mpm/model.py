@@ -366,7 +366,7 @@ def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> li
     if body[0] != 0 or np.any((steps != 0) & (steps != 1)):
         raise ValueError("particles must be sorted by body, and bodies numbered from 0 on")
     if np.any((np.diff(law) < 0) & (steps == 0)):
-        raise ValueError("particles must be sorted by law")
+        raise ValueError("particles must be sorted by constitutive law")
     first = np.flatnonzero(np.diff(law, prepend=-1) | np.diff(body, prepend=-1))
     return list(itertools.pairwise([*first.tolist(), len(law)]))
 
