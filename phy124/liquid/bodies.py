@@ -1,7 +1,9 @@
-"""Bodies of other materials in a liquid; another solver moves them between steps of the liquid.
+"""Couples bodies of other materials to a liquid; another solver moves these bodies between steps of
+the liquid.
 
-For the liquid, a body is a wall whose shape follows from its particles. The liquid's pressure acts
-on the particles at a body's surface during the substeps that follow. Momentum is exchanged exactly.
+For the liquid, a body is a wall whose shape is computed from the particles of the body. The
+liquid's pressure acts on the particles at a body's surface during the substeps that follow. The
+exchange conserves momentum exactly.
 """
 
 from __future__ import annotations
@@ -37,23 +39,23 @@ FIRST, MOST = 8, 0.7
 
 
 class Bodies:
-    """The bodies of a run, each of which is a wall of the liquid."""
+    """The bodies of other materials in a run, each of which is a wall for the liquid."""
 
     def __init__(self, model: Model, state: State, grids: Sequence[Grid], free: FreeBodies) -> None:
         """Allocate the arrays of the particles.
 
         Args:
-            model: All particles of the run, with the liquid's.
-            state: Their state.
-            grids: Grid of each body, whose window covers the body.
-            free: Free solids, which come before the bodies.
+            model: All particles of the run, including those of the liquid.
+            state: State of the particles.
+            grids: Grid of each body; its window covers the body.
+            free: Rigid solids that move freely; they are numbered before the bodies.
         """
         self._model, self._state, self._grids = model, state, grids
         self.numbers = [body for body in range(model.bodies) if body not in model.wet]
         """Indices of the bodies."""
         t, device, count = types(model.real), model.device, len(self.numbers)
         self.free, self.first = FreeSolids(model, free), len(free.all)
-        """Free solids, and their number."""
+        """Rigid solids that move freely, and their number."""
         shape = (count, kernels.MOMENTS)
         self._rows = wp.zeros(shape, dtype=wp.float64, device=device)
         self._pushes = wp.zeros(len(model), dtype=t.vec3, device=device)
@@ -73,14 +75,14 @@ class Bodies:
         self._before: list[tuple[NDArray, NDArray]] = []
         every = self.first + count
         self._films = np.zeros((every, 2, 3))
-        """Impulses and moments of films in the last step; `impulses` includes them."""
+        """Impulses and moments of films in the last step, which are included in `impulses`."""
         self._centres, self._forces = np.zeros((every, 3)), np.zeros((every, 2, 3))
-        """Centre of mass of each solid and body [m]; force [N] and torque [N m] that acted on it in
-        the last step, except those of the liquid and the weight.
+        """Centre of mass of each solid and body [m], and the force [N] and torque [N m] that acted
+        on it in the last step, without the liquid's and the weight's.
         """
         self._impulses = np.zeros((every, 2, 3))
-        """Impulse of the liquid on each solid and body in the last step, and its moment about the
-        origin.
+        """Impulse of the liquid on each solid and body in the last step, and the moment of the
+        impulse about the origin.
         """
 
     @property
@@ -91,7 +93,8 @@ class Bodies:
 
     @property
     def impulses(self) -> NDArray[np.float64]:
-        """Impulse of the liquid on each body in the last step, and its moment [B,2,3], N s, N m s.
+        """Impulse [N s] of the liquid on each body in the last step, and its moment [N m s],
+        [B,2,3].
 
         Moments are about the origin.
         """
@@ -121,7 +124,9 @@ class Bodies:
         return [Stage(STAGE, record, by_run=True, limit=limit), *self.free.attach(tracks)]
 
     def finish(self) -> None:
-        """End the substeps; from now on, the last pressure no longer bounds the acceleration."""
+        """End the substeps; from now on, the last pressure does not contribute to the bound of the
+        acceleration.
+        """
         self._limit = 0.0
 
     def fit(self, cells: Cells) -> None:
@@ -132,7 +137,9 @@ class Bodies:
             wp.zeros(count, dtype=self._model.real, device=device) for _ in range(2)
         )
         self._shares, self._vacant = wp.zeros_like(cells.shares), wp.zeros_like(cells.eighths)
-        """Shares of the splines and fractions of eighths, with the walls but without the bodies."""
+        """Solid fractions of the splines, and open fractions of the eighths of cells, if there were
+        no bodies.
+        """
         self.pressed, self._change, self._contact = (
             wp.zeros(count, dtype=t.vec3, device=device) for _ in range(3)
         )
@@ -143,8 +150,8 @@ class Bodies:
         Args:
             cells: The cells.
             walls: The walls.
-            ahead: Time for which the bodies move on before [s]. Half a step gives a leapfrog
-                scheme; without it, a floating body would gain energy.
+            ahead: Time [s] by which the bodies' positions are extrapolated. Half a step gives a
+                leapfrog scheme; without extrapolation, a floating body would gain energy.
         """
         self._ahead = ahead
         model, state, real = self._model, self._state, self._model.real
@@ -176,7 +183,9 @@ class Bodies:
                     launch.launch()
 
     def _shape(self, cells: Cells, body: int, box: wp.array, count: int) -> None:
-        """Compute distances from a body's surface, and shift it to enclose the body's volume."""
+        """Compute distances from the surface of a body, and shift the surface so that it encloses
+        the body's volume.
+        """
         real, shift = self._model.real, float(np.nan_to_num(self._shifts[body]))
         self._volumes.zero_()
         inputs = [shift, cells.lattice, cells.window, box, self._full, self._shares]
@@ -236,7 +245,7 @@ class Bodies:
     ) -> tuple[NDArray, NDArray]:
         """Return the impulse [N s] of everything except the liquid, and its moment.
 
-        Forces other than the weight are included to the extent to which they acted in both of the
+        A force other than the weight is included only to the extent that it acted in both of the
         last two steps, so that an impact is not assumed to continue in the next step.
         """
         weight = np.stack([motion.mass * pull, np.zeros(3)])
@@ -255,7 +264,7 @@ class Bodies:
         return other, turn
 
     def yields(self, cells: Cells, clock: wp.array, worker: int, real: Any) -> Repeatable | None:
-        """Return a worker's launch that adds the bodies' surfaces to the pressure equation.
+        """Return the launch with which a worker adds the bodies' surfaces to the pressure equation.
 
         Args:
             cells: The cells.
@@ -271,7 +280,9 @@ class Bodies:
         return cells.record(worker, kernels.make_yield(real), inputs, outputs)
 
     def answer(self, walls: Walls, step: wp.array, model: Model) -> wp.Launch | None:
-        """Return the launch that writes the motions after the pressure has acted."""
+        """Return the launch that writes the motions of solids and bodies after the pressure has
+        acted.
+        """
         inputs = [self._solids.first(walls), self._solids.scale, self._solids.plans]
         inputs += [self._solids.centres, self._mobility]
         outputs = [step, walls.motions, self._exchanged]
@@ -280,13 +291,14 @@ class Bodies:
     def receive(
         self, cells: Cells, tracks: Tracks, sums: wp.array, densities: wp.array | None, drift: float
     ) -> None:
-        """Compute the particles' accelerations by the pressure of a step.
+        """Compute the accelerations of the particles by the pressure of a step.
 
         Args:
             cells: The cells.
             tracks: Quantities that change over time.
             sums: Sums of the walls' impulses, to which the impulses of films are added.
-            densities: Relative densities in the cells; None if the liquid has a single one.
+            densities: Relative densities in the cells; None if all of the liquid has the same
+                density.
             drift: Duration over which the pressure acts on the bodies [s].
         """
         model, real = self._model, self._model.real
@@ -295,7 +307,7 @@ class Bodies:
         for index in range(len(self.numbers)):
             self._press_film(cells, tracks, sums, densities, index)
             self.period = min(self.period, self._vibration(index))
-        # Velocities of bodies are not half a step behind, so the first impulse is not halved.
+        # The velocities of bodies do not lag by half a step, so their first impulse is not halved.
         exchanged, lasts = np.array(self._exchanged.numpy(), np.float64), drift / self._kick
         self._films, self._impulses = (exchanged - before) * lasts, exchanged * lasts
         solids = slice(self.first)
@@ -340,7 +352,8 @@ class Bodies:
         self._launch(films.make_film(real), count, inputs, outputs)
 
     def _vibration(self, index: int) -> float:
-        """Return the period of a body's vibration on a wall [s]; infinite if its rim is wet.
+        """Return the period [s] of a body's vibration on a wall; infinite if liquid surrounds the
+        contact.
 
         The period is four times the time in which a wave crosses the body.
         """
@@ -355,10 +368,11 @@ class Bodies:
     def _weigh_layers(
         self, cells: Cells, region: Region, densities: wp.array | None
     ) -> tuple[float, wp.array]:
-        """Return the height of the lowest liquid layer around a body, and the weight of each layer.
+        """Return the height of the lowest layer of liquid around a body, and the weight of each
+        layer.
 
-        Heights are in cells. Weights are relative to the mean density; they are omitted if there is
-        a single liquid.
+        Heights are in cells. Weights are relative to the mean density. The list of weights is empty
+        if there is a single liquid.
         """
         model, strength = self._model, float(np.linalg.norm(self._pull))
         if densities is None or strength == 0:

@@ -1,4 +1,6 @@
-"""Cells: the arrays of a liquid in a window of the staggered grid that follows the particles."""
+"""Cells: holds the arrays of a liquid, in a window of the staggered grid that follows the
+particles.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +22,17 @@ from phy124.mpm.stage import Repeatable
 MARGIN = 10
 """Number of cells between the particles and the border of a new window."""
 LEAST = 5
-"""A window is renewed if fewer cells than this are between particles and border. A step moves
-particles by up to two cells, and each particle reaches cells two further away.
+"""Number of cells between the particles and the border below which the window is renewed. A step
+moves particles by up to two cells, and the B-splines around each particle reach two cells further.
 """
 LARGEST = 32
-"""A window is renewed if more cells than this are between particles and border."""
+"""Number of cells between the particles and the border above which the window is renewed."""
 FAR = 1e3
 """Value stored as the distance to the nearest wall [cells] where no wall is near."""
 
 
 ROOM = 4
-"""Number of cells around a solid in which the solid changes distances or shares."""
+"""Number of cells around a solid within which the solid changes distances or open fractions."""
 
 
 class Region:
@@ -44,23 +46,27 @@ class Region:
         """First cell of the box in the window, and the box's size."""
 
     def centre(self, x: NDArray[np.float64]) -> None:
-        """Move the box so that a position [3], m, is in its middle."""
+        """Move the box so that a position [3], m, is in the middle of the box."""
         at = np.floor((x - self._cells.origin) / self._cells.dx).astype(int) - self._cells.low
         self.place(at - self.size // 2)
 
     def place(self, low: NDArray) -> None:
-        """Move the box so that `low` [3] is its first cell."""
+        """Move the box so that its first cell is `low` [3]."""
         self.box.assign(np.stack([low, self.size]).astype(np.int32))
 
 
 class OverActive:
-    """A launch on the CPU with as many threads as a worker has active cells at that time.
+    """A launch on the CPU that has one thread for each active cell of a worker at the time of the
+    launch.
 
-    A thread without a cell would take as long as a cheap kernel takes for a cell.
+    More threads would waste time: a thread without a cell takes as long as a cheap kernel takes for
+    a cell.
     """
 
     def __init__(self, launch: wp.Launch, ends: NDArray[np.int32]) -> None:
-        """Store the launch, and a view of the worker's first active cell and their end [2]."""
+        """Store the launch, and a view of the indices of the worker's first and last active cells
+        [2].
+        """
         self.recorded, self._ends = launch, ends
 
     def launch(self) -> None:
@@ -79,7 +85,7 @@ class Cells:
         """Prepare a window that has no cells yet.
 
         Args:
-            model: The particles, whose origin and spacing the grid has.
+            model: The particles; the grid has the origin and the spacing of their model.
             copies: Number of copies of the sums, one for each worker.
         """
         self._model, self._copies = model, copies
@@ -104,11 +110,12 @@ class Cells:
 
     @property
     def points(self) -> int:
-        """Number of points at which distances are computed; their spacing is half a cell."""
+        """Number of points at which distances are computed; the points are half a cell apart."""
         return int(np.prod(2 * self.size + 1))
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
-        """Fit the window to the particles and a margin; return whether the window changed.
+        """Fit the window to the particles and a margin around them; return whether the window
+        changed.
 
         Args:
             lower: Lowest corner of the particles [3], m.
@@ -129,8 +136,8 @@ class Cells:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Set the window to `size` [3] cells from `low` [3] on, and keep the pressures where old
-        and new window overlap.
+        """Set the window to `size` [3] cells from `low` [3] on, and keep the pressures where the
+        old and the new window overlap.
         """
         kept = self.pressure.numpy().reshape(self.size) if self.count else np.zeros((0, 0, 0))
         before = self.low
@@ -151,15 +158,18 @@ class Cells:
     def _allocate(self, count: int) -> None:
         t, real = self._t, self._model.real
         self.sums = self._zeros(self._copies * count, sums(real))
-        """Momentum, mass and volume of the particles at each cell, in a copy for each worker."""
+        """Momentum, mass and volume of the particles at each cell, with one copy for each
+        worker.
+        """
         self.fills = self._zeros(self._copies * count, t.vec2)
-        """Volumes at each cell with quadratic and linear weights, in a copy for each worker."""
+        """Volumes at each cell with quadratic and linear weights, with one copy for each worker."""
         self.velocity, self.other, self.smooth = (self._zeros(count, t.vec4) for _ in range(3))
-        """Velocities of the low faces [m/s], and the fill of the cell."""
+        """Velocities at the low faces [m/s], and the filled fraction of the cell."""
         self.known, self.also = (self._zeros(count, int) for _ in range(2))
         """Bits that mark the low faces with a velocity."""
         self.open, self.shares = self._zeros(count, t.vec4), self._zeros(count, t.vec2)
-        """Open shares of the low faces, and the shares of the two B-splines that are inside walls.
+        """Open fractions of the low faces, and the fractions of the two B-splines that are inside
+        walls.
         """
         self.hats, self.phi = self._zeros(count, real), self._zeros(count, real)
         self.phi.fill_(float(EMPTY))
@@ -170,20 +180,22 @@ class Cells:
         self.diagonal, self.inverse, self.right = (self._zeros(count, wp.float64) for _ in range(3))
         self.links = self._zeros(count, wp.vec3d)
         self.pressure, self.packing = (self._zeros(count, wp.float64) for _ in range(2))
-        """Two solutions: p dt / (rho dx) [m/s], and the potential of displacements."""
+        """Solutions of two equations: p dt / (rho dx) [m/s], and the potential of displacements."""
         self.residual, self.z, self.product = (self._zeros(count, wp.float64) for _ in range(3))
         self.directions = [self._zeros(count, wp.float64) for _ in range(2)]
         self.which = self._zeros(count, int)
         """Index of the solid whose surface is in each cell; -1 if there is none."""
         self.jumps, self.turns = (self._zeros(count, wp.vec3d) for _ in range(2))
-        """Flux out of each cell per velocity, and per angular velocity, of the solid in `which`."""
+        """Flux out of each cell per unit velocity, and per unit angular velocity, of the solid in
+        `which`.
+        """
         self.active, self.listed = (self._zeros(count, int) for _ in range(2))
         """Indices of the active cells, and of the cells of liquid."""
         self.ends = self._zeros(self._copies + 1, int)
-        """First active cell of each worker, and the number of active cells."""
+        """Index of the first active cell of each worker, and the number of active cells."""
         columns = int(self.size[0] * self.size[1])
         self.lowest, self.highest = (self._zeros(self._copies * columns, int) for _ in range(2))
-        """Lowest and highest cell of the particles in each column, in a copy for each worker."""
+        """Lowest and highest cell with particles in each column, with one copy for each worker."""
         self.begins, self.tops = (self._zeros(columns, int) for _ in range(2))
         """First active cell of each column, and the end of its active cells."""
 
@@ -225,11 +237,13 @@ class Cells:
 
     @property
     def still(self) -> tuple[wp.array, wp.array]:
-        """Open fractions of faces, and nearest walls of cells, from fixed walls alone."""
+        """Open fractions of faces, and nearest walls of cells, computed from the fixed walls
+        only.
+        """
         return self._kept[3], self._kept[1]
 
     def keep_walls(self) -> None:
-        """Store the cells' description of all fixed walls."""
+        """Store a copy of the cells' description of all fixed walls."""
         self._kept = [wp.clone(array) for array in self._walls]
 
     def restore_walls(self) -> None:

@@ -1,9 +1,9 @@
-"""The time of a liquid's run, and the length of its steps.
+"""Keeps the time of a liquid's run, and chooses the length of its steps.
 
-A step is limited by the distance that particles move, and by waves on the surface; the waves that
-limit it most are two cells long. Pressure does not limit a step, since it is implicit. Viscosity
-limits a step only if the liquid is so viscous that a long step's iterations would take longer than
-several shorter steps.
+A step is limited by the distance that particles move, and by waves on the surface, most of all by
+waves that are two cells long. Pressure does not limit a step, since it is implicit. Viscosity
+limits a step only if the liquid is so viscous that the iterations of a long step would take more
+time than several shorter steps.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ WAVES = 0.5
 """Length of a step in units of sqrt(dx / a), with the acceleration a of the liquid."""
 
 DIFFUSED = 5.0
-"""Largest share of a velocity that diffuses to a neighbouring face in a step. It limits the number
-of iterations for viscosity to about 200.
+"""Largest fraction of a velocity that diffuses to a neighbouring face in a step. This limit keeps
+the number of iterations for viscosity below about 200.
 """
 
 RESOLVED, AVERAGED = 4.0, 1.5
-"""A body below a liquid vibrates. Either its period has `RESOLVED` steps, or a step has `AVERAGED`
-periods. Between these limits, the pressure of the last step would amplify the vibration.
+"""A body below a liquid vibrates. Either there are at least `RESOLVED` steps in a period of the
+vibration, or at least `AVERAGED` periods in a step. Between these limits, the pressure of the last
+step would amplify the vibration.
 """
 
 
@@ -49,14 +50,17 @@ class LiquidClock(Clock):
     """Period of vibration of a body that closes the space below a liquid [s]."""
 
     def diffuse(self, rate: float) -> None:
-        """Limit steps by viscosity; the argument is the rate of diffusion to a face [1/s]."""
+        """Limit the steps by viscosity; the argument is the rate of diffusion to a neighbouring
+        face [1/s].
+        """
         self.viscosity, self.viscous = rate, DIFFUSED / rate if rate > 0 else math.inf
 
     def stable(self) -> Substep:
         """Return the longest step in the current state."""
         a, speed = self.acceleration, max(self.extremes.speed, self.wall, self.bodies)
         far = CELLS * self.dx
-        # The time in which the fastest particle moves that far: speed t + a t^2 / 2 = far.
+        # The time t in which the fastest particle moves the distance `far`: speed t + a t^2 / 2 =
+        # far.
         reach = speed + math.sqrt(speed * speed + 2 * a * far)
         limits = {
             "speed": 2 * far / reach if reach > 0 else math.inf,
@@ -68,10 +72,10 @@ class LiquidClock(Clock):
         return Substep(limits[limiter], limiter)
 
     def divide(self, rest: float) -> tuple[float, Substep]:
-        """Return the length of the next step [s], and its limit.
+        """Return the length of the next step [s], and the limit that determined it.
 
         Args:
-            rest: Remaining time, which equal steps divide [s].
+            rest: Remaining time [s], which is divided into equal steps.
         """
         limit = self.stable()
         dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
@@ -81,7 +85,8 @@ class LiquidClock(Clock):
         return dt, limit
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of kinetic energy [J] between the times of velocities and positions.
+        """Return the change of kinetic energy [J] from the time of the velocities to the time of
+        the positions.
 
         Args:
             power: Power of the stress [W]; not used, since a projected liquid has none.
@@ -95,7 +100,7 @@ class LiquidClock(Clock):
         return self.last_dt / 2 * float(self.pull @ momentum)
 
     def sweeps(self, kick: float) -> int:
-        """Return the number of pairs of Jacobi steps that reduce the error to a thousandth."""
+        """Return the number of pairs of Jacobi iterations that reduce the error to a thousandth."""
         k = 6 * self.viscosity * kick
         if k == 0:  # the first kick of a probe has no duration
             return 1

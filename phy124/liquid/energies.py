@@ -1,4 +1,6 @@
-"""Energies: sums the work on a liquid by cause, in every step of a run that requests it."""
+"""Energies: sums the work on a liquid separately for each cause, in every step of a run that
+requests it.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,10 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
 STAGE = "dissipation"
-"""Name of the stages, the same as for other materials."""
+"""Name of the stages in reports, which is the same as for other materials."""
 ROOM = 16
-"""Length of a worker's array of sums; with this length, no two workers write to the same cache
-line.
+"""Length of the array of sums of each worker; with this length, no two workers write to the same
+cache line.
 """
 
 
@@ -33,7 +35,7 @@ class Works(NamedTuple):
     walls: float
     """Work that walls do by their motion."""
     viscous: float
-    """Work of viscosity, including that at walls to which the liquid sticks."""
+    """Work of viscosity, including the work at walls to which the liquid sticks."""
     friction: float
     """Work of friction at walls, and of impacts of particles on walls."""
     projection: float
@@ -43,7 +45,7 @@ class Works(NamedTuple):
 
 
 class Energies:
-    """Records the launches that sum work; there are none before `start` is called."""
+    """Records the launches that sum work; no work is summed before `start` is called."""
 
     def __init__(self, model: Model, state: State, cells: Cells, workers: int) -> None:
         """Store the particles and cells of a run.
@@ -60,7 +62,7 @@ class Energies:
         """Whether work is summed."""
 
     def start(self) -> None:
-        """Sum the work from the next recording of the launches on."""
+        """Request that the work is summed, from the next recording of the launches on."""
         self.on = True
 
     def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses, gains: wp.array) -> None:
@@ -70,7 +72,7 @@ class Energies:
             walls: The walls.
             tracks: Quantities that change over time.
             impulses: Sums of the walls' impulses.
-            gains: Momentum by forces on particles, and mass, at each cell, for each worker.
+            gains: Momentum gained by forces on particles, and mass, at each cell, for each worker.
         """
         self._walls, self._tracks, self._impulses = walls, tracks, impulses
         self._gains = gains
@@ -78,7 +80,7 @@ class Energies:
             self._before = wp.zeros_like(self._cells.velocity)
 
     def before_pressure(self, worker: int) -> list[Recorded]:
-        """Return a worker's launches that store velocities and sum the drag of walls."""
+        """Return the launches with which a worker stores velocities and sums the drag of walls."""
         if not self.on:
             return []
         cells, keep = self._cells, kernels.make_keep(self._model.real)
@@ -86,7 +88,9 @@ class Energies:
         return [(STAGE, copy), *self.of_walls(kernels.AT_DRAG, worker)]
 
     def of_walls(self, at: int, worker: int) -> list[Recorded]:
-        """Return a worker's launch that sums the work that walls have done since the step began."""
+        """Return the launch with which a worker sums the work that walls have done since the step
+        began.
+        """
         if not (self.on and self._walls.all):
             return []
         inputs = [at, self._walls.motions, self._impulses.rows(worker)]
@@ -94,7 +98,9 @@ class Energies:
         return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
 
     def of_faces(self, worker: int) -> list[Recorded]:
-        """Return a worker's launch that sums the work on faces, once their velocities are known."""
+        """Return the launch with which a worker sums the work on faces, once the velocities of the
+        faces are known.
+        """
         if not self.on:
             return []
         cells, tracks = self._cells, self._tracks
@@ -105,7 +111,9 @@ class Energies:
         return [(STAGE, cells.record(worker, kernel, inputs, [self._row(worker)]))]
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
-        """Return a worker's launch for the work of displacements: sign -1 before, 1 after them."""
+        """Return the launch with which a worker sums the work of displacements; `sign` is -1 before
+        them and 1 after them.
+        """
         if not self.on:
             return []
         threads, *fraction = shared_out(run.stop - run.start, self._model.device)
@@ -114,7 +122,7 @@ class Energies:
         return [(STAGE, self._model.launch(kernel, threads, inputs, [self._row(worker)]))]
 
     def read(self) -> Works:
-        """Return the work so far."""
+        """Return the work done since the start."""
         total: NDArray[Any] = np.asarray(self._sums.numpy()).sum(axis=0)
         drag, pressure, end = (
             total[at : at + 2] for at in (kernels.AT_DRAG, kernels.AT_PRESSURE, kernels.AT_END)
@@ -128,7 +136,7 @@ class Energies:
         )
 
     def clear(self) -> None:
-        """Start all sums at zero."""
+        """Set all sums to zero."""
         self._sums.zero_()
 
     def snapshot(self) -> list[list[float]]:

@@ -1,4 +1,6 @@
-"""WallImpulses: the impulse and moment of each wall on the liquid, and the work of all walls."""
+"""WallImpulses: sums the impulse and moment of each wall on the liquid, and the work of all
+walls.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +14,19 @@ from phy124.kernels.liquid.impulses import COLUMNS, settle
 from phy124.kernels.work import EXCHANGE
 
 MEASURED = 6
-"""Length of a wall's total: impulse [N s], and moment about the origin [N m s]."""
+"""Number of values in a wall's total: the impulse [N s] and the moment about the origin [N m s]."""
 
 
 class WallImpulses:
-    """Sums of a step for each worker and wall, and the totals of all steps."""
+    """Sums for each worker and wall in the current step, and the totals over all steps."""
 
     def __init__(self, names: Sequence[str], count: int, workers: int, device: str) -> None:
-        """Start all sums at zero.
+        """Set all sums to zero.
 
         Args:
             names: Names of the walls.
-            count: Number of walls, including the surfaces of free solids, which come last.
+            count: Number of walls, including the surfaces of rigid solids that move freely, which
+                come last.
             workers: Number of workers.
             device: Warp device.
         """
@@ -40,7 +43,7 @@ class WallImpulses:
             settle, 1, inputs=[len(names)], outputs=outputs, device=device, record_cmd=True
         )
         self.settle: Callable[[], Any] = launch.launch
-        """Adds the sums of a step to the totals, and clears the sums."""
+        """Launch that adds the sums of a step to the totals, and resets these sums."""
 
     def rows(self, worker: int) -> wp.array:
         """Return a worker's sums of the current step [walls,7]."""

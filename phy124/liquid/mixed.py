@@ -1,7 +1,7 @@
-"""MixedSolver: advances a projected liquid, and bodies of other materials in substeps.
+"""MixedSolver: advances a projected liquid in steps, and bodies of other materials in substeps.
 
-In each step of the liquid, its pressure acts on the bodies, whose rigid motions are part of the
-pressure equation; the bodies then take substeps up to the end of the step.
+The rigid motions of the bodies are part of the liquid's pressure equation. In each step of the
+liquid, the pressure acts on the bodies, which then take substeps up to the end of the step.
 """
 
 from __future__ import annotations
@@ -28,15 +28,19 @@ class MixedClock(Clock):
     liquid: LiquidClock
     """The clock of the liquid."""
     share = 0.0
-    """Fraction of the total mass that is liquid."""
+    """Mass of the liquid as a fraction of the total mass."""
 
     @property
     def behind(self) -> float:
-        """Time by which velocities lag behind positions, averaged over the mass [s]."""
+        """Time by which velocities lag behind positions [s], averaged over liquid and bodies by
+        mass.
+        """
         return (1 - self.share) * super().behind + self.share * self.liquid.behind
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of kinetic energy [J] between the times of velocities and positions."""
+        """Return the change of kinetic energy [J] from the time of the velocities to the time of
+        the positions.
+        """
         return super().lag(power, momentum) + self.liquid.lag(0.0, self.share * momentum)
 
     def uniform_work(self, momentum: NDArray) -> float:
@@ -65,19 +69,20 @@ class MixedSolver(Solver):
         threads: int | None = None,
         **options: Any,
     ) -> None:
-        """Divide the particles between two solvers.
+        """Divide the particles between the solver of the liquid and the solver of the other
+        materials.
 
         Args:
-            model: All particles; those of the liquid are the bodies `Model.wet`.
-            state: Their initial state.
+            model: All particles; the liquid consists of the bodies `Model.wet`.
+            state: Initial state of the particles.
             forces: Forces, in the order in which they act.
-            uniform: The uniform forces among them.
+            uniform: The uniform forces among these forces.
             boundaries: Boundaries for the bodies.
             walls: The same boundaries, with their names, for the liquid.
             pushed: Whether any force acts on particles.
             accumulators: Sums that are updated in every substep.
-            planes: Flat walls with which free solids collide.
-            threads: Number of CPU threads; None: as many as save time.
+            planes: Flat walls with which freely moving solids collide.
+            threads: Number of CPU threads; None: the number that is fastest.
             options: Further arguments of `Solver`.
 
         Raises:
@@ -119,7 +124,9 @@ class MixedSolver(Solver):
 
     @property
     def crowding(self) -> float:
-        """Largest mean excess of the liquid's density that lasted for two frames, as a fraction."""
+        """Largest mean excess of the liquid's density that lasted for two frames, as a fraction of
+        the rest density.
+        """
         return self.liquid.crowding
 
     @property
@@ -138,15 +145,15 @@ class MixedSolver(Solver):
         walls: Sequence[tuple[str, Boundary]] = (),
         pushed: bool = False,
     ) -> None:
-        """From the next step on, use other forces, boundaries and sums.
+        """Replace forces, boundaries and sums, from the next step on.
 
         Args:
             forces: Forces, in the order in which they act.
-            boundaries: Boundaries as the bodies meet them.
+            boundaries: Boundaries as stages for the bodies.
             accumulators: Sums that are updated in every substep.
-            planes: Flat walls with which free solids collide.
+            planes: Flat walls with which freely moving solids collide.
             uniform: The uniform forces among the forces.
-            walls: The same boundaries with their names, as the liquid meets them.
+            walls: The same boundaries, with their names, for the liquid.
             pushed: Whether any force acts on particles.
 
         Raises:
@@ -196,7 +203,7 @@ class MixedSolver(Solver):
         self.liquid.clock.bodies = self.clock.extremes.speed
 
     def renew(self) -> None:
-        """Measure everything again; call this after setting the state from outside."""
+        """Measure all limits again; call this method after changing the state from outside."""
         super().renew()
         self.liquid.renew()
 
@@ -207,7 +214,9 @@ class MixedSolver(Solver):
         return {**super().snapshot(), "liquid": liquid}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore a snapshot; the result is exact only if the number of threads is the same."""
+        """Restore a snapshot; the run continues bit for bit only if the number of threads is the
+        same.
+        """
         super().restore(snapshot)
         self.liquid.restore(snapshot["liquid"])
 
@@ -219,7 +228,7 @@ def _span(model: Model) -> slice:
 
 
 def _liquid_model(model: Model, span: slice) -> Model:
-    """Return a model of only the particles in a span, as one body."""
+    """Return a model that contains only the particles in a span, as one body."""
     groups = [
         replace(group, start=group.start - span.start, stop=group.stop - span.start, body=0)
         for group in model.groups

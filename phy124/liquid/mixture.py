@@ -1,4 +1,6 @@
-"""Mixture: density and viscosity at each face, in a tank that may contain several liquids."""
+"""Mixture: computes density and viscosity at each face, in a tank that may contain several
+liquids.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ VISCOSITY = 2
 
 
 class Mixture:
-    """Properties of a run's liquids, relative to the values by which the equations are scaled."""
+    """Properties of the liquids in a run, relative to the reference values of the equations."""
 
     def __init__(self, model: Model) -> None:
         """Compare the particles' densities and viscosities.
@@ -26,9 +28,9 @@ class Mixture:
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         viscosities = _viscosities(model)
         self.density = float(mass.sum() / volume.sum())
-        """Mean density, the unit of relative densities [kg/m^3]."""
+        """Mean density [kg/m^3], to which relative densities refer."""
         self.viscosity = float(viscosities.max())
-        """Largest viscosity, the unit of relative viscosities [Pa s]."""
+        """Largest viscosity [Pa s], to which relative viscosities refer."""
         self.lightest = float((mass / volume).min())
         """Smallest density [kg/m^3]."""
         self.differ = [_differ(mass / volume), _differ(viscosities)]
@@ -39,8 +41,8 @@ class Mixture:
             for values, differ in zip(each, self.differ, strict=True)
             if differ
         ]
-        """Volume times relative density, and volume times relative viscosity [P]. A product is left
-        out if the liquids have the same value of this property.
+        """Volume times relative density, and volume times relative viscosity [P]. The product of a
+        property is omitted if all liquids have the same value of the property.
         """
 
     def fit(self, count: int) -> None:
@@ -54,7 +56,9 @@ class Mixture:
         self.uniform = wp.full(count, kind(1.0, 1.0, 1.0, 1.0), dtype=kind, device=model.device)
         """1 in every cell."""
         self.mixed = [wp.zeros_like(self.uniform) for _ in self.weights]
-        """Mixed values of the properties that differ, in the order of `weights`."""
+        """Averages, in each cell, of the properties in which the liquids differ, in the order of
+        `weights`.
+        """
         mixed = iter(self.mixed)
         self.densities, self.viscosities = (
             next(mixed) if differ else self.uniform for differ in self.differ

@@ -1,4 +1,4 @@
-"""Phases: the launches of a step of the liquid, recorded for the current window of cells.
+"""Phases: records the launches of a step of the liquid for the current window of cells.
 
 Workers run each phase together and wait for each other between phases.
 """
@@ -44,17 +44,17 @@ from phy124.mpm.workers import Worker
 
 LAYERS, LAYERS_SHIFT = 4, 2
 """Number of layers of faces outside the liquid to which velocities (`LAYERS`) and displacements
-(`LAYERS_SHIFT`) are extrapolated. Both are even, so that the last layer's flags are in
+(`LAYERS_SHIFT`) are extrapolated. Both numbers are even, so that the flags of the last layer are in
 `Cells.known`.
 """
 EXTENT = 7
-"""Number of entries of the particles' extent: the lowest corner with reversed sign, the highest
-corner, and the squared speed.
+"""Number of values that describe the particles' extent: the lowest corner with reversed sign, the
+highest corner, and the squared speed.
 """
 
 
 class Phases:
-    """Records the phases of all workers, in groups that have names."""
+    """Records the phases of all workers, in named groups."""
 
     def __init__(
         self,
@@ -67,17 +67,17 @@ class Phases:
         free: FreeBodies,
         bodies: Bodies | None,
     ) -> None:
-        """Allocate the arrays that the launches of every window share.
+        """Allocate the arrays that the launches use for every window.
 
         Args:
             model: The particles.
             state: Their positions and velocities.
             cells: The window of the grid.
-            projection: The solutions.
+            projection: Solves the equations for pressure and density.
             workers: The workers, whose phases are recorded.
-            free: Free solids.
+            free: Rigid solids that move freely.
             bodies: Bodies of other materials.
-            missed: 1 for each worker with a particle outside the window [W,1].
+            missed: Flag of each worker [W,1]: 1 if one of its particles is outside the window.
         """
         self._model, self._state, self._cells = model, state, cells
         self._projection, self._workers, self._missed = projection, workers, missed
@@ -89,7 +89,9 @@ class Phases:
         self.stray = wp.zeros(1, dtype=int, device=device)
         """Number of particles that are not finite."""
         self.carry = wp.ones(1, dtype=wp.float64, device=device)
-        """Factor from the last pressure to the first guess of the next one."""
+        """Factor by which the last pressure is multiplied to get the first guess of the next
+        pressure.
+        """
         self._mixture = Mixture(model)
         density = self._mixture.density
         self._solids = Solids(model, free, density, projection)
@@ -99,11 +101,11 @@ class Phases:
         if bodies is not None:
             bodies.join(self._solids, projection.mobility)
         self.energies = Energies(model, state, cells, len(workers))
-        """Work on the liquid by cause."""
+        """Work on the liquid, separately for each cause."""
         self.viscosity = self._mixture.viscosity / (density * model.dx**2)
         """Rate at which velocities diffuse to a neighbouring face [1/s] at the mean density."""
         self.fastest_diffusion = self._mixture.viscosity / (self._mixture.lightest * model.dx**2)
-        """Upper bound of this rate [1/s]."""
+        """Upper bound of the rate at which velocities diffuse [1/s]."""
 
     @property
     def densities(self) -> wp.array | None:
@@ -158,7 +160,7 @@ class Phases:
     def _phases(
         self, pushes: Sequence[Stage], worker: int, grid: Grid
     ) -> Iterator[tuple[str, list[Named]]]:
-        """Yield a worker's phases, each with the name of its group."""
+        """Yield the phases of a worker, each with the name of its group."""
         cells, solve, solids = self._cells, self._projection, self._solids.present
         for phase in self._walls.describe(cells, worker, len(self._workers), move=False):
             yield "walls", launches(phase)
@@ -189,7 +191,9 @@ class Phases:
             yield "displace", launches(records)
 
     def _before_pressure(self, worker: int) -> Iterator[tuple[str, list[Named]]]:
-        """Yield a worker's phases from scatter to pressure, with the names of their groups."""
+        """Yield the phases of a worker from the scatter to the pressure, with the names of their
+        groups.
+        """
         for records in self._activate(worker):
             yield "scatter", launches(records)
         yield "scatter", launches([self._sum_copies(worker)])
@@ -212,7 +216,7 @@ class Phases:
             yield "equation", launches(records)
 
     def _equation(self, worker: int) -> Iterator[list[Recorded]]:
-        """Yield a worker's phases that set up the pressure equation."""
+        """Yield the phases in which a worker sets up the pressure equation."""
         cells, solve = self._cells, self._projection
         yield [self._assemble(worker, self._mixture.densities), *self._jumps(worker)]
         yield from solve.list_cells(cells, worker)
@@ -222,7 +226,9 @@ class Phases:
             yield solve.project(cells, cells.pressure, worker)
 
     def _follow(self, worker: int) -> Iterator[list[Recorded]]:
-        """Yield a worker's phases in which velocities and particles follow the pressure."""
+        """Yield the phases in which a worker changes velocities by the pressure and moves
+        particles.
+        """
         energies = self.energies
         pressed = energies.of_walls(AT_PRESSURE, worker)
         yield [self._gradient(self._cells.pressure, worker), self._impulses(worker), *pressed]
@@ -236,14 +242,14 @@ class Phases:
         yield self._respond(worker)
 
     def _density_equation(self, worker: int) -> Iterator[list[Recorded]]:
-        """Yield a worker's phases that set up the equation of the density."""
+        """Yield the phases in which a worker sets up the equation for the density correction."""
         yield [self._sum_fills(worker)]
         yield [self._refill(worker)]
         yield [self._assemble(worker, self._mixture.uniform), self._excess(worker)]
         yield from self._projection.list_cells(self._cells, worker)
 
     def _displacements(self, worker: int) -> Iterator[list[Recorded]]:
-        """Yield a worker's phases that move particles along the density's gradient."""
+        """Yield the phases in which a worker displaces particles to correct the density."""
         for turn in range(LAYERS_SHIFT):
             yield [self._spread(worker, turn)]
         yield [self._slide(worker, self._walls.still, rubs=False)]
@@ -261,7 +267,9 @@ class Phases:
         return name, self._cells.record(worker, kernel, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return a worker's pushes; the first worker has all pushes if one cannot be divided."""
+        """Return the force launches of a worker; the first worker gets all of them if one cannot be
+        divided.
+        """
         if all(stage.by_run for stage in stages):
             with grid.only(None, worker, len(self._workers)):
                 return launches([(stage.name, stage.record(grid)) for stage in stages])
@@ -270,12 +278,14 @@ class Phases:
         return launches([(stage.name, stage.record(grid)) for stage in stages])
 
     def _copy(self, sums: wp.array, worker: int) -> wp.array:
-        """Return a worker's separate copy of the sums over cells or columns."""
+        """Return the copy of the sums over cells or columns that belongs to a worker."""
         count = len(sums) // len(self._workers)
         return cast("wp.array", sums[worker * count : (worker + 1) * count])
 
     def _activate(self, worker: int) -> list[list[Recorded]]:
-        """Return a worker's launches that first count the active cells and then list them."""
+        """Return the launches with which a worker first counts the active cells and then lists
+        them.
+        """
         cells, launch = self._cells, self._model.launch
         part, parts = self._projection.part(worker)
         counts = self._projection.counts
@@ -455,7 +465,9 @@ class Phases:
         return [*out, *walls.push_out(cells, run, s.x, s.v, sums, stops=stops)]
 
     def _fill(self, worker: int, volume: wp.array) -> list[Named]:
-        """Return a worker's launches that sum volumes [m^3] of its particles over the cells."""
+        """Return the launches with which a worker sums the volumes [m^3] of its particles over the
+        cells.
+        """
         model, run, cells = self._model, self._run(worker), self._cells
         fills = self._copy(cells.fills, worker)
         inputs = [volume[run], cells.lattice, cells.window, self._state.x[run]]

@@ -1,4 +1,6 @@
-"""Projection: conjugate gradients on the listed cells of liquid, run by all workers together."""
+"""Projection: solves equations on the listed cells of liquid by conjugate gradients, with all
+workers together.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +21,18 @@ STAGE = "pressure"
 PARTS = 512
 """Number of parts into which cells are divided on a GPU; on the CPU each worker has one part."""
 MOST = 400
-"""Largest number of iterations of a solution."""
+"""Largest number of iterations in one solution."""
 CHECK = 8
-"""Iterations between two checks of the residual on a GPU, because a check waits for the device."""
+"""Number of iterations between two checks of the residual on a GPU, because each check waits for
+the device.
+"""
 
 
 class Projection:
-    """Records and repeats the launches of a solution."""
+    """Records and repeats the launches that solve an equation."""
 
     def __init__(self, model: Model, workers: int, solids: int = 0) -> None:
-        """Allocate the sums.
+        """Allocate the arrays of sums.
 
         Args:
             model: The particles.
@@ -43,11 +47,11 @@ class Projection:
         """Number of cells of liquid in each part of all cells."""
         self.sums = wp.zeros((ROWS + 6 * solids, self._parts), dtype=wp.float64, device=device)
         self.mobility = wp.zeros((solids, 10), dtype=wp.float64, device=device)
-        """Mobility of each solid: its motion per impulse, with impulses in the units of q."""
+        """Mobility of each solid: its motion per unit impulse, with impulses in the units of q."""
         shape = (self._parts, 2 * solids)
         self._responses = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        """Velocity and angular velocity that a vector causes in each solid, for each part of the
-        cells.
+        """Velocity and angular velocity that a vector of pressures causes in each solid, for each
+        part of the cells.
         """
 
     def part(self, worker: int) -> tuple[int, int]:
@@ -55,7 +59,9 @@ class Projection:
         return (worker, 1) if self._parts == self._workers else (0, self._parts)
 
     def list_cells(self, cells: Cells, worker: int) -> tuple[list[Recorded], list[Recorded]]:
-        """Return a worker's launches that count the cells of liquid and then list them."""
+        """Return the launches with which a worker counts the cells of liquid and then lists
+        them.
+        """
         launch, (part, parts) = self._model.launch, self.part(worker)
         inputs = [part, cells.active, cells.ends, cells.liquid]
         count = launch(conjugate.count_liquid, parts, inputs, [self.counts])
@@ -65,7 +71,8 @@ class Projection:
     def phases(
         self, cells: Cells, x: wp.array, worker: int, *, rigid: bool = False
     ) -> list[list[Recorded]]:
-        """Return a worker's launches of a solution: begin, then pairs of advance and improve.
+        """Return the launches with which a worker solves an equation: begin, then pairs of advance
+        and improve.
 
         Three pairs of launches are recorded: for the first iteration, for odd and for even
         iterations.
@@ -114,14 +121,16 @@ class Projection:
         return phases
 
     def project(self, cells: Cells, x: wp.array, worker: int) -> list[Recorded]:
-        """Return a worker's launch that sums the impulse of a solution on each solid."""
+        """Return the launch with which a worker sums the impulse of a pressure solution on each
+        solid.
+        """
         part, parts = self.part(worker)
         inputs = [part, self.solids, self.counts, cells.listed, cells.which]
         inputs += [cells.jumps, cells.turns, x]
         return [(STAGE, self._model.launch(conjugate.project, parts, inputs, [self.sums]))]
 
     def solve(self, run: Callable[[int], None], begin: int, tolerance: float) -> int:
-        """Run a recorded solution until the residual is small; return the number of iterations.
+        """Run recorded iterations until the residual is small, and return the number of iterations.
 
         Args:
             run: Runs a phase of all workers.
@@ -149,6 +158,6 @@ class Projection:
 
 
 def kernels() -> Iterator[Any]:
-    """Yield the kernels of a solution."""
+    """Yield the kernels that solve an equation."""
     yield from (conjugate.count_liquid, conjugate.list_liquid, conjugate.project)
     yield from (conjugate.begin, conjugate.advance, conjugate.improve)

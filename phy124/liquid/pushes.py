@@ -1,10 +1,10 @@
-"""Measures how forces on particles change velocities; the pressure at walls and the forces' work
-depend on these changes.
+"""Measures the velocity changes by forces on particles, on which the pressure at walls and the
+forces' work depend.
 
-Between the centre of a cell and a wall, the pressure changes by the weight of the liquid. A force
-on particles acts like a weight, but it may differ between cells. The pressure resists a force in
-the same step, so the work of an impulse is its product with the mean of the velocities before the
-force and at the end of the step.
+Between the centre of a cell and a wall, the pressure changes by the weight of the liquid between
+them. A force on particles acts like an additional weight, which may differ between cells. The
+pressure resists a force in the same step, so the work of an impulse is its product with the mean of
+the velocities before the force and at the end of the step.
 
 In a scene with only liquids, forces act at the start of a step. In a scene with other materials,
 they act in the substeps of these materials, between two steps of the liquid.
@@ -32,7 +32,7 @@ STAGE, WORK = "walls", "external work"
 
 
 class Pushes:
-    """Measures velocity changes; without forces on particles, the arrays are empty."""
+    """Measures velocity changes; the arrays are empty if there are no forces on particles."""
 
     def __init__(self, model: Model, state: State, cells: Cells) -> None:
         """Store the particles and the cells.
@@ -44,7 +44,7 @@ class Pushes:
         """
         self._model, self._state, self._cells = model, state, cells
         self.sums: wp.array | None = None
-        """Sums of impulse and work of each worker [W,16]; None: they are not summed."""
+        """Sums of impulse and work of each worker [W,16]; None if they are not summed."""
         self._v: list[wp.array] = []
         self.fit(0, (), in_cells=False)
 
@@ -74,7 +74,9 @@ class Pushes:
         """Velocities and their gradients before and after the forces."""
         count = workers * self._cells.count if self._in_cells else 0
         self.gains = wp.zeros(count, dtype=t.vec4, device=model.device)
-        """Momentum that particles gain, and their mass, at each cell; a copy for each worker."""
+        """Momentum that particles gain, and mass of these particles, at each cell, with one copy
+        for each worker.
+        """
 
     def _empty(self, dtype: Any, needed: bool) -> wp.array:
         return wp.zeros(len(self._model) if needed else 0, dtype=dtype, device=self._model.device)
@@ -84,7 +86,9 @@ class Pushes:
         return self._copy(0, run)
 
     def renew(self) -> None:
-        """Discard the velocity changes between two steps; call this after setting velocities."""
+        """Discard the velocity changes between two steps; call this method after setting
+        velocities.
+        """
         if self._between:
             wp.copy(self._v[0], self._state.v)
 
@@ -98,7 +102,9 @@ class Pushes:
             wp.copy(self._v[0], snapshot["v"])
 
     def _copy(self, index: int, run: slice) -> list[Named]:
-        """Return the launches that copy v of a worker's particles, and C if forces change C."""
+        """Return the launches that copy v of a worker's particles, and also C if forces change
+        C.
+        """
         s = self._state
         pairs = [(self._v[index], s.v), (self._C[index], s.C)]
         parts = [(part_of(kept, run), part_of(a, run)) for kept, a in pairs if len(kept)]
@@ -115,7 +121,9 @@ class Pushes:
         return [*self._copy(1, run), (STAGE, gains.zero_), *launches([(STAGE, launch)])]
 
     def work(self, worker: int, run: slice) -> list[Recorded]:
-        """Return the launch that sums impulse and work at the end of a step."""
+        """Return the launch that sums the impulse and the work of forces on particles at the end of
+        a step.
+        """
         if not self._works:
             return []
         model, s = self._model, self._state

@@ -1,8 +1,10 @@
-"""Free solids in a liquid with other materials, whose substeps also move the solids.
+"""Couples rigid solids that move freely to a liquid with other materials, whose substeps also move
+the solids.
 
-The solver of the materials owns the solids. The liquid uses copies of the solids, whose positions
-are half a step ahead. In each substep, a solid is accelerated by its share of the impulse of the
-pressure, so that it touches the materials with a velocity that changes gradually.
+The solver of the other materials owns the solids. The liquid uses copies of the solids, whose
+positions are half a step ahead. In each substep, a solid is accelerated by a share of the
+pressure's impulse, so that the velocity with which the solid touches the materials changes
+gradually.
 """
 
 from __future__ import annotations
@@ -44,25 +46,27 @@ class Motion(NamedTuple):
         x = first / m
         xx, yy, zz, xy, xz, yz = second
         moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * np.outer(x, x)
-        # The second term belongs to the particles' C.
+        # The second term is the angular momentum that the particles' C contains.
         inertia = (np.trace(moments) + m * dx**2 / 2) * np.eye(3) - moments
         return cls(m, x, momentum, angular - np.cross(x, momentum), np.linalg.inv(inertia))
 
 
 class FreeSolids:
-    """The free solids of a run, on which the liquid and the other materials act."""
+    """The freely moving solids of a run, on which the liquid and the other materials act."""
 
     def __init__(self, model: Model, solids: FreeBodies) -> None:
         """Store the solids.
 
         Args:
             model: All particles of the run.
-            solids: The solids, which the solver of the other materials moves.
+            solids: The solids that the solver of the other materials moves.
         """
         self._model, self._solids = model, solids
         shape = (len(solids.all), 2)
         self._rates = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
-        """Acceleration [m/s^2] of each solid by the liquid, and torque [N m] on it."""
+        """Acceleration [m/s^2] of each solid by the liquid, and torque [N m] of the liquid on the
+        solid.
+        """
 
     def attach(self, tracks: Tracks) -> list[Stage]:
         """Return the stages that accelerate the solids in each substep."""
@@ -80,7 +84,9 @@ class FreeSolids:
         return [make(*item) for item in enumerate(self._solids.numbers)]
 
     def lead(self, copies: FreeBodies, ahead: float) -> None:
-        """Move the copies of the solids to the solids' positions after a time [s]."""
+        """Move the copies of the solids to the positions that the solids will have after a time
+        [s].
+        """
         poses, motions = self._solids.poses(), self._solids.motions()
         for index, (pose, motion) in enumerate(zip(poses, motions, strict=True)):
             place, turn = pose[:3] + ahead * motion[:3], _turn(pose[3:], ahead * motion[3:])
@@ -101,7 +107,7 @@ class FreeSolids:
         """Compute the solids' accelerations by the pressure of a step.
 
         Args:
-            impulses: Impulse on each solid and its moment about the origin [F,2,3].
+            impulses: Impulse on each solid, and the moment of the impulse about the origin [F,2,3].
             centres: Centre of each solid [F,3], m.
             kick: Duration in which the pressure has caused the impulses [s].
             drift: Duration in which the pressure acts on the solids [s].

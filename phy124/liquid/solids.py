@@ -1,4 +1,4 @@
-"""Solids in a liquid: the launches that couple their motions with the pressure."""
+"""Records the launches that couple the motions of solids in a liquid with the pressure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STAGE = "free"
 
 
 class Solids:
-    """Records the launches of a scene's solids, which come last among the walls."""
+    """Records the launches for the solids of a scene, which are the last of the walls."""
 
     def __init__(
         self, model: Model, bodies: FreeBodies, density: float, projection: Projection
@@ -30,9 +30,9 @@ class Solids:
 
         Args:
             model: The particles of the liquid.
-            bodies: The free solids, which come first.
+            bodies: The rigid solids that move freely, which come first.
             density: Density of the liquid [kg/m^3].
-            projection: The solutions, whose sums and mobilities the launches write.
+            projection: Solves the pressure equation; the launches write its sums and mobilities.
         """
         self._model, self.bodies, self._projection = model, bodies, projection
         self.scale = density * model.dx**3
@@ -53,7 +53,7 @@ class Solids:
         return len(walls.all) - self._projection.solids
 
     def kick(self, tracks: Tracks) -> list[Recorded]:
-        """Return the launches that kick the free solids."""
+        """Return the launches that kick the freely moving solids."""
         records = []
         for index, (solid, body) in enumerate(
             zip(self.bodies.all, self.bodies.numbers, strict=True)
@@ -73,17 +73,20 @@ class Solids:
         tracks: Tracks,
         worker: int,
     ) -> list[list[Recorded]]:
-        """Return a worker's launches that run before the divergence of the velocities is computed.
+        """Return the launches that a worker runs before the divergence of the velocities is
+        computed.
 
         Args:
             cells: The cells.
-            weights: Relative densities of the liquid in the cells, and what forces add (`Pushes`).
+            weights: Relative densities of the liquid in the cells, and the additions by forces
+                (`Pushes`).
             walls: The walls.
             tracks: Quantities that change over time.
             worker: Index of the worker.
 
         Returns:
-            Two lists; workers wait for each other between them. The first worker predicts.
+            Two lists of launches; workers wait for each other between them. The first worker
+            predicts the motions.
         """
         model, projection = self._model, self._projection
         part, parts = projection.part(worker)
@@ -99,7 +102,7 @@ class Solids:
         return [[(STAGE, lift)], [(STAGE, predict)]]
 
     def jumps(self, cells: Cells, walls: Walls, worker: int) -> Recorded:
-        """Return a worker's launch that writes the rows of J.
+        """Return the launch with which a worker writes the rows of J.
 
         Args:
             cells: The cells.
@@ -112,7 +115,9 @@ class Solids:
         return STAGE, cells.record(worker, kernels.make_jumps(self._model.real), inputs, outputs)
 
     def respond(self, walls: Walls, impulses: WallImpulses) -> list[Recorded]:
-        """Return the launches that apply the opposite impulses of the liquid to free solids."""
+        """Return the launches that apply the opposite of the impulses on the liquid to freely
+        moving solids.
+        """
         records = []
         for index, solid in enumerate(self.bodies.all):
             wall = self.first(walls) + index

@@ -1,7 +1,7 @@
 """Solver of a liquid; each step removes the divergence of the velocities.
 
 The solver has the interface of `phy124.mpm.Solver`, so that a run, its observers, pauses and live
-changes treat both solvers alike. All particles of the run are one liquid.
+changes treat both solvers in the same way. All particles of the run are one liquid.
 """
 
 from __future__ import annotations
@@ -59,12 +59,12 @@ from phy124.mpm.workers import (
 EXTENT = -1
 """A task of the workers in addition to the phases: measure the particles' extent."""
 TOLERANCE, LOOSE = 1e-4, 1e-2
-"""Largest residual, relative to the right-hand side, of the equations of pressure and of density.
+"""Largest residuals of the equations of pressure and of density, relative to the right-hand side.
 """
 MOST_CELLS = 2**22
-"""Largest number of cells of a window; particles outside it fly on parabolas."""
+"""Largest number of cells in a window; particles outside the window move along parabolas."""
 BULK = 0.01
-"""Fraction of the particles that a window of `MOST_CELLS` may leave out on each side."""
+"""Fraction of the particles that may be outside a window of `MOST_CELLS` on each side."""
 
 
 class LiquidSolver:
@@ -97,10 +97,10 @@ class LiquidSolver:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries with their names.
             accumulators: Sums that are updated in every step.
-            free: Rigid solids that move freely; at most one.
-            planes: Flat walls with which the free solid collides.
+            free: At most one rigid solid that moves freely.
+            planes: Flat walls with which the freely moving solid collides.
             ceiling: Longest step allowed [s].
-            threads: Number of CPU threads; None: as many as save time.
+            threads: Number of CPU threads; None: the number that is fastest.
             bodies: Bodies of other materials.
             advance_bodies: Moves the bodies up to a time [s].
             whole: All particles of the run, relative to which walls are placed; None: `model`.
@@ -112,7 +112,7 @@ class LiquidSolver:
         self.state = State.of(model) if state is None else state
         self.clock = LiquidClock(model, ceiling=ceiling)
         self.grids = grids_of(model)
-        """Grids without nodes, because forces and reports expect grids."""
+        """Empty grids, which exist because forces and reports expect grids."""
         count = usable_workers(len(model), model.device, threads)
         self.workers = [Worker(numbers(0, model), numbers(0, model)) for _ in range(count)]
         self.slabs, self.softened = None, 1.0
@@ -143,7 +143,7 @@ class LiquidSolver:
         self.crowding, self._excess = 0.0, 0.0
         """Largest mean excess of the liquid's density over its rest density that lasts for two
         frames, and the excess at the end of the last frame, as fractions. An impact compresses the
-        liquid for a moment even if it has room.
+        liquid for a moment even if the liquid has room to expand.
         """
         self.impulses = WallImpulses((), 0, count, model.device)
         """Impulses of the walls."""
@@ -156,13 +156,13 @@ class LiquidSolver:
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Plane] = (),
     ) -> None:
-        """From the next step on, use other forces, walls and sums.
+        """Replace forces, walls and sums, from the next step on.
 
         Args:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries with their names.
             accumulators: Sums that are updated in every step.
-            planes: Flat walls with which the free solid collides.
+            planes: Flat walls with which the freely moving solid collides.
 
         Raises:
             InputError: The region of a force holds no particle, or a wall is too thin for the grid;
@@ -202,18 +202,20 @@ class LiquidSolver:
 
     @property
     def energies(self) -> Energies:
-        """Work on the liquid by cause, if it is summed."""
+        """Work on the liquid for each cause, if the work is summed."""
         return self._phases.energies
 
     def keep_pushes(self, sums: wp.array) -> None:
-        """Add impulse and work of forces on particles to a row of sums per worker, from now on."""
+        """From now on, add the impulse and the work of forces on particles to a row of sums for
+        each worker.
+        """
         self._phases.pushes.sums = sums
         if self._fitted:
             self._record()
 
     @property
     def timings(self) -> Timings:
-        """Seconds and launches of each stage, in the first thread."""
+        """Seconds and number of launches of each stage in the first thread."""
         return self.workers[0].timings
 
     def advance(
@@ -247,7 +249,9 @@ class LiquidSolver:
         between[1] += 1
 
     def step(self, kick: float, drift: float) -> None:
-        """Take a step: velocities change over `kick` [s], positions over `drift` [s]."""
+        """Take a step in which velocities change for the time `kick` [s] and positions for the time
+        `drift` [s].
+        """
         self._fit()
         clock = self.clock
         clock.begin(kick, drift)
@@ -286,7 +290,7 @@ class LiquidSolver:
         self._measure()
 
     def renew(self) -> None:
-        """Measure everything again; call this after setting the state from outside."""
+        """Measure all limits again; call this method after changing the state from outside."""
         self._fit()
         self._phases.pushes.renew()
         self._measure()
@@ -307,7 +311,9 @@ class LiquidSolver:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore a snapshot; the result is exact only if the number of threads is the same."""
+        """Restore a snapshot; the run continues bit for bit only if the number of threads is the
+        same.
+        """
         if "state" in snapshot:
             self.state.restore(snapshot["state"])
         self.clock.restore(snapshot["clock"])
@@ -331,7 +337,7 @@ class LiquidSolver:
         return sum(seconds for seconds, _ in self.timings.values())
 
     def _begin(self, until: float) -> None:
-        """Compute bounds of forces and of walls' speeds up to a time [s]."""
+        """Compute upper bounds of the forces and of the speeds of walls up to a time [s]."""
         clock, rejection = self.clock, self.rejection
         rejection.begin(clock.time, until)
         clock.acceleration, clock.wall = rejection.acceleration, rejection.wall
@@ -356,7 +362,7 @@ class LiquidSolver:
         clock.count(limit.limiter, needed=dt / limit.dt)
 
     def _guess(self, kick: float) -> None:
-        """Scale the last pressure to be the initial guess of a step.
+        """Scale the last pressure, so that it becomes the initial guess of a step.
 
         Args:
             kick: Time over which the step changes the velocities [s].
@@ -369,7 +375,7 @@ class LiquidSolver:
         self.projection.solve(self.runner.run, self._phases.group(name)[0], tolerance)
 
     def _move_solids(self, drift: float) -> None:
-        """Move free solids, and advance the bodies of other materials by a time [s]."""
+        """Advance freely moving solids and the bodies of other materials by a time [s]."""
         if not self.projection.solids:
             return
         self._group("drift")
@@ -383,7 +389,7 @@ class LiquidSolver:
         """Update the walls' geometry in the cells, after walls have moved.
 
         Args:
-            ahead: Time for which bodies of other materials move on before [s].
+            ahead: Time by which positions of bodies of other materials are extrapolated [s].
         """
         self.runner.join()
         run_timed(self.timings, "walls", self.cells.restore_walls)
@@ -416,7 +422,8 @@ class LiquidSolver:
             self._measure()
 
     def _measure(self) -> None:
-        """Measure extent and speed of the particles, and renew the window if it is too small.
+        """Measure the extent and the speed of the particles, and renew the window if it is too
+        small.
 
         Raises:
             Unstable: A particle is not finite, or too far away.
@@ -431,7 +438,7 @@ class LiquidSolver:
             run_timed(self.timings, WINDOW, self._record)
 
     def _bound(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the corners of the particles' bounding box [m], without a few particles that are
+        """Return the corners of the particles' bounding box [m], ignoring a few particles that are
         too far away.
         """
         if np.prod((upper - lower) / self.model.dx + 20) <= MOST_CELLS:

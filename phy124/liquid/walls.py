@@ -1,4 +1,6 @@
-"""Walls of a liquid: the boundaries of a scene as shapes, each with its motion and friction."""
+"""Represents the boundaries of a scene as shapes for a liquid, each with its motion and
+friction.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,7 @@ class Wall:
     sticky: bool
     """Whether the liquid sticks to the wall."""
     frame: wp.array
-    """The numbers of a free solid (phy124/kernels/free/numbers.py); empty for other walls."""
+    """State of a freely moving solid (phy124/kernels/free/numbers.py); empty for other walls."""
     reach: float = math.inf
     """Largest distance of a solid's surface from its centre [m]; infinite for other walls."""
 
@@ -52,7 +54,7 @@ class Wall:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Walls of one shape, all of which move or all of which are fixed; or a single free solid."""
+    """Walls of one shape that all move or are all fixed, or a single solid that moves freely."""
 
     shape: str
     moves: bool
@@ -65,13 +67,13 @@ class Group:
     geometries: wp.array
     """Shapes of the walls, as three vectors each."""
     frame: wp.array
-    """The numbers of a free solid (phy124/kernels/free/numbers.py); empty for other walls."""
+    """State of a freely moving solid (phy124/kernels/free/numbers.py); empty for other walls."""
 
 
 def walls_of(
     boundaries: Iterable[tuple[str, Boundary]], model: Model, tracks: Tracks
 ) -> Iterator[Wall]:
-    """Yield the walls of named boundaries, and add the boundaries' motions to the tracks."""
+    """Yield the walls of named boundaries, and add the motions of the boundaries to the tracks."""
     t = types(model.real)
     for name, boundary in boundaries:
         parts = boundary.parts()
@@ -90,7 +92,7 @@ def walls_of(
 
 
 def walls_of_solids(bodies: FreeBodies, model: Model) -> Iterator[Wall]:
-    """Yield the surfaces of free solids as walls without friction."""
+    """Yield the surfaces of freely moving solids as walls without friction."""
     t = types(model.real)
     for solid, frame in zip(bodies.all, bodies.numbers, strict=True):
         geometry = t.mat33(*np.ravel(solid.geometry()))
@@ -106,17 +108,17 @@ def walls_of_bodies(names: Iterable[str], model: Model) -> Iterator[Wall]:
 
 
 class Walls:
-    """Records launches that write walls into the cells, and that move particles out of walls."""
+    """Records the launches that write walls into the cells and that move particles out of walls."""
 
     def __init__(self, model: Model, tracks: Tracks, walls: Sequence[Wall]) -> None:
         self._model, self._tracks, self.all = model, tracks, tuple(walls)
         t, device = types(model.real), model.device
         rows = [(wall.friction, float(wall.sticky)) for wall in walls] or [(0.0, 0.0)]
         self.frictions = model.array(rows, t.vec2)
-        """Friction of each wall, and 1 if it is sticky."""
+        """Friction coefficient of each wall, and 1 if the wall is sticky."""
         slots = [wall.slot for wall in walls] or [0]
         self.slots = wp.array(np.array(slots, np.int32), dtype=int, device=device)
-        """Slot of each wall."""
+        """Slot of each wall's track."""
         self.motions = wp.zeros((len(slots), 3), dtype=t.vec3, device=device)
         """Velocity, angular velocity and centre of each wall."""
         self.still = wp.zeros_like(self.motions)
@@ -124,9 +126,9 @@ class Walls:
         self.move = any(wall.moves for wall in walls)
         """Whether any wall moves or disappears."""
         self.follow_tracks = any(slot > 0 for slot in slots)
-        """Whether any wall moves as its track says."""
+        """Whether the motion of any wall is given by a track."""
         self.time = math.nan
-        """Time of the places at which the walls are in the cells [s]; NaN: unknown."""
+        """Time [s] whose wall positions are written in the cells; NaN if unknown."""
         self._clock = wp.zeros(3, dtype=model.real, device=device)
         self._places, self._next = (wp.zeros_like(tracks.values) for _ in range(2))
         self._sample = tracks.record(self._clock, [self._next, wp.zeros_like(tracks.rates)])
@@ -136,7 +138,7 @@ class Walls:
         """Whether any wall has friction."""
 
     def place(self, time: float) -> None:
-        """Move all walls that have tracks to their places at a time [s]."""
+        """Move all walls that have tracks to their positions at a time [s]."""
         self.time = time
         if self.follow_tracks:
             self._clock.assign([0.0, 0.0, time])
@@ -144,7 +146,7 @@ class Walls:
             wp.copy(self._places, self._next)
 
     def lead(self, time: float) -> None:
-        """Compute the mean velocities at which the walls reach their places at a time [s]."""
+        """Compute the mean velocities with which the walls reach their positions at a time [s]."""
         if self.follow_tracks:
             self._clock.assign([0.0, 0.0, time])
             self._sample.launch()
@@ -153,16 +155,16 @@ class Walls:
     def describe(
         self, cells: Cells, worker: int, workers: int, *, move: bool
     ) -> list[list[Recorded]]:
-        """Return a worker's launches that write the walls' geometry into the cells.
+        """Return the launches with which a worker writes the geometry of the walls into the cells.
 
         Args:
             cells: The cells, which the launches write.
             worker: Index of the worker.
             workers: Number of workers.
-            move: True: the walls that move, in addition to the others; False: the others.
+            move: True: add the walls that move to the fixed walls. False: write the fixed walls.
 
         Returns:
-            Two lists; workers wait for each other between them.
+            Two lists of launches; workers wait for each other between them.
         """
         chosen = [group for group in self._groups if group.moves == move]
         records = [
@@ -177,7 +179,9 @@ class Walls:
     def _describe_group(
         self, cells: Cells, group: Group, worker: int, workers: int
     ) -> Iterator[Recorded]:
-        """Yield a worker's launches that add a group of walls to the geometry in the cells."""
+        """Yield the launches with which a worker adds a group of walls to the geometry in the
+        cells.
+        """
         model, region = self._model, self._region(cells, group)
         shape = [group.numbers, group.geometries, self.slots, cells.lattice, cells.window]
         shape += [self._places, group.frame, region.box]
@@ -197,13 +201,14 @@ class Walls:
         return cells.region(group.reach, group.first)
 
     def share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
-        """Return a worker's launch that computes the solid shares of the B-splines in a region.
+        """Return the launch with which a worker computes the solid fractions of the B-splines in a
+        region.
 
-        For each B-spline, the launch computes the fraction that is inside walls.
+        The solid fraction of a B-spline is the fraction inside walls.
 
         Args:
             cells: The cells.
-            region: Where the fractions are computed.
+            region: Cells in which the fractions are computed.
             worker: Index of the worker.
             workers: Number of workers.
         """
@@ -219,7 +224,7 @@ class Walls:
         return self._model.launch(kernel, max(len(self.all), 1), inputs, [self.motions])
 
     def centre(self, cells: Cells) -> None:
-        """Move the region of a free solid to the solid's current position."""
+        """Move the region around a freely moving solid to the current position of the solid."""
         for number, wall in enumerate(self.all):
             if len(wall.frame):
                 cells.region(wall.reach, number).centre(
@@ -229,7 +234,7 @@ class Walls:
     def push_out(
         self, cells: Cells, run: slice, x: wp.array, v: wp.array, sums: wp.array, *, stops: bool
     ) -> list[Recorded]:
-        """Return the launches that move particles out of every wall.
+        """Return the launches that move particles out of all walls.
 
         Args:
             cells: The cells.
@@ -255,7 +260,7 @@ class Walls:
     def _group_walls(self) -> Iterator[Group]:
         """Yield the groups of walls, each of which one launch handles."""
         t, device = types(self._model.real), self._model.device
-        # Each free solid is a group, since it has a frame.
+        # Each freely moving solid is a separate group, since it has a frame.
         keys = [
             (wall.shape, wall.moves, wall.reach, number if len(wall.frame) else -1)
             for number, wall in enumerate(self.all)
@@ -274,13 +279,13 @@ class Walls:
 
 
 def span(count: int, worker: int, workers: int) -> tuple[int, int]:
-    """Return the first item of a worker, and its number of items."""
+    """Return the index of a worker's first item, and the number of the worker's items."""
     first, last = (count * index // workers for index in (worker, worker + 1))
     return first, last - first
 
 
 def wall_kernels(boundaries: Iterable[Boundary], solids: Iterable[str], real: Any) -> Iterator[Any]:
-    """Yield the kernels of the walls of some boundaries, and of solids of some shapes."""
+    """Yield the kernels for the walls of some boundaries, and for solids of some shapes."""
     yield from (kernels.make_solid_shares(real), make_motions(real))
     outlines = {part.outline() for wall in boundaries for part in wall.parts()}
     for shape in sorted(outlines | set(solids)):
