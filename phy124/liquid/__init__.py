@@ -9,9 +9,7 @@ step, and `WallImpulses` sums the impulses of walls. docs/design/liquids.md desc
 
 from typing import TYPE_CHECKING
 
-if (
-    TYPE_CHECKING
-):  # each solver is imported where it is created, since most runs need only one solver
+if TYPE_CHECKING:  # solvers are imported where they are created: most runs need only one solver
     from phy124.lattice.solver import LatticeSolver
     from phy124.liquid.solver import LiquidSolver
     from phy124.mpm import Solver

@@ -64,8 +64,8 @@ class OverActive:
     """
 
     def __init__(self, launch: wp.Launch, ends: NDArray[np.int32]) -> None:
-        """Store the launch, and a view of the indices of the worker's first and last active cells
-        [2].
+        """Store the launch, and a view [2] of the first index of the worker's active cells and the
+        index after the last.
         """
         self.recorded, self._ends = launch, ends
 

@@ -1,4 +1,6 @@
-"""Clock: the time of a run, the length of the next substep, and the limit that determined it."""
+"""Clock: keeps the time of a run, and chooses the length of the next substep and the limit that
+determines it.
+"""
 
 from __future__ import annotations
 
@@ -29,28 +31,32 @@ class Clock:
         self.limiters: dict[str, int] = {}
         """Number of substeps that each limit determined."""
         self.needed: dict[str, float] = {}
-        """Number of substeps that each limit would need if a frame could have a fraction of a
-        substep. A substep counts as the ratio of its length to the length that the limit allowed.
+        """Number of substeps that each limit would need if a frame could contain fractions of a
+        substep. Each substep adds the ratio of its length to the length that the limit allowed.
         """
         self.extremes = self.recent = Extremes(0.0, 0.0, 0.0)
-        """The values that limit substeps, as last measured, and the maxima of these values since
-        the host last read them. If the device takes substeps alone, the host reads only every few
-        substeps.
+        """The last measured values that limit substeps, and the maxima of these values since the
+        host last read them. If the device takes substeps on its own, the host reads the values only
+        every few substeps.
         """
         self.strain_rate = 0.0
         """Largest recent |C| [1/s]; |C| alone would be zero at the turning point of a vibration."""
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
         """Current number of substeps between measurements of speeds, and number of substeps since
-        the last one.
+        the last measurement.
         """
         self.strain = self.travel = math.inf
-        """Upper bounds of any particle's strain and displacement [m] since the last complete
-        measurement. If they are infinite, the next measurement must be complete.
+        """Upper bounds of the strain and the displacement [m] of all particles since the last
+        complete measurement. If the bounds are infinite, the next measurement must be complete.
         """
         self._last_measured, self.since_complete = 0.0, 0
-        """Time of the last measurement [s], and number of substeps since the last complete one."""
+        """Time of the last measurement [s], and number of substeps since the last complete
+        measurement.
+        """
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
-        """On the device: kick and drift of the current substep, and the time at its start [s]."""
+        """Array on the device: kick and drift of the current substep, and the time at its start
+        [s].
+        """
         self._shared = self.values.numpy() if model.device == "cpu" else None
         self._limits: tuple[Any, Substep] | None = None
         """Inputs and result of the last computation of the longest stable substep."""
@@ -74,7 +80,8 @@ class Clock:
         return self._limits[1]
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of kinetic energy [J] between the times of velocities and positions.
+        """Return the change of kinetic energy [J] from the time of the velocities to the time of
+        the positions.
 
         Args:
             power: Power of the stress [W].
@@ -87,7 +94,7 @@ class Clock:
         """Return the work of the uniform acceleration since the kick [J], which is a part of `lag`.
 
         Args:
-            momentum: Momentum of all particles after that kick [3], kg m/s.
+            momentum: Momentum of all particles after the last kick [3], kg m/s.
         """
         del momentum
         return 0.0
@@ -99,15 +106,15 @@ class Clock:
     def complete(self, calm_strain: float) -> bool:
         """Return whether the next measurement must include stiffness and positions.
 
-        A measurement of the speeds alone suffices under two conditions: no particle can have been
-        strained by more than `calm_strain`, which would change the stiffness, and no particle can
-        have left its margin of the window.
+        A measurement of the speeds alone suffices under two conditions. No particle can have been
+        strained by more than `calm_strain`, which would change the stiffness. No particle can have
+        left the margin of its window.
         """
         late = self.since_complete + MEASURE_EVERY > self.measure_every
         elapsed = self.time - self._last_measured
         strain = self.strain + elapsed * self.strain_rate
-        # Until the next measurement particles may move by the same distance again, or, in a longer
-        # interval, by the fraction `calm_strain` of a cell.
+        # Until the next measurement, particles may move by the same distance again or, if the next
+        # interval is longer, by the fraction `calm_strain` of a cell.
         travel = elapsed * self.extremes.speed
         ahead = self.travel + travel + max(travel, calm_strain * self.dx)
         return late or strain > calm_strain or ahead > TRAVEL * self.dx
@@ -124,7 +131,8 @@ class Clock:
         elapsed, before = self.time - self._last_measured, self.extremes
         rate = max(extremes.gradient, decay(self.strain_rate, self.since_measured))
         self.strain += elapsed * max(rate, self.strain_rate)
-        # Forces may have accelerated particles and slowed them down again between measurements.
+        # Between two measurements, forces may have accelerated particles and slowed them down
+        # again.
         gained = acceleration * elapsed / 2
         self.travel += elapsed * (max(extremes.speed, before.speed) + gained)
         self.strain_rate, self._last_measured, self.since_measured = rate, self.time, 0
@@ -133,7 +141,7 @@ class Clock:
             self.strain, self.travel, self.since_complete = 0.0, 0.0, 0
 
     def begin(self, kick: float, drift: float) -> None:
-        """Write the length of a substep to the device.
+        """Write the length of a substep to the array on the device.
 
         Args:
             kick: Time step for velocities [s].
@@ -146,7 +154,7 @@ class Clock:
             self.values.assign(np.array(values))
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
-        """Count a finished substep; if it was violent, the next one starts with a measurement.
+        """Count a finished substep; if it was violent, the next substep starts with a measurement.
 
         Args:
             drift: Time step for positions and F [s].
@@ -160,7 +168,9 @@ class Clock:
             self.expire()
 
     def count(self, limiter: str, substeps: int = 1, *, needed: float) -> None:
-        """Count substeps that a limit determined; `needed` is their number without rounding up."""
+        """Count the substeps that a limit determined; `needed` is the number of these substeps
+        before rounding up.
+        """
         self.limiters[limiter] = self.limiters.get(limiter, 0) + substeps
         self.needed[limiter] = self.needed.get(limiter, 0.0) + needed
 

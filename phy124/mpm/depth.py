@@ -1,4 +1,5 @@
-"""Depth of points inside a solid, on the host: the counterpart of `phy124.kernels.distance`.
+"""Computes the depth of points inside a solid on the host, as `phy124.kernels.distance` does on the
+device.
 
 A shape is defined by the same three vectors as in `phy124.kernels.distance`, and the depth is the
 negative of the signed distance; `tests/test_depth.py` compares the two modules.
@@ -44,9 +45,10 @@ _DEPTHS: dict[str, Callable[[Points, Points], Points]] = {
 
 
 def measure_depth(shape: str, vectors: ArrayLike, x: ArrayLike) -> Points:
-    """Return the depth of points below the surface of a solid [P], m; negative outside.
+    """Return the depth of points below the surface of a solid [P], m; it is negative outside the
+    solid.
 
-    For a box, the depth outside is that of the farthest face's plane.
+    Outside a box, the depth is the depth below the plane of the farthest face.
 
     Args:
         shape: half_space, sphere, box or capsule.

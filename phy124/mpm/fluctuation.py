@@ -1,8 +1,8 @@
 """Fluctuation: the part of the particles' motion that the grid does not represent.
 
-APIC discards the fluctuation and needs no launches for it. The schemes other than APIC transfer (v,
-C) to the grid and back, once or several times, before the scatter of a substep, and restore a part
-of the difference after the gather.
+The APIC scheme discards the fluctuation, so it needs no additional launches. The schemes other than
+APIC transfer (v, C) to the grid and back, once or several times, before the scatter of a substep,
+and restore a part of the difference after the gather.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Scheme(NamedTuple):
     """The scheme of the grid-to-particle transfer."""
 
     passes: int = 0
-    """Round trips over the grid: 0 for APIC, 1 for AFLIP, m >= 2 for XPIC(m)."""
+    """Number of round trips over the grid: 0 for APIC, 1 for AFLIP, m >= 2 for XPIC(m)."""
     share: float = 1.0
-    """Fraction of the fluctuation that is restored, from 0 (APIC) to 1."""
+    """Fraction of the fluctuation that is restored, between 0 (APIC) and 1."""
     rpic: float = 0.0
     """Decay rate of the symmetric part of C [1/s]."""
 
@@ -40,10 +40,11 @@ APIC = Scheme()
 
 
 def usable_rpic(scheme: Scheme, cfl: float) -> float:
-    """Return the rate at which a scheme damps C [1/s].
+    """Return the rate [1/s] at which a scheme damps C.
 
     Raises:
-        ValueError: Substeps of the fraction `cfl` of the elastic limit are unstable with damping.
+        ValueError: With damping, substeps as long as the fraction `cfl` of the elastic limit are
+            unstable.
     """
     if scheme.rpic > 0 and cfl > beside_rpic(1.0):
         raise ValueError(f"RPIC needs a model with cfl up to 0.707, but this model has {cfl:g}")
@@ -60,7 +61,7 @@ class Fluctuation:
     v: wp.array
     """Velocities [P,3], m/s, minus the part that the grid represents in this substep."""
     C: wp.array
-    """Velocity gradients [P,3,3], 1/s, minus the part that the grid represents."""
+    """Velocity gradients [P,3,3], 1/s, minus the part that the grid represents in this substep."""
     v_noise: wp.array
     """Remainder of the velocities after several passes [P,3], m/s; zero if there is only one pass.
     """
@@ -80,8 +81,8 @@ class Fluctuation:
         return cls(model, state, scheme, v, C, v_noise, C_noise, still)
 
     def carry(self, part: Part, turn: int) -> Recorded:
-        """Record a pass to the grid, of the particles' motion or, after the first pass, the
-        remainder.
+        """Record a transfer to the grid: of the particles' motion in the first pass, and of the
+        remainder in later passes.
         """
         model, run = self.model, part.particles
         v, C = self._left(turn)
@@ -108,7 +109,7 @@ class Fluctuation:
         return STAGE, model.launch(make_keep(model.real), part.count, inputs, outputs)
 
     def _left(self, turn: int) -> tuple[wp.array, wp.array]:
-        """Return the input of a pass, which is the remainder of the previous pass."""
+        """Return the input of a pass, which is the remainder from the previous pass."""
         if turn == 0:
             return self.state.v, self.state.C
         return (self.v, self.C) if turn == 1 else (self.v_noise, self.C_noise)

@@ -1,8 +1,9 @@
-"""Free bodies: rigid solids without particles that exchange momentum with the material.
+"""Free bodies: rigid solids that consist of no particles, move freely, and exchange momentum with
+the material.
 
-The position, orientation and motion of free bodies are on the device (phy124/kernels/free has the
-mechanics). In a substep, free bodies collide with each particle body after contact between particle
-bodies, and before walls act.
+The position, orientation and motion of free bodies are stored on the device; phy124/kernels/free
+explains the mechanics. In a substep, free bodies collide with each particle body after contact
+between particle bodies, and before walls act.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ from phy124.mpm.tracks import Track, Tracks
 STAGE = "free"
 """Name of the stages of free bodies in reports."""
 SOLUTIONS = 3
-"""Number of times that the six equations are solved in a substep. The first solution finds most of
-the nodes that approach, and the second one most of the friction. The next substep corrects the
-remaining error.
+"""Number of times that the six equations of motion are solved in a substep. The first solution
+finds most of the approaching nodes, and the second solution finds most of the friction. The next
+substep corrects the remaining error.
 """
 MARGIN = 1.5
 """Largest distance [cells] from a solid at which nodes can be in contact with it."""
@@ -47,7 +48,7 @@ class FreeBody(NamedTuple):
     shape: str
     """sphere, box, or capsule."""
     half: tuple[float, float, float]
-    """Half the solid's sides along its local axes [m]."""
+    """Half of the solid's side lengths along its local axes [m]."""
     place: tuple[float, float, float]
     """Centre of the solid [m]."""
     turn: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
@@ -86,7 +87,8 @@ class FreeBody(NamedTuple):
         rod = self.density * math.pi * radius**2 * 2 * length
         balls = self.density * 4 / 3 * math.pi * radius**3
         along = rod * radius**2 / 2 + balls * 2 / 5 * radius**2
-        # For a half ball about its flat side, whose centre of mass is 3/8 of the radius away.
+        # Moment of a half ball about its flat side; its centre of mass is 3/8 of the radius away
+        # from that side.
         across = rod * (radius**2 / 4 + length**2 / 3)
         across += balls * (2 / 5 * radius**2 + length**2 + 3 / 4 * length * radius)
         moments = np.full(3, across)
@@ -104,7 +106,9 @@ class FreeBody(NamedTuple):
         return rotation_matrices(np.array([self.turn]))[0]
 
     def measure_depth(self, x: NDArray) -> NDArray[np.float64]:
-        """Return the initial depth of points [P,3] inside the solid [P], m; negative outside."""
+        """Return the initial depth of points [P,3] inside the solid [P], m; it is negative
+        outside.
+        """
         local = (np.asarray(x, np.float64) - self.place) @ self.axes
         return measure_depth(self.shape, self.geometry(), local)
 
@@ -119,7 +123,7 @@ class FreeBody(NamedTuple):
 
 
 class Plane(Protocol):
-    """A flat wall that a free body collides with."""
+    """A flat wall with which free bodies collide."""
 
     @property
     def friction(self) -> float:
@@ -175,18 +179,22 @@ class FreeBodies:
 
     @property
     def numbers(self) -> list[wp.array]:
-        """State of each solid on the device, as phy124/kernels/free/numbers.py describes it."""
+        """State of each solid on the device, in the layout of phy124/kernels/free/numbers.py."""
         return self._bodies
 
     def total(self, index: int) -> wp.array:
-        """Return a solid's sums of impulse and work on the first body of particles [EXCHANGE]."""
+        """Return the sums [EXCHANGE] of a solid's impulse and work on the first body of
+        particles.
+        """
         return self._totals[index][0]
 
     def _zeros(self, size: int) -> wp.array:
         return wp.zeros(size, dtype=wp.float64, device=self._model.device)
 
     def _reach(self, solid: FreeBody) -> int:
-        """Return the largest distance from the centre [nodes] at which nodes can be in contact."""
+        """Return the largest distance from the solid's centre [nodes] at which nodes can be in
+        contact.
+        """
         far = float(np.linalg.norm(solid.half)) if solid.shape == "box" else max(solid.half)
         return math.ceil(far / self._model.dx + MARGIN)
 
@@ -217,7 +225,7 @@ class FreeBodies:
         ]
 
     def record(self, grid: Grid, body: int) -> list[Recorded]:
-        """Return the launches for the contact of all solids with a particle body, in order."""
+        """Return the launches, in order, for the contact of all solids with a body of particles."""
         solids = range(len(self.all))
         launches = (launch for index in solids for launch in self._meet(index, grid, body))
         return [(STAGE, launch) for launch in launches]
@@ -252,7 +260,7 @@ class FreeBodies:
         return [(STAGE, self._walls_launch(index, drifts=True)) for index in range(len(self.all))]
 
     def _walls_launch(self, index: int, *, drifts: bool) -> wp.Launch | None:
-        """Record the launch for a solid's contact with the walls."""
+        """Record the launch for the contact of a solid with the walls."""
         solid, tracks = self.all[index], self._tracks
         inputs = [solid.mass, wp.vec3d(*solid.moments), wp.vec3d(*solid.half), POINTS[solid.shape]]
         inputs += [*self._walls, tracks.clock, tracks.values, tracks.rates]
@@ -261,12 +269,13 @@ class FreeBodies:
         return self._model.launch(kernel, 1, inputs, [*outputs, self._bodies[index]])
 
     def add(self, index: int, body: int, row: NDArray) -> None:
-        """Add to the sums of impulse and work of a solid on a body of particles.
+        """Add an impulse and its work, which a solid exerts on a body of particles, to the running
+        sums.
 
         Args:
             index: Index of the solid.
             body: Index of the body.
-            row: What is added [EXCHANGE], in the layout of phy124/kernels/free/numbers.py.
+            row: The values to add [EXCHANGE], in the layout of phy124/kernels/free/numbers.py.
         """
         sums = self._totals[index][body]
         sums.assign(np.asarray(sums.numpy(), np.float64) + row)
@@ -276,7 +285,7 @@ class FreeBodies:
         self._begun = self._total()
 
     def _total(self) -> NDArray[np.float64]:
-        """Return each solid's sums of impulse and work on each body [F,bodies,EXCHANGE]."""
+        """Return the sums of impulse and work of each solid on each body [F,bodies,EXCHANGE]."""
         rows = [[sums.numpy() for sums in of_one] for of_one in self._totals]
         return np.array(rows, float).reshape(len(self.all), self._model.bodies, kernels.EXCHANGE)
 
@@ -288,20 +297,23 @@ class FreeBodies:
     def _met(self) -> list[int]:
         """Indices of the particle bodies that solids can touch."""
         wet = sorted(self._model.wet)
-        # The first liquid has the sums of all liquids.
+        # The sums of all liquids are stored with the first liquid.
         still = self._model.held | set(wet[1:])
         return [body for body in range(self._model.bodies) if body not in still]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each pair of a particle body and a solid, with the particle body first."""
+        """Name of each pair of a particle body and a solid; the particle body comes first in the
+        name.
+        """
         called = self._model.names or tuple(map(str, range(self._model.bodies)))
         return tuple(f"{called[body]}_on_{solid.name}" for solid in self.all for body in self._met)
 
     def wrenches(self, seconds: float) -> list[Wrench]:
-        """Return the mean wrench on each solid by each body of particles, in the order of `names`.
+        """Return the mean wrench that each body of particles exerts on each solid, in the order of
+        `names`.
 
-        The torques are about the origin.
+        The torques are taken about the origin.
 
         Args:
             seconds: Time since `begin` [s].
@@ -311,17 +323,19 @@ class FreeBodies:
         return [Wrench(row[:3], row[kernels.MOMENT : kernels.MOMENT + 3]) for row in rows]
 
     def put(self, index: int, motion: Sequence[Any]) -> None:
-        """Set position [m], orientation (wxyz), velocity [m/s] and spin [rad/s] of a solid."""
+        """Set the position [m], orientation (wxyz), velocity [m/s] and angular velocity [rad/s] of
+        a solid.
+        """
         place, turn, velocity, spin = (tuple(map(float, each)) for each in motion)
         moved = self.all[index]._replace(place=place, turn=turn, velocity=velocity, spin=spin)
         self._bodies[index].assign(moved.start())
 
     def poses(self) -> NDArray[np.float64]:
-        """Return centre [m] and orientation (wxyz) of each solid [F,7]."""
+        """Return the centre [m] and the orientation (wxyz) of each solid [F,7]."""
         return np.array([body.numpy()[:7] for body in self._bodies], np.float64).reshape(-1, 7)
 
     def motions(self) -> NDArray[np.float64]:
-        """Return velocity [m/s] and angular velocity [rad/s] of each solid [F,6]."""
+        """Return the velocity [m/s] and the angular velocity [rad/s] of each solid [F,6]."""
         rows = [self._motion(index) for index in range(len(self.all))]
         return np.array(rows, np.float64).reshape(-1, 6)
 
@@ -333,8 +347,8 @@ class FreeBodies:
         return np.array([*numbers[kernels.VELOCITY : kernels.ANGULAR], *spin], np.float64)
 
     def fastest(self) -> float:
-        """Return an upper bound of the speed of any point of a solid [m/s]."""
-        if not self.all:  # Lattices ask several times per substep.
+        """Return an upper bound [m/s] of the speed of all points of all solids."""
+        if not self.all:  # Lattices call this method several times per substep.
             return 0.0
         pairs = zip(self.motions(), self.all, strict=True)
         speeds = [
@@ -344,7 +358,7 @@ class FreeBodies:
         return float(max(speeds, default=0.0))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which to continue; it is empty if there are no solids."""
+        """Return the state from which the run can continue; it is empty if there are no solids."""
         if not self.all:
             return {}
         return {
@@ -366,7 +380,7 @@ class FreeBodies:
 
 
 _GRIP = {"sticky": 1e9, "slip": 0.0}
-"""Fixed friction coefficients by kind of contact; a solid may leave even a sticky wall."""
+"""Fixed friction coefficient for each kind of contact; a solid may leave even a sticky wall."""
 
 
 def refuse_thin(solid: FreeBody, dx: float) -> None:

@@ -1,14 +1,14 @@
-"""Graph: all substeps of a frame as one graph on the device, without transfers to the host.
+"""Graph: runs all substeps of a frame as one graph on the device, without transfers to the host.
 
 On CUDA a launch from Python takes longer than many of the kernels. One substep is therefore
 captured as the body of a loop on the device. The last kernel of the loop
-(phy124/kernels/timestep.py) chooses the next substep. The last kernel ends the loop when the
-frame's time is reached, and after `MOST` substeps, so that a run can be stopped. The last kernel
-also ends the loop when only the host can continue: because the window must follow the particles, or
-because the next substep may have to be rejected (see phy124/mpm/rejection.py). A condition in a
-graph takes longer than most kernels. If none of the next substeps can be the last one, these
-substeps run without conditions. The same graph also runs on the CPU, where the tests compare it
-with the host's loop bit for bit.
+(phy124/kernels/timestep.py) chooses the next substep. This kernel ends the loop when the frame's
+time is reached. It also ends the loop after `MOST` substeps, so that a run can be stopped. Finally,
+the kernel ends the loop when only the host can continue, because the window must follow the
+particles or because the next substep may have to be rejected (see phy124/mpm/rejection.py). A
+condition in a graph takes longer than most kernels. Therefore, if none of the next substeps can be
+the last substep, these substeps run without conditions. The same graph also runs on the CPU, where
+the tests compare its results bit for bit with those of the host's loop.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class Graph:
         Args:
             model: The constants of the run.
             clock: The clock, updated after each run.
-            grid: The grid whose window the particles may not leave.
-            worker: The only worker, whose launches measure the limits.
+            grid: The grid; the particles may not leave its window.
+            worker: The only worker; its launches measure the limits.
             stray: Number of particles that are not finite [1].
         """
         self._model, self._clock, self._grid = model, clock, grid
@@ -68,7 +68,9 @@ class Graph:
         self._per_substep, self._reason = 0, 0
 
     def forget(self) -> None:
-        """Discard the captured graph; call this when the launches of a substep have changed."""
+        """Discard the captured graph; call this method when the launches of a substep have
+        changed.
+        """
         self._captured = None
 
     def run(
@@ -79,7 +81,8 @@ class Graph:
         *,
         apart: bool = False,
     ) -> bool:
-        """Take substeps up to a time; stop earlier if only the host can take the next substep.
+        """Take substeps up to a given time; stop earlier if only the host can take the next
+        substep.
 
         Args:
             until: The time [s].
@@ -91,7 +94,7 @@ class Graph:
             False if the host has to take the next substep.
 
         Raises:
-            Unstable: As in the host's loop.
+            Unstable: For the same reasons as in the host's loop.
         """
         self._upload(until, rejection, apart)
         if self._captured is None:
@@ -166,7 +169,7 @@ class Graph:
         self._limiters.upload({})
 
     def _download(self) -> int:
-        """Update the clock from the device; return the code of the reason why it stopped."""
+        """Update the clock from the device; return the code of the reason why the loop stopped."""
         clock, limiters = self._clock, self._limiters.download()
         state = self._progress.download()[0]
         clock.time, clock.last_dt = float(state["time"]), float(state["last"])
@@ -197,14 +200,14 @@ class Mirrored:
         self._values: Any = self._staged.numpy()
 
     def upload(self, fields: dict[str, Any]) -> None:
-        """Set these fields of the items to their values; set all other fields to zero."""
+        """Set the named fields of the items to the given values; set all other fields to zero."""
         self._values[:] = np.zeros_like(self._values)
         for name, value in fields.items():
             self._values[name] = value
         wp.copy(self.array, self._staged)
 
     def download(self) -> NDArray[Any]:
-        """Return the items; the next call overwrites their memory."""
+        """Return the items; the next call overwrites the memory of the returned items."""
         wp.copy(self._staged, self.array)
         wp.synchronize_device(self.array.device)
         return self._values

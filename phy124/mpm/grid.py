@@ -1,7 +1,7 @@
 """Grid: nodes in a window that follows the particles.
 
-Each body has its own grid on a common lattice: at a node that two bodies share, each body has its
-own velocity.
+Each body has a separate grid on a common lattice. At a node that two bodies share, each body
+therefore has a separate velocity.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from phy124.mpm.timestep import TRAVEL, Maxima
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Lowest and highest corner of a box [m]."""
 MARGIN = 2 * TRAVEL
-"""Margin of the window around the particles [cells]: twice the largest travel of a particle between
-measurements.
+"""Margin of the window around the particles [cells]: twice the largest distance that a particle
+travels between two measurements.
 """
 CROSSED = "particles crossed more cells than allowed between two measurements"
 FARTHEST = 2**30
@@ -30,11 +30,15 @@ FARTHEST = 2**30
 
 
 class Unstable(RuntimeError):
-    """Raised if particles left the grid's window or are not finite; the state is unusable."""
+    """Raised if particles have left the grid's window or are not finite; the state is then
+    unusable.
+    """
 
 
 class Grid:
-    """A flat array of nodes; node (i, j, k) of the window is at origin + (low + (i, j, k)) dx."""
+    """A flat array of nodes, in which node (i, j, k) of the window is at origin + (low + (i, j, k))
+    dx.
+    """
 
     def __init__(
         self,
@@ -56,12 +60,12 @@ class Grid:
         self.momenta = self.nodes
         """Momentum and mass of each node: the array to which particles scatter."""
         self.apart = apart
-        """Whether `momenta` is a separate array; the gather clears a separate array."""
+        """Whether `momenta` is a separate array, which the gather then clears."""
         self._changes: wp.array | None = None
         self.particles = particles
         """The span of the body's particles."""
         self.stale = True
-        """Whether the window may no longer fit the positions of the particles."""
+        """Whether the particles may have moved so far that the window no longer fits them."""
         self.layers: tuple[int, int] | None = None
         """Range of layers (first <= i < last) that launches recorded now may change; None for all
         layers.
@@ -100,7 +104,7 @@ class Grid:
 
         Raises:
             Unstable: The particles are already outside the window, so that the grid did not move
-                them, or too far away for nodes to be numbered.
+                them, or they are too far away for nodes to be numbered.
         """
         if not np.all(np.abs([lower, upper]) < FARTHEST * self.dx):
             raise Unstable(f"particles moved {FARTHEST:.0e} cells away")
@@ -115,7 +119,7 @@ class Grid:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Allocate `size` [3] nodes, all zero; the lowest is node `low` [3]."""
+        """Allocate `size` [3] nodes with the value zero; the lowest node is `low` [3]."""
         # One node more than the window, since the SIMD rows read four nodes at once.
         count = int(np.prod(size)) + 1
         self.use(low, size, wp.zeros(count, dtype=self.vec4, device=self.device))
@@ -137,13 +141,15 @@ class Grid:
         return self._changes
 
     def reach(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the first node and one past the last node that particles in a box [m] touch."""
+        """Return the first node that particles in a box [m] touch, and the node after the last
+        one.
+        """
         low = np.floor((lower - self.origin) / self.dx - 0.5).astype(int)
         high = np.floor((upper - self.origin) / self.dx - 0.5).astype(int) + 3
         return low, high
 
     def run(self, particles: int) -> slice:
-        """Return the span of `particles` particles that the current worker's launches may push."""
+        """Return the span of particles to which the current worker's launches may apply forces."""
         ends = (self.worker, self.worker + 1)
         return slice(*(particles * end // self.workers for end in ends))
 
@@ -157,17 +163,17 @@ class Grid:
         return start, np.maximum(stop - start, 0)
 
     def slab(self, first: int, last: int) -> wp.array:
-        """Return the nodes of the layers first <= i < last; they are contiguous in memory."""
+        """Return the nodes of the layers first <= i < last, which are contiguous in memory."""
         layer = int(self.size[1] * self.size[2])
         return cast("wp.array", self.nodes[first * layer : last * layer])
 
 
 def grids_of(model: Model, *, apart: bool = False) -> list[Grid]:
-    """Return one grid for each body, all on one lattice.
+    """Return one grid for each body; all grids are on the same lattice.
 
     Args:
         model: The constants of the run.
-        apart: Whether momenta and velocities of nodes are two arrays.
+        apart: Whether momenta and velocities of nodes are stored in two arrays.
     """
     runs = [model.particles(body) for body in range(model.bodies)]
     options: dict[str, Any] = {"real": model.real, "device": model.device, "apart": apart}
@@ -175,11 +181,12 @@ def grids_of(model: Model, *, apart: bool = False) -> list[Grid]:
 
 
 def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool) -> bool:
-    """Fit the windows of all bodies; return whether any has changed.
+    """Fit the windows of all bodies to their particles; return whether any window has changed.
 
     Args:
         grids: Grid of each body.
-        corners: Corners around the particles of each body; infinite if all are outliers.
+        corners: Corners of the bounding box of each body's particles; infinite if all of the
+            particles are outliers.
         returned: Whether an outlier has returned, possibly outside the window.
 
     Raises:
@@ -192,16 +199,17 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
         if present or not any(inside):
             changed |= grid.fit(*pair)
         else:
-            # When particles of the body return, the body needs a new window.
+            # When particles of the body return to the grid, the body needs a new window.
             grid.stale = True
     return changed
 
 
 def corners_of(rows: NDArray[np.float64], bodies: Sequence[int], count: int) -> list[Corners]:
-    """Return the lowest and highest corner of each body, from -inf to inf for a body without rows.
+    """Return the lowest and highest corner of each body; a body without rows extends from -inf to
+    inf.
 
     Args:
-        rows: Measured maxima of parts of the particles [R,M], see `Maxima.of`.
+        rows: Measured maxima of parts of the particles [R,M]; see `Maxima.of`.
         bodies: The body of each row.
         count: Number of bodies.
     """

@@ -25,7 +25,7 @@ PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Consecutive particles with one law in one body."""
+    """Consecutive particles that belong to one body and have the same constitutive law."""
 
     law: Law
     start: int
@@ -64,14 +64,16 @@ class Model:
     history: NDArray[np.float64]
     """Initial history variables of the laws [P,2]."""
     groups: tuple[Group, ...]
-    """Groups of particles, sorted by body, then by law."""
+    """Groups of particles, sorted by body and then by constitutive law."""
     materials: tuple[Material, ...]
     dx: float
     """Grid spacing [m]."""
     origin: tuple[float, float, float]
     """Position of node (0, 0, 0) of the grid [m]."""
     cfl: float
-    """Length of substeps that the laws' parameters assume, as a fraction of the elastic limit."""
+    """Length of substeps, as a fraction of the elastic limit, that the parameters of the laws
+    assume.
+    """
     precision: str
     """float32 or float64."""
     device: str
@@ -81,14 +83,14 @@ class Model:
     held: frozenset[int] = frozenset()
     """Indices of bodies that never move."""
     wet: frozenset[int] = frozenset()
-    """Indices of bodies of liquid, which another solver moves."""
+    """Indices of the bodies that consist of liquid, which another solver moves."""
     names: tuple[str, ...] = ()
     """Names of the bodies; empty if they have none."""
     least_stiffness: float = 1.0
-    """Smallest factor on Young's modulus E of any particle."""
+    """Smallest factor by which Young's modulus E of a particle is multiplied."""
     respond: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
-    """Returns the accelerations [P] that forces on particles cause; None if each particle moves on
-    its own.
+    """Function that returns the accelerations [P] that forces on particles cause; None if each
+    particle moves independently.
     """
 
     @classmethod
@@ -112,7 +114,7 @@ class Model:
         simd: bool = True,
         gradient: str = "affine",
     ) -> Model:
-        """Put particles on the device.
+        """Copy the particles to the device.
 
         Args:
             x: Positions at rest [P,3], m.
@@ -121,7 +123,7 @@ class Model:
             dx: Grid spacing [m].
             material: Index into `materials` for each particle [P]; particles of one law must be
                 consecutive. None: all particles have the first material.
-            stiffness: Factors on Young's modulus E [P]; None: 1.
+            stiffness: Factors by which Young's modulus E is multiplied [P]; None: 1.
             body: Index of each particle's body [P], counted from 0 and increasing; particles of one
                 law must be consecutive in each body. None: all particles are one body.
             held: Bodies that never move: other bodies collide with them as with a wall.
@@ -132,8 +134,8 @@ class Model:
             precision: "float32" or "float64".
             device: Warp device.
             simd: Whether to use SIMD rows if the device supports them.
-            gradient: Source of stress and strain: "affine", the fit around each particle, or
-                "spline", the gradients of the weights.
+            gradient: Velocity gradient for stress and strain: "affine", from the affine velocity
+                around each particle, or "spline", from the gradients of the weights.
 
         Raises:
             ValueError: The particles are not sorted by body and law, or a particle has no volume.
@@ -188,16 +190,18 @@ class Model:
         return slice(groups[0].start, groups[-1].stop)
 
     def named(self, name: str | None) -> slice:
-        """Return the slice of a body's particles, or of all particles if `name` is None."""
+        """Return the slice of the particles of a body, or of all particles if `name` is None."""
         return slice(0, len(self)) if name is None else self.particles(self.names.index(name))
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return the rest positions [Q,3], m, of a body, or all of them if the name is None."""
+        """Return the rest positions [Q,3], m, of a body's particles, or of all particles if the
+        name is None.
+        """
         return self.rest[self.named(name)]
 
     @property
     def moves(self) -> NDArray[np.bool_]:
-        """Whether each particle may move [P]; particles of held bodies may not."""
+        """Whether each particle may move [P]; the particles of held bodies may not move."""
         free = np.ones(len(self), bool)
         for body in self.held:
             free[self.particles(body)] = False
@@ -205,17 +209,17 @@ class Model:
 
     @property
     def dry_groups(self) -> tuple[Group, ...]:
-        """Groups of particles, except those of a liquid, which another solver moves."""
+        """Groups of particles, except the groups of a liquid, which another solver moves."""
         return tuple(group for group in self.groups if group.body not in self.wet)
 
     @property
     def real(self) -> Any:
-        """Warp's floating point type."""
+        """Warp's floating point type of the model's precision."""
         return PRECISIONS[self.precision]
 
     @property
     def viscous(self) -> float:
-        """Longest substep that viscosity allows [s]."""
+        """Longest substep [s] that the viscosity of the materials allows."""
         sections = [m for m in self.materials if not (self.wet and m.device_law.name == "fluid")]
         slowest = min(section.viscous_limit(self.dx) for section in sections)
         return beside_elastic(self.cfl) * slowest
@@ -230,7 +234,8 @@ class Model:
         return _array(values, dtype, self.precision, self.device)
 
     def launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch | None:
-        """Record a repeatable launch on the model's device; None if it would have no threads.
+        """Return a recorded launch on the model's device, which can be repeated; None if it would
+        have no threads.
 
         Args:
             kernel: The Warp kernel.
@@ -261,7 +266,7 @@ class State:
     history: wp.array
     """History variables of the laws [P,2]; empty if no law has any."""
     total: wp.array
-    """Total deformation gradients [P,3,3]; empty if no law is plastic."""
+    """Total deformation gradients [P,3,3], including plastic strain; empty if no law is plastic."""
 
     @classmethod
     def of(cls, model: Model, v: NDArray | None = None, C: NDArray | None = None) -> State:
@@ -293,11 +298,13 @@ class State:
 
     @property
     def deformation(self) -> wp.array:
-        """Deformation gradients for the Gaussians: F_total if any law is plastic, else F."""
+        """Deformation gradients that the Gaussians follow: F_total if any law is plastic, otherwise
+        F.
+        """
         return self.total if len(self.total) else self.F
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a copy on the device, for `restore`."""
+        """Return a copy of the state on the device, for `restore`."""
         return {name: wp.clone(array) for name, array in self.arrays().items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -312,7 +319,7 @@ def part_of(array: wp.array, part: slice) -> wp.array:
 
 
 def _zero_held(motion: NDArray, model: Model) -> NDArray:
-    """Return velocities or their gradients, with zeros for particles that never move."""
+    """Return velocities or velocity gradients, set to zero for particles that never move."""
     if not model.held:
         return motion
     moves: NDArray = model.moves.reshape(-1, *[1] * (motion.ndim - 1))
@@ -320,7 +327,9 @@ def _zero_held(motion: NDArray, model: Model) -> NDArray:
 
 
 def form_of(precision: str, device: str, gradient: str = "affine") -> str:
-    """Return the form of the transfers: "spline" on request, "simd" for float32 on the CPU."""
+    """Return the form of the transfers: "spline" if requested, "simd" for float32 on the CPU,
+    otherwise "plain".
+    """
     if gradient == "spline":
         return "spline"
     return "simd" if device == "cpu" and precision == "float32" else "plain"
@@ -334,13 +343,14 @@ def parameters(
     dx: float,
     cfl: float,
 ) -> NDArray[np.float64]:
-    """Return the parameters of one law's particles: a single row if all are equal, otherwise a row
-    per particle.
+    """Return the parameters of the particles of a constitutive law: one row if all are equal,
+    otherwise one row per particle.
 
     Args:
         materials: All materials.
         material: Index into `materials` of each particle [P].
-        stiffness: Factors on the parameters proportional to E [P], or None.
+        stiffness: Factors [P] by which the parameters that are proportional to E are multiplied, or
+            None.
         dx: Grid spacing [m].
         cfl: Fraction of the elastic limit of the substep.
     """
@@ -355,10 +365,11 @@ def parameters(
 
 
 def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> list[tuple[int, int]]:
-    """Return the range (first index, one past the last) of each law's particles in each body.
+    """Return the range of particles of each law in each body: the first index, and the index after
+    the last.
 
     Raises:
-        ValueError: Bodies or laws are mixed, or a body has no particle.
+        ValueError: The particles of different bodies or laws are mixed, or a body has no particle.
     """
     laws = [section.device_law.name for section in materials]
     law = np.array([laws.index(name) for name in laws])[material]

@@ -1,10 +1,10 @@
 """Outliers: particles far from all others, which move ballistically, without a grid.
 
 The window grows with the particles, but a single particle that leaves at high speed must not make
-the window grow without bound. Once the particles spread over more than `MAX_NODES` nodes, or over
-`GROWTH` times the first window, a box around their centre bounds the grid. Particles outside the
-box are counted, and only the uniform acceleration acts on them; a particle that returns takes part
-in the transfers again.
+the window grow without bound. The grid is restricted to a box around the centre of the particles
+once the window would have more than `MAX_NODES` nodes, or more than `GROWTH` times the nodes of the
+initial window. Particles outside the box are counted, and only the uniform acceleration acts on
+them. A particle that returns to the box takes part in the transfers again.
 """
 
 from __future__ import annotations
@@ -26,17 +26,19 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Part
 
 MAX_NODES = 2**25
-"""Largest number of nodes of a window."""
+"""Largest number of nodes in a window."""
 MIN_NODES = 2**20
 """Number of nodes that a window is always allowed to have."""
 GROWTH = 16
-"""Largest ratio of a window's nodes to the nodes of the first window."""
+"""Largest ratio of the number of nodes in a window to the number of nodes in the initial window."""
 EVERYWHERE = 1e30
 """A coordinate larger than any position [m], but finite in float32."""
 
 
 class Outliers:
-    """The box that bounds the grid; the box is infinite as long as the particles stay together."""
+    """The box to which the grid is restricted; it is infinite as long as the particles stay
+    together.
+    """
 
     def __init__(self, model: Model, state: State) -> None:
         self._model, self._state, self._half = model, state, np.zeros(3)
@@ -45,17 +47,19 @@ class Outliers:
         """Lowest and highest corner on the device [m]."""
         self.bounded = False
         self.indices = wp.zeros(0, dtype=int, device=model.device)
-        """Indices of the particles that are outside the box now."""
-        # The extent of the bulk at rest, without single distant particles.
+        """Indices of the particles that are currently outside the box."""
+        # The extent of the bulk of the particles at rest, ignoring single distant particles.
         runs = [model.rest[model.particles(body)] for body in range(model.bodies)]
         first = sum(self._nodes(*np.quantile(rest, (0.05, 0.95), axis=0)) for rest in runs)
         self._allowed = min(MAX_NODES, max(MIN_NODES, GROWTH * min(first, MAX_NODES)))
         self.most, self.changed = 0, False
-        """Largest number of outliers so far; whether the last measurement changed the indices."""
+        """Largest number of outliers so far, and whether the last measurement changed the
+        indices.
+        """
 
     @property
     def count(self) -> int:
-        """Number of particles that are outside the box now."""
+        """Number of particles that are currently outside the box."""
         return len(self.indices)
 
     def snapshot(self) -> dict[str, Any]:
@@ -99,14 +103,14 @@ class Outliers:
         return True
 
     def around(self, part: Part, gather: Recorded, grid: Grid, tracks: Tracks) -> list[Recorded]:
-        """Return the gather of `part`, with launches before and after it that move outliers, if
-        any.
+        """Return the launches for the gather of `part`; if there are outliers, launches before and
+        after it move them.
 
         Args:
             part: Some of the particles.
             gather: The recorded gather of these particles.
-            grid: The grid from which the particles gather.
-            tracks: Holds the uniform acceleration.
+            grid: The grid from which the particles gather their velocities.
+            tracks: The tracks, which include the uniform acceleration.
         """
         mine = part.among(np.asarray(self.indices.numpy(), np.int32))
         model, state, count = self._model, self._state, len(mine)
@@ -136,6 +140,6 @@ class Outliers:
         return np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
 
     def _nodes(self, lower: NDArray, upper: NDArray) -> float:
-        """Return the number of nodes of a window over a box, as a float, which cannot overflow."""
+        """Return the number of nodes in a window over a box, as a float, which cannot overflow."""
         cells = ((upper - lower) / self._model.dx).tolist()
         return math.prod(extent + 3 + 2 * MARGIN for extent in cells)

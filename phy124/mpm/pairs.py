@@ -1,7 +1,7 @@
-"""Pairs: contact between bodies, and the impulses that they exchange.
+"""Pairs: computes the contact between bodies, and the impulses that the bodies exchange.
 
-Any two bodies may touch. Only pairs whose windows overlap have a launch, so bodies that are apart
-take no time.
+Any two bodies may touch. Only pairs of bodies whose windows overlap have a launch, so bodies that
+are far apart take no computing time.
 """
 
 from __future__ import annotations
@@ -25,14 +25,16 @@ from phy124.mpm.stage import Recorded
 STAGE = "pairs"
 """Name of the stages of contact between bodies."""
 ROOM = 16
-"""Length of the array of sums for each pair and worker; with this length, no two workers write to
+"""Length of the array of sums of each pair and worker; with this length, no two workers write to
 the same cache line.
 """
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 class Pair(NamedTuple):
-    """Contact of two bodies; a pair without an entry has the default friction."""
+    """Parameters of the contact between two bodies; pairs that are not listed have the default
+    friction.
+    """
 
     first: int
     """Index of a body."""
@@ -41,7 +43,7 @@ class Pair(NamedTuple):
     friction: float = 0.5
     """Coefficient of Coulomb friction."""
     sticky: bool = False
-    """Whether both bodies have one velocity at every node where both have mass."""
+    """Whether both bodies have the same velocity at every node where both have mass."""
 
 
 class Pairs:
@@ -52,11 +54,11 @@ class Pairs:
 
         Args:
             model: The bodies.
-            listed: Pairs whose contact differs from the default.
+            listed: Pairs of bodies whose contact differs from the default.
             workers: Number of workers.
 
         Raises:
-            ValueError: A pair is not of two bodies of the model, or is listed twice.
+            ValueError: A pair does not consist of two bodies of the model, or it is listed twice.
         """
         numbers = list(itertools.combinations(range(model.bodies), 2))
         chosen = {tuple(sorted(pair[:2])): pair for pair in listed}
@@ -72,7 +74,7 @@ class Pairs:
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._added = np.zeros((len(self.all), SUMS))
-        """Sums of the impulses of a liquid [pairs,6]; another solver computes them."""
+        """Sums of the impulses of a liquid [pairs,6], which another solver computes."""
         self._begun = self._total()
         self._fill = fill_of(model)
 
@@ -81,7 +83,9 @@ class Pairs:
         self._begun = self._total()
 
     def _total(self) -> NDArray[np.float64]:
-        """Return the impulse of the first body on the second, and its moment [pairs,6]."""
+        """Return the impulse of the first body on the second body, and the moment of the impulse
+        [pairs,6].
+        """
         return np.asarray(self._sums.numpy()).sum(axis=0)[:, :SUMS] + self._added
 
     def add(self, first: int, second: int, impulse: NDArray, moment: NDArray) -> None:
@@ -89,7 +93,7 @@ class Pairs:
 
         Args:
             first: Index of a body.
-            second: Index of the body on which it acts.
+            second: Index of the body on which the impulse acts.
             impulse: Impulse of the first body on the second [3], N s.
             moment: Its moment about the origin [3], N m s.
         """
@@ -109,7 +113,8 @@ class Pairs:
         return cast("wp.array", self._sums[0, index])
 
     def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:
-        """Return each pair's mean wrench of the first body on the second, about the origin.
+        """Return, for each pair, the mean wrench of the first body on the second body, about the
+        origin.
 
         The wrench of the second body on the first is the opposite.
 
@@ -127,7 +132,9 @@ class Pairs:
         return {"sums": wp.clone(self._sums), "begun": self._begun, "added": self._added.copy()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums; if the number of workers differs, only their total is restored."""
+        """Restore the sums; if the number of workers differs, only the total of the sums is
+        restored.
+        """
         kept = snapshot["sums"]
         sums = np.asarray(kept.numpy() if isinstance(kept, wp.array) else kept)
         if sums.shape != self._sums.shape:
@@ -139,7 +146,7 @@ class Pairs:
         self._added = np.array(snapshot.get("added", 0.0) + np.zeros((len(self.all), SUMS)))
 
     def record(self, grids: Sequence[Grid], worker: int, workers: int) -> list[Recorded]:
-        """Record a worker's launches, one for each pair of bodies whose windows overlap.
+        """Record the launches of a worker, one for each pair of bodies whose windows overlap.
 
         A launch is limited to the worker's layers of the lattice. Every node is in the layers of
         exactly one worker, which processes all pairs at this node in order.
@@ -176,7 +183,9 @@ class Pairs:
 
 
 def fill_of(model: Model) -> list[float]:
-    """Return the volume fraction that each body fills at a node, per mass at the node [1/kg]."""
+    """Return the volume fraction that each body fills around a node per unit mass at the node
+    [1/kg].
+    """
     mass, volume = (a.numpy().astype(np.float64) for a in (model.mass, model.volume))
     runs = [model.particles(body) for body in range(model.bodies)]
     return [float(volume[run].sum() / mass[run].sum() / model.dx**3) for run in runs]
@@ -188,6 +197,6 @@ def kernels(real: Any) -> list[Any]:
 
 
 def _overlap(first: Grid, second: Grid) -> Box:
-    """Return the first lattice node in both windows, and one past the last."""
+    """Return the first lattice node that is in both windows, and the node after the last one."""
     low = np.maximum(first.low, second.low)
     return low, np.minimum(first.low + first.size, second.low + second.size)

@@ -26,13 +26,16 @@ from phy124.mpm.tracks import Tracks
 TRIES = 100
 """Largest number of trials; each trial's substep is at most half as long as the one before."""
 FIRST = 4
-"""Number of substeps at the start of a run that are trials if sudden forces act steadily."""
+"""Number of substeps at the start of a run that are run as trials if sudden forces act all the
+time.
+"""
 PULL = 0.1
-"""A substep is run as a trial if forces could move a particle from rest by more than this [cells].
+"""Distance [cells]; a substep is run as a trial if forces could move a particle from rest by more
+than this distance.
 """
 ROUNDED = 1 - 1e-6
-"""Fraction of the previous frame that the bounds also cover. With 1, rounding could include forces
-that ended just before the previous frame.
+"""Fraction of the previous frame that the bounds also cover. If the fraction were 1, rounding could
+include forces that ended just before the previous frame.
 """
 
 
@@ -67,19 +70,19 @@ class StepRejection:
         """Number of substeps that were rejected."""
 
     def keep(self, sums: Sums) -> None:
-        """From now on, also restore these sums after a rejected substep."""
+        """Restore the given sums, too, after each rejected substep from now on."""
         self._accumulators = [*self._accumulators, sums]
 
     def begin(self, start: float, end: float) -> None:
         """Compute bounds of forces and walls from `start` to `end` [s].
 
         Forces and walls that act outside the interval are ignored, so that a push does not shorten
-        the substeps of another frame. A kick includes half of the previous substep, so one frame
-        duration before `start` is included, too.
+        the substeps of another frame. A kick includes half of the previous substep, so the duration
+        of one frame before `start` is also covered.
         """
         before = start - ROUNDED * (end - start) if math.isfinite(start) else start
         self.acceleration = _max_acceleration(self._model, self._tracks, self._pushes, before, end)
-        """Upper bound of any particle's acceleration by forces [m/s^2]."""
+        """Upper bound of the acceleration of particles by forces [m/s^2]."""
         tops = [stage.top_speed(before, end) for stage in self._pushes if stage.top_speed]
         self.wall = max(_max_rate(self._tracks, before, end), *tops, 0.0)
         """Largest speed of a wall or a stream [m/s], which a particle may reach in one substep."""
@@ -90,12 +93,14 @@ class StepRejection:
         return self._pushy and (self._changing or clock.substeps < FIRST)
 
     def must_try(self, clock: Clock, dt: float, *, flying: bool = False) -> bool:
-        """Return whether a substep may move something too far, according to the last measurement.
+        """Return whether a substep may move a particle or a wall too far, according to the last
+        measurement.
 
         Args:
             clock: Holds the last measurement.
             dt: Length of the substep [s].
-            flying: Whether nothing is within reach of the window, so that a high speed is harmless.
+            flying: Whether no force, wall or other body is within reach of the window, so that a
+                high speed is harmless.
         """
         extremes, dx = clock.extremes, self._model.dx
         fast = 2 * max(extremes.speed, self.wall) * dt > CELLS_PER_STEP * dx
@@ -107,12 +112,12 @@ class StepRejection:
         )
 
     def interval(self, clock: Clock, calm: float) -> int:
-        """Return the number of substeps until speeds must be measured; the user's number, if it is
-        safe.
+        """Return the number of substeps until speeds must be measured, which is the user's number
+        if this is safe.
 
         Args:
             clock: Holds the last measurement.
-            calm: Strain up to which no material stiffens much.
+            calm: Strain up to which no material stiffens significantly.
         """
         every, extremes, dx = clock.measure_every, clock.extremes, self._model.dx
         if every <= MEASURE_EVERY or not extremes.stiffness > 0:
@@ -148,12 +153,13 @@ class StepRejection:
 
         Args:
             dt: Length of the first trial [s].
-            scatter: Pushes, scatters and updates the grid for a substep of a given length [s].
-            grids: The grids whose largest nodal speed decides.
+            scatter: Function that applies forces, scatters and updates the grid for a substep of a
+                given length [s].
+            grids: The grids; the largest speed of their nodes decides.
 
         Returns:
-            The accepted length [s], and whether the substep was violent: a node moves by more than
-            half of the allowed `CELLS_PER_STEP`.
+            The accepted length [s], and whether the substep was violent. A substep is violent if a
+            node moves by more than half of the allowed `CELLS_PER_STEP`.
         """
         before = [wp.clone(array) for array in self._pushed]
         sums = [accumulator.snapshot() for accumulator in self._accumulators]
@@ -183,7 +189,9 @@ class StepRejection:
 def _max_acceleration(
     model: Model, tracks: Tracks, pushes: Sequence[Stage], start: float, end: float
 ) -> float:
-    """Return an upper bound of any particle's acceleration by forces in an interval [m/s^2]."""
+    """Return an upper bound [m/s^2] of the acceleration of particles by forces in a time
+    interval.
+    """
     joined, alone = 0.0, 0.0
     for track, flag in zip(tracks.tracks, tracks.flags, strict=True):
         value = 0.0 if flag & LIMITED else track.largest(start, end)
@@ -197,6 +205,6 @@ def _max_acceleration(
 
 
 def _max_rate(tracks: Tracks, start: float, end: float) -> float:
-    """Return the largest speed of a wall in an interval [m/s]."""
+    """Return the largest speed [m/s] of a wall in a time interval."""
     flagged = zip(tracks.tracks, tracks.flags, strict=True)
     return max((track.fastest(start, end) for track, flag in flagged if not flag), default=0.0)

@@ -1,8 +1,8 @@
 """Repair: particles whose deformation no law can handle are reset to their rest shape.
 
-A few particles at a corner may be inverted while the rest of a run is sound. Particles with a
-deformation that no law can handle are reset to F = I and counted. The F_total of plastic and fluid
-material grows without bound, so its norm is limited.
+A few particles at a corner may be inverted although all other particles are sound. Particles whose
+deformation no law can handle are reset to F = I, and counted. In plastic and fluid material F_total
+grows without bound, so its norm is limited.
 """
 
 from __future__ import annotations
@@ -18,12 +18,14 @@ from phy124.mpm.clock import Clock
 from phy124.mpm.model import Model, State
 
 SOUND_J = (1e-5, 1e6)
-"""Range of volume ratios that a law can handle; a particle outside it is reset and counted."""
+"""Range of volume ratios that a law can handle; a particle outside this range is reset and
+counted.
+"""
 SOUND_F = 1e3
 """Largest norm of a sound deformation gradient."""
 NARROWEST = 1e-5
-"""Smallest ratio (min / max) of the stretches; at a smaller ratio rounding may change the sign of
-J.
+"""Smallest allowed ratio of the smallest to the largest stretch; at a smaller ratio, rounding may
+change the sign of J.
 """
 MAX_TOTAL = 1e6
 """Largest norm of F_total; the visible shape stops growing at a stretch of 4."""
@@ -34,7 +36,7 @@ NO_PARTICLE = 2**31 - 1
 
 
 class Repair:
-    """Repairs the deformations of a run, from the first call of `begin` on.
+    """Repairs the deformations of the particles in a run, from the first call of `begin` on.
 
     Call `begin` and `end` for each frame; the solver calls `substep`.
     """
@@ -44,8 +46,9 @@ class Repair:
 
         Args:
             model: The particles.
-            state: Their state.
-            needed: Whether deformations are repaired; on lattices they follow from the nodes.
+            state: State of the particles.
+            needed: Whether deformations are repaired; particles on lattices need no repair, since
+                their deformations are computed from the nodes.
         """
         self.count, self.first = 0, NO_PARTICLE
         """Number of resets in finished frames, and the lowest index of a reset particle."""
@@ -65,7 +68,9 @@ class Repair:
         self._started, self._strain, self._last = True, 0.0, clock.time
 
     def substep(self, clock: Clock) -> None:
-        """Repair again after a substep if the material has strained by `AFTER_STRAIN`."""
+        """Repair deformations again after a substep if the material has been strained by
+        `AFTER_STRAIN`.
+        """
         if not self._started:
             return
         self._strain += clock.extremes.gradient * (clock.time - self._last)
@@ -81,7 +86,7 @@ class Repair:
         self._launch(self._limit)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state to continue from, as plain data."""
+        """Return the state from which the run can continue, as plain data."""
         return {"count": self.count, "first": self.first}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -95,7 +100,9 @@ class Repair:
 
 
 def kernels(laws: Iterable[Law], real: Any) -> Iterator[Any]:
-    """Yield the kernels that repair particles of these laws; only plastic laws have an F_total."""
+    """Yield the kernels that repair particles of the given laws; only plastic laws have an
+    F_total.
+    """
     yield make_reset(real)
     if any(law.project is not None for law in laws):
         yield make_limit_total(real)

@@ -1,4 +1,6 @@
-"""Runs the phases of a substep, and other tasks, on all workers; threads wait for each other."""
+"""Runs the phases of a substep and other tasks on all workers; the threads wait for each other
+between phases.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ from phy124.mpm.threads import Team
 from phy124.mpm.workers import Timings, run_timed
 
 Task = Callable[[int, int], None]
-"""Runs a phase or another task of a worker: its number, and the number of the phase or task."""
+"""Function that runs a phase or another task of a worker; its arguments are the worker's number and
+the task's.
+"""
 
 
 class Runner:
@@ -21,7 +25,7 @@ class Runner:
         Args:
             count: Number of workers.
             work: Runs a phase or another task of one worker.
-            timings: Stages of the first worker, to which the time of waiting is added.
+            timings: Stages of the first worker, to which the waiting time is added.
         """
         self.team = Team[int](count, work)
         self._work, self._timings = work, timings
@@ -47,7 +51,9 @@ class Runner:
             run_timed(self._timings, "wait", self.team.join)
 
     def complete(self, task: int) -> None:
-        """Run a task on all workers and wait for them; the waiting time belongs to no stage."""
+        """Run a task on all workers and wait for them; the time spent waiting is not added to any
+        stage.
+        """
         if self.team.alive:
             self.team.put(task)
             self._work(0, task)

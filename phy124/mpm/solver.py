@@ -1,8 +1,8 @@
 """Solver: explicit MLS-MPM substeps of stable length.
 
-The launches of a substep are recorded (phy124/mpm/substep.py). The recorded launches are repeated
-by one thread, by several threads that each process a part of the particles (phy124/mpm/workers.py),
-or by a CUDA device alone (phy124/mpm/graph.py).
+The launches of a substep are recorded once (phy124/mpm/substep.py) and then repeated. They are
+repeated by one thread, by several threads that each process a part of the particles
+(phy124/mpm/workers.py), or by a CUDA device on its own (phy124/mpm/graph.py).
 """
 
 from __future__ import annotations
@@ -49,7 +49,9 @@ from phy124.mpm.workers import (
 MEASURE, GLANCE = -2, -3
 """Two tasks of workers in addition to the phases: measure all limits, or only speeds."""
 CALM = 0.9
-"""Largest growth of stiffness between two measurements, as a fraction of the stable growth."""
+"""Largest growth of the stiffness between two measurements, as a fraction of the growth that
+remains stable.
+"""
 
 
 class Solver:
@@ -58,7 +60,9 @@ class Solver:
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[Clock]] = Clock
     guest: Any = None
-    """Another solver's launch, which runs between the update of the grids and the walls."""
+    """A launch of another solver, which runs after the grids are updated and before the walls
+    act.
+    """
 
     def __init__(
         self,
@@ -90,13 +94,14 @@ class Solver:
             free: Rigid solids that move freely.
             planes: Flat walls with which the free solids collide.
             ceiling: Longest substep allowed [s].
-            threads: Number of CPU threads; None: chosen by the number of free cores and of
-                particles.
+            threads: Number of CPU threads; None: chosen according to the numbers of free cores and
+                of particles.
             graph: Whether to run frames as one graph on the device; None: on CUDA, with one body
                 only.
-            measure_every: Number of substeps between two measurements of the limits, where safe.
+            measure_every: Number of substeps between two measurements of the limits, used where it
+                is safe.
             scheme: The grid-to-particle transfer scheme.
-            gathered: Readers of every part of the particles after each gather.
+            gathered: Objects that read each part of the particles after each gather.
 
         Raises:
             InputError: The region of a force holds no particle, or a boundary is too thin for the
@@ -127,11 +132,13 @@ class Solver:
         self._stray = wp.zeros(1, dtype=int, device=model.device)
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
         self.flying = False
-        """Whether the window has no force on particles, no wall and no other body within reach."""
+        """Whether no force on particles, no wall and no other body is within reach of the
+        window.
+        """
         self._moved = False
         """Whether a window has moved since the launches were recorded."""
         self.softened = 1.0
-        """Factor by which all stiffnesses are currently scaled."""
+        """Factor by which the stiffness of all particles is currently multiplied."""
         self.runner = Runner(count, self._run_task, self.timings)
         self._graph = Graph(model, self.clock, self.grids[0], self.workers[0], self._stray)
         self.bind(forces, boundaries, accumulators, planes)
@@ -189,7 +196,7 @@ class Solver:
 
     @property
     def timings(self) -> Timings:
-        """Seconds and launches of each stage, in the first thread."""
+        """Seconds and number of launches of each stage in the first thread."""
         return self.workers[0].timings
 
     def advance(
@@ -231,7 +238,9 @@ class Solver:
         return sum(seconds for seconds, _ in self.timings.values())
 
     def step(self, kick: float, drift: float) -> None:
-        """Take one substep: velocities change over `kick` [s], positions and F over `drift` [s]."""
+        """Take one substep in which velocities change for the time `kick` [s], and positions and F
+        for the time `drift` [s].
+        """
         self._measure_if_due()
         self._scatter(kick, drift)
         self.runner.run(GATHER)
@@ -239,7 +248,7 @@ class Solver:
         self.clock.finish(drift)
 
     def renew(self) -> None:
-        """Measure everything again; call this after setting the state from outside."""
+        """Measure all limits again; call this method after changing the state from outside."""
         self.clock.expire()
         for grid in self.grids:
             grid.stale = True
@@ -258,7 +267,9 @@ class Solver:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore a snapshot; the result is exact only if the number of threads is the same."""
+        """Restore a snapshot; the run continues bit for bit only if the number of threads is the
+        same.
+        """
         self.state.restore(snapshot["state"])
         self.clock.restore(snapshot["clock"])
         self.outliers.restore(snapshot["outliers"])
@@ -276,7 +287,9 @@ class Solver:
             self._record()
 
     def _restore_slabs(self, snapshot: dict[str, Any]) -> bool:
-        """Restore the slabs; return False if the snapshot has another number of threads."""
+        """Restore the slabs; return False if the snapshot was taken with another number of
+        threads.
+        """
         if self.slabs is None:
             return True
         known = self.slabs.restore(snapshot)
@@ -306,7 +319,8 @@ class Solver:
 
         def scatter(dt: float) -> None:
             if self.grid.apart:
-                # A rejected trial has scattered, and no gather has cleared the momenta.
+                # A rejected trial has scattered to the grid, and no gather has cleared the momenta
+                # since.
                 self.grid.momenta.zero_()
             self._scatter((self.clock.last_dt + dt) / 2, dt)
             self.runner.join()
@@ -331,7 +345,9 @@ class Solver:
         measure = {MEASURE: worker.measure, GLANCE: worker.glance}.get(task)
         if measure is None:
             worker.run(task)
-        elif member == 0:  # The caller adds the time of the first worker to its own.
+        elif (
+            member == 0
+        ):  # The caller adds the time of the first worker to the time of the calling thread.
             measure()
         else:
             run_timed(worker.timings, "measure", measure)
@@ -378,7 +394,7 @@ class Solver:
             clock.interval = min(interval, room)
 
     def _calm_strain(self) -> float:
-        """Return the strain up to which the substep stays stable as materials stiffen."""
+        """Return the strain up to which the substep remains stable although materials stiffen."""
         growth = max(CALM / self.clock.cfl**2, 1.05)
         stiffness = self.clock.extremes.stiffness / (self.model.least_stiffness * self.softened)
         return min(m.calm_strain(growth, stiffness) for m in self.model.materials)
@@ -414,7 +430,9 @@ class Solver:
         return corners_of(rows, bodies, len(self.grids))
 
     def _fit_slabs(self, rows: NDArray[np.float64], force: bool) -> bool:
-        """Fit slabs to their particles or divide particles again; return whether slabs changed."""
+        """Fit the slabs to their particles, or divide the particles again; return whether the slabs
+        have changed.
+        """
         slabs = self.slabs
         if slabs is None or not slabs.fit(rows, force=force):
             return False
@@ -431,7 +449,8 @@ class Solver:
             worker.glances = self._recorder.speeds(worker, self._stray)
 
     def _maxima(self) -> NDArray[np.float64]:
-        """Measure, and return a row of maxima for each part of each worker, or for each body.
+        """Measure the particles, and return a row of maxima for each part of each worker, or for
+        each body.
 
         Raises:
             Unstable: A particle is not finite.
@@ -442,7 +461,7 @@ class Solver:
         return np.array([row.numpy() for row in rows], dtype=np.float64).reshape(-1, COUNT)
 
     def _each_worker(self, task: int) -> None:
-        """Let all workers measure; raises Unstable if a particle is not finite."""
+        """Let all workers measure their particles; raises Unstable if a particle is not finite."""
         self.runner.complete(task)
         lost = int(self._stray.numpy()[0])
         if lost:

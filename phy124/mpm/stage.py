@@ -1,4 +1,4 @@
-"""Stage: a launch in a substep, which is recorded again whenever the grid's window changes."""
+"""Stage: a launch in a substep that is recorded again whenever the grid's window changes."""
 
 from __future__ import annotations
 
@@ -16,30 +16,32 @@ class Stage(NamedTuple):
     """A launch that a force, a boundary or an accumulator adds to a substep."""
 
     name: str
-    """Name of the stage in reports, which list its time."""
+    """Name of the stage in reports, which list the time of each stage."""
     record: Callable[[Grid], wp.Launch | None]
-    """Records the launch for the grid's current window; None if nothing is within reach."""
+    """Function that records the launch for the grid's current window; it returns None if nothing is
+    within reach.
+    """
     sudden: bool = False
     """Whether the stage may change a velocity abruptly, whatever its strength."""
     in_newtons: bool = False
     """Whether the stage's track is a force on each particle [N], not an acceleration [m/s^2]."""
     keeps_C: bool = False
-    """Whether the stage never changes C; the sums of its work then need not read C."""
+    """Whether the stage never changes C, so that the sums of its work need not read C."""
     by_run: bool = False
-    """Whether each worker records the stage only for its own particles (`Grid.run`)."""
+    """Whether each worker records the stage only for the worker's particles (`Grid.run`)."""
     alone: bool = False
     """Whether one worker launches the stage for all layers while the others wait."""
     with_update: Callable[[Grid], wp.Launch | None] | None = None
-    """Records one launch for the stage and the grid update together; None if the two cannot be
-    combined.
+    """Function that records a single launch for the stage and the grid update; None if the two
+    cannot be combined.
     """
     limit: Callable[[float, float], float] | None = None
-    """Returns the largest acceleration of a particle [m/s^2] between two times [s]; None: use the
-    track.
+    """Function that returns the largest acceleration of a particle [m/s^2] between two times [s];
+    None: use the track's values.
     """
     top_speed: Callable[[float, float], float] | None = None
-    """Returns the speed [m/s] up to which the stage accelerates particles between two times [s];
-    None if it has no limit.
+    """Function that returns the speed [m/s] up to which the stage accelerates particles between two
+    times [s]; None if there is no such limit.
     """
 
 
@@ -70,11 +72,11 @@ class Sums(Protocol):
 
 
 class Accumulator(Attachable, Sums, Protocol):
-    """Sums updated by stages that come last in a substep, after the boundaries."""
+    """Sums that are updated by the last stages of a substep, after the boundaries have acted."""
 
 
 Named = tuple[str, Callable[[], Any]]
-"""A name, and a function that repeats a launch."""
+"""A name and a function, which repeats a launch."""
 
 
 class Repeatable(Protocol):

@@ -1,4 +1,4 @@
-"""The launches of one substep, recorded for the grid's current windows.
+"""Records the launches of one substep for the current windows of the grids.
 
 A substep consists of push, clear, p2g, update, collide and g2p; each is one launch per law and
 worker. Repeating a recorded launch takes a few microseconds.
@@ -33,7 +33,7 @@ MEASURING = 2**17
 
 
 class Transfers(NamedTuple):
-    """The kernels of a law."""
+    """The scatter and gather kernels of a constitutive law."""
 
     measure: Any
     p2g: Any
@@ -41,7 +41,7 @@ class Transfers(NamedTuple):
 
     @classmethod
     def of(cls, law: Law, real: Any, form: str) -> Transfers:
-        """Return the kernels of a law in one precision and form."""
+        """Return the kernels of a constitutive law for a precision and a form of the transfers."""
         return cls(
             measure.make_measure(law, real),
             transfer.make_p2g(law, real, form),
@@ -67,12 +67,12 @@ class Gathered(Protocol):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch for a worker's part.
+        """Record the launch for a part that a worker processes.
 
         Args:
             part: Particles of one law that a worker processes.
             worker: Index of the worker.
-            model: The particles' constants.
+            model: The constants of the run.
             state: The state after the gather.
             tracks: Quantities that change over time.
         """
@@ -97,11 +97,11 @@ class Recorder:
     free: FreeBodies
     """Rigid solids among the particles."""
     missed: wp.array
-    """1 if g2p skipped a particle outside the window, else 0; one row per worker [W,1]."""
+    """Flag of each worker [W,1]: 1 if g2p skipped a particle outside the window, otherwise 0."""
     fluctuation: Fluctuation | None = None
     """Restores motion that the grid does not represent; None for APIC."""
     gathered: Sequence[Gathered] = ()
-    """Readers of each part right after its gather."""
+    """Objects that read each part right after the part's gather."""
     rpic: float = 0.0
     """Decay rate of the symmetric part of C [1/s]."""
     guest: Any = None
@@ -134,7 +134,9 @@ class Recorder:
         self.workers[0].phases[GATHER] += launches(last)
 
     def _passes(self, parts: Sequence[Part], worker: int) -> Iterator[list[Named]]:
-        """Yield a worker's phases for each pass over the grid before the substep's scatter."""
+        """Yield the phases of a worker for each pass over the grid that precedes the substep's
+        scatter.
+        """
         kept = self.fluctuation
         for turn in range(kept.scheme.passes if kept else 0):
             assert kept is not None
@@ -147,7 +149,7 @@ class Recorder:
             yield launches([kept.remain(part, grid, turn) for part, grid in pairs])
 
     def _put_down(self, body: int) -> None:
-        """Scatter the mass of a body that never moves, once for all substeps."""
+        """Scatter the mass of a body that never moves to its grid, once for all substeps."""
         grid = self.grids[body]
         grid.nodes.zero_()
         every = wp.zeros(0, dtype=int, device=self.model.device)
@@ -169,7 +171,9 @@ class Recorder:
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
-        """Return a worker's pushes; the first worker has all pushes if one cannot be divided."""
+        """Return the force launches of a worker; the first worker gets all of them if one cannot be
+        divided.
+        """
         if all(stage.by_run for stage in stages):
             with self._grid.only(None, worker, len(self.workers)):
                 return launches([(stage.name, stage.record(self._grid)) for stage in stages])
@@ -178,7 +182,8 @@ class Recorder:
         return launches([(stage.name, stage.record(self._grid)) for stage in stages])
 
     def _update_phases(self, walls: Sequence[Stage], worker: int) -> list[list[Recorded]]:
-        """Return a worker's phases: grid update, contact between bodies, free bodies, and walls.
+        """Return the phases of a worker: grid update, contact between bodies, contact with free
+        bodies, and walls.
 
         Walls come last, so that no other stage can push material through them.
         """
@@ -205,21 +210,23 @@ class Recorder:
         return phases
 
     def _update_with(self, wall: Stage) -> Recorded | None:
-        """Return the grid update and a wall as one launch; None if they are two launches."""
+        """Return one launch for the grid update and a wall, or None if they need two launches."""
         if wall.with_update is None or len(self.grids) > 1 or not self._grid.apart:
             return None
         launch = wall.with_update(self._grid)
         return None if launch is None else (wall.name, launch)
 
     def _meet_free(self) -> list[Recorded]:
-        """Return the launches for free bodies' contact with each body in turn, for one worker."""
+        """Return the launches of a worker for the contact of free bodies with each particle body in
+        turn.
+        """
         records = (self.free.record(self.grids[body], body) for body in self._moving)
         return list(itertools.chain(*records))
 
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
     ) -> Recorded | None:
-        """Return a worker's share of the work for a wall and a body; some walls are handled by the
+        """Return the launches of a worker for a wall and a body; some walls are handled by the
         first worker alone.
         """
         if alone:
@@ -243,13 +250,14 @@ class Recorder:
 
         Args:
             index: Index of the worker.
-            velocities: Whether to clear `Grid.nodes`, not the momenta, if these are apart.
+            velocities: Whether to clear `Grid.nodes` instead of the momenta, if the two are
+                separate arrays.
         """
         if self.slabs is not None:
             yield "clear", self.slabs.runs[index].zero_
             return
         for body in self._moving:
-            # The gather has cleared momenta that are apart.
+            # The gather has already cleared the momenta if they are a separate array.
             if velocities or not self.grids[body].apart:
                 yield "clear", self.grids[body].nodes.zero_
 
@@ -277,10 +285,10 @@ class Recorder:
         return [launch for launch in glances if launch is not None]
 
     def _scatter(self, part: Part) -> Iterator[Recorded]:
-        """Yield the scatter of a part, preceded by RPIC if the scheme has RPIC.
+        """Yield the scatter of a part, preceded by RPIC damping if the scheme includes RPIC.
 
-        RPIC does not directly follow the gather, so that measurements in between include the strain
-        of the substep.
+        The damping does not run directly after the gather, so that measurements in between include
+        the strain of the substep.
         """
         if self.rpic > 0:
             inputs = [part.chosen, self.rpic, self.tracks.clock]
@@ -300,7 +308,7 @@ class Recorder:
         model, s, run = self.model, self.state, part.particles
         law, grid = part.group.law, self.grids[part.group.body]
         kernel = Transfers.of(law, model.real, model.form).g2p
-        # Each thread clears some nodes for the next scatter.
+        # Each thread also clears some nodes for the next scatter.
         clears = grid.apart and part.group.start == 0
         cleared = [-(-grid.count // part.count), part.count] if clears else [0, 0]
         read = [part.chosen, *cleared, part.group.rows(run)]
@@ -316,8 +324,8 @@ class Recorder:
         return records
 
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
-        """Return a worker's share of the update of a body's grid, with the given or the run's
-        clock.
+        """Return the launch with which a worker updates its share of a body's grid; by default with
+        the run's clock.
         """
         model, grid, slabs = self.model, self.grids[body], self.slabs
         momenta = grid.nodes if clock is not None else grid.momenta

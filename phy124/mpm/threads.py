@@ -21,20 +21,24 @@ from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
 ROUNDS, NAP = 20, 5e-5
-"""Number of spins of a barrier that only yield the core; duration of the sleep [s] between later
-spins.
+"""Number of spins at a barrier that only yield the core, and duration of the sleep [s] between
+later spins.
 """
 SPINS = 100_000
-"""Number of checks of the barrier per spin if every thread has its own core; otherwise 1."""
+"""Number of checks of the barrier per spin if there is a core for every thread; otherwise one check
+per spin.
+"""
 Task = TypeVar("Task")
 
 
 class Team(Generic[Task]):
-    """Runs `work(member, task)` on every member's own thread; the caller's thread is member 0.
+    """Runs `work(member, task)` on a separate thread for each member; member 0 is the caller's
+    thread.
 
-    `work` is not called for member 0: the caller starts a task by `put`, does the share of member
-    0, and puts the next task. `put` first waits for the other members. Load every kernel that
-    `work` launches before entering `running`, since loading is not thread-safe.
+    `work` is not called for member 0, which is the caller: the caller starts a task for the others
+    with `put`, does the share of member 0 itself, and starts the next task. `put` first waits for
+    the other members. Load every kernel that `work` launches before entering `running`, since
+    loading is not thread-safe.
     """
 
     def __init__(self, size: int, work: Callable[[int, Task], None]) -> None:
@@ -53,7 +57,7 @@ class Team(Generic[Task]):
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Start the threads; tasks can be put within this context."""
+        """Start the threads; tasks can be started with `put` within this context."""
         # Errors may remain from the previous context, if another error was raised first.
         self._barrier, self._queue = Barrier(self.size), []
         self._errors = [None] * self.size
@@ -76,8 +80,8 @@ class Team(Generic[Task]):
     def put(self, task: Task) -> None:
         """Wait until all members have finished their previous task, then start this task.
 
-        An exception of the previous task is re-raised; if several members failed, the exception of
-        the member with the lowest number.
+        An exception of the previous task is re-raised. If several members failed, the exception of
+        the member with the lowest number is raised.
         """
         self._hand_over(task)
 
@@ -86,7 +90,7 @@ class Team(Generic[Task]):
         self._hand_over(None)
 
     def _hand_over(self, task: Task | None) -> None:
-        # A list, since other threads may read the task after the next one has been put.
+        # A list, since other threads may read a task after the next task has been started.
         self._queue.append(task)
         if self._barrier:
             self._barrier.wait(0)
@@ -106,12 +110,14 @@ class Team(Generic[Task]):
             try:
                 if task is not None:
                     self._work(member, task)
-            except BaseException as error:  # The first thread raises it after the barrier.
+            except (
+                BaseException
+            ) as error:  # The first thread raises the exception after the barrier.
                 self._errors[member] = error
 
 
 class Barrier:
-    """A barrier at which a number of threads wait for each other."""
+    """A barrier at which a fixed number of threads wait for each other."""
 
     def __init__(self, parties: int) -> None:
         self._counter = wp.zeros(32, dtype=int, device="cpu")

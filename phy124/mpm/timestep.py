@@ -1,8 +1,9 @@
-"""The stable substep of explicit MLS-MPM, and the limit that determines it.
+"""Computes the stable substep of explicit MLS-MPM, and the limit that determines it.
 
 dt = min(k dx sqrt(rho0 / A), 0.5 dx / |v|, 0.4 / |C|), where A is the largest eigenvalue of d tau /
-d ln sigma (an isolated particle is a harmonic oscillator with omega^2 = 4 A / (rho0 dx^2)), |v| the
-largest speed, and |C| the largest velocity gradient. See docs/design/physics.md.
+d ln sigma, |v| is the largest speed, and |C| is the largest velocity gradient. The first limit
+follows from an isolated particle, which is a harmonic oscillator with omega^2 = 4 A / (rho0 dx^2).
+See docs/design/physics.md.
 
 If the substep's length followed A in phase with a vibration, the vibration would gain energy. The
 assumed A therefore decays slowly after a measurement: leapfrog integration with substeps of equal
@@ -20,11 +21,11 @@ from numpy.typing import NDArray
 from phy124.kernels.measure import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
 
 CFL = 0.75
-"""Fraction of the elastic limit that is used."""
+"""Length of substeps as a fraction of the elastic limit."""
 CELLS_PER_STEP = 0.5
 """Largest distance that a particle moves in one substep [cells]."""
 STRAIN_PER_STEP = 0.4
-"""Largest |C| dt; below 1 an element cannot become inverted in one substep."""
+"""Largest |C| dt; if |C| dt is below 1, an element cannot become inverted in one substep."""
 MEMORY = 0.95
 """Factor by which an assumed stiffness decays within `MEASURE_EVERY` substeps after a measurement.
 """
@@ -33,7 +34,7 @@ TRAVEL = 2
 grid's window is twice this distance.
 """
 MEASURE_EVERY = 4
-"""Number of substeps between two measurements of the limits; it is safe for any motion."""
+"""Number of substeps between two measurements of the limits that is safe for any motion."""
 
 
 class Extremes(NamedTuple):
@@ -47,7 +48,8 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Return the extremes, raised to at least `speed` and to the decayed earlier stiffness.
+        """Return the extremes, with at least the speed `speed` and at least the decayed earlier
+        stiffness.
 
         Args:
             before: Extremes measured `substeps` earlier.
@@ -59,7 +61,7 @@ class Extremes(NamedTuple):
 
 
 class Maxima(NamedTuple):
-    """Extremes and extent of some particles, as measured on the device."""
+    """Extremes and bounding box of some particles, as measured on the device."""
 
     extremes: Extremes
     """Values that limit the substep."""
@@ -118,12 +120,15 @@ def stable_substep(
 
 
 def decay(value: float, substeps: int) -> float:
-    """Return the value assumed some substeps after it was measured; it decays by `MEMORY`."""
+    """Return the value that is assumed some substeps after its measurement; it decays by
+    `MEMORY`.
+    """
     return MEMORY ** (substeps / MEASURE_EVERY) * value
 
 
 def beside_elastic(cfl: float) -> float:
-    """Return the stable fraction of the viscous limit if `cfl` of the elastic limit is used.
+    """Return the stable fraction of the viscous limit if the fraction `cfl` of the elastic limit is
+    used.
 
     An oscillator with omega dt = 2 cfl and damping gamma dt, both integrated explicitly, is stable
     while (omega dt)^2 <= 4 - 2 gamma dt.
@@ -132,7 +137,7 @@ def beside_elastic(cfl: float) -> float:
 
 
 def beside_rpic(cfl: float) -> float:
-    """Return the stable fraction of the elastic limit if the strain rate in C is damped.
+    """Return the stable fraction of the elastic limit if RPIC damps the strain rate in C.
 
     An oscillator that keeps the fraction s of its velocity in each substep is stable while (omega
     dt)^2 <= 2 + 2 s; in the worst case s is 0.

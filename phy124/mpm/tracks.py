@@ -24,22 +24,28 @@ from phy124.schema.region import Vector
 from phy124.schema.section import Section
 
 SEGMENTS = 64
-"""Straight segments per period of a sine: the largest error is 0.12 % of the amplitude."""
+"""Number of straight segments per period of a sine; the largest error is 0.12 % of the
+amplitude.
+"""
 FOREVER = 1e30
 """A time later than the end of any run [s], but finite in float32."""
 Key = tuple[float, Vector]
 """Time [s] and value."""
 Over = Literal["", "kick", "drift"]
-"""Interval over which a value is averaged: none, the kick, or the drift."""
+"""Interval over which a value is averaged: no interval, the kick, or the drift."""
 OVER: dict[Over, int] = {"": 0, "kick": KICK, "drift": DRIFT}
 """Flag of each of these intervals."""
 
 
 class Table(Section):
-    """Base class of time profiles: a table of times [s] and factors, used once or repeated."""
+    """Base class of time profiles, which are tables of times [s] and factors that are used once or
+    repeated.
+    """
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times since the start [s] and the factors at these times; linear in between."""
+        """Return times since the start [s] and the factors at these times; factors are linear in
+        between.
+        """
         raise NotImplementedError
 
     @property
@@ -49,17 +55,17 @@ class Table(Section):
 
 
 class Constant(Table):
-    """The full value at all times."""
+    """Profile with the factor 1 at all times."""
 
     kind: Literal["constant"] = "constant"
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return one key."""
+        """Return a table with a single key."""
         return np.zeros(1), np.ones(1)
 
 
 class Ramp(Table):
-    """Linear from one factor to another, then constant."""
+    """Profile that changes linearly from one factor to another, and is then constant."""
 
     kind: Literal["ramp"] = "ramp"
     duration: float = Field(
@@ -69,12 +75,12 @@ class Ramp(Table):
     last: Factor = Field(default=1.0, description="Factor at the end of the ramp and afterwards.")
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return two keys."""
+        """Return a table with two keys."""
         return np.array([0.0, self.duration]), np.array([self.first, self.last])
 
 
 class Sine(Table):
-    """offset + sin(2 pi (frequency t + phase / 360))."""
+    """Profile that oscillates: offset + sin(2 pi (frequency t + phase / 360))."""
 
     kind: Literal["sine"] = "sine"
     frequency: float = Field(
@@ -89,14 +95,14 @@ class Sine(Table):
         return 1 / self.frequency
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return one period."""
+        """Return a table of one period."""
         parts = np.linspace(0, 1, SEGMENTS + 1)
         wave = np.sin(2 * math.pi * (parts + self.phase / 360))
         return parts / self.frequency, self.offset + wave
 
 
 class Keyframes(Table):
-    """Factors at given times, linear between them."""
+    """Profile with factors at given times, linear in between."""
 
     kind: Literal["keyframes"] = "keyframes"
     times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times of the factors [s].")
@@ -110,11 +116,11 @@ class Keyframes(Table):
 
     @property
     def period(self) -> float:
-        """The last time [s] if the keys repeat, else 0."""
+        """The time of the last key [s] if the keys repeat, otherwise 0."""
         return self.times[-1] if self.repeat else 0.0
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the keys."""
+        """Return the table of keys."""
         return np.array(self.times), np.array(self.factors)
 
 
@@ -138,7 +144,9 @@ def check_times(times: Sequence[float], values: int, name: str) -> None:
 
 @dataclass(frozen=True)
 class Track:
-    """Keys in order of time; the value is linear between them and constant before and after."""
+    """Keys in order of time; the value is linear between the keys, and constant before the first
+    and after the last.
+    """
 
     keys: tuple[Key, ...]
     """Times since the origin [s], and values at these times."""
@@ -147,7 +155,7 @@ class Track:
     end: float = FOREVER
     """Time until which the track is active [s]."""
     origin: float = 0.0
-    """Time at which the keys' times are zero [s]."""
+    """Time [s] from which the times of the keys are counted."""
     period: float = 0.0
     """Time after which the keys repeat [s]; 0 if they never repeat."""
     mean: bool = False
@@ -165,7 +173,7 @@ class Track:
     def of_profile(
         cls, value: Sequence[float], profile: Table, start: float, end: float, *, mean: bool
     ) -> Track:
-        """Return the track of a value times a profile.
+        """Return a track with a value multiplied by a profile.
 
         A track that starts at time 0 is also active before time 0, so that the first kick is
         complete.
@@ -197,20 +205,22 @@ class Track:
         """Return whether the value may change from `start` to `end` [s].
 
         A change exactly at `end` is excluded, since it acts only after `end`. Before `end`, a live
-        run does not know about a push that begins at `end`, and must take the same substeps as a
-        run that does.
+        run does not know about a push that begins at `end`, but it must take the same substeps as a
+        run that knows about the push.
         """
         begins_or_ends = start <= self.start < end or start <= self.end < end
         return begins_or_ends or (len(self.keys) > 1 and self.acts(start, end))
 
     def largest(self, start: float, end: float) -> float:
-        """Return an upper bound of the value's norm from `start` to `end` [s]; 0 if inactive."""
+        """Return an upper bound of the value's norm from `start` to `end` [s]; 0 if the track is
+        inactive then.
+        """
         if not self.acts(start, end):
             return 0.0
         return max(math.hypot(*value) for _, value in self.keys)
 
     def fastest(self, start: float, end: float) -> float:
-        """Return the largest norm of the rate from `start` to `end` [s]."""
+        """Return the largest norm of the value's rate of change from `start` to `end` [s]."""
         fastest, start, end = 0.0, start - self.origin, end - self.origin
         for (t, a), (u, b) in itertools.pairwise(self.keys):
             repeats = self.period > 0 and end > 0
@@ -240,10 +250,11 @@ class Tracks:
 
         Args:
             track: The track.
-            limited: Whether the stage that reads the track has its own limit, so that the track's
-                values bound nothing.
-            over: For a track with `mean` false: average the value over the kick or over the substep
-                ahead, even beyond the track's active time; empty: the current value.
+            limited: Whether the stage that reads the track has a separate limit, so that the
+                track's values are not used as bounds.
+            over: For a track with `mean` false: the interval (the kick or the substep ahead) over
+                which the value is averaged, even beyond the track's active time. If empty, the
+                current value is used.
         """
         averaged = MEAN if track.mean else OVER[over]
         return self._append(track, averaged | (LIMITED if limited else 0))
@@ -293,7 +304,7 @@ class Tracks:
         """Return the launch that samples every track.
 
         Args:
-            clock: Kick, drift and time [3], s; None: those of the run.
+            clock: Kick, drift and time [3], s; None: use the clock of the run.
             outputs: Arrays for values and rates; None: `values` and `rates`.
         """
         tables = [self.starts, self.times, self.keys, self.spans, self.flag_array]

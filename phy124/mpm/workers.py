@@ -6,11 +6,11 @@ phy124/mpm/threads.py runs several workers in parallel.
 
 With several workers, each has slabs of particles. The particles of each group, which are sorted in
 layers along the longest axis (phy124/simulation/setup.py), are divided into slabs of equal particle
-numbers. A slab has the nodes that its particles can touch until the next measurement: those of its
-own layers, and a margin on each side. As the object rotates or flows, slabs begin to overlap. Once
-the slabs have too many nodes in total, the particles are divided again by their current positions.
-Workers then access their particles through lists of indices, which makes a substep up to twice as
-expensive, so particles are rarely divided again.
+numbers. A slab has the nodes that its particles can touch until the next measurement: the nodes of
+the slab's layers, and a margin on each side. As the object rotates or flows, slabs begin to
+overlap. Once the slabs have too many nodes in total, the particles are divided again by their
+current positions. Workers then access their particles through lists of indices, which makes a
+substep up to twice as expensive, so particles are rarely divided again.
 """
 
 from __future__ import annotations
@@ -34,19 +34,20 @@ from phy124.mpm.timestep import Maxima
 from phy124.runtime.cores import free_cores
 
 MIN_PARTICLES = 10_000
-"""Smallest number of particles per worker; with fewer, barriers cost more time than threads save.
+"""Smallest number of particles per worker; with fewer particles, barriers take more time than
+threads save.
 """
 GATHER = -1
 """The last phase of a substep; workers wait for each other between phases."""
 SCHEDULE, WINDOW, REPAIR, FOLLOW = HOST = ("schedule", "window", "repair", "follow")
-"""Stages on the host. `schedule`: choosing substeps, and all other work between launches; `window`:
-recording launches for a moved window; `repair`: resetting broken deformations; `follow`: the
-functions called after each substep (progress, budget and observers).
+"""Names of stages on the host. `schedule`: choosing substeps, and all other work between launches.
+`window`: recording launches for a moved window. `repair`: resetting broken deformations. `follow`:
+the functions that are called after each substep (progress, budget and observers).
 """
 NODES, GROWN = 16, 1.25
-"""Thresholds above which particles are divided again. `NODES`: nodes of slabs per particle, which
-also bounds memory. `GROWN`: growth of the ratio of the slabs' nodes to the window's nodes since the
-last division.
+"""Thresholds above which particles are divided again. `NODES`: number of nodes in slabs per
+particle, which also limits the memory. `GROWN`: growth of the ratio of the slabs' nodes to the
+window's nodes since the last division.
 """
 GAP, LINE = 1, 4
 """`GAP`: gap between two slabs [nodes], because SIMD rows touch one more node. `LINE`: nodes per
@@ -92,7 +93,7 @@ class Worker:
     """The particles that one worker processes, and the launches for these particles."""
 
     maxima: wp.array
-    """Measured maxima: `COUNT` numbers for each body, or for each of the worker's parts."""
+    """Measured maxima: `COUNT` numbers for each body, or for each part of the worker."""
     speeds: wp.array
     """Measured maxima of speed and velocity gradient [SPEEDS]."""
     parts: list[Part] = field(default_factory=list)
@@ -170,7 +171,9 @@ class Slabs:
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
 
     def divide(self, order: NDArray[np.integer] | None = None) -> None:
-        """Give workers equal shares of each group's particles, in memory order or `order` [P]."""
+        """Give the workers equal shares of each group's particles, in the order of memory or in the
+        order `order` [P].
+        """
         count = len(self.workers)
         order = np.arange(len(self._model)) if order is None else order
         for group in self._model.groups:
@@ -191,7 +194,8 @@ class Slabs:
         self.divide(np.concatenate(orders))
 
     def fit(self, rows: NDArray[np.float64], *, force: bool) -> bool:
-        """Make the nodes of every slab cover its particles; return whether they changed.
+        """Make the nodes of every slab cover the slab's particles; return whether the nodes
+        changed.
 
         Args:
             rows: Measurements of the particles of each part [parts,COUNT].
@@ -200,7 +204,7 @@ class Slabs:
         reaches = [self._reach(part, row) for part, row in zip(self.parts, rows, strict=True)]
         if not force and all(map(_has_space, self.parts, reaches)):
             return False
-        # All slabs at once, so that no other slab has to change soon.
+        # All slabs are fitted at once, so that no other slab has to change soon.
         boxes = []
         for part, reach in zip(self.parts, reaches, strict=True):
             grid = self._grids[part.group.body]
@@ -212,7 +216,9 @@ class Slabs:
         return True
 
     def _reach(self, part: Part, row: NDArray[np.float64]) -> tuple[NDArray, NDArray] | None:
-        """Return the nodes that a part's measured particles can touch; None if all are outliers."""
+        """Return the nodes that the measured particles of a part can touch; None if all of them are
+        outliers.
+        """
         grid = self._grids[part.group.body]
         return grid.reach(*Maxima.of(row).corners) if np.isfinite(row).all() else None
 
@@ -244,7 +250,7 @@ class Slabs:
         return {"workers": count, "owner": self._owner.copy(), "share": self._share, "boxes": boxes}
 
     def restore(self, snapshot: dict[str, Any]) -> bool:
-        """Restore a snapshot; return False if it has another number of workers."""
+        """Restore a snapshot; return False if it was taken with another number of workers."""
         if snapshot.get("workers") != len(self.workers):
             self.divide()
             return False
@@ -280,7 +286,7 @@ class Slabs:
 
 
 def lone_worker(model: Model, grids: Sequence[Grid]) -> Worker:
-    """Return a single worker, which scatters all particles to the shared grid of their body."""
+    """Return a single worker, which scatters all particles to the shared grids of their bodies."""
     maxima = numbers(COUNT * len(grids), model)
     every = wp.zeros(0, dtype=int, device=model.device)
     parts = []
@@ -296,7 +302,9 @@ def numbers(count: int, model: Model) -> wp.array:
 
 
 def usable_workers(particles: int, device: str, asked: int | None = None) -> int:
-    """Return the requested number of workers, or else the fastest number; 1 on a GPU."""
+    """Return the requested number of workers, or the fastest number if none is requested; 1 on a
+    GPU.
+    """
     if device != "cpu":
         return 1
     if asked is not None:
@@ -334,7 +342,9 @@ def layers(x: NDArray, axis: int, dx: float) -> NDArray[np.int16]:
 
 
 def _has_space(part: Part, reach: tuple[NDArray, NDArray] | None) -> bool:
-    """Return whether the margin of a part's private nodes suffices until the next measurement."""
+    """Return whether the margin of the private nodes of a part suffices until the next
+    measurement.
+    """
     if reach is None:
         return True
     nodes, (low, high) = part.nodes, reach
