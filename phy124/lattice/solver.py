@@ -279,7 +279,7 @@ class LatticeSolver:
         self.rejection.begin(self.clock.time, until)
         self.clock.interval = min(self.clock.interval, self._interval())
         if len(self.workers) > 1:
-            # Loading kernels is not thread-safe: this loads those of the measurement.
+            # Loading kernels is not thread-safe, so the kernels of the measurement are loaded here.
             self.measure_if_due()
         with self.runner.on_threads():
             while self.clock.time < until:
@@ -398,7 +398,7 @@ class LatticeSolver:
     def _threads(self) -> AbstractContextManager[None]:
         """Return a context within which each worker runs on its own thread."""
         if len(self.workers) > 1:
-            # Loading kernels is not thread-safe: this loads those of the measurement.
+            # Loading kernels is not thread-safe, so the kernels of the measurement are loaded here.
             self.measure_if_due()
         return self.runner.on_threads()
 

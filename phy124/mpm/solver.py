@@ -345,9 +345,7 @@ class Solver:
         measure = {MEASURE: worker.measure, GLANCE: worker.glance}.get(task)
         if measure is None:
             worker.run(task)
-        elif (
-            member == 0
-        ):  # The caller adds the time of the first worker to the time of the calling thread.
+        elif member == 0:  # The caller adds the time of the first worker to the calling thread's.
             measure()
         else:
             run_timed(worker.timings, "measure", measure)

@@ -110,9 +110,7 @@ class Team(Generic[Task]):
             try:
                 if task is not None:
                     self._work(member, task)
-            except (
-                BaseException
-            ) as error:  # The first thread raises the exception after the barrier.
+            except BaseException as error:  # The first thread raises it after the barrier.
                 self._errors[member] = error
 
 
