@@ -387,5 +387,5 @@ def test_snapshot_and_restore_go_on_bit_for_bit(rng):
 
 def test_particles_must_be_sorted_by_law():
     laws, unsorted = [NeoHookean(), FixedCorotated()], np.arange(512)[::-1] % 2
-    with pytest.raises(ValueError, match="sorted by law"):
+    with pytest.raises(ValueError, match="sorted by constitutive law"):
         make_solver(block(), np.ones(512), laws, dx=DX, material=unsorted)

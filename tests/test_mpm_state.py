@@ -18,7 +18,7 @@ def model(*materials, **options) -> Model:
 
 def test_particles_must_be_sorted_by_law_and_have_a_volume():
     mixed = np.tile([0, 1], 32)
-    with pytest.raises(ValueError, match="sorted by law"):
+    with pytest.raises(ValueError, match="sorted by constitutive law"):
         model(NeoHookean(), Sand(), material=mixed)
     with pytest.raises(ValueError, match="volume above zero"):
         Model.of(block(2), np.zeros(8), [NeoHookean()], dx=0.2)
