@@ -304,9 +304,7 @@ class RestLattice:
         low, size = self.index.min(axis=0), np.ptp(self.index, axis=0) + 1
         shape = (int(self.body[-1]) + 1, *size.tolist())
         keys: NDArray = np.asarray(np.ravel_multi_index((self.body, *(self.index - low).T), shape))
-        order = np.argsort(
-            keys, kind="stable"
-        )  # The first copy of a node precedes the other copies.
+        order = np.argsort(keys, kind="stable")  # The first copy of a node precedes the others.
         keys = keys[order]
         inside = ((index >= low) & (index < low + size)).all(axis=-1)
         at = np.clip(index - low, 0, size - 1)
@@ -432,9 +430,7 @@ def _tie(
     donors, distance = _nearest_in_cells(index, cells, light, heavy)
     weight, complete = _extrapolate(index, light, donors, distance)
     alone = np.flatnonzero(~complete)
-    if (
-        len(alone) and len(np.unique(index, axis=0)) < count
-    ):  # The nearest node may belong to another piece.
+    if len(alone) and len(np.unique(index, axis=0)) < count:  # The nearest may be on another piece.
         donors[alone], away = _nearest_in_cells(index, cells, light[alone], heavy, chained=True)
         weight[alone], _ = _extrapolate(index, light[alone], donors[alone], away)
     elif len(alone):

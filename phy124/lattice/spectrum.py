@@ -76,9 +76,7 @@ class Spectrum:
         crew.accelerate(trial=True)
         crew.a.assign(crew.trial_a)
         self._least = MISSED * self._iterate(0.0, ROUNDS)
-        if (
-            self._least == 0
-        ):  # All bodies are held, so no node moves; use the value for unbounded material.
+        if self._least == 0:  # All bodies are held, so no node moves; assume unbounded material.
             fastest = max(section.sound_speed() for section in model.materials)
             self._least = (2 * fastest / model.dx) ** 2
         self._delay = 0.0
@@ -155,9 +153,7 @@ class Spectrum:
         """
         square, peak = 0.0, self._peak()
         for _ in range(rounds):
-            if (
-                not peak > 0
-            ):  # The trial motion vanished in rounding errors, as in a needle, which has no other motion.
+            if not peak > 0:  # The trial motion of a needle, its only motion, vanished in rounding.
                 return square
             for index, value in enumerate((1 / peak, share, self._size)):
                 self._try.set_param_at_index(index, value)
