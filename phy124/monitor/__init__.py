@@ -1,4 +1,4 @@
-"""Observers of a run: one file each, all listed in `OBSERVERS`."""
+"""Observers of a run: each observer is in a separate file, and all are listed in `OBSERVERS`."""
 
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.coupled import (
@@ -45,9 +45,9 @@ OBSERVERS: tuple[type[Observer], ...] = (
 )
 """All observers, in the order in which a run calls them.
 
-Each observer wraps the result of earlier observers, so `ExternalWork` measures all walls as one,
-outside the measurements of single walls. A violation ends an attempt, so `Tearing` reads only sound
-frames.
+Each observer wraps the stages that earlier observers return. `ExternalWork` therefore measures all
+walls together, around the measurements of single walls. A violation ends an attempt, so `Tearing`
+reads only sound frames.
 """
 LIQUID_OBSERVERS: tuple[type[Observer], ...] = tuple(
     MeanWork if observer is ExternalWork else observer for observer in OBSERVERS
@@ -66,7 +66,9 @@ LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeWatchdog,
     Sleep,
 )
-"""Observers of bodies on their lattices; there are none of tearing, since lattices cannot tear."""
+"""Observers of bodies that are simulated on lattices; tearing is not observed, since lattices
+cannot tear.
+"""
 COUPLED_OBSERVERS: tuple[type[Observer], ...] = (
     CoupledPairs,
     LatticeSelfContact,

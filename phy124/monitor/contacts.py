@@ -1,4 +1,4 @@
-"""Contacts: the force of the walls on each Gaussian.
+"""Contacts: measures the force of the walls on each Gaussian.
 
 The impulse of walls on the nodes around a particle is summed in every substep, weighted by the
 particle's fraction of the nodes' mass. The sum over all particles is the impulse that
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 STAGE = "contacts"
 """Name of the stages that sum contact impulses."""
 PARTICLE_COST = 20
-"""Cost of distributing the impulse of one wall [ns per particle]."""
+"""Cost of distributing the impulse of one wall to the particles [ns per particle]."""
 
 
 class Contacts(Observer):
@@ -40,7 +40,7 @@ class Contacts(Observer):
 
     def __init__(self) -> None:
         self._impulses: dict[int, wp.array] = {}
-        """Impulse on each particle [P,3], N s, by worker."""
+        """Impulse on each particle [P,3], N s, separately for each worker."""
         self._setup: Observed | None = None
         self._nearest_gaussian: NDArray[np.int64] | None = None
 
@@ -116,7 +116,7 @@ class Contacts(Observer):
         return total
 
     def snapshot(self) -> dict[str, Any]:
-        """Return copies of the sums."""
+        """Return copies of the sums of impulses."""
         return {str(worker): wp.clone(sums) for worker, sums in self._impulses.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -130,7 +130,8 @@ class Contacts(Observer):
     ) -> tuple[Stage, Stage, Stage]:
         """Return the stages that measure a wall: one before the wall acts, and two after.
 
-        The wall itself acts in `stages`, between the first and the second of these stages.
+        The wall itself acts in `stages`, which run between the first and the second of the returned
+        stages.
         """
         del stages
         near = NodesNear([wall], model)
@@ -140,7 +141,8 @@ class Contacts(Observer):
         def before(grid: Grid) -> wp.Launch | None:
             nonlocal corners
             near.fit(grid)
-            # One pair of corners per worker, since each worker has its own layers of nodes.
+            # There is one pair of corners per worker, since each worker has separate layers of
+            # nodes.
             corners = [wp.zeros(3, dtype=int, device=model.device) for _ in range(2)]
             return model.launch(copy, near.threads, near.read, [near.copy, *corners])
 
@@ -159,9 +161,10 @@ class Contacts(Observer):
         return Stage(STAGE, before), Stage(STAGE, between), Stage(STAGE, after)
 
     def _sums(self, grid: Grid, model: Model) -> wp.array:
-        """Return the array in which a worker sums the impulse on each particle [P,3].
+        """Return the array [P,3] in which a worker sums the impulse on each particle.
 
-        The nodes of several workers may act on the same particle, so each worker has its own array.
+        The nodes of several workers may act on the same particle, so each worker has a separate
+        array.
         """
         if grid.worker not in self._impulses:
             zeros = wp.zeros(len(model), dtype=wp.vec3d, device=model.device)

@@ -1,7 +1,7 @@
 """Observers of runs with both bodies on lattices and bodies of particles.
 
-On lattices, the contact of each wall sums the wall's impulse (phy124/monitor/lattice.py). On the
-grids of the particles, observers measure the impulses of walls.
+On lattices, the contact with each wall sums the wall's impulse (phy124/monitor/lattice.py). On the
+grids of the particles, observers measure the impulses of the walls.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class CoupledTotals(Totals):
-    """Sums over the particles and over the nodes of lattices."""
+    """Sums of momentum and energy over the particles and over the nodes of lattices."""
 
     def __init__(self, solver: CoupledSolver) -> None:
         """Record the launches."""
@@ -55,7 +55,7 @@ class CoupledTotals(Totals):
 
 
 class CoupledWatchdog(LatticeWatchdog):
-    """Checks one run with both lattices and particles."""
+    """Checks a run that has both lattices and particles."""
 
     def totals_of(self, solver: Any) -> Totals:
         """Return the sums over the solver's nodes and particles."""
@@ -66,12 +66,14 @@ class CoupledWork(ExternalWork):
     """External impulse and work on lattices and particles."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, whose sums of walls on lattices are read, too."""
+        """Bind to the solver, so that the solver's sums for walls on lattices are also read."""
         self._solver = solver
         super().bind(solver, observers)
 
     def _read_impulses(self) -> None:
-        """Keep the sums of the earlier walls, and from now on read those of the current walls."""
+        """Keep the sums of the earlier walls, and read the sums of the current walls from now
+        on.
+        """
         if MEAN in self._device:
             self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.lattice.walls.sums
@@ -83,7 +85,7 @@ class CoupledWrenches(Wrenches):
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> Sequence[Attachable]:
-        """Return the measured walls, and keep the names of their parts."""
+        """Return the walls with measuring stages, and store the names of the walls' parts."""
         self._parts = [
             name if len(wall.parts()) == 1 else f"{name}_{part}"
             for name, wall in zip(wall_names(walls), walls, strict=True)
@@ -148,12 +150,16 @@ class CoupledContacts(Contacts):
         return np.concatenate([super().find_nearest(setup), self._lattices.find_nearest(setup)])
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
-        """Return the impulses on particles, and on surface points and nodes of lattices, N s."""
+        """Return the impulses [N s] on particles, and on the surface points and nodes of
+        lattices.
+        """
         return np.concatenate([super().read_impulses(setup), self._lattices.read_impulses(setup)])
 
 
 class CoupledPairs(LatticePairs):
-    """The row of the effects report that names the bodies on lattices and on particles."""
+    """The row of the effects report that names the bodies simulated on lattices and those made of
+    particles.
+    """
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
@@ -167,5 +173,5 @@ class CoupledPairs(LatticePairs):
 
 
 def elastic_names(scene: Scene) -> list[str]:
-    """Return the names of the objects that are on lattices."""
+    """Return the names of the objects that are simulated on lattices."""
     return [name for name, soft in zip(scene.names, scene.on_lattices, strict=True) if soft]

@@ -1,6 +1,6 @@
 """Measures momentum, energy and volume ratios of a state, and finds unsound particles.
 
-Particles and substeps are described only after a problem is detected.
+Descriptions of particles and substeps are made only after a problem has been detected.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 NO_PARTICLE = 2**31 - 1
 """An index larger than the index of any particle."""
 VECTORS = ("momentum", "angular", "middle")
-"""Fields that are vectors."""
+"""Names of the fields that are vectors."""
 LIMITS = {
     "elastic": "the stiffness of the material",
     "speed": "its speed",
@@ -34,7 +34,7 @@ LIMITS = {
     "user": "time.substep",
     "wave": "the waves on its surface",
 }
-"""Maps each limit of the substep to a phrase for messages."""
+"""Maps each limit of the substep to a phrase that messages use."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +46,14 @@ class Diagnostics:
     angular: NDArray[np.float64]
     """Angular momentum about the origin [3], kg m^2/s."""
     kinetic: float
-    """Kinetic energy [J] after the last kick, which is half a substep before the positions' time.
+    """Kinetic energy [J] after the last kick, half a substep before the time of the positions.
     """
     elastic: float
     """Elastic energy [J]."""
     lag: float
-    """Change of the kinetic energy [J] from its own time to the time of the elastic energy."""
+    """Change of the kinetic energy [J] from the time of the velocities to the time of the elastic
+    energy.
+    """
     middle: NDArray[np.float64]
     """Sum of mass times position [3], kg m."""
     min_J: float
@@ -69,10 +71,10 @@ class Diagnostics:
 
     @property
     def energy(self) -> float:
-        """Kinetic plus elastic energy at one time [J].
+        """Kinetic plus elastic energy at the same time [J].
 
-        The sum of m/2 v(t - dt/2) . v(t + dt/2) and psi(t), which leapfrog conserves exactly in a
-        vibration.
+        It is the sum of m/2 v(t - dt/2) . v(t + dt/2) and psi(t), which leapfrog integration
+        conserves exactly in a vibration.
         """
         return self.kinetic + self.elastic + self.lag
 
@@ -93,7 +95,7 @@ class Totals:
         """Record the launches.
 
         Args:
-            model: The particles' constants.
+            model: The constants of the run.
             state: The state that each call of `read` sums.
         """
         device, sums = model.device, at.SUMS
@@ -152,7 +154,9 @@ def diagnose(solver: AnySolver) -> Diagnostics:
 
 
 def energies(model: Model, state: State) -> NDArray[np.float64]:
-    """Return kinetic plus elastic energy of each particle [P], J; infinity if not finite."""
+    """Return the kinetic plus elastic energy of each particle [P], J; infinity if it is not
+    finite.
+    """
     energy = wp.zeros(len(model), dtype=wp.float64, device=model.device)
     for group in model.groups:
         part = group.particles
@@ -164,7 +168,7 @@ def energies(model: Model, state: State) -> NDArray[np.float64]:
 
 
 def speeds(state: State) -> NDArray[np.float64]:
-    """Return the speed of each particle [P], m/s; infinity if not finite."""
+    """Return the speed of each particle [P], m/s; infinity if it is not finite."""
     velocities: NDArray[Any] = state.v.numpy()
     return _finite_or_infinity(np.linalg.norm(velocities.astype(np.float64), axis=1))
 
@@ -181,10 +185,10 @@ def broken_particles(state: State) -> NDArray[np.intp]:
 
 
 def law_of(model: Model, index: int) -> str:
-    """Return the name of a particle's law, as a scene spells it."""
+    """Return the name of a particle's constitutive law, as written in scene files."""
     kernel = next(g.law.name for g in model.groups if g.start <= index < g.stop)
     sections = [section for section in model.materials if section.device_law.name == kernel]
-    # A law from outside may have no name.
+    # A law that is not part of phy124 may have no name.
     return " or ".join(sorted({str(getattr(section, "law", kernel)) for section in sections}))
 
 
@@ -199,7 +203,9 @@ def describe_particle(model: Model, state: State, index: int) -> str:
 
 
 def describe_substep(model: Model, state: State, clock: Clock) -> str:
-    """Return a phrase with the current substep, its limit, and the fastest particle."""
+    """Return a phrase with the current substep, the limit that determines it, and the fastest
+    particle.
+    """
     limit = clock.stable()
     fastest = describe_particle(model, state, int(speeds(state).argmax()))
     return (

@@ -1,9 +1,9 @@
-"""Dissipation: energy lost to the material, to walls and to the grid.
+"""Dissipation: computes the energy lost to the material, to walls and to the grid.
 
 Viscous materials dissipate the work of the rate-dependent part of their stress. Plastic and fluid
 materials also dissipate the work of the rate-independent part of their stress, minus the elastic
-energy stored. Walls dissipate energy by friction. All other losses are numerical: they occur in the
-transfers and in the layer of cells that a wall stops.
+energy that is stored. Walls dissipate energy by friction. All other losses are numerical; they
+occur in the transfers and in the layer of cells that a wall stops.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from phy124.mpm.workers import Part
 STAGE = "dissipation"
 """Name of the stages that sum the work of the stress."""
 STRIDE = 16
-"""Length of a worker's row of sums; with this length, no two workers write to the same cache line.
+"""Length of the row of sums of each worker; with this length, no two workers write to the same
+cache line.
 """
 
 
@@ -39,7 +40,7 @@ class Loss(NamedTuple):
     contact: float
     """Energy lost to friction at walls."""
     numerical: float
-    """Energy lost numerically by grid and substep; negative if energy was gained."""
+    """Energy lost by the numerical errors of grid and substeps; negative if energy was gained."""
 
     @property
     def total(self) -> float:
@@ -48,7 +49,7 @@ class Loss(NamedTuple):
 
 
 class Dissipation(Observer):
-    """Work of the stress, summed in every substep."""
+    """Sums the work of the stress in every substep."""
 
     in_gathers = True
 
@@ -81,7 +82,7 @@ class Dissipation(Observer):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch that sums the work of a worker's part.
+        """Record the launch that sums the work of the stress in a worker's part.
 
         Args:
             part: Particles of one law that a worker processes.
@@ -103,10 +104,10 @@ class Dissipation(Observer):
         """Return the energy [J] lost to each cause: the material, the walls and the grid.
 
         Args:
-            gained: Energy of the body now, minus the energy at the start and the work of all forces
-                and walls [J].
+            gained: Current energy of the body, minus the energy at the start and the work of all
+                forces and walls [J].
             rubbed: Energy lost to friction at walls [J].
-            stored: Elastic energy now, minus the elastic energy at the start [J].
+            stored: Current elastic energy, minus the elastic energy at the start [J].
         """
         assert self._sums is not None
         rows: NDArray[Any] = self._sums.numpy()
@@ -117,7 +118,7 @@ class Dissipation(Observer):
         return Loss(material, rubbed, -gained - material)
 
     def details(self, loss: Loss, change: float) -> dict[str, float]:
-        """Return further terms of the energy balance [J]; the default is no further terms.
+        """Return further terms of the energy balance [J]; by default, there are none.
 
         Args:
             loss: Energy lost to each cause.
@@ -130,7 +131,7 @@ class Dissipation(Observer):
         """Start counting from the current state."""
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the sums so far, and the stress at the start of the next substep."""
+        """Return the current sums, and the stress at the start of the next substep."""
         assert self._sums is not None
         return {"sums": self._sums.numpy().tolist(), "stress": wp.clone(self._stress)}
 
@@ -147,5 +148,5 @@ class Dissipation(Observer):
 
 
 def split_seconds(timings: Mapping[str, Sequence[float]]) -> float:
-    """Return the time [s] spent on computing the losses, from the times of the stages."""
+    """Return the time [s] spent on computing the losses, computed from the times of the stages."""
     return timings.get(STAGE, (0.0, 0))[0]

@@ -1,8 +1,9 @@
-"""External work: impulse and work of forces and walls on the object, summed in every substep.
+"""External work: sums the impulse and work of forces and walls on the object, in every substep.
 
-Velocities are stored before the forces on particles or the walls act, and compared afterwards. A
-uniform acceleration contributes M a dt and M a . dx, which needs no launch; if it varies in time, a
-kernel of one thread adds its impulse and work at the end of each substep.
+Velocities are stored before the forces on particles or the walls act, and compared with the
+velocities afterwards. A constant uniform acceleration contributes the impulse M a dt and the work M
+a . dx, which needs no launch. If the acceleration varies in time, a kernel of one thread adds its
+impulse and work at the end of each substep.
 """
 
 from __future__ import annotations
@@ -38,13 +39,13 @@ PUSH, WALL, UNIFORM = "push", "wall", "uniform"
 acceleration.
 """
 MEAN_PUSH, MEAN = "mean_push", "mean"
-"""Forces on points and walls whose work is computed with the mean velocities of a step, on lattices
-and on a projected liquid.
+"""Names of further causes: forces on points, and walls, whose work on lattices and projected
+liquids is computed with the mean velocities of a step.
 """
 SOURCES = (PUSH, WALL, UNIFORM, MEAN_PUSH, MEAN)
 ROOM = 16
-"""Length of a worker's array of sums; with this length, no two workers write to the same cache
-line.
+"""Length of the array of sums of each worker; with this length, no two workers write to the same
+cache line.
 """
 IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
 """Slice of the sums that holds the impulse."""
@@ -52,7 +53,7 @@ Sums = NDArray[np.float64]
 
 
 class Exchange(NamedTuple):
-    """External impulse and work since the start."""
+    """External impulse and work on the object since the start."""
 
     impulse: Sums
     """Impulse [3], N s."""
@@ -64,7 +65,7 @@ class Exchange(NamedTuple):
     """Sum of the absolute values of all work [J]."""
 
     def plus(self, sums: Sums) -> Exchange:
-        """Return the exchange of energy plus the exchange of rigid solids (phy124/kernels/free)."""
+        """Return this exchange plus the exchange with rigid solids (phy124/kernels/free)."""
         work, moved, turned = sums[free.WORK :]
         return Exchange(
             self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned
@@ -72,7 +73,7 @@ class Exchange(NamedTuple):
 
 
 class ExternalWork(Observer):
-    """External impulse and work of one run.
+    """Sums the external impulse and work in a run.
 
     The watchdog calls `open` before the first frame and `begin` before every attempt.
     """
@@ -86,15 +87,17 @@ class ExternalWork(Observer):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that measure walls; those that measure forces are compiled when needed
-        (0.3 s).
+        """Yield the kernels that measure walls; the kernels that measure forces are compiled when
+        needed (0.3 s).
         """
         if subject.scene.boundaries:
             yield from wall_kernels(real)
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the report's row for the balance; steady uniform forces need no sums."""
+        """Return the row of the effects report for the balance; constant uniform forces need no
+        sums.
+        """
         scene, why = (
             subject.scene,
             "checks.balance is off: an unstable run is detected only when values become NaN",
@@ -111,23 +114,23 @@ class ExternalWork(Observer):
         return cls(summed=setup.subject.changes)
 
     def __init__(self, *, summed: bool = False) -> None:
-        """Start all sums at zero.
+        """Set all sums to zero.
 
         Args:
-            summed: Whether the work of a steady acceleration is summed in every substep, too. It
-                must be if forces and boundaries may be replaced later in the run.
+            summed: Whether the work of a constant acceleration is also summed in every substep.
+                This is necessary if forces and boundaries may be replaced later in the run.
         """
         self._summed = summed
         self._device: dict[str, wp.array] = {}
-        """Sums of each worker since its launches were last recorded [W,ROOM]; these sums are not
-        yet collected.
+        """Sums of each worker since the worker's launches were last recorded [W,ROOM], which have
+        not been collected yet.
         """
         self.stored = 0.0
-        """Energy received without motion since the start [J]."""
+        """Energy that the object has received without motion since the start [J]."""
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.EXCHANGE) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
-        """Momentum of the object at the start of the frame [kg m/s], without the open sums. Time
-        that velocities had reached when counting began [s].
+        """Momentum of the object at the start of the frame [kg m/s], without the sums that are not
+        collected yet; time of the velocities [s] when counting began.
         """
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
@@ -144,7 +147,9 @@ class ExternalWork(Observer):
         return [Measured(inner, partial(self._attach_walls, walls))]
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stage that ends each substep; none if the uniform acceleration is steady."""
+        """Return the stage that ends each substep; there is none if the uniform acceleration is
+        constant.
+        """
         del state
         self._model, self._tracks = model, tracks
         self._base, self._walls_before = (
@@ -191,10 +196,11 @@ class ExternalWork(Observer):
             self._set_base()
 
     def total(self, clock: Clock, way: Sums, momentum: Sums) -> Exchange:
-        """Return impulse and work so far.
+        """Return the impulse and the work since the start.
 
         Args:
-            clock: Current time, for the impulse of a steady acceleration.
+            clock: Clock with the current time, which determines the impulse of a constant
+                acceleration.
             way: Sum of mass times displacement since the start [3], kg m.
             momentum: Current momentum of the object [3], kg m/s.
         """
@@ -202,7 +208,8 @@ class ExternalWork(Observer):
         values: NDArray[Any] = self._tracks.values.numpy()
         a = values[0, :3].astype(np.float64)
         if self.by_momentum:
-            # The sums go to the bodies' last kick, half a substep ago; a liquid is further behind.
+            # The sums include the bodies' last kick, half a substep ago; a liquid lags further
+            # behind.
             late = self._model.total_mass * (clock.behind - clock.last_dt / 2)
             total[IMPULSES] -= late * a
             total[kernels.WORK] += clock.uniform_work(momentum)
@@ -214,11 +221,13 @@ class ExternalWork(Observer):
         return Exchange(total[IMPULSES], work, moved, turned)
 
     def of_walls(self) -> float:
-        """Return the work of the walls so far [J]; walls at rest only dissipate (work < 0)."""
+        """Return the work of the walls since the start [J]; walls at rest only dissipate energy
+        (work < 0).
+        """
         return float(self._sum(WALL, MEAN)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state to continue from, as plain data."""
+        """Return the state from which the run can continue, as plain data."""
         return {
             "closed": {name: sums.tolist() for name, sums in self._closed.items()},
             "open": {name: sums.numpy().tolist() for name, sums in self._device.items()},
@@ -242,7 +251,7 @@ class ExternalWork(Observer):
         self.stored = snapshot.get("stored", 0.0)
 
     def _sum(self, *names: str) -> Sums:
-        """Return the total of all sums so far, or the total for the named causes."""
+        """Return the total of the sums for all causes, or for the named causes."""
         total = np.zeros(kernels.EXCHANGE)
         for name in names or SOURCES:
             total += self._closed[name]
@@ -251,7 +260,7 @@ class ExternalWork(Observer):
         return total
 
     def _open(self, name: str) -> Sums:
-        """Return the total over all workers since their launches were last recorded."""
+        """Return the total of the sums of all workers since their launches were last recorded."""
         rows: NDArray[Any] = self._device[name].numpy()
         return rows[:, : kernels.EXCHANGE].sum(axis=0)
 
@@ -296,7 +305,7 @@ class ExternalWork(Observer):
         copy, sums = push_kernels(model.real, keeps_C)
 
         def copies_for(grid: Grid) -> list[wp.array]:
-            """Return the copies of v and C of the particles that are pushed."""
+            """Return the arrays for copies of v and C of the particles on which forces act."""
             run = grid.run(len(model))
             return [part_of(array, run) for array in copied]
 
@@ -335,9 +344,10 @@ class ExternalWork(Observer):
 
 
 class MeanWork(ExternalWork):
-    """External work of solvers that themselves sum the work of walls and of forces on particles.
+    """Reads the external work from solvers that themselves sum the work of walls and of forces on
+    particles.
 
-    In a projected liquid the pressure, and on lattices a clamp, resists a force in the same step.
+    In a projected liquid, the pressure resists a force in the same step; on lattices, clamps do.
     All work is therefore computed with the mean velocities of the step.
     """
 
@@ -358,7 +368,7 @@ class MeanWork(ExternalWork):
         return list(forces)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, and let it sum impulse and work of forces on particles."""
+        """Bind to the solver, and let it sum the impulse and the work of forces on particles."""
         super().bind(solver, observers)
         sums = wp.zeros((len(solver.workers), ROOM), dtype=wp.float64, device=solver.model.device)
         self._device[MEAN_PUSH] = sums

@@ -1,10 +1,11 @@
-"""Interior: Gaussians inside elastic material, which become visible where the material is torn.
+"""Interior: adds Gaussians inside elastic material, which become visible where the material is
+torn.
 
-A generator places Gaussians only on the surface, so a torn object would show a hole. Once the grid
-has torn material, inner particles that have lost a neighbour get round Gaussians in the colours of
-the surface, like grains. Which particles a tear will expose is not known in advance, so their
-Gaussians are added to the finished clip. Until its particle is exposed, each such Gaussian is
-hidden in the surface Gaussian above it.
+Generators place Gaussians only on the surface of an object, so a torn object would show a hole.
+Once the grid has torn material, inner particles that have lost a neighbour get round Gaussians in
+the colours of the surface, like grains. The particles that a tear will expose are not known in
+advance, so the Gaussians are added to the finished clip. Until the particle of such a Gaussian is
+exposed, the Gaussian is hidden in the surface Gaussian above it.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 NEIGHBOURS = 7
-"""Number of nearest particles at rest: six neighbours in a lattice, and the particle itself."""
+"""Number of nearest particles at rest that are examined: six neighbours in a lattice, and the
+particle itself.
+"""
 Opened = dict[str, NDArray]
 
 
@@ -57,7 +60,7 @@ class Interior(Observer):
         Args:
             shown: All N other visible Gaussians.
             particles: The particles that move.
-            materials: The particles' materials; only elastic ones can be torn.
+            materials: The materials of the particles; only elastic materials can be torn.
             spacing: Distance between neighbouring particles at rest [m].
             dx: Grid spacing [m].
             keep: Whether the run keeps its frames, so that there will be a clip.
@@ -68,11 +71,11 @@ class Interior(Observer):
         self._inside: NDArray[np.int64] | None = None
         self._uploaded: tuple[wp.array, wp.array, wp.array] | None = None
         self._opened: dict[int, Opened] = {}
-        """For each frame with a tear: the exposed particles and their positions."""
+        """The exposed particles and their positions, for each frame with a tear."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether grains are shown and whether any material can be torn."""
+        """Return whether grains are to be shown and any material can be torn."""
         return subject.scene.grains and subject.elastic
 
     @classmethod
@@ -111,7 +114,7 @@ class Interior(Observer):
             self._prepare()
         assert self._inside is not None
         lost = self._find_lost(x)
-        # Gaps are wider than a particle, so the second layer is also visible.
+        # Gaps are wider than a particle, so the second layer of particles is also visible.
         alone = np.zeros(len(x), bool)
         alone[self._inside[lost]] = True
         ids = np.flatnonzero(lost | alone[self._neighbours].any(axis=1))
@@ -174,7 +177,7 @@ class Interior(Observer):
         return Exposed(grains, above.astype(np.int32), *listed)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the exposed particles of the frames so far."""
+        """Return the exposed particles of all frames so far."""
         return {str(index): dict(opened) for index, opened in self._opened.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -182,11 +185,14 @@ class Interior(Observer):
         self._opened = {int(index): opened for index, opened in snapshot.items()}
 
     def _prepare(self) -> None:
-        """Find the elastic particles that have no Gaussian, with their neighbours and grains."""
+        """Find the elastic particles that have no Gaussian, and the neighbours and grains of these
+        particles.
+        """
         rest = self._rest
         elastic = np.array([s.device_law.project is None for s in self._materials])[rest.material]
         free = elastic & (rest.gaussian < 0)
-        # Objects that touch at the start and separate later are not torn, so each is handled alone.
+        # Objects that touch at the start and separate later are not torn, so each object is handled
+        # alone.
         self._objects = [
             (gaussians, *self._prepare_object(gaussians, particles, free[particles]))
             for gaussians, particles in by_object(self._shown, rest)
@@ -198,7 +204,8 @@ class Interior(Observer):
     def _prepare_object(
         self, gaussians: NDArray[np.intp], particles: NDArray[np.intp], free: NDArray[np.bool_]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the particles of an object that may be exposed, and the neighbours of each.
+        """Return the particles of an object that may become exposed, and the neighbours of each
+        particle.
 
         Args:
             gaussians: Indices of the Gaussians of an object.
@@ -212,12 +219,14 @@ class Interior(Observer):
         near = np.reshape(
             scipy.spatial.KDTree(x).query(x[inside], k=count, workers=-1)[1], (len(inside), count)
         )
-        # A tiny object has fewer neighbours; the last one is repeated.
+        # In a tiny object particles have fewer neighbours; the last neighbour is repeated.
         near = np.pad(near, ((0, 0), (0, NEIGHBOURS - count)), mode="edge")
         return particles[inside], particles[near]
 
     def _make_grains(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], Gaussians]:
-        """Return the surface Gaussians nearest to exposed particles, and the particles' grains."""
+        """Return the surface Gaussians nearest to the exposed particles, and the grains of these
+        particles.
+        """
         above, grains, first = [], [], 0
         for gaussians, inside, _ in self._objects:
             chosen = ids[(ids >= first) & (ids < first + len(inside))] - first
@@ -229,7 +238,7 @@ class Interior(Observer):
         return np.concatenate(above), join(grains)
 
     def _surface(self, gaussians: NDArray[np.intp]) -> Gaussians:
-        """Return an object's Gaussians at rest."""
+        """Return the Gaussians of an object at rest."""
         every = len(gaussians) == len(self._shown)
         return self._shown if every else self._shown.select(gaussians)
 

@@ -1,7 +1,7 @@
 """Observers of bodies on lattices, for momentum, energy, and the impulse and work of walls.
 
-Each wall sums its own impulse, moment and work (phy124/kernels/lattice/contact.py), so that nothing
-has to be copied before and after walls act.
+The contact with each wall sums the wall's impulse, moment and work
+(phy124/kernels/lattice/contact.py), so nothing has to be copied before and after walls act.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 
 
 class LatticeTotals(Totals):
-    """Sums for a body on a lattice: momentum and kinetic energy are summed over nodes, all else
-    over points.
+    """Sums for a body on a lattice: momentum and kinetic energy are summed over nodes, all other
+    quantities over points.
     """
 
     def __init__(self, solver: LatticeSolver) -> None:
@@ -77,7 +77,7 @@ class LatticeTotals(Totals):
 
 
 class LatticeWatchdog(Watchdog):
-    """Checks one run of a body on its lattice."""
+    """Checks a run of bodies that are simulated on lattices."""
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
@@ -99,11 +99,11 @@ class LatticeWatchdog(Watchdog):
 
 
 class LatticeWork(MeanWork):
-    """External impulse and work, from the solver's sums for walls and forces on points.
+    """Computes the external impulse and work from the solver's sums for walls and forces on points.
 
-    Together with other forces, the work of a steady acceleration is summed in every substep, too,
-    because its product with the displacement belongs to the time of the positions. In a frame of
-    two substeps the difference was 32 % of the energy, when a wind blew against gravity.
+    If there are other forces, the work of a constant acceleration is also summed in every substep,
+    because its product with the displacement refers to the time of the positions. When a wind blew
+    against gravity, the difference in a frame of two substeps was 32 % of the energy.
     """
 
     @classmethod
@@ -118,27 +118,27 @@ class LatticeWork(MeanWork):
         return cls(summed=_sums_uniform_work(setup.subject))
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Read the sums of the solver's walls, too."""
+        """Bind to the solver, so that the sums of its walls are also read."""
         self._solver = solver
         self._device[MEAN] = solver.walls.sums
         super().bind(solver, observers)
 
     def change(self, scene: Scene) -> None:
-        """Keep the sums of the earlier walls, and read the sums of the new walls."""
+        """Keep the sums of the earlier walls, and read the sums of the new walls from now on."""
         self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.walls.sums
         self._solver.record()
 
 
 def _sums_uniform_work(subject: Subject) -> bool:
-    """Return whether the work of a steady acceleration is summed in every substep."""
+    """Return whether the work of a constant acceleration is summed in every substep."""
     scene = subject.scene
     others = scene.boundaries or scene.objects or not all(f.uniform for f in scene.acting)
     return subject.changes or bool(others)
 
 
 class LatticeWrenches(Wrenches):
-    """Wrenches on walls and between bodies, from the sums that the solver keeps."""
+    """Computes wrenches on walls and between bodies from the sums that the solver keeps."""
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
@@ -154,7 +154,7 @@ class LatticeWrenches(Wrenches):
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> Any:
-        """Return the walls unchanged, and keep their names."""
+        """Return the walls unchanged, and store the names of the walls."""
         self._names = tuple(
             name if len(wall.parts()) == 1 else f"{name}_{part}"
             for name, wall in zip(wall_names(walls), walls, strict=True)
@@ -190,7 +190,9 @@ class LatticeWrenches(Wrenches):
 
 
 class LatticeContacts(Contacts):
-    """The force of walls on each Gaussian, from the impulses on surface points and held nodes."""
+    """Computes the force of walls on each Gaussian from the impulses on surface points and nodes
+    held by clamps.
+    """
 
     in_substeps = False
 
@@ -202,7 +204,9 @@ class LatticeContacts(Contacts):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the report's row for contact forces, which cost less than the contact itself."""
+        """Return the row of the effects report for contact forces, which cost less than the contact
+        itself.
+        """
         return super().effect(subject)._replace(cost=Cost())
 
     def wrap_walls(
@@ -242,7 +246,9 @@ class LatticeContacts(Contacts):
         return nearest
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
-        """Return the impulse on each surface point, then on each node [S+N,3], N s."""
+        """Return the impulse on each surface point, followed by the impulse on each node [S+N,3], N
+        s.
+        """
         sums: NDArray[np.float64] = self._solver.walls.impulses.sums.numpy()
         return sums
 
@@ -255,11 +261,11 @@ class LatticeContacts(Contacts):
 
 
 class LatticeMethod(Observer):
-    """The row of the effects report that names the solver and the effects it leaves out."""
+    """The row of the effects report that names the solver and the effects that it omits."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row."""
+        """Return the row of the effects report before a run."""
         solver = subject.scene.resolution.solver
         return Effect(
             f"rest lattice (accuracy.solver = {solver}): no transfers, no tearing, no sorting"
@@ -278,7 +284,9 @@ class LatticeShock(Observer):
         return Effect(f"{cls.NAME}, if material is compressed nearly as fast as sound")
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the clock of the lattices, which counts substeps with artificial viscosity."""
+        """Bind to the clock of the lattices, which counts the substeps with artificial
+        viscosity.
+        """
         self._clock = getattr(solver.lattice, "clock", solver.clock)
 
     def finished_effect(self, subject: Subject) -> Effect:
@@ -317,7 +325,7 @@ class LatticeSelfContact(Observer):
     """The row of the effects report for contact of a body with itself."""
 
     LOOKING = Cost(fixed=40e3)
-    """Cost of the search for parts near each other, for an object of 50,000 points."""
+    """Cost of the search for parts that are near each other, for an object of 50,000 points."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:

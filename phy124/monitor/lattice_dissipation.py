@@ -1,8 +1,8 @@
-"""LatticeDissipation: energy that bodies on lattices lose, by cause.
+"""LatticeDissipation: reports the energy that bodies on lattices lose to each cause.
 
-The solver sums the work of each cause in every substep (phy124/lattice/energies.py). The works of
-all causes add up to the change of the kinetic energy, up to rounding; the report shows the
-difference.
+The solver sums the work of each cause in every substep (phy124/lattice/energies.py). The work of
+all causes adds up to the change of the kinetic energy, except for rounding errors; the report shows
+the difference.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from phy124.monitor.observer import Effect, Observer, Subject, find
 
 
 class LatticeDissipation(LiquidDissipation):
-    """Mechanical work done on bodies on lattices, summed in every substep."""
+    """Reads the mechanical work done on bodies on lattices, which is summed in every substep."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -44,14 +44,15 @@ class LatticeDissipation(LiquidDissipation):
         self._energies.start()
 
     def divide(self, first: Diagnostics, last: Diagnostics) -> dict[str, float]:
-        """Return the section of the report [J]: losses, changes of energy, and works.
+        """Return the section of the report [J]: losses, changes of energy, and the work of each
+        cause.
 
         All values refer to the time of the velocities, half a substep before the time of the
         positions.
 
         Args:
-            first: The state at the start.
-            last: The state now.
+            first: The diagnostics at the start.
+            last: The current diagnostics.
         """
         works = self._energies.read()
         stiffened = self._external.stored if self._external is not None else 0.0

@@ -1,7 +1,7 @@
-"""LiquidDissipation: energy that a projected liquid loses, by cause.
+"""LiquidDissipation: reports the energy that a projected liquid loses to each cause.
 
-The solver sums the work of each cause in every step (phy124/liquid/energies.py). The rest of the
-loss occurs in the transfers between particles and faces.
+The solver sums the work of each cause in every step (phy124/liquid/energies.py). The remaining loss
+occurs in the transfers between particles and faces.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from phy124.monitor.observer import Effect, Observer, Subject, find
 
 
 class LiquidDissipation(Dissipation):
-    """Work on the liquid, summed in every step."""
+    """Reads the work on the liquid, which is summed in every step."""
 
     in_gathers = False
     in_substeps = True
@@ -37,7 +37,9 @@ class LiquidDissipation(Dissipation):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
-        """Return the row of the effects report for work by cause; None without a liquid."""
+        """Return the row of the effects report for the work of each cause; None if there is no
+        liquid.
+        """
         why = "checks.energy is off: the lost energy is not divided by cause"
         name = "work on the liquid by cause"
         return Effect(name, cls.called_for(subject), why) if subject.scene.projects else None
@@ -55,10 +57,10 @@ class LiquidDissipation(Dissipation):
         """Return the energy [J] lost to each cause: viscosity, friction at walls, and numerics.
 
         Args:
-            gained: Energy of the liquid now, minus the energy at the start and the work of all
+            gained: Current energy of the liquid, minus the energy at the start and the work of all
                 forces and walls.
-            rubbed: Minus the work of walls, of which friction is a part.
-            stored: Elastic energy; a liquid has none.
+            rubbed: The work of walls with the opposite sign; friction is a part of it.
+            stored: Elastic energy, which is zero for a liquid.
         """
         del stored
         works = self._energies.read()
@@ -86,7 +88,7 @@ class LiquidDissipation(Dissipation):
         }
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the sums so far."""
+        """Return the current sums."""
         return {"sums": self._energies.snapshot()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:

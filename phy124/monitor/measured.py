@@ -1,4 +1,5 @@
-"""Forces and boundaries, with stages before and after them that measure their effect.
+"""Adds stages before and after forces and boundaries that measure the effect of the forces and
+boundaries.
 
 Velocities are copied before a force or wall acts, and compared with the velocities afterwards.
 """
@@ -40,7 +41,9 @@ class Measured:
 
 
 class NodesNear:
-    """The nodes that some walls may change; call `fit` whenever the grid's window has changed."""
+    """The nodes that the measured walls may change; call `fit` whenever the grid's window has
+    changed.
+    """
 
     def __init__(self, walls: Sequence[Boundary], model: Model) -> None:
         self._corners, self._device = _reach(walls, model), model.device
@@ -51,7 +54,7 @@ class NodesNear:
         grid's nodes.
         """
         self.copy: wp.array | None = None
-        """Memory for a copy of the nodes."""
+        """Memory for a copy of these nodes."""
 
     def fit(self, grid: Grid) -> None:
         """Determine the nodes in the grid's current window."""

@@ -1,9 +1,10 @@
-"""Observer: measures or checks one run, from the first launch to the report.
+"""Observer: measures or checks a run, from the first launch to the report.
 
-`phy124.monitor.OBSERVERS` lists all classes. `observers_of` makes only the observers that a scene
-requires; the others are neither compiled, allocated nor launched. A run compiles, binds, calls,
-pauses, resumes and reports its observers in loops over this list, in the order of the list. Every
-method has a default that does nothing, so a new observer overrides only the methods that it needs.
+`phy124.monitor.OBSERVERS` lists all classes. `observers_of` creates only the observers that a scene
+requires; all others cost neither compilation, memory nor launches. A run handles its observers in
+loops over this list, in the order of the list: it compiles, binds, calls, pauses, resumes and
+reports them. Every method has a default that does nothing, so a new observer overrides only the
+methods that it needs.
 """
 
 from __future__ import annotations
@@ -64,8 +65,7 @@ class Violation(NamedTuple):
     what: str
     """Description of the problem, as a clause."""
     causes: tuple[str, ...]
-    """Possible causes, from which `phy124.budget.remedies` suggests remedies; the likeliest is
-    first.
+    """Possible causes, the likeliest first, from which `phy124.budget.remedies` suggests remedies.
     """
 
 
@@ -109,7 +109,7 @@ class Observed(Protocol):
 
     @property
     def scenery(self) -> Scenery:
-        """All Gaussians at rest, and a mask of those that move."""
+        """All Gaussians at rest, and a mask of the Gaussians that move."""
         ...
 
     @property
@@ -127,11 +127,14 @@ class Observer:
     """Observes one run; the base class observes nothing."""
 
     absent: ClassVar[dict[str, Any]] = {}
-    """Report section of a run without this observer."""
+    """Section of the report if the run does not have this observer."""
     in_substeps: ClassVar[bool] = False
-    """Whether the observer sums in every substep, so that rejected substeps restore its sums."""
+    """Whether the observer updates sums in every substep, so that its sums are restored after
+    rejected substeps.
+    """
     in_gathers: ClassVar[bool] = False
-    """Whether the observer records a launch after each gather; a rejected frame restores its sums.
+    """Whether the observer records a launch after each gather; its sums are restored after a
+    rejected frame.
     """
 
     @classmethod
@@ -154,7 +157,7 @@ class Observer:
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Return the observer of a run; the run's solver does not exist yet."""
+        """Return the observer of a run, whose solver does not exist yet."""
         del setup
         return cls()
 
@@ -175,17 +178,17 @@ class Observer:
         return inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that end each substep (`in_substeps`)."""
+        """Return the stages at the end of each substep (if `in_substeps`)."""
         del model, state, tracks
         return []
 
     def allocate(self, model: Model, workers: int) -> None:
-        """Allocate sums for a number of workers (`in_gathers`)."""
+        """Allocate sums for a number of workers (if `in_gathers`)."""
 
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch that follows the gather of a worker's part (`in_gathers`).
+        """Record the launch that follows the gather of a worker's part (if `in_gathers`).
 
         Args:
             part: Particles of one law that a worker processes.
@@ -210,8 +213,8 @@ class Observer:
         """Prepare the frame that starts at `time` [s]."""
 
     def before_attempt(self, *, closely: bool) -> None:
-        """Prepare an attempt at a frame; if an attempt fails, the next attempt has half the
-        substep.
+        """Prepare an attempt at a frame; if an attempt fails, the next attempt takes substeps of
+        half the length.
 
         Args:
             closely: Whether this is the second attempt, which is checked after every substep.
@@ -240,16 +243,16 @@ class Observer:
         return []
 
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
-        """Return the observer's section of report.json.
+        """Return the section of the observer in report.json.
 
         Args:
-            frames: All frames if they are kept, else none.
+            frames: All frames if they are kept, otherwise none.
         """
         del frames
         return {}
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which to continue, as arrays and plain data."""
+        """Return the state from which the run can continue, as arrays and plain data."""
         return {}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -265,7 +268,7 @@ def find(observers: Iterable[Observer], kind: type[Kind]) -> Kind | None:
 
 
 def snapshots(observers: Iterable[Observer]) -> dict[str, Any]:
-    """Return the snapshots of observers, by class name."""
+    """Return the snapshots of the observers, keyed by class name."""
     return {type(observer).__name__: observer.snapshot() for observer in observers}
 
 

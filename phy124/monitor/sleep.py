@@ -1,17 +1,16 @@
-"""Sleep: skips substeps while everything rests and no force or boundary changes.
+"""Sleep: skips substeps while all objects are at rest and no force or boundary changes.
 
-Zero speed at one time is not rest: a thrown body has zero speed at the top of its path. At rest
-means that for Q frames of T seconds no particle moved further than D from its starting point. Under
-a constant acceleration, a particle can then move by at most 7 D m (1 + m) in the next M = m Q
-frames. The worst case is a particle that first moved by D to one side of its starting point,
-turned, and is now at the distance D on the other side, moving away. A vibration in phase with the
-frames, with the largest speed v, can hide a displacement of v T / 2 pi.
+Zero speed at one time is not rest: a thrown body has zero speed at the top of its path. An object
+is at rest if, for Q frames of T seconds, no particle has moved further than D from its starting
+point. Under a constant acceleration, a particle can then move by at most 7 D m (1 + m) in the next
+M = m Q frames. The worst case is a particle that first moved by D to one side of its starting
+point, turned, and is now at the distance D on the other side, moving away. A vibration in phase
+with the frames, with the largest speed v, can hide a displacement of v T / 2 pi.
 
-The object sleeps if the sum of both displacements is invisible and its speed does not grow. The
-object sleeps until any force or boundary of the scene changes, or the clip ends. Under gravity, an
-object sleeps only if it has also moved much less than a free body would. Without the condition for
-gravity, in a clip with many frames per second, an object at the top of its path would count as
-resting.
+The object sleeps if the sum of both displacements is invisible and the speed of the object does not
+grow. It sleeps until a force or boundary of the scene changes, or the clip ends. Under gravity, an
+object sleeps only if it has also moved much less than a free body would. Without this condition, an
+object at the top of its path would count as resting in a clip with many frames per second.
 """
 
 from __future__ import annotations
@@ -35,11 +34,13 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 STILL = 3e-4
-"""Largest error by sleep, in object sizes: a tenth of a pixel for an object of 300 pixels."""
+"""Largest error caused by sleep, relative to the object's size: a tenth of a pixel for an object of
+300 pixels.
+"""
 CALM = 1 / 6
-"""Particles count as resting if they move by less than this fraction of `STILL`."""
+"""Fraction of `STILL`; particles count as resting if they move by less."""
 HELD = 0.1
-"""A body counts as held if it moves by less than this fraction of a free body's displacement."""
+"""Fraction of a free body's displacement; a body counts as held if it moves by less."""
 
 
 class Sleep(Observer):
@@ -48,7 +49,7 @@ class Sleep(Observer):
     absent: ClassVar[dict[str, Any]] = {"sleep": None}
 
     def __init__(self, *, size: float, frames: int, fps: float) -> None:
-        """Start awake.
+        """Start with all objects awake.
 
         Args:
             size: Size of the smallest object [m].
@@ -68,7 +69,9 @@ class Sleep(Observer):
         self.since: int | None = None
         """Index of the first skipped frame; None if there is none."""
         self.skipped = self.saved = 0
-        """Number of skipped frames; substeps saved, estimated from the last computed frame."""
+        """Number of skipped frames, and number of saved substeps as estimated from the last
+        computed frame.
+        """
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -91,7 +94,7 @@ class Sleep(Observer):
         return sleep
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; its tracks give the times at which forces and boundaries change."""
+        """Bind to the solver, whose tracks give the times at which forces and boundaries change."""
         self._solver, self._state, self._clock = solver, solver.state, solver.clock
 
     def change(self, scene: Scene) -> None:
@@ -124,7 +127,7 @@ class Sleep(Observer):
         return frame
 
     def observe(self, index: int, substeps: int) -> None:
-        """Measure the particles' displacement after a frame that took `substeps` substeps."""
+        """Measure the displacement of the particles after a frame that took `substeps` substeps."""
         self.after_substep()
         speed, self._fastest, self._last = self._fastest, 0.0, substeps
         changed = self._quiet_until((index - 1) / self._fps) < index / self._fps
@@ -139,7 +142,7 @@ class Sleep(Observer):
             self.anchor, self.drift, self.speeds = x, 0.0, []
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which to continue: arrays and plain data."""
+        """Return the state from which the run can continue, as arrays and plain data."""
         return {
             "anchor": self.anchor,
             "drift": self.drift,
@@ -174,7 +177,9 @@ class Sleep(Observer):
         return row._replace(name=f"{row.name}: asleep from frame {self.since}, {saved}")
 
     def _rests(self, index: int) -> bool:
-        """Return whether the picture stays the same from a frame to the scene's next event."""
+        """Return whether the picture stays the same from a frame until the next change of a force
+        or boundary.
+        """
         if not self.speeds:
             return False
         until = self._quiet_until((index - 1) / self._fps)
@@ -188,25 +193,31 @@ class Sleep(Observer):
         return reach + self._hidden(max(self.speeds)) <= self._far
 
     def _hidden(self, speed: float) -> float:
-        """Return the amplitude [m] of a vibration at this speed [m/s] with one period per frame."""
+        """Return the amplitude [m] of a vibration with a given largest speed [m/s] and one period
+        per frame.
+        """
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:
         """Return whether material under the acceleration a [m/s^2] stays in place.
 
-        Free material would move by a t^2 / 8.
+        If the material were free, it would move by a t^2 / 8.
         """
         pull: NDArray[Any] = self._solver.tracks.values.numpy()
         way = float(np.linalg.norm(pull[0, :3])) * (len(self.speeds) / self._fps) ** 2 / 8
         return way == 0 or self.drift <= HELD * way
 
     def _grows(self) -> bool:
-        """Return whether the last frame had the fastest motion, as if an object toppled."""
+        """Return whether the motion was fastest in the last frame, as when an object begins to
+        topple.
+        """
         *before, latest = self.speeds
         return latest > max(before, default=0.0)
 
     def _quiet_until(self, time: float) -> float:
-        """Return the time until which all forces and boundaries are the same as at `time` [s]."""
+        """Return the time [s] until which all forces and boundaries remain the same as at `time`
+        [s].
+        """
         return min(next_change(track, time) for track in self._solver.tracks.tracks)
 
 

@@ -1,8 +1,8 @@
-"""Softening: changes Young's modulus in time, frame by frame.
+"""Softening: changes Young's modulus over time, frame by frame.
 
 The parameters of a law that are proportional to E (`Material.scaled`) are multiplied in the arrays
-that the solver reads. The resulting change of the elastic energy is external work: stiffening a
-bent body stores energy in it.
+that the solver reads. The resulting change of the elastic energy counts as external work, since
+stiffening a bent body stores energy in it.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ class Softening(Observer):
     """Multiplies the Young's moduli of a run by a factor that changes in time."""
 
     def __init__(self, scene: Scene, material: NDArray) -> None:
-        """Start at factor 1.
+        """Start with the factor 1.
 
         Args:
             scene: The scene, whose stiffness may change in time.
-            material: Index of each particle's material among those of the model [P].
+            material: Index of each particle's material among the materials of the model [P].
         """
         self._scene, self._material = scene, material
         self.factor = 1.0
-        """The current factor."""
+        """The current factor on Young's modulus."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -95,7 +95,9 @@ class Softening(Observer):
         return {"factor": self.factor}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the factor without counting its work; the restored state includes the work."""
+        """Set the factor without counting the work, because the restored state already includes
+        it.
+        """
         self._multiply(snapshot["factor"])
 
     def _multiply(self, factor: float) -> None:

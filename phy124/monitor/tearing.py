@@ -1,11 +1,12 @@
-"""Tearing: numerical fracture of material that should stay whole under its law.
+"""Tearing: detects numerical fracture of material that should stay whole according to its
+constitutive law.
 
-The grid has no connectivity. Particles interact only through common nodes. Once stretching has
+The grid stores no connectivity: particles interact only through common nodes. Once stretching has
 moved particles more than about a cell apart, they share no nodes, and the material separates
-although its law does not fracture. A bar under tension does not tear until the mean spacing is
-about one cell, at which its worst regions reach `APART` (docs/design/stability.md). A finer grid
-does not help, since it resolves sharper corners, which are stretched more; more particles per cell
-do help.
+although its law does not fracture. A bar under tension does not tear until the mean spacing of its
+particles is about one cell; its most stretched regions then reach `APART`
+(docs/design/stability.md). A finer grid does not help, since it resolves sharper corners, which are
+stretched more. More particles per cell do help.
 
 Two signs are checked: particles that are stretched by `APART` or more, and pieces that have
 separated. The first sign indicates a possible tear, but misses tears of thin stems; the second sign
@@ -32,28 +33,31 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 APART = 1.2
-"""Spacing of particles [cells] above which they may separate."""
+"""Spacing of particles [cells] above which the material may separate."""
 MANY, FEW = 5e-3, 3
 """A tear is likely if more than `MANY` P^(2/3) particles, and more than `FEW`, lie farther apart
 than `APART`. P^(2/3) is about the number of particles in a cross-section; a few particles separate
 at any corner.
 
-Of the pressed, dropped and bounced ducks examined, those below 5.2e-3 were whole; one at 6.7e-3
-lost its head, another at 7.9e-3 did not.
+In tests with pressed, dropped and bounced ducks, all ducks below 5.2e-3 stayed whole; one duck at
+6.7e-3 lost its head, and another at 7.9e-3 did not.
 """
 REACH = 1.5
-"""Reach of a particle's spline [cells]; a wider empty layer separates two pieces."""
+"""Reach of a particle's B-spline [cells]; an empty layer that is wider separates two pieces."""
 LOOSE, FLAKE = 2e-3, 8
 """A separated piece has at least the fraction `LOOSE` of the elastic particles, and at least
 `FLAKE` particles.
 """
 ALONE, STURDY = 1.0, 1e9
-"""`ALONE`: spacing at rest [cells] above which a particle has no neighbours. `STURDY`: a stretch
-that is never reached."""
+"""`ALONE`: spacing at rest [cells] above which a particle has no neighbours. `STURDY`: stretch that
+no particle ever reaches.
+"""
 FAR = 4096
-"""Empty space is removed before labelling if there are more cubes than this along an axis."""
+"""Number of cubes along an axis above which empty space is removed before pieces are labelled."""
 MOST = 50_000_000
-"""Largest number of cubes to label; no pieces are found if particles are scattered over more."""
+"""Largest number of cubes to label; if particles are scattered over more cubes, no pieces are
+determined.
+"""
 REMEDY = (
     "A larger accuracy.particles_per_axis, binding = particles, a stiffer material, more "
     "material.damping or a gentler motion helps; a finer grid does not."
@@ -73,8 +77,8 @@ class Tearing(Observer):
 
     def __init__(self) -> None:
         self.count, self.first, self.stretch = 0, 0, 1.0
-        """Largest number of particles beyond `APART` in any frame, lowest index of such a particle,
-        and largest stretch.
+        """Largest number of particles in a frame whose spacing exceeds `APART`, lowest index of
+        such a particle, and largest stretch.
         """
         self.loose = 0
         """Largest number of particles in a frame that were separated from their piece."""
@@ -106,10 +110,10 @@ class Tearing(Observer):
         for group in self._elastic:
             self._chosen[group.particles] = True
         spacing = np.cbrt(model.volume.numpy().astype(np.float64)) / model.dx
-        # A particle that has a cell to itself at rest has no neighbours to be torn from.
+        # A particle that is alone in a cell at rest has no neighbours from which it could be torn.
         stretch = np.where(spacing < ALONE, APART / spacing, STURDY)
         self._most = wp.array(stretch**2, dtype=model.real, device=model.device)
-        """Square of the stretch above which a particle is beyond `APART`, for each particle [P]."""
+        """Square of the stretch at which the spacing exceeds `APART`, for each particle [P]."""
         self._counts = wp.zeros(2, dtype=int, device=model.device)
         self._max_stretch = wp.zeros(1, dtype=model.real, device=model.device)
         self._launches = []
@@ -137,11 +141,13 @@ class Tearing(Observer):
 
     @property
     def likely(self) -> bool:
-        """Whether a piece has separated, or may have, because many particles are stretched."""
+        """Whether a piece has separated, or may have separated because many particles are
+        stretched.
+        """
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which to continue, as plain data."""
+        """Return the state from which the run can continue, as plain data."""
         return {
             "count": self.count, "first": self.first, "stretch": self.stretch, "loose": self.loose
         }  # fmt: skip
@@ -186,13 +192,13 @@ class Tearing(Observer):
 
     @property
     def briefly(self) -> str:
-        """The note as a short clause."""
+        """The note on tearing as a short clause."""
         if self.torn:
             return "the grid tears the material"
         return f"the material is stretched {self.stretch:.1f} times and the grid may tear it"
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
-        """Return the observer's section of the report."""
+        """Return the section of this observer in the report."""
         del frames
         tearing = {"apart": self.count, "stretch": self.stretch, "loose": self.loose}
         return {"balance": {"tearing": {**tearing, "likely": self.likely}}}
@@ -244,7 +250,8 @@ class Pieces:
 
 
 def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
-    """Return the index of each particle's piece [P]; None if particles are too scattered.
+    """Return the index of the piece to which each particle belongs [P]; None if particles are too
+    scattered.
 
     Args:
         x: Positions [P,3], m.
@@ -266,10 +273,10 @@ def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
 
 
 def _cubes(column: NDArray, side: float) -> NDArray[np.int64]:
-    """Return the index of each particle's cube along one axis, counted from 0.
+    """Return the index along one axis, counted from 0, of the cube that contains each particle.
 
-    If particles are scattered far, gaps between occupied cubes are narrowed to two cubes, so pieces
-    remain separate.
+    If particles are widely scattered, gaps between occupied cubes are narrowed to two cubes, so
+    pieces remain separate.
     """
     cubes = (column - column.min()) / side
     if cubes.max() < FAR:

@@ -2,9 +2,10 @@
 
 A state is sound if every number is finite and no more than a few particles are inverted (det F <
 0). The change of momentum must equal the impulse of forces and walls. Energy must not grow by more
-than the work of forces and walls (explicit MPM only loses energy, so a gain means that the run is
-unstable). The responsible particle and the remedies are determined only after a violation. The
-watchdog only reads the run: the solver repairs broken deformations itself (phy124/mpm/repair.py).
+than the work of forces and walls: explicit MPM only loses energy, so a gain means that the run is
+unstable. The responsible particle and the remedies are determined only after a violation. The
+watchdog only reads the state; broken deformations are repaired by the solver
+(phy124/mpm/repair.py).
 """
 
 from __future__ import annotations
@@ -35,16 +36,17 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 INSIDE_OUT = 0.01
-"""Largest fraction of inverted particles for which the result is still accepted."""
+"""Largest fraction of inverted particles at which the result is still accepted."""
 FEW = 2
-"""Number of inverted particles that is always accepted. They are counted, and reset before the next
-frame.
+"""Number of inverted particles that is always accepted. These particles are counted, and reset
+before the next frame.
 """
 ENERGY_GAIN = 0.25
 """Tolerated spurious energy, as a fraction of the largest energy supplied.
 
-Of 6,500 random scenes, one in a hundred reached 0.7 %, and the worst 13 % (two particles whose
-velocity is set in every substep); an unstable run exceeds any limit within a few frames.
+Of 6,500 random scenes, one in a hundred reached 0.7 %. The worst scene reached 13 %; it has two
+particles whose velocity is set in every substep. An unstable run exceeds any limit within a few
+frames.
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, as a fraction of all momentum transferred."""
@@ -53,35 +55,36 @@ PROJECTED = 0.2
 Layers thinner than a cell press on walls with up to a quarter less than their weight.
 """
 CROWDED = 0.1
-"""If the mean excess of density in a projected liquid is above this, the space between the
-walls is too small for the liquid.
+"""Mean excess of density in a projected liquid above which the space between the walls is too small
+for the liquid.
 """
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 """Largest energy that rounding may lose, as a fraction of the sum of absolute work."""
 QUIET = 1e-9
 """Energies below this fraction of volume times stiffness count as rounding errors."""
 COLLAPSE = 0.8
-"""Laws that may collapse come close to J = 0 in impacts above this speed, relative to the speed of
-sound.
+"""Impact speed, relative to the speed of sound, above which materials whose laws allow collapse
+come close to J = 0.
 """
 UNSEEN = 3e-4
-"""Largest strain that is invisible in a frame: a tenth of a pixel in 300 pixels."""
+"""Largest strain that is too small to be seen in a frame: a tenth of a pixel in 300 pixels."""
 FADING = {"float32": 2e-9, "float64": 4e-18}
 """Strain that rounding errors of F may cause in a substep.
 
 F grows by dt C F. In a stiff body that rotates slowly, this growth is less than the last digit of
-F, and the part lost by rounding strains the body. Measured values are 3e-10 per substep in float32
-and 7e-10 with half the `accuracy.cfl`, at any distance from the origin. The energy is quadratic in
-the strain, and a quarter of it is tolerated.
+F, and the part lost by rounding strains the body. At any distance from the origin, the measured
+strain per substep in float32 is 3e-10, or 7e-10 with half the `accuracy.cfl`. The energy is
+quadratic in the strain, and a quarter of the energy is tolerated.
 """
 FAST = ("damping", "solver", "push", "cells")
 ROUNDED = ("precision",)
-"""Causes of two violations (`phy124.budget.remedies`): particles too fast for the window; rounding.
+"""Names of the causes of two violations (`phy124.budget.remedies`): particles too fast for the
+window, and rounding errors.
 """
 SWOLLEN = 2.0
 """Volume ratio above which a real solid would have fractured."""
 SQUEEZED = 0.5
-"""Volume ratio below which the law or the push may be the cause of an instability."""
+"""Volume ratio below which the constitutive law or a push may be the cause of an instability."""
 
 
 @dataclass
@@ -89,27 +92,30 @@ class Balance:
     """The balance of energy and momentum of a run, updated frame by frame."""
 
     turnover: float = 0.0
-    """Largest value so far of `energy_supplied` [J]: the energy that the object had at the start or
-    received, and so could lose.
+    """Largest value of `energy_supplied` [J] so far: the energy that the object had at the start or
+    received later, and can therefore lose.
     """
     moved: float = 0.0
-    """All momentum transferred [kg m/s]."""
+    """Sum of all momentum transferred so far [kg m/s]."""
     energy_gain: float = 0.0
     """Spurious energy, as a fraction of the turnover."""
     momentum_gain: float = 0.0
     """Spurious momentum, as a fraction of the momentum transferred."""
     trembles: float = 0.0
-    """Fraction of the energy that rounding created, if this is more than the usual tolerance."""
+    """Energy created by rounding errors, as a fraction of the total energy; set only if it exceeds
+    the usual tolerance.
+    """
 
 
 def energy_supplied(start: float, work: float, walls: float) -> float:
-    """Return the energy [J] that an object had at the start or received since, that is, the energy
-    it can lose.
+    """Return the energy [J] that an object had at the start or has received since then, that is,
+    the energy that it can lose.
 
     Args:
         start: Kinetic and elastic energy at the start [J].
-        work: Work of all forces and walls since then [J].
-        walls: The walls' part of this work; a negative value is the loss to friction [J].
+        work: Work of all forces and walls since the start [J].
+        walls: The part of this work that walls do [J]; if it is negative, it is the loss to
+            friction.
     """
     return start + max(work - min(walls, 0.0), 0.0)
 
@@ -123,11 +129,11 @@ class Watchdog(Observer):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that sum over particles."""
+        """Yield the kernels that sum momentum and energy over particles."""
         yield from (make_totals(law, real) for law in subject.laws)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, which is in the state from which the run starts."""
+        """Bind to the solver, whose state is the initial state of the run."""
         self._solver = solver
         self.model, self.state, self.clock = solver.model, solver.state, solver.clock
         self.external = find(observers, ExternalWork)
@@ -142,7 +148,7 @@ class Watchdog(Observer):
         return Totals(solver.model, solver.state)
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Start counting external work; in the first frame, also start the balance.
+        """Start to sum external work; in the first frame, also start the balance.
 
         Args:
             closely: Whether each substep is checked for particles that are not finite, before these
@@ -150,7 +156,7 @@ class Watchdog(Observer):
         """
         self._closely = closely
         if not self._begun:
-            # Not in `bind`: the run may have been resumed after that.
+            # This is not done in `bind`, because the run may have been resumed after `bind`.
             self.first = self.last = self._totals.read(self.clock)
             turnover = max(self.first.energy, self._strain_energy(math.sqrt(QUIET)))
             self.balance = Balance(turnover, math.sqrt(2 * self.model.total_mass * turnover))
@@ -165,7 +171,9 @@ class Watchdog(Observer):
             self.external.begin(self.last.momentum)
 
     def restart(self) -> None:
-        """Start the balance again with the next frame; call this after changing the state."""
+        """Start the balance again with the next frame; call this method after changing the
+        state.
+        """
         self._begun = False
 
     def after_substep(self) -> None:
@@ -190,7 +198,9 @@ class Watchdog(Observer):
         return problem
 
     def diagnose(self, problem: str) -> Violation:
-        """Return a violation that names a particle, for a problem that stopped the solver."""
+        """Return a violation that describes the problem that stopped the solver and names a
+        particle.
+        """
         broken = broken_particles(self.state)
         if len(broken):
             return Violation(f"{problem}, first {self._who(int(broken[0]))}", self._unstable())
@@ -198,7 +208,7 @@ class Watchdog(Observer):
         return Violation(f"{problem}; the fastest is {self._who(index)}", FAST)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which to continue, as plain data."""
+        """Return the state from which the run can continue, as plain data."""
         return {
             "begun": self._begun,
             "fastest": self._fastest,
@@ -267,7 +277,7 @@ class Watchdog(Observer):
         return notes
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
-        """Return the report sections of the balance and, on request, of the energy lost."""
+        """Return the report sections of the balance and, if requested, of the lost energy."""
         del frames
         balanced = self.external is not None
         balance = {
@@ -340,7 +350,9 @@ class Watchdog(Observer):
         return problem
 
     def _check_energy(self, energy: float, turnover: float) -> Violation | None:
-        """Return the violation for spurious energy; ignore rounding errors that are not visible."""
+        """Return the violation for spurious energy, or None; rounding errors that are not visible
+        are ignored.
+        """
         if energy <= ENERGY_GAIN * turnover:
             return None
         faded = FADING[self.model.precision] * self.clock.substeps
@@ -367,12 +379,14 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Return possible causes of an unstable run: the substep and, in violent motion, others."""
+        """Return possible causes of an unstable run: the substep and, if the motion is violent,
+        further causes.
+        """
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("damping", "solver", "substep", "law", "push") if violent else ("substep",)
 
     def _strain_energy(self, strain: float) -> float:
-        """Return the elastic energy of the whole body at a given strain [J]."""
+        """Return the elastic energy [J] of the whole body at a given strain."""
         stiffest = max(m.density * m.wave_speed() ** 2 for m in self.model.materials)
         volume = float(np.sum(self.model.volume.numpy(), dtype=np.float64))
         return stiffest * volume * strain**2

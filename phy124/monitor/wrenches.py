@@ -1,8 +1,8 @@
-"""Wrenches: force and torque that the object exerts on each wall and on other objects.
+"""Wrenches: measures the force and torque that an object exerts on each wall and on other objects.
 
-The impulse of a wall on the nodes, and its moment, are summed in every substep. The object exerts
-the opposite impulse on the wall. Torques are about the centre of mass of all particles at the time
-of the frame.
+The impulse of a wall on the nodes, and the moment of this impulse, are summed in every substep. The
+object exerts the opposite impulse on the wall. Torques are about the centre of mass of all
+particles at the time of the frame.
 """
 
 from __future__ import annotations
@@ -35,18 +35,22 @@ if TYPE_CHECKING:
 STAGE = "wrenches"
 """Name of the stages that sum wrenches."""
 LIQUID = -1
-"""Key of the sums that a projected liquid keeps; other keys are indices of workers."""
+"""Key of the sums that the solver of a projected liquid keeps; the other keys are indices of
+workers.
+"""
 Vector3 = NDArray[np.float64]
 
 
 class Wrenches(Observer):
-    """Wrenches of one frame: on walls if the scene requests them, and between objects."""
+    """Measures the wrenches in each frame: on walls if the scene requests them, and between
+    objects.
+    """
 
     absent: ClassVar[dict[str, Any]] = {"walls": None}
     in_substeps = True
 
     def __init__(self, *, of_walls: bool = True, of_pairs: bool = False, fps: float = 1.0) -> None:
-        """Start without any sums.
+        """Create the observer without any sums.
 
         Args:
             of_walls: Whether walls are measured.
@@ -55,7 +59,7 @@ class Wrenches(Observer):
         """
         self._of_walls, self._of_pairs, self._fps = of_walls, of_pairs, fps
         self._sums: dict[str, dict[int, wp.array]] = {}
-        """Sums of each wall, by worker."""
+        """Sums of each wall, separately for each worker."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -88,7 +92,7 @@ class Wrenches(Observer):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all wrenches of a frame, in order."""
+        """Names of all wrenches of a frame, in the order of the wrenches."""
         return (*self.walls, *pair_names(self._solver))
 
     def wrap_walls(
@@ -118,7 +122,7 @@ class Wrenches(Observer):
         solver: Any = self._solver
         if self._of_walls and solver.projects:
             impulses = solver.impulses
-            # Next to the liquid, other materials have sums by worker.
+            # Besides the liquid's sums, there are sums for other materials, one for each worker.
             self._sums = {name: s for name, s in self._sums.items() if LIQUID not in s}
             for name in impulses.names:
                 self._sums.setdefault(name, {})[LIQUID] = impulses.wrench(name)
@@ -151,14 +155,14 @@ class Wrenches(Observer):
         return wrenches
 
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
-        """Return the report sections of walls and, with several objects, of pairs."""
+        """Return the report sections of walls and, if there are several objects, of pairs."""
         report = {"walls": summary(frames, self.walls) if self._of_walls else None}
         if self._of_pairs:
             report["pairs"] = summary(frames, pair_names(self._solver))
         return report
 
     def snapshot(self) -> dict[str, Any]:
-        """Return copies of the sums."""
+        """Return copies of the sums of impulses."""
         return {name: wp.clone(sums) for name, sums in self._arrays().items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -257,7 +261,7 @@ def wall_names(walls: Sequence[Boundary]) -> list[str]:
 
 
 def summary(frames: Sequence[Frame], names: Sequence[str]) -> dict[str, Any] | None:
-    """Return for each name the largest force, its time, and the last wrench.
+    """Return, for each name, the largest force, the time of this force, and the last wrench.
 
     Args:
         frames: All frames of a run; frames before the first substep have no forces.
