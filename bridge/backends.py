@@ -35,7 +35,7 @@ REQUIREMENTS: dict[str, Callable[[], None]] = {
 """Outlets (kinds of output). Each has a function that raises InputError if the package that the
 outlet needs is missing."""
 AUTOMATIC = ("rclpy", "dds")
-"""Backends that `auto` tries in this order. It uses only one of them, because with two backends
+"""Backends that `auto` tries in this order. `auto` uses only one backend, because with two backends
 each frame would arrive twice."""
 
 

@@ -40,8 +40,8 @@ NANO = 1_000_000_000
 def encode(name: str, message: Mapping[str, Any]) -> bytes:
     """Return the CDR payload of a message of type `package/msg/Name`, including the CDR header.
 
-    A large `uint8[]` member may be bytes, a memoryview or a contiguous array. It is copied only
-    once.
+    A large `uint8[]` member may be bytes, a memoryview or a contiguous array. The data is copied
+    only once.
 
     Raises:
         KeyError: The type has no member of this name.

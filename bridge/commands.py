@@ -56,11 +56,12 @@ class Record:
     source: tyro.conf.Positional[Path]
     """A clip.safetensors; with --live a picture or a file of Gaussians."""
     output: tyro.conf.Positional[Path | None] = None
-    """Bag folder, or a file if the path ends in .mcap; default: SOURCE-bag, without SOURCE's
-    suffix."""
+    """Bag folder, or a file if the path ends in .mcap. The default is SOURCE-bag, where SOURCE's
+    suffix is removed."""
     messages: Messages = field(default_factory=Options)
     compression: Compression = "none"
-    """Compression of the chunks. It hardly reduces the size of recordings with moving Gaussians."""
+    """Compression of the chunks. Compression hardly reduces the size of recordings with moving
+    Gaussians."""
     overwrite: bool = False
     """Replace an existing recording."""
     simulated: Simulated = field(default_factory=LiveOptions)
@@ -235,8 +236,8 @@ class Steer:
     frames: int | None = None
     """Number of frames after which the simulation ends; by default, there is no limit."""
     session: Path | None = None
-    """File for the session, written at the end. It is a scene that `phy124 generate --scene`
-    repeats."""
+    """File for the session, written at the end. The session is a scene that `phy124 generate
+    --scene` repeats."""
     record: Path | None = None
     """Also record the frames to this bag folder or .mcap file."""
     overwrite: bool = False

@@ -49,7 +49,8 @@ class Delivery:
 
         Args:
             acknowledged: Function that waits up to this number of seconds and returns whether all
-                frames are acknowledged. It returns true if there are no reliable subscribers.
+                frames are acknowledged. The function returns true if there are no reliable
+                subscribers.
             depth: Number of frames that the writer keeps.
             meanwhile: Function that is called repeatedly while waiting.
             patient: Whether a frame waits before it displaces another frame.
@@ -57,7 +58,7 @@ class Delivery:
         self.lost = 0
         """Number of frames that at least one subscriber may not have received."""
         self._acknowledged, self._depth, self._meanwhile = acknowledged, depth, meanwhile
-        # These count frames, bytes and losses since the last time that all frames were
+        # These variables count frames, bytes and losses since the last time that all frames were
         # acknowledged.
         self._open = self._bytes = self._missed = 0
         self._patient, self._stuck = patient, not patient

@@ -29,7 +29,7 @@ RANGE, PEERS, LOCALHOST_ONLY, DOMAIN = (
 URI = "CYCLONEDDS_URI"
 """Environment variable with the settings of Cyclone DDS: XML text, or the address of a file."""
 LAST_DOMAIN = 232
-"""Largest DDS domain number. It follows from the range of port numbers."""
+"""Largest DDS domain number. The largest number follows from the range of port numbers."""
 # Only `max` is set: with `min`, the publisher would not start on hosts with a small rmem_max. A
 # heartbeat requests acknowledgements, and its default interval of 100 ms is too long for 30 Hz.
 BUFFERS = (

@@ -73,7 +73,7 @@ def opened_clip(chosen: dict[str, Any]) -> tuple[Clip, Player, Options, bool]:
     """Return the clip, its player, the message options, and whether to publish /clock.
 
     Args:
-        chosen: Values of all parameters. Those of `CLIP_PARAMETERS` are removed from it.
+        chosen: Values of all parameters. The values of `CLIP_PARAMETERS` are removed from `chosen`.
 
     Raises:
         InputError: A value is missing or invalid, or the clip cannot be read.

@@ -21,7 +21,7 @@ LIVE_SPLATS = 8_192
 """Largest number of Gaussians per frame in the profile `splats`, in which each takes 384 bytes."""
 Image = Literal["rgb", "depth", "mask", "flow", "jpeg", "h264"]
 LAST_SECOND = 2**31 - 1
-"""Largest time [s]. It is limited because `builtin_interfaces/msg/Time` counts seconds in an
+"""Largest time [s]. The time is limited because `builtin_interfaces/msg/Time` counts seconds in an
 int32.
 """
 
@@ -73,7 +73,7 @@ class Options(Section):
         default=None,
         ge=1,
         lt=LAST_SECOND,
-        description="Time of the clip's start, seconds since 1970; default: now.",
+        description="Time of the clip's start, seconds since 1970; by default, the present time.",
     )
     views: tuple[str, ...] = Field(
         default=(),
@@ -139,8 +139,8 @@ class Options(Section):
         usual = type(self).model_fields["images"].default
         if self.images != usual and not self.views and self.cameras is None:
             raise ValueError(
-                "Images show what cameras see, but no camera is chosen. Set views or cameras, "
-                "or leave images out."
+                "Images show what cameras see, but no camera is chosen. Set views or cameras, or "
+                "remove images."
             )
         return self
 
@@ -166,7 +166,7 @@ class Options(Section):
     def live(self) -> Options:
         """Return the options with the defaults of live sinks.
 
-        These limit the points to the number that arrives at 30 Hz.
+        The defaults of live sinks limit the points to the number that arrives at 30 Hz.
         """
         chosen = {
             "max_points": live_points(self.profile, self.max_points),
@@ -195,7 +195,7 @@ def camera_name(side: str) -> str:
 def live_points(profile: Profile | None, asked: int | None) -> int:
     """Return the number of Gaussians per frame of a live profile.
 
-    It is the number `asked` or, if `asked` is 0 or None, the default.
+    The result is the number `asked` or, if `asked` is 0 or None, the default.
     """
     if profile == "splats":
         return min(asked or LIVE_SPLATS, LIVE_SPLATS)

@@ -53,14 +53,14 @@ RUNNING = {
     ),
     "rate": Parameter(
         0.0,
-        "Largest number of frames per second; 0: every frame is sent.",
+        "Largest number of frames per second; 0 means that every frame is sent.",
         (0.0, RATES[1]),
         while_running=True,
     ),
     "loop": Parameter(True, "Start again after the last frame.", while_running=True),
     "max_points": Parameter(
         LIVE_POINTS,
-        "Largest number of points per frame, evenly selected; 0: the default.",
+        "Largest number of points per frame, evenly selected; 0 means the default.",
         POINTS,
         while_running=True,
     ),

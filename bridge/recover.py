@@ -119,13 +119,13 @@ def _is_finished(path: Path, source: Path) -> bool:
 
 
 def _refuse_foreign(file: Path) -> None:
-    """Raise InputError if the file does not begin like an MCAP file."""
+    """Raise InputError if the file does not begin as an MCAP file."""
     from mcap.writer import MCAP0_MAGIC
 
     with open(file, "rb") as stream:
         start = stream.read(len(MCAP0_MAGIC))
     if not MCAP0_MAGIC.startswith(start):
-        limit = "It is no recording: it does not begin as an MCAP file."
+        limit = "It is not a recording: it does not begin as an MCAP file."
         raise InputError("recover", file, limit, "Give a bag folder or an .mcap file.")
 
 
@@ -180,8 +180,8 @@ def _copy_records(source: Path, writer: Writer) -> bag.Counts:
     from mcap.records import Channel, Message, Metadata
 
     counts = bag.Counts()
-    # The summary of a finished file repeats the channels. They are read from it in case their first
-    # chunk is damaged.
+    # The summary of a finished file repeats the channels. The channels are read from the summary in
+    # case their first chunk is damaged.
     names = {record.id: record.topic for record in records(source) if isinstance(record, Channel)}
     known = {number: find_recorded(name) for number, name in names.items()}
     topics = {number: topic for number, topic in known.items() if topic is not None}

@@ -136,7 +136,9 @@ class Controls:
     heard: Mapping[Topic, Hear] = field(default_factory=dict)
     services: tuple[Service, ...] = ()
     steps: Callable[[int], Any] | None = None
-    """Function that computes N steps. It returns an iterator that yields once per step."""
+    """Function that computes N steps. The function returns an iterator that yields once per
+    step.
+    """
     refused: Callable[[str], object] = lambda sentence: None
     """Function that receives the message of a refusal."""
     clock: bool = False

@@ -36,7 +36,7 @@ class BodyLimit:
 
         Args:
             app: The application to wrap.
-            uploads: URL of uploads. Their bodies are files, not JSON.
+            uploads: URL of uploads. The bodies of uploads are files, not JSON.
             most: Size of the largest upload [bytes], and the message for a larger upload.
             other: Size of the largest body of other requests [bytes], and the message for a larger
                 body.

@@ -39,7 +39,8 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
     Args:
         kinds: Names of formats in `EXPORTS`.
         done: The finished run.
-        visitor: The visitor who made the run. Their older files are removed if disk space is short.
+        visitor: The visitor who made the run. The visitor's older files are removed if disk space
+            is short.
         visitors: All visitors.
 
     Raises:

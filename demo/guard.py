@@ -43,8 +43,8 @@ NETWORK = 64
 class Doorkeeper:
     """Refuses requests that this page must not answer.
 
-    These are requests with foreign host names, requests that would download from other sites,
-    requests for URLs that the page does not use, and cross-site requests.
+    The refused requests are requests with foreign host names, requests that would download from
+    other sites, requests for URLs that the page does not use, and cross-site requests.
     """
 
     def __init__(
@@ -87,7 +87,8 @@ class Doorkeeper:
     def _has_own_host(self, headers: Headers) -> bool:
         """Return whether all host names in a request, including those from proxies, are the page's.
 
-        Gradio writes the host names from proxies into the page. They are therefore checked, too.
+        Gradio writes the host names from proxies into the page. The names from proxies are
+        therefore checked, too.
         """
         host = headers.get("host", "").lower()
         said = ",".join(headers.get(name, "") for name in FORWARDED).lower()
@@ -225,7 +226,7 @@ def visitor_of(request: Any) -> str:
 def address_of(request: Any) -> str:
     """Return the IP address of a request; for IPv6, return the subscriber's network.
 
-    The page's limits per address use this value.
+    The page limits the use of its resources per address.
     """
     host = getattr(getattr(request, "client", None), "host", None) or ""
     try:

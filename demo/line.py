@@ -161,8 +161,8 @@ class Line:
     def seconds_to_start(self, job: Job) -> float:
         """Predict the time until a job starts [s]; 0 once it has started.
 
-        The predicted duration of each earlier job holds for an idle machine. It is therefore
-        multiplied by the slowdown of recent jobs.
+        The predicted duration of each earlier job holds for an idle machine. The predicted duration
+        is therefore multiplied by the slowdown of recent jobs.
         """
         with self._changed:
             jobs = [waiting for waiting, _ in self._waiting]

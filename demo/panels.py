@@ -12,7 +12,8 @@ from .handlers import Handler
 
 HEAD = '<script src="phy124/static/server.js"></script>'
 MARK = "mark"
-"""Key of an entry in a panel's value. Its content differs in every answer (see `mark_answers`)."""
+"""Key of an entry in a panel's value. The content of this entry differs in every answer (see
+`mark_answers`)."""
 
 
 HEAD += '<script src="phy124/static/page.js"></script>'
@@ -51,7 +52,7 @@ PLAYER = (
 def scene() -> gr.HTML:
     """Create the scene editor.
 
-    Its value is a scene as plain data; its event "change" sends a new scene.
+    The editor's value is a scene as plain data. The editor's event "change" sends a new scene.
     """
     return _panel("scene", EDITOR, events="'change'")
 

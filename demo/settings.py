@@ -38,9 +38,11 @@ class Settings(Section):
         default=0,
         ge=0,
         le=MOST_THREADS,
-        description="CPU threads of one run; 0: one for each core that is free.",
+        description="CPU threads of one run; 0 means one for each core that is free.",
     )
-    folder: str = Field(default="", description="Folder for visitors' files; empty: a new one.")
+    folder: str = Field(
+        default="", description="Folder for visitors' files; if empty, a new folder is made."
+    )
     gaussians: int = Field(
         default=50_000,
         ge=1000,

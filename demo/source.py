@@ -41,7 +41,7 @@ class Cutout:
     picture: str
     """The uploaded picture in a format that browsers can show."""
     doubts: tuple[str, ...] = ()
-    """Reasons to doubt the cut-out. They are shown only once."""
+    """Reasons to doubt the cut-out. These reasons are shown only once."""
     by: str = ""
     """Title of the method that made the cut-out."""
     pick: Point | None = None
@@ -112,7 +112,7 @@ def open_gaussians(path: Path, out: Path, count: int, deadline: Deadline) -> Gau
 
     Args:
         path: The file to read.
-        out: The folder to create. It receives the kept Gaussians and the pictures of the
+        out: The folder to create. The folder receives the kept Gaussians and the pictures of the
             orientations.
         count: Largest number of Gaussians to keep.
         deadline: Time at which reading is stopped.

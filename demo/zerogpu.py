@@ -1,8 +1,8 @@
 """Run jobs on ZeroGPU, the shared GPUs of Hugging Face Spaces, reserved for the predicted time.
 
 ZeroGPU refuses a job whose declared duration exceeds the visitor's remaining quota (anonymous
-visitors have about 120 s a day). It ends a job that takes longer than declared. Each job therefore
-declares its predicted time, which is also the job's limit. Source:
+visitors have about 120 s a day). ZeroGPU ends a job that takes longer than declared. Each job
+therefore declares its predicted time, which is also the job's limit. Source:
 huggingface.co/docs/hub/spaces-zerogpu and the package `spaces` 0.51.
 """
 

@@ -1,20 +1,20 @@
 """The command line: `phy124 COMMAND ...`, or `python -m phy124`.
 
-Every command also takes --quiet (print only problems) and --verbose (print the messages of the
-libraries, and the traceback of an error). `phy124 --version` prints this version.
-`phy124 --tyro-print-completion bash` (zsh, fish) prints a script that completes commands and
-options with the Tab key; see docs/guide/commands.md.
+Every command also accepts --quiet (print only problems) and --verbose (print the messages of the
+libraries, and the traceback of an error). `phy124 --version` prints the version. `phy124
+--tyro-print-completion bash` (zsh, fish) prints a script that completes commands and options with
+the Tab key; see docs/guide/commands.md.
 
-Exit status: 0 done, 1 a failure of the machine (disk full, ...), 2 bad input, 3 the simulation
-stopped early and its valid frames were saved, 130 interrupted. Errors that a user can correct
-show no traceback.
+Exit status: 0 if the command succeeded, 1 if the machine failed (disk full, ...), 2 if an input is
+invalid, 3 if the simulation stopped early and its valid frames were saved, 130 if interrupted.
+Errors that a user can correct show no traceback.
 """
 
 from __future__ import annotations
 
 from phy124.runtime.signals import ending, handling, interrupt
 
-with handling(ending(130, "phy124: stopped\n")):  # instead of a traceback
+with handling(ending(130, "phy124: stopped\n")):  # an error message instead of a traceback
     import atexit
     import gc
     import json
@@ -38,13 +38,13 @@ with handling(ending(130, "phy124: stopped\n")):  # instead of a traceback
     from phy124.schema.arguments.words import split_operands
 
 GENERAL = ("--quiet", "--verbose")
-"""Options that every command has."""
+"""Options that every command accepts."""
 
 
 def program() -> NoReturn:
     """Run the command of this process and end the process.
 
-    An ordinary exit of Python would free each object in turn, which takes 0.1 s after a run.
+    An ordinary exit of Python would free each object separately, which takes 0.1 s after a run.
     """
     status = main()  # flushes the standard streams
     threading._shutdown()  # pyright: ignore[reportAttributeAccessIssue] # waits for all threads
@@ -53,7 +53,7 @@ def program() -> NoReturn:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command, and return the exit status."""
+    """Run one command, and return the exit status of the process."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     options, operands = split_operands(arguments)
     chosen = {name for name in GENERAL if name in options}
@@ -97,10 +97,10 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
 
 @contextmanager
 def _no_collection() -> Iterator[None]:
-    """Turn the garbage collector off within this context, as imports create many lasting objects.
+    """Turn the garbage collector off within this context: imports create many lasting objects.
 
-    Later collections skip the objects that imports created, too. With the collector on, collections
-    took 0.9 s of a command that took 6 s.
+    Later collections skip the objects that imports created, too. When the collector was on,
+    collections took 0.9 s of a command that took 6 s.
     """
     was = gc.isenabled()
     gc.disable()
@@ -123,7 +123,7 @@ def _start(*, talkative: bool) -> None:
 
 
 def _parse(arguments: list[str]) -> Any:
-    """Parse the command and its options; a request for the list of commands prints it and exits."""
+    """Parse the command and its options; if the list of commands is requested, print it and end."""
     from phy124.commands import COMMANDS, outline
     from phy124.schema.arguments.parsing import asks_for_commands, parse
 
@@ -131,8 +131,8 @@ def _parse(arguments: list[str]) -> Any:
         commands = outline()
     else:
         share_heap()
-        refuse_narrow()  # before a command's module imports NumPy
-        with suppress(ImportError):  # another version of tyro may not need it
+        refuse_narrow()  # this must precede the import of NumPy by a command's module
+        with suppress(ImportError):  # another version of tyro may not need this
             import_lightly("typeguard", "pydantic_core.core_schema")
         declare_late()
         commands = COMMANDS
@@ -144,14 +144,12 @@ def _parse(arguments: list[str]) -> Any:
 
 
 def _note(message: Warning | str, *_: object) -> None:
-    """Log a warning as one line, without its position in the code."""
+    """Log a warning as one line, without the line of code that caused the warning."""
     print(f"phy124: {message}", file=sys.stderr)
 
 
 def _report(problem: BaseException, *, as_json: bool, verbose: bool) -> int:
-    """Explain an exception to the user (with --json on standard output, too), and return the
-    status.
-    """
+    """Explain an exception to the user (with --json on standard output, too); return the status."""
     from phy124.runtime.installation import with_program
 
     cause = failure(problem)

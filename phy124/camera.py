@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 VIEWS = {"front": 0.0, "right": 90.0, "back": 180.0, "left": 270.0}
-"""Azimuths of the paper's four views [degrees]: front is +x, right is +y."""
+"""Azimuths of the paper's four views [degrees]. The front is +x, the right is +y."""
 FOV_Y = 49.1
-"""Default vertical field of view [degrees]; it is the same as LGM's."""
+"""Default vertical field of view [degrees]. LGM uses the same value."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Camera:
     eye: tuple[float, float, float]
     """Position, m."""
     target: tuple[float, float, float]
-    """Point shown in the middle of the image, m."""
+    """Point that is shown in the middle of the image, m."""
     width: int
     """Image width, pixels."""
     height: int
@@ -34,7 +34,8 @@ class Camera:
     fov_y: float = FOV_Y
     """Vertical field of view, degrees."""
     shift: tuple[float, float] = (0.0, 0.0)
-    """Offset of the principal point from the middle of the image, right and down, pixels."""
+    """Offset of the principal point from the middle of the image, to the right and downwards,
+    pixels."""
 
     @classmethod
     def orbit(
@@ -49,9 +50,9 @@ class Camera:
         """Return a camera on a sphere around `target`.
 
         Args:
-            azimuth: Degrees; 0 is the front (+x), 90 the right side (+y).
-            elevation: Degrees; positive values look down from above.
-            radius: Distance from the target, m.
+            azimuth: Azimuth, degrees. 0 is the front (+x), 90 the right side (+y).
+            elevation: Elevation, degrees. If it is positive, the camera looks down.
+            radius: Distance of the camera from the target, m.
             size: Width and height in pixels, or one number for both.
             target: Point to look at [3], m.
             fov_y: Vertical field of view, degrees.
@@ -64,17 +65,17 @@ class Camera:
 
     @property
     def focal(self) -> float:
-        """Focal length in pixels, the same along both axes."""
+        """Focal length in pixels, which is the same along both axes."""
         return 0.5 * self.height / math.tan(0.5 * math.radians(self.fov_y))
 
     @property
     def halves(self) -> tuple[float, float]:
-        """Half the width and half the height of the visible area at a distance of 1."""
+        """Half the width and half the height of the area that is visible at a distance of 1."""
         return 0.5 * self.width / self.focal, 0.5 * self.height / self.focal
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Principal point: where the optical axis meets the image, pixels."""
+        """Principal point, at which the optical axis meets the image, pixels."""
         return self.width / 2 + self.shift[0], self.height / 2 + self.shift[1]
 
     @cached_property
@@ -82,7 +83,8 @@ class Camera:
         """World-to-camera transform [4,4]."""
         eye, target = np.asarray(self.eye, float), np.asarray(self.target, float)
         forward = (target - eye) / np.linalg.norm(target - eye)
-        # A camera that looks straight up or down has no horizon: +x is at the top of its image.
+        # If a camera looks straight up or down, its image has no horizon. In this case +x is at the
+        # top of the image.
         up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 1 - 1e-9 else np.array([1.0, 0.0, 0.0])
         right = np.cross(forward, up)
         right /= np.linalg.norm(right)

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 DISK_CODES = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQUOT") else [])}
 SHORT_CODES = {*DISK_CODES, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
-"""Error codes for a resource of the machine that ran out; the name of the file is not the cause."""
+"""Error codes that state that a resource of the machine ran out. For these, the name of the file is
+not the cause."""
 DISK_WORDS = ("no space left", "disk quota exceeded", "os error 28", "os error 122")
 
 
@@ -19,14 +20,14 @@ class Remedy(NamedTuple):
     words: str
     """The change in words, such as "accuracy.cells = 24"."""
     changes: dict[str, Any]
-    """Dotted path -> value, in the form that `Scene.replaced` takes."""
+    """New values by dotted path, in the form that `Scene.replaced` accepts."""
 
 
 class InputError(ValueError):
     """The user's input cannot be used; the message says which input, why, and how to correct it.
 
     The command line and the web page print only the message, never a traceback. `remedies` are
-    changes of the scene, if any are known; each solves the problem by itself.
+    changes of the scene, if any are known. Each remedy alone solves the problem.
     """
 
     def __init__(
@@ -37,18 +38,25 @@ class InputError(ValueError):
         super().__init__(f"{field} = {value}: {limit} {remedy}".rstrip())
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        """Support pickle; by default, pickle would pass the whole message as the field."""
+        """Support pickle.
+
+        By default, pickle would pass the whole message to the constructor in place of the field's
+        name.
+        """
         return type(self), (self.field, self.value, self.limit, self.remedy)
 
 
 class Cancelled(Exception):
-    """Raised by a progress callback in order to stop the work at once."""
+    """Raised by a progress callback in order to stop the work immediately."""
 
 
 class Incomplete(Exception):
-    """Raised after some of the results were saved; its cause is the exception that ended the work.
+    """Raised after some of the results were saved.
 
-    `kept` ends a sentence: it names the saved files and the command that continues the run.
+    The cause of the exception is the exception that ended the work.
+
+    `kept` is the end of a sentence. This part names the saved files and the command that continues
+    the run.
     """
 
     def __init__(self, kept: str) -> None:
@@ -57,13 +65,14 @@ class Incomplete(Exception):
 
 
 def did_you_mean(word: str, known: Iterable[str], *, similarity: float = 0.6) -> str:
-    """Return the sentence "Did you mean ...?" if a known word is close; otherwise an empty text."""
+    """Return the sentence "Did you mean ...?" if a known word is similar, else an empty text."""
     close = difflib.get_close_matches(word, [*known], 1, similarity)
     return f"Did you mean {close[0]}?" if close else ""
 
 
 def suggest(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") -> str:
-    """Return the sentence "Did you mean ...?" if a known word is close; otherwise a list of known
-    words.
+    """Return the sentence "Did you mean ...?" if a known word is similar.
+
+    Otherwise return a list of the known words.
     """
     return did_you_mean(word, known) or f"{otherwise} {', '.join(known)}."

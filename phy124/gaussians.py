@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float32]
 SH_C0 = 0.28209479177387814
-"""Value of the degree-0 spherical harmonic: rgb = 0.5 + SH_C0 * sh[:, 0]."""
+"""Value of the spherical harmonic of degree 0: rgb = 0.5 + SH_C0 * sh[:, 0]."""
 SH_C1 = 0.4886025119029199
 SH_C2 = (
     1.0925484305920792,
@@ -35,13 +35,14 @@ SH_C3 = (
     1.445305721320277,
     -0.5900435899266435,
 )
-"""Factors of the harmonics of degrees 1 to 3; signs and order as in Kerbl et al. 2023."""
+"""Factors of the spherical harmonics of degrees 1 to 3. Signs and order are those of Kerbl et al.
+2023."""
 SH_COEFFICIENTS = (1, 4, 9, 16)
-"""Allowed K in `sh [N,K,3]`: degrees 0 to 3."""
+"""Allowed values of K in `sh [N,K,3]`, for degrees 0 to 3."""
 
 
 BLOCK = 1 << 15
-"""Number of rows that are processed at a time; this many stay in the cache."""
+"""Number of rows that are processed at a time. This number of rows stays in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +52,8 @@ class Gaussians:
     Arrays are converted to C-contiguous float32.
 
     Raises:
-        ValueError: Shapes disagree. This is a programming error; readers refuse bad files
-            themselves.
+        ValueError: The shapes of the arrays disagree. This is a programming error, because readers
+            refuse bad files themselves.
     """
 
     means: Array
@@ -66,7 +67,7 @@ class Gaussians:
     sh: Array
     """Spherical-harmonic colours [N,K,3], K in 1, 4, 9, 16."""
     object_id: NDArray[np.int32] | None = None
-    """Index of the scene's object to which each Gaussian belongs [N]; None if there is a single
+    """Index of the scene's object to which each Gaussian belongs [N]. None if there is a single
     object."""
 
     def __post_init__(self) -> None:
@@ -95,13 +96,13 @@ class Gaussians:
     def from_rgb(
         cls, means: NDArray, quats: NDArray, scales: NDArray, opacities: NDArray, rgb: NDArray
     ) -> Gaussians:
-        """Return Gaussians with plain colours (spherical harmonics of degree 0).
+        """Return Gaussians with colours that do not depend on direction (harmonics of degree 0).
 
         Args:
             means: Centres [N,3], m.
             quats: Orientations wxyz [N,4].
             scales: Standard deviations along the local axes [N,3], m.
-            opacities: [N], 0..1.
+            opacities: Opacities [N], 0..1.
             rgb: Colours [N,3], 0..1.
         """
         arrays = (means, quats, scales, opacities, ((rgb - 0.5) / SH_C0)[:, None, :])
@@ -134,7 +135,7 @@ class Gaussians:
         )
 
     def of_object(self, index: int) -> Gaussians:
-        """Return the Gaussians of the object with this index, perhaps none, without `object_id`."""
+        """Return the Gaussians of the object with an index, perhaps none, without `object_id`."""
         if self.object_id is None:
             return self if index == 0 else self.select(np.zeros(0, int))
         return replace(self.select(self.object_id == index), object_id=None)
@@ -147,7 +148,7 @@ class Gaussians:
     @property
     def longest(self) -> Array:
         """Largest standard deviation of each Gaussian [N], m."""
-        x, y, z = self.scales.T  # several times faster than a maximum over three neighbours
+        x, y, z = self.scales.T  # several times faster than np.max over rows of three
         return np.maximum(np.maximum(x, y), z)
 
     @property
@@ -170,13 +171,13 @@ class Gaussians:
 
 
 def finite_rows(array: NDArray) -> NDArray[np.bool_]:
-    """Return the mask of the rows of an array [N,...] whose values are all finite."""
+    """Return a mask of the rows of an array [N,...] in which all values are finite."""
     flat = array.reshape(len(array), math.prod(array.shape[1:]))
     finite = np.ones(len(array), bool)
     with np.errstate(invalid="ignore"):
         for start in range(0, len(flat), BLOCK):
             part = flat[start : start + BLOCK]
-            total = np.zeros(len(part))  # NaN or infinite if any value is
+            total = np.zeros(len(part))  # NaN or infinite if any value of the row is
             for column in part.T:
                 total += column
             finite[start : start + BLOCK] = np.isfinite(total)
@@ -184,8 +185,9 @@ def finite_rows(array: NDArray) -> NDArray[np.bool_]:
 
 
 def join(sets: Sequence[Gaussians]) -> Gaussians:
-    """Join several sets in order; missing coefficients of higher harmonics are filled with
-    zeros.
+    """Join several sets of Gaussians in order.
+
+    If a set lacks coefficients of higher harmonics, they are filled with zeros.
     """
     most = max(item.sh.shape[1] for item in sets)
 
@@ -199,7 +201,7 @@ def join(sets: Sequence[Gaussians]) -> Gaussians:
 
 
 def as_objects(objects: dict[int, Gaussians]) -> Gaussians:
-    """Join the Gaussians of several objects; each object's key becomes its `object_id`."""
+    """Join the Gaussians of several objects; the key of each object becomes its `object_id`."""
     return join(
         [
             replace(item, object_id=np.full(len(item), index, np.int32))
@@ -222,31 +224,33 @@ class Frame:
     """The Gaussians at one time of the simulation."""
 
     index: int
-    """Index of the frame, from 0."""
+    """Index of the frame. The first frame has index 0."""
     time: float
     """Time since the start, s."""
     gaussians: Gaussians
     velocities: Array | None = None
-    """Velocities of the centres [N,3], m/s, if requested."""
+    """Velocities of the centres [N,3], m/s. None if they were not requested."""
     contacts: Array | None = None
     """Force of the walls on each Gaussian [N,3], N, averaged over the last frame interval."""
     wrenches: dict[str, Wrench] | None = None
-    """Force and torque of the object on each wall, by the wall's name, if requested."""
+    """Force and torque of the object on each wall, by the wall's name. None if they were not
+    requested."""
     carried: tuple[Array, Array] | None = None
     """Positions [C,3], m, and deformation gradients [C,3,3] of the particles that carry the
-    Gaussians; None unless the run keeps its frames."""
+    Gaussians. None unless the run keeps its frames."""
 
 
 @dataclass(frozen=True, eq=False)
 class Particles:
-    """P material points at rest; points that are neighbours in space are stored close to each
-    other.
+    """P material points at rest.
+
+    Points that are neighbours in space are stored close to each other.
     """
 
     x: NDArray[np.float32]
     """Positions [P,3], m."""
     volume: NDArray[np.float64]
-    """Volumes [P], m^3; their sum is the volume of the object."""
+    """Volumes [P], m^3. The sum of all volumes is the volume of the object."""
     density: NDArray[np.float64]
     """Densities [P], kg/m^3."""
     material: NDArray[np.int32]
@@ -254,14 +258,16 @@ class Particles:
     gaussian: NDArray[np.int32]
     """Index of the Gaussian at the particle's position [P]; -1 if there is none."""
     body: NDArray[np.int32] | None = None
-    """Index of the scene's object to which each particle belongs [P]; None for a single object."""
+    """Index of the scene's object to which each particle belongs [P]. None if there is a single
+    object."""
     surface: NDArray[np.float64] | None = None
-    """Surface points [m], their outward normals and indices of objects [S,7], for bodies on their
-    lattices at rest; None for other bodies.
+    """Surface points [m], their outward normals and the indices of their objects [S,7], for bodies
+    on their lattices at rest. None for other bodies.
     """
     copies: NDArray[np.int8] | None = None
-    """Which copy of each of its 27 nodes a cell uses [C,27], for all cells of bodies on lattices in
-    the order of their points; None: no node has copies (phy124/particles/pieces.py).
+    """Number of the copy of each of its 27 nodes that a cell uses [C,27], for all cells of bodies
+    on lattices, in the order of their points. None if no node has copies
+    (phy124/particles/pieces.py).
     """
 
     def __len__(self) -> int:
@@ -285,7 +291,7 @@ def by_object(
 
 
 def rotation_matrices(quats: NDArray) -> NDArray[np.float64]:
-    """Return rotation matrices [N,3,3] of quaternions wxyz [N,4] of any length."""
+    """Return the rotation matrices [N,3,3] of quaternions wxyz [N,4] of any length."""
     q = np.asarray(quats, dtype=np.float64)
     w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
     rows = (
@@ -297,11 +303,12 @@ def rotation_matrices(quats: NDArray) -> NDArray[np.float64]:
 
 
 def quaternions(rotations: NDArray) -> NDArray[np.float64]:
-    """Return unit quaternions wxyz [N,4] of rotation matrices [N,3,3] (Shepperd's method)."""
+    """Return the unit quaternions wxyz [N,4] of rotation matrices [N,3,3] (Shepperd's method)."""
     r = np.asarray(rotations, dtype=np.float64)
     diagonal = np.einsum("nii->ni", r)
     trace = diagonal.sum(axis=1, keepdims=True)
-    # The four columns of 4 q q^T; the column with the largest diagonal is well conditioned.
+    # The rows below are the four columns of 4 q q^T. The column with the largest diagonal entry is
+    # well conditioned.
     squares = np.concatenate([1 + trace, 1 + 2 * diagonal - trace], axis=1)
     best = squares.argmax(axis=1)
     xy, xz, yz = r[:, 1, 0] + r[:, 0, 1], r[:, 0, 2] + r[:, 2, 0], r[:, 2, 1] + r[:, 1, 2]
@@ -336,10 +343,10 @@ def sh_basis(directions: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
-    """Rotate each Gaussian's colour as a function of direction with the Gaussian: c'(d) = c(R^T d).
+    """Rotate the colours, which are functions of direction, with the Gaussians: c'(d) = c(R^T d).
 
     A rotation mixes only harmonics of equal degree. The matrix of each degree is computed from the
-    harmonics' values in fixed, well-spread directions; this is exact.
+    values of the harmonics in fixed, well-spread directions. This is exact.
 
     Args:
         sh: Coefficients [N,K,3].
@@ -352,15 +359,16 @@ def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
         if sh.shape[1] < (degree + 1) ** 2:
             break
         solve = np.linalg.pinv(sh_basis(directions, 16)[:, band])
-        # Row vector times R is R^T d: the direction before the rotation.
+        # A row vector times R is R^T d, which is the direction before the rotation.
         before = sh_basis(directions @ rotations, 16)[:, :, band]
         turned[:, band] = np.einsum("jd,ndk,nkc->njc", solve, before, turned[:, band])
     return turned.astype(np.float32)
 
 
 def mirror_signs(count: int) -> NDArray[np.float64]:
-    """Return the sign of each harmonic when x is mirrored [count]; each harmonic is odd or even in
-    x.
+    """Return the sign of each harmonic when x is mirrored [count].
+
+    Each harmonic is an odd or an even function of x.
     """
     direction = np.array([0.3, 0.5, np.sqrt(0.66)])
     return np.sign(sh_basis(direction * [-1, 1, 1], count) * sh_basis(direction, count))
@@ -375,7 +383,7 @@ def spread_directions(count: int) -> NDArray[np.float64]:
 
 
 def stack_wrenches(frames: Sequence[Frame]) -> NDArray[np.float64]:
-    """Return the wrenches of all frames [T,W,2,3]; their order is that of the walls."""
+    """Return the wrenches of all frames [T,W,2,3], in the order of the walls."""
     rows = [[[*wrench] for wrench in (frame.wrenches or {}).values()] for frame in frames]
     return np.array(rows, np.float64).reshape(len(frames), -1, 2, 3)
 

@@ -1,7 +1,7 @@
-"""Reports the progress of work by calling a function with stage, steps done, and total steps.
+"""Reports the progress of work: calls a function with the stage, the steps done and the total.
 
-A progress function may raise `Cancelled`. Callers do not catch `Cancelled`, so every loop that
-reports progress can also be stopped.
+A progress function may raise `Cancelled`. Callers do not catch `Cancelled`. Every loop that reports
+progress can therefore also be stopped.
 """
 
 from collections.abc import Callable
@@ -10,5 +10,5 @@ Progress = Callable[[str, int, int], None]
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """Ignore the progress; this is the default."""
+    """Ignore the progress, which is the default."""
     del stage, done, total

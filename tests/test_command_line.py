@@ -76,7 +76,7 @@ def test_a_value_may_begin_with_a_minus(typed, capsys, tmp_path, monkeypatch):
 @pytest.mark.parametrize("typed", [["--out", ""], ["--out="], ["--scene", ""]])
 def test_an_empty_value_is_refused(typed, capsys):
     assert main(["generate", "x.png", *typed]) == 2
-    assert "it is empty. Give a value, or leave the option out." in capsys.readouterr().err
+    assert "it is empty. Give a value, or remove the option." in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -364,16 +364,19 @@ def scene(**changes) -> Scene:
     ("changes", "said"),
     [
         ({"objects": [{**FREE, "shape": None}]}, "Only shapes follow a motion"),
-        ({"objects": [{**FREE, "held": True}]}, "Leave out static, held"),
+        ({"objects": [{**FREE, "held": True}]}, "Remove static, held"),
         ({"objects": [{**FREE, "shape": "sphere"}]}, "Make all 3 sides equal"),
         (
             {"objects": [FREE, {**FREE, "name": "more", "place": [3, 0], "on": "floor"}]},
-            "box and more are both free solids, which would pass through each other",
+            "box and more are both solids that move freely, and would pass through each other",
         ),
-        ({"object.held": True}, "object is held, and the free solid box would pass through it"),
+        (
+            {"object.held": True},
+            "object is held, and the freely moving solid box would pass through it",
+        ),
         (
             {"objects": [FREE, {"name": "led", "shape": "sphere", "motion": {"kind": "swing"}}]},
-            "led follows a path, and the free solid box would pass",
+            "led follows a path, and the freely moving solid box would pass",
         ),
         ({"boundaries": [{"kind": "sphere"}]}, "pass through the boundary sphere. Use ground"),
         ({"objects": [{**FREE, "motion": {"kind": "free", "density": 0}}]}, "density"),

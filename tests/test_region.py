@@ -19,5 +19,5 @@ def test_a_cylinder_is_as_wide_as_the_shorter_side_of_its_box(rng):
 
 def test_a_cylinder_has_a_width():
     for upper in ((1e9, 1e9, 1e9), (1, 1e9, 1)):
-        with pytest.raises(ValidationError, match="needs the coordinates of both corners"):
+        with pytest.raises(ValidationError, match="the extent on the two other axes must be given"):
             Region(lower=(0, 0, 0), upper=upper, cylinder="z")

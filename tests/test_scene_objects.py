@@ -370,10 +370,10 @@ def test_an_object_with_a_motion_is_a_wall_where_it_is_drawn(changes, lower, upp
     ("changes", "said"),
     [
         ({"shape": None, "file": "a.ply"}, "Only shapes follow a motion"),
-        ({"held": True}, "Leave out static, held, velocity and spin"),
-        ({"velocity": [1, 0, 0]}, "Leave out static, held, velocity and spin"),
+        ({"held": True}, "Remove static, held, velocity and spin"),
+        ({"velocity": [1, 0, 0]}, "Remove static, held, velocity and spin"),
         ({"on": "object"}, "cannot stand on another object. Use lift"),
-        ({"turn": [0, 0, 30]}, "cannot be rotated. Leave `turn` out"),
+        ({"turn": [0, 0, 30]}, "cannot be rotated. Remove `turn`"),
         ({"shape": "sphere"}, "Make all 3 sides equal"),
         ({"shape": "capsule", "sides": [0.4, 0.3, 1]}, "Make the 2 shorter sides equal"),
         ({"shape": "capsule", "sides": [1, 1, 1]}, "Lengthen one side, or use a sphere"),

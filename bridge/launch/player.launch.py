@@ -25,7 +25,7 @@ PARAMETERS = {
     "profile": (str, "Values per point: viz, full, small, ply or splats."),
     "frame_id": (str, "Coordinate frame of the object's world."),
     "speed": (float, "Playback speed: seconds of the clip per real second."),
-    "rate": (float, "Largest number of frames per second; 0: every frame."),
+    "rate": (float, "Largest number of frames per second; 0 means every frame."),
     "loop": (bool, "Start again after the last frame."),
 }
 """Type and description of each argument. If a value is empty, the value in the parameter file

@@ -38,8 +38,8 @@ AT_ONCE = 16
 read.
 """
 HEADER = struct.Struct("<Qq")
-"""Client identity and request number. They have 16 bytes, so that the following members stay
-aligned."""
+"""Client identity and request number. The two together have 16 bytes, so that the following members
+stay aligned."""
 
 
 class DdsSink:
@@ -190,7 +190,7 @@ class DdsSink:
         self._writers = {topic.name: self._writer(topic) for topic in dict.fromkeys(topics)}
         heard: dict[Topic, Hear] = {COMMAND: self._command, **self._controls.heard}
         self._heard = [(self._reader(topic), hear) for topic, hear in heard.items()]
-        # All nodes write to this topic. It has no key that distinguishes the nodes.
+        # All nodes write to this topic. The topic has no key that distinguishes the nodes.
         self._nodes = self._reader(replace(DISCOVERY, depth=MANY))
         self._waitset = WaitSet(self._participant)
         unread = SampleState.NotRead | ViewState.Any | InstanceState.Any

@@ -55,12 +55,12 @@ class McapSink:
         Args:
             path: The folder or the .mcap file to create.
             options: Options that define how frames become messages.
-            compression: Compression of the chunks. It hardly makes files with moving Gaussians
-                smaller, and `none` is fastest.
+            compression: Compression of the chunks. Compression hardly makes files with moving
+                Gaussians smaller, and `none` is fastest.
             scene: The complete scene as plain data, to be stored in the file.
-            report: Function that is called at the end. Its result is stored in the file.
+            report: Function that is called at the end. The result is stored in the file.
             overwrite: Whether to replace an existing bag.
-            topics: Additional topics. Their messages arrive by `send`.
+            topics: Additional topics. The messages of these topics arrive by `send`.
             node: Node to which the names of topics are relative.
 
         Raises:

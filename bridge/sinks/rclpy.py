@@ -53,7 +53,7 @@ class RclpySink:
             node: The node to use, with its executor if it has one. If None, create a node that ends
                 with the sink.
             args: `--ros-args` and the arguments after it, for the created node.
-            running: Parameters that can be changed during playback. They are declared if necessary.
+            running: Parameters that can be changed during playback. Missing ones are declared.
             controls: Inputs, topics and services in addition to frames. If None, those of a player.
 
         Raises:

@@ -1,6 +1,7 @@
 """Standard services of simulators (simulation_interfaces 1.x and 2.x) for a steered run.
 
-A run has a fixed scene. It supports states, steps and resets, and `entities` describes its objects.
+A run has a fixed scene. The run supports states, steps and resets, and `entities` describes its
+objects.
 """
 
 from __future__ import annotations

@@ -94,8 +94,8 @@ def read_video(path: Path, out: Path, seconds: float, speed: float, deadline: De
 def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: float) -> Seen:
     """Decode a video in this process, whose CPU time is limited from now on.
 
-    The decoder inherits the limits on memory and CPU time. It therefore ends even if this process
-    is killed.
+    The decoder inherits the limits on memory and CPU time. The decoder therefore ends even if this
+    process is killed.
     """
     if resource is not None:
         most = math.ceil(processor) + 1

@@ -1,7 +1,7 @@
 """Tickets, which limit the number of live runs per visitor and in total; limits of saved sessions.
 
-A ticket is the permission for a live run. It counts as a live run as soon as a page presents it. A
-ticket that is never presented does not count.
+A ticket is the permission for a live run. A ticket counts as a live run as soon as a page presents
+the ticket. A ticket that is never presented does not count.
 """
 
 from __future__ import annotations

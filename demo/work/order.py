@@ -175,7 +175,7 @@ def order_of(
     Args:
         visitor: The visitor.
         source: The object's source.
-        scene: The scene. Its regions may be in the units of a file.
+        scene: The scene. The regions of the scene may be in the units of a file.
         extras: Optional inputs in addition to the front picture.
         limits: The page's limits.
 

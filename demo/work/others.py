@@ -27,7 +27,8 @@ class Other:
     picture: Path
     """The uploaded picture."""
     cutout: Path
-    """The cut-out, which `make_cutout` creates. Its file name identifies its content."""
+    """The cut-out, which `make_cutout` creates. The name of the cut-out's file identifies the
+    content."""
 
     def make_cutout(self, deadline: Deadline) -> None:
         """Create the cut-out, unless it already exists.

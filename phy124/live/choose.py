@@ -24,10 +24,11 @@ TRIED = 12
 SPARE = 0.8
 """Largest fraction of the interval between frames that computing a frame may take."""
 WARM, FRAMES, SECONDS = 2, 6, 0.2
-"""Warm-up frames of a trial, timed frames, and the time limit of the timed frames [s]."""
+"""Number of warm-up frames of a trial, number of timed frames, and time limit of the timed frames
+[s]."""
 COST_POWER = 4
-"""The time of substeps grows as this power of the number of cells, because there are more particles
-and shorter substeps.
+"""Exponent of the time of substeps as a function of the number of cells. The time grows because
+there are more particles and shorter substeps.
 """
 
 
@@ -37,7 +38,8 @@ class Cost(NamedTuple):
     cells: int
     substeps: float
     others: float
-    """Time that does not depend on the grid [s]: computing the Gaussians' shapes and showing them.
+    """Time that does not depend on the grid [s]: computing the shapes of the Gaussians and showing
+    them.
     """
 
     def on(self, cells: int) -> float:
@@ -46,13 +48,13 @@ class Cost(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A scene on the finest grid that is fast enough on this machine, else on the coarsest."""
+    """A scene on the finest grid that is fast enough on this machine, else on the coarsest grid."""
 
     scene: Scene
     factor: float
     """Simulated seconds per second of real time on this machine, estimated from the trial."""
     promise: Promise
-    """Error bound of this grid."""
+    """Error bound of the chosen grid."""
 
     @property
     def sentence(self) -> str:
@@ -72,17 +74,21 @@ def held_rate(
     shapes: bool = True,
     show: Callable[[Frame], object] = lambda frame: None,
 ) -> Choice:
-    """Find the finest grid on which this machine reaches a frame rate, with lattice binding.
+    """Find the finest grid on which this machine reaches a given frame rate.
+
+    The Gaussians are bound to a lattice of particles.
 
     Args:
         gaussians: The object.
-        scene: The scene; its number of cells is ignored.
-        context: Device, threads and progress.
+        scene: The scene. The scene's number of cells is ignored.
+        context: Device, number of threads, and progress function.
         rate: Simulated seconds per second; a fifth of the computing time is kept free.
-        max_error: Largest error bound, as a fraction of the object's size. The coarsest grid
-            that meets it is chosen, even if it is too slow. None: `rate` alone decides.
-        shapes: As for `Live`.
-        show: Work on each frame, such as drawing it, which also takes time.
+        max_error: Largest error bound, as a fraction of the object's size. The coarsest grid that
+            meets this bound is chosen, even if the grid is too slow. If None, only `rate`
+            determines the grid.
+        shapes: The same argument as in `Live`.
+        show: Function that does further work on each frame, such as drawing it. This work also
+            takes time.
 
     Raises:
         InputError: The object or the scene cannot be used, or a number is out of bounds.
@@ -136,7 +142,7 @@ def _trial(
         show(live.step())
         substeps = watch.seconds.get("simulate", 0.0) - before
         frames.append((time.perf_counter() - begun, substeps))
-        # After too violent a frame, which is computed again without a hand, nothing is held.
+        # After a frame that was too violent and is computed again without a hand, nothing is held.
         if not live.holds or sum(whole for whole, _ in frames[WARM:]) > SECONDS:
             break
     counted = sorted(frames[WARM:] or frames[-1:])

@@ -1,8 +1,8 @@
 """Runs a scene frame by frame while inputs act on it.
 
-If the watchdog rejects a frame, or the frame needs too many substeps, the run notes this, drops the
-inputs, and continues from the last valid frame, from an earlier one, or from the start. The run
-ends only if a frame fails although no input has acted since the start.
+The watchdog may reject a frame, or a frame may need too many substeps. The run then notes this,
+drops the inputs, and continues from the last valid frame, from an earlier frame, or from the start.
+The run ends only if a frame fails although no input has acted since the start.
 """
 
 from __future__ import annotations
@@ -40,24 +40,26 @@ from phy124.simulation import Setup, Simulation, Stopped, prepare
 from phy124.simulation.appearance import Appearance
 
 FOREVER = 1e8
-"""Time budget of a live run [s]: practically unlimited."""
+"""Time budget of a live run [s]. It is practically unlimited."""
 KEPT_EVERY = 12
-"""Frames between two stored states."""
+"""Number of frames between two states that are stored."""
 LOST = 50.0
-"""The run starts again when the object is this far from the middle of the scene [object sizes]."""
+"""Distance of the object from the middle of the scene at which the run starts again [object
+sizes].
+"""
 NOTES = 20
 """Largest number of stored notes."""
 SLOWEST = 30
-"""Largest number of substeps of a frame, relative to the object at rest. A duck that is made a
-hundred times softer under ten times its weight needs 23 times as many.
+"""Largest number of substeps of a frame, relative to the number for the object at rest. A duck that
+is made a hundred times softer under ten times its weight needs 23 times as many.
 """
 
 
 class Live:
     """A run that accepts inputs while it is computed.
 
-    Call the input methods between two frames; inputs act from the next frame on. The class is not
-    thread-safe: pass inputs from other threads through a queue.
+    Call the input methods between two frames. Inputs act from the next frame on. The class is not
+    thread-safe, so inputs from other threads must be passed through a queue.
     """
 
     def __init__(
@@ -73,11 +75,12 @@ class Live:
 
         Args:
             gaussians: The object at any size, standing upright, facing +x.
-            scene: The scene without inputs; its accuracy is kept (`held_rate` chooses an accuracy
-                that this machine runs in real time).
-            context: Device, threads, progress and stopwatch.
-            shapes: False leaves the shapes of the Gaussians out of frames, which saves time; for
-                programs that bind Gaussians to `particles` themselves.
+            scene: The scene without inputs. The scene's accuracy is kept (`held_rate` chooses an
+                accuracy that this machine runs in real time).
+            context: Device, number of threads, progress function and stopwatch.
+            shapes: Whether frames contain the shapes of the Gaussians. Without shapes, frames take
+                less time. This is useful for programs that bind Gaussians to `particles`
+                themselves.
             crop: Position of the object in the picture on which the masks of parts were painted.
 
         Raises:
@@ -147,7 +150,7 @@ class Live:
 
     @property
     def look(self) -> Appearance:
-        """Gaussians of the object at rest, and a mask of those that move."""
+        """Gaussians of the object at rest, and a mask of the Gaussians that move."""
         return self._run.setup.appearance
 
     def frames(self, count: int) -> Iterator[Frame]:
@@ -156,7 +159,7 @@ class Live:
             yield self.step()
 
     def step(self) -> Frame:
-        """Compute the next frame; if it is not valid, continue from the last valid state.
+        """Compute the next frame; if the frame is not valid, continue from the last valid state.
 
         Raises:
             Stopped: A frame failed although no input has acted since the start.
@@ -191,11 +194,11 @@ class Live:
         """Grab the object, and release any earlier grab.
 
         Args:
-            point: Position on or near the object as it is now [m].
-            object: Name of the object, if there are several; None: the nearest.
-            radius: Radius of the held material [m]; the hold weakens towards the rim.
+            point: Position on or near the object in its present state [m].
+            object: Name of the object, if there are several. None means the nearest object.
+            radius: Radius of the material that is held [m]. The hold weakens towards the rim.
             stiffness: Stiffness of the spring between hand and object [N/m].
-            strength: Largest force [N]; None: three times the object's weight, less on soft
+            strength: Largest force [N]. If None, three times the object's weight, or less on soft
                 material.
 
         Raises:
@@ -227,7 +230,7 @@ class Live:
         """Set the target position of the grab [m]; the hand reaches it by the next frame.
 
         Raises:
-            InputError: Nothing is held, or these are not three finite numbers.
+            InputError: Nothing is held, or the position is not three finite numbers.
         """
         if not self.holds:
             raise InputError("move_to", target, "nothing is held.", "Call grab first.")
@@ -260,16 +263,17 @@ class Live:
         Args:
             force: Force [N].
             torque: Torque about `at` [N m].
-            at: Position on the moving object [m]; None: the push acts on the whole object.
-            object: Name of the object, if there are several; None: the object at `at`, or all.
-            radius: Radius of the pushed material [m]; the push weakens towards the rim.
+            at: Position on the moving object [m]. If None, the push acts on the whole object.
+            object: Name of the object, if there are several. If None, the object at `at`, or all
+                objects.
+            radius: Radius of the material that is pushed [m]. The push weakens towards the rim.
             seconds: Duration [s].
-            name: A push with this name replaces the earlier push of the same name; an unnamed push
-                adds to all others.
+            name: Name of the push, which replaces an earlier push of the same name. An unnamed push
+                adds to all other pushes.
 
         Raises:
             InputError: A number cannot be used, no part of the object is near `at`, or the largest
-                number of pushes act already.
+                number of pushes is already acting.
         """
         now, limits = self.time, self.limits
         before = self._named.get(name or "")
@@ -304,7 +308,7 @@ class Live:
         self._changed = True
 
     def gravity(self, g: Sequence[float]) -> None:
-        """Set the gravity [m/s^2]; its magnitude is capped at ten times the earth's gravity.
+        """Set the gravity [m/s^2]; its magnitude is limited to ten times the earth's gravity.
 
         Raises:
             InputError: The value is not three finite numbers.
@@ -321,7 +325,7 @@ class Live:
         """
         if self._scene.stiffness_profile is not None:
             limit = "the scene has a stiffness profile."
-            raise InputError("soften", factor, limit, "Leave stiffness_profile out.")
+            raise InputError("soften", factor, limit, "Remove stiffness_profile.")
         factor = check_number("soften", factor, SOFTEST, STIFFEST)
         before = max(self._run.count - 2, 0) / self._scene.time.fps
         self._inputs.soften(factor, self.time, before)
@@ -331,8 +335,8 @@ class Live:
         """Move a boundary to a displacement [m] from its start, at most at the speed of a hand.
 
         Raises:
-            InputError: There is no such boundary, it is not movable or follows a motion of the
-                scene, or the value is not three finite numbers.
+            InputError: There is no such boundary, the boundary cannot be moved or follows a motion
+                of the scene, or the value is not three finite numbers.
         """
         walls = self._scene.boundaries
         if not (isinstance(wall, int) and 0 <= wall < len(walls)):
@@ -349,7 +353,7 @@ class Live:
 
     @property
     def pairs(self) -> dict[str, str]:
-        """Maps each wrench between objects (`duck_on_cushion`) to the object it acts on."""
+        """Maps each wrench between objects (`duck_on_cushion`) to the object on which it acts."""
         return places.list_pairs(self._run)
 
     @property
@@ -359,7 +363,7 @@ class Live:
 
     @property
     def points(self) -> dict[str, NDArray[np.float64]]:
-        """Positions of each object's particles [P,3], m; for a rigid object, its centre."""
+        """Positions of each object's particles [P,3], m; for a rigid object, that of its centre."""
         return places.list_points(self._run)
 
     @property
@@ -368,12 +372,12 @@ class Live:
         return places.list_motions(self._run)
 
     def set_motion(self, name: str, motion: places.Motion, *, twist: bool = True) -> None:
-        """Move an object at once as a rigid body; `session` does not repeat this.
+        """Move an object at once as a rigid body; `session` does not repeat this move.
 
         Args:
             name: Name of the object.
             motion: New position and orientation, and new velocities.
-            twist: Whether velocities are set; otherwise they rotate with the object.
+            twist: Whether velocities are set. Otherwise they rotate with the object.
 
         Raises:
             InputError: There is no such object, it never moves, or it has no particles.
@@ -389,7 +393,7 @@ class Live:
         return scene.model_copy(update={"time": scene.time.model_copy(update={"frames": frames})})
 
     def clip(self) -> Clip:
-        """Simulate the session again and return the clip; it equals the live run bit for bit."""
+        """Simulate the session again and return the clip, which equals the live run bit for bit."""
         return Simulation(self._prepare(self.session())).run()
 
     def _prepare(self, scene: Scene, **options: Any) -> Setup:
@@ -452,7 +456,7 @@ class Live:
         self._note(f"{why} The inputs are dropped.")
         for time, snapshot in [(self.time, None), *reversed(self._kept)]:
             if snapshot is not None:
-                # If the run fails again later, it goes back further.
+                # If the run fails again later, it continues from an even earlier state.
                 self._kept.pop()
                 self._run.restore(snapshot)
             self._drop(time)
@@ -471,7 +475,7 @@ class Live:
         self._run.change(self._inputs.scene())
 
     def _note_change(self, value: Vector, sentence: str) -> Vector:
-        """Return the value of a pair, and store its sentence, unless it is empty, as a note."""
+        """Return the value of a pair; if the pair's sentence is not empty, store it as a note."""
         if sentence:
             self._note(sentence)
         return value

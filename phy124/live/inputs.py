@@ -1,6 +1,6 @@
-"""Records a live run's inputs as forces and wall motions of a scene.
+"""Records the inputs of a live run as forces and wall motions of a scene.
 
-All times are times of frames, so that a run of the recorded scene takes the same substeps.
+All times are times of frames. A run of the recorded scene therefore takes the same substeps.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class GrabRecord:
     """Time of each target since `start` [s]."""
     targets: list[Vector]
     end: float | None = None
-    """Time of release [s]; None: not released yet."""
+    """Time of release [s]; None if the grab has not been released yet."""
 
     def force(self, since: float) -> Grab:
         """Return the user's grab as a force, without targets that ended before `since` [s]."""
@@ -46,7 +46,7 @@ class GrabRecord:
 
 @dataclass
 class WallPath:
-    """Displacement of a wall; each frame in which it moves adds a point."""
+    """Displacement of a wall; each frame in which the wall moves adds a point."""
 
     times: list[float] = field(default_factory=lambda: [0.0])
     points: list[Vector] = field(default_factory=lambda: [(0.0, 0.0, 0.0)])
@@ -62,7 +62,7 @@ class Inputs:
         self.gravity: list[Gravity] = []
         self.moved: dict[int, WallPath] = {}
         self.softness: list[tuple[float, float]] = [(0.0, 1.0)]
-        """Times [s] and factors on Young's modulus."""
+        """Factors on Young's modulus, each with the time [s] from which it acts."""
 
     def soften(self, factor: float, now: float, before: float) -> None:
         """Set the factor on E that acts from `now` on; the old factor acts until `before`."""
@@ -73,7 +73,7 @@ class Inputs:
 
     @property
     def holding(self) -> GrabRecord | None:
-        """The grab that holds the object, or None."""
+        """The grab that holds the object, or None if no grab holds it."""
         return next((held for held in self.grabs if held.end is None), None)
 
     def weigh(self, g: Vector, now: float) -> None:
@@ -83,7 +83,7 @@ class Inputs:
         self.gravity.append(Gravity(g=g, start=now))
 
     def end_push(self, before: WrenchForce | None, now: float) -> None:
-        """End a push at `now` [s]; remove it if it has not begun."""
+        """End a push at `now` [s]; if the push has not begun, remove it."""
         if before in self.wrenches:
             index = self.wrenches.index(before)
             self.wrenches[index : index + 1] = _cut_push(before, now)
@@ -94,7 +94,7 @@ class Inputs:
         for index, moved in self.moved.items():
             path = Path(times=tuple(moved.times), points=tuple(moved.points), smooth=False)
             boundaries[index] = boundaries[index].model_copy(update={"motion": path})
-        # A grab acts from its second target on, which the next frame adds.
+        # A grab acts from its second target on. The next frame adds this target.
         grabs = [held for held in self.grabs if len(held.times) > 1 and _acts_after(held, since)]
         pushes = [push for push in self.wrenches if _acts_after(push, since)]
         forces = (*self._weights(since), *pushes, *(held.force(since) for held in grabs))
@@ -107,7 +107,7 @@ class Inputs:
             return {}
         first = max(sum(time <= since for time, _ in self.softness) - 1, 0)
         kept = self.softness[first:]
-        # A profile needs at least two keys: the last factor is repeated one second later.
+        # A profile needs at least two keys. Therefore the last factor is repeated one second later.
         times, factors = zip(*kept, (kept[-1][0] + 1, kept[-1][1]), strict=True)
         return {"stiffness_profile": Keyframes(times=times, factors=factors)}
 
@@ -131,8 +131,9 @@ class Inputs:
         self.moved = {i: moved for i, moved in self.moved.items() if len(moved.times) > 1}
 
     def _weights(self, since: float) -> list[AnyForce]:
-        """Return the scene's forces and the inputs of gravity; each gravity ends when the next one
-        begins.
+        """Return the scene's forces and the inputs of gravity.
+
+        Each gravity ends when the next gravity begins.
         """
         if not self.gravity:
             return list(self.base.forces)
@@ -155,7 +156,7 @@ def _acts_after(item: GrabRecord | WrenchForce | Gravity, since: float) -> bool:
 
 
 def _cut_push(push: WrenchForce, now: float) -> list[WrenchForce]:
-    """Return a push cut off at `now` [s]; empty if the push has not begun."""
+    """Return a push that is cut off at `now` [s]; empty if the push has not begun."""
     if push.start >= now:
         return []
     end = now if push.end is None else min(push.end, now)

@@ -1,10 +1,10 @@
-"""Limits and defaults of a hand's inputs.
+"""Limits and defaults of the inputs of a hand, which pulls the object as its user directs.
 
 By default a hand pulls with three times the object's weight, which lifts and throws the object. On
-soft material it pulls with less: with the strain `STRAIN`, the material that the hand holds gains
-about a quarter of the speed of sound before its neighbours feel the pull. Material that is pulled
-faster than sound would be squeezed flat. The object's weight stretches the hand's spring by a few
-hundredths of the object's size.
+soft material a hand pulls with less force. At the strain `STRAIN`, the material that the hand holds
+gains about a quarter of the speed of sound before the neighbouring material feels the pull.
+Material that is pulled faster than sound would be squeezed flat. The object's weight stretches the
+hand's spring by a few hundredths of the object's size.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from phy124.schema.region import Vector
 
 STANDARD_GRAVITY = 9.81
 LIFTS = 3.0
-"""Default strength of a hand on stiff material, relative to the object's weight."""
+"""Default strength of a hand on stiff material, as a multiple of the object's weight."""
 STRAIN = 0.3
-"""Strain of the held material under the default strength of a hand, at most."""
+"""Largest strain of the held material under the default strength of a hand."""
 STRONGEST = 30.0
-"""Largest strength of a hand, relative to the object's weight."""
+"""Largest strength of a hand, as a multiple of the object's weight."""
 TWIST = 0.2
-"""Arm of the largest torque [object sizes]: the rim of a ball gains the same acceleration from the
-largest torque as from the largest force.
+"""Lever arm of the largest torque [object sizes]. With this arm, the rim of a ball gains the same
+acceleration from the largest torque as from the largest force.
 """
 SWAY = 3.0
-"""Natural frequency of an object of 1 m on a hand's spring [Hz]."""
+"""Natural frequency of an object of 1 m that hangs on a hand's spring [Hz]."""
 FARTHEST = 5.0
-"""Reach of a hand from the middle of the scene [sizes of the object]."""
+"""Largest distance of a hand from the middle of the scene [object sizes]."""
 FASTEST = 5.0
 """Largest speed at which a hand moves a wall [object sizes per second]."""
 PUSHES = 32
-"""Largest number of simultaneous pushes."""
+"""Largest number of pushes that act at the same time."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Limits:
 
     @property
     def stiffness(self) -> float:
-        """Stiffness of a hand's spring [N/m]; smaller objects oscillate faster on it."""
+        """Stiffness of a hand's spring [N/m]. Smaller objects oscillate faster on this spring."""
         return self.mass * (2 * math.pi * SWAY) ** 2 / self.size
 
     @property
@@ -101,7 +101,7 @@ def check_vector(field: str, value: Sequence[float]) -> Vector:
     """Return a value as a vector of three finite numbers.
 
     Raises:
-        InputError: The value is something else.
+        InputError: The value is not three finite numbers.
     """
     try:
         components = np.asarray(value, dtype=np.float64)
@@ -117,13 +117,13 @@ def check_number(field: str, value: float, least: float, most: float) -> float:
     """Return a value as a finite number within bounds.
 
     Args:
-        field: Name in error messages.
-        value: The value.
+        field: Name of the value in error messages.
+        value: The value to check.
         least: Smallest allowed number.
         most: Largest allowed number.
 
     Raises:
-        InputError: The value is something else.
+        InputError: The value is not a number within the bounds.
     """
     limit = f"it must be a number from {least:g} to {most:g}."
     try:
@@ -136,12 +136,13 @@ def check_number(field: str, value: float, least: float, most: float) -> float:
 
 
 def shorten(field: str, value: Sequence[float], most: float, unit: str) -> tuple[Vector, str]:
-    """Limit the length of a vector; return the vector, and a sentence if it was changed, otherwise
-    an empty text.
+    """Limit the length of a vector; return the vector and a sentence.
+
+    The sentence is empty if the vector was not changed.
 
     Args:
-        field: Name in error messages.
-        value: The value.
+        field: Name of the vector in the sentence.
+        value: The vector.
         most: Largest length.
         unit: Unit in the sentence.
 
@@ -152,7 +153,8 @@ def shorten(field: str, value: Sequence[float], most: float, unit: str) -> tuple
     length = math.hypot(*vector)
     if length <= most:
         return vector, ""
-    # Divide by the largest component first: the square of a huge number overflows.
+    # The vector is divided by its largest component first, because the square of a huge number
+    # overflows.
     largest = max(map(abs, vector))
     x, y, z = (component / largest for component in vector)
     scale = most / math.hypot(x, y, z)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class NearestMaterial(NamedTuple):
-    """The particle nearest to a position."""
+    """The particle that is nearest to a position."""
 
     rest: Vector
     """Position at rest [m]."""
@@ -41,11 +41,11 @@ def find_material(
     """Find the particle nearest to a position.
 
     Args:
-        run: The run.
+        run: The live run.
         field: Name of the position in error messages.
-        place: Position [m].
+        place: The position [m].
         radius: Largest distance of the particle [m].
-        name: Name of the object to which it belongs; None: any object that can move.
+        name: Name of the object to which the particle belongs. None means any object that can move.
 
     Raises:
         InputError: No particle is within `radius`, or the object never moves.
@@ -82,7 +82,7 @@ def list_points(run: Simulation) -> dict[str, NDArray[np.float64]]:
 
 
 class Motion(NamedTuple):
-    """The motion of an object as if it were rigid."""
+    """The motion of an object, described as if the object were rigid."""
 
     place: NDArray[np.float64]
     """Centre of mass [3], m."""
@@ -114,7 +114,7 @@ def list_motions(run: Simulation) -> dict[str, Motion]:
 
 
 def _list_rigid(run: Simulation) -> dict[str, Motion]:
-    """Return the motions of the objects without particles: static, on a path, or free."""
+    """Return the motions of the objects without particles: static, on a path, or moving freely."""
     scenery, free, motions = run.setup.scenery, run.solver.free, {}
     tracks, time = dict(scenery.tracks), run.solver.clock.time
     for number, item in enumerate(run.scene.every_object):
@@ -138,7 +138,7 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
         run: The run.
         name: Name of the object.
         motion: New position and orientation, and new velocities.
-        twist: Whether velocities are set; otherwise they rotate with the object.
+        twist: Whether velocities are set. Otherwise they rotate with the object.
 
     Raises:
         InputError: There is no such object, it never moves, it has no particles, or the scene
@@ -187,9 +187,9 @@ def _carry_particles(
     Args:
         solver: The solver.
         mask: The particles that move [P].
-        carry: Returns new positions and velocities.
+        carry: Function that returns new positions and velocities.
         R: Rotation of the move [3,3].
-        set_to: The motion, if velocities are set.
+        set_to: The new motion, if velocities are set.
     """
     state = solver.state
     arrays = {key: np.array(array.numpy()) for key, array in state.arrays().items()}
@@ -205,7 +205,7 @@ def _carry_particles(
 
 
 def check_object(scene: Scene, field: str, name: str | None) -> str | None:
-    """Check the name of the object to move; return it, or None if there is only one object.
+    """Check the name of the object to move; return the name, or None if there is only one object.
 
     Raises:
         InputError: There is no such object, or it never moves.
@@ -229,7 +229,7 @@ def compute_centres(run: Simulation) -> dict[str, NDArray[np.float64]]:
 
 
 def list_pairs(run: Simulation) -> dict[str, str]:
-    """Map the name of each wrench between objects to the name of the object it acts on."""
+    """Map the name of each wrench between objects to the name of the object on which it acts."""
     solver = run.solver
     acted_on = [solver.model.names[pair.second] for pair in solver.pairs.all]
     acted_on += [name.rpartition("_on_")[2] for name in solver.free.names]
@@ -248,7 +248,10 @@ def _positions(run: Simulation) -> NDArray[np.float64]:
 
 
 def _list_movable(scene: Scene) -> list[int]:
-    """Return the indices of objects that are not held in place; if all are held, of all."""
+    """Return the indices of the objects that are not held in place.
+
+    If all objects are held, return all indices.
+    """
     numbers = [
         i
         for i, item in enumerate(scene.every_object)

@@ -7,14 +7,14 @@ from collections import deque
 from collections.abc import Callable
 
 REMEMBERED = 24
-"""Frames over which the real-time factor is averaged."""
+"""Number of frames over which the real-time factor is averaged."""
 
 
 class RealTime:
     """Paces frames: call `wait` after each frame; it returns when the next frame is due.
 
-    A late frame shifts the due times of all later frames: simulated time then runs slower, and no
-    backlog of frames builds up.
+    A late frame shifts the due times of all later frames. Simulated time then runs slower than real
+    time, and no backlog of frames builds up.
     """
 
     def __init__(
@@ -28,11 +28,13 @@ class RealTime:
 
         Args:
             fps: Frames per second of simulated time.
-            clock: Monotonic clock [s].
+            clock: Function that returns the time of a monotonic clock [s].
             sleep: Function that waits for a number of seconds.
         """
         self.speed = 1.0
-        """Number of simulated seconds to show in a real second; below 1 gives slow motion."""
+        """Number of simulated seconds to show in a real second. A value below 1 gives slow
+        motion.
+        """
         self._fps, self._clock, self._sleep = fps, clock, sleep
         self._due = clock()
         self._shown: deque[float] = deque([self._due], maxlen=REMEMBERED)

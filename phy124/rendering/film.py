@@ -48,8 +48,8 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 MOST_PIXELS = 1 << 23
-"""Largest number of pixels that are encoded at the same time. It is about the number of pixels of
-four full HD pictures."""
+"""Largest number of pixels that are encoded at the same time. The limit is about the number of
+pixels of four full HD pictures."""
 WAITING = 4
 """Largest number of pictures that wait for an encoder."""
 NEAR = 0.05
@@ -73,7 +73,7 @@ def film(
     Args:
         clip: The clip to film.
         view: Sides, size, background, formats and outputs.
-        folder: The folder to write. It is created if it does not exist.
+        folder: The folder to write. The folder is created if it does not exist.
         context: Device, number of threads, stopwatch, and a progress function, which is called as
             ("render", pictures done, total pictures), and as ("outputs SIDE", ...).
         **fields: `device`, `threads` and `progress`, if no context is passed.

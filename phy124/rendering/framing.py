@@ -55,8 +55,8 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
 
 
 _placed: WeakKeyDictionary[Clip, dict[tuple[View, str], list[Camera]]] = WeakKeyDictionary()
-"""Cameras of each clip in use. They are stored because a clip's films and its run's report need the
-same cameras."""
+"""Cameras of each clip in use. The cameras are stored because a clip's films and its run's report
+need the same cameras."""
 
 
 def _place(clip: Clip, view: View, side: str) -> list[Camera]:

@@ -95,11 +95,11 @@ class Surface(NamedTuple):
     scales: NDArray
     """Standard deviations [N,3], m."""
     opacities: NDArray
-    """Opacities [N]. They are 0 for Gaussians inside the liquid."""
+    """Opacities [N]. The opacity is 0 for Gaussians inside the liquid."""
     rgb: NDArray
     """Colours without reflection [N,3]."""
     normals: NDArray
-    """Unit normals of discs, pointing outwards [N,3]. They are 0 for balls."""
+    """Unit normals of discs, pointing outwards [N,3]. The normal is 0 for balls."""
 
 
 class Field:
@@ -357,8 +357,8 @@ def _touches(field: Field, phi: NDArray, close: NDArray) -> NDArray[np.bool_]:
 def _thickness(phi: NDArray, field: Field, on: NDArray, normals: NDArray) -> NDArray:
     """Return the thickness of the liquid along the normals [n,3] of points `on`, in cells.
 
-    The thickness is interpolated between the lengths of the liquid along the three axes. It is
-    limited so that the edge of a film is as pale as the rest of the film.
+    The thickness is interpolated between the lengths of the liquid along the three axes. The
+    thickness is limited so that the edge of a film is as pale as the rest of the film.
     """
     sums, least = np.zeros(len(on)), np.full(len(on), np.inf)
     for axis in range(3):

@@ -26,8 +26,8 @@ from phy124.rendering.liquid import MOVES, WIDEST
 Values = NDArray[np.float64]
 
 SAMPLE = 8192
-"""Largest number of Gaussians that represent the object (the sample). They are picked at even
-intervals."""
+"""Largest number of Gaussians that represent the object (the sample). The Gaussians are picked at
+even intervals."""
 MOST_VALUES, FEWEST = 1 << 20, 128
 """Largest product of the number of Gaussians in the sample and the number of frames. For longer
 clips the sample is reduced, but to no fewer Gaussians than the second number."""
@@ -51,7 +51,9 @@ ZOOM = 40.0
 ROOM = 1.08
 """Width (or height) of the picture, divided by the width (or height) of the whole motion."""
 MOST = 0.8
-"""Fraction of frames that define a motion's usual extent. The other frames are rare moments."""
+"""Fraction of frames that define a motion's usual extent. All other frames count as rare
+moments.
+"""
 RARE = 1.5
 """Smallest factor by which rare moments must enlarge a motion's extent so that the camera follows
 the motion."""
@@ -153,8 +155,8 @@ class Sample:
 
 
 _samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
-"""Samples of the clips in use. They are stored because the cameras of all sides of a view need
-them."""
+"""Samples of the clips in use. The samples are stored because the cameras of all sides of a view
+need them."""
 
 
 def _reach_of_discs(clip: Clip) -> Values:
@@ -186,8 +188,8 @@ def place_nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) 
 
     Args:
         sample: The object in motion.
-        cameras: A camera for each frame. It defines the orientation and the field of view. If the
-            cameras turn during the clip, it also defines the target.
+        cameras: A camera for each frame. The camera defines the orientation and the field of view.
+            If the cameras turn during the clip, it also defines the target.
         zooms: Whether the field of view may be narrowed so that the camera keeps the distance
             `DEPTHS`.
     """
@@ -218,8 +220,8 @@ def place_along(
 
     Args:
         sample: The object in motion.
-        cameras: A camera for each frame. It defines the orientation and the field of view. If the
-            cameras turn during the clip, it also defines the target.
+        cameras: A camera for each frame. The camera defines the orientation and the field of view.
+            If the cameras turn during the clip, it also defines the target.
         still: The nearest positions that show the whole motion. Their zoom is kept. If the cameras
             turn, their target is kept, too.
         window: Number of frames before and after a frame that the frame's camera also shows.

@@ -5,7 +5,7 @@ the values of the Gaussians that it shows, weighted by their contributions to th
 
     value = sum_i w_i value_i / sum_i w_i,    w_i = alpha_i prod_{j<i} (1 - alpha_j).
 
-Forces add up. They are therefore distributed over the pixels, not averaged.
+Forces add up. Forces are therefore distributed over the pixels, not averaged.
 """
 
 from __future__ import annotations

@@ -36,8 +36,8 @@ MAX_PAIRS = 1 << 24
 """Largest number of splats in the lists of all tiles at once. Larger scenes are blended in several
 groups of tiles."""
 TILES_PER_SPLAT = 4
-"""Expected number of tiles that a splat touches. It determines the memory for a renderer's first
-picture."""
+"""Expected number of tiles that a splat touches. The number determines the memory for a renderer's
+first picture."""
 BLENDS = {
     "simd": blend.blend_tiles_simd,
     "plain": blend.blend_tiles,

@@ -1,10 +1,9 @@
 """Adds highlights and reflections to fluids and metal, computed from their surface normals.
 
 The colours of Gaussians contain no gloss. For each frame and camera, the Gaussians of glossy laws
-get
-new colours with the highlight of a lamp above (Blinn 1977), and with reflections of a bright sky
-and a dark floor. Water reflects little light, but more at grazing angles (Schlick 1994). It is
-bright where it refracts the lamp's light towards the camera. Metal reflects almost all light,
+get new colours with the highlight of a lamp above (Blinn 1977), and with reflections of a bright
+sky and a dark floor. Water reflects little light, but more at grazing angles (Schlick 1994). Water
+is bright where it refracts the lamp's light towards the camera. Metal reflects almost all light,
 tinted with the colour of the metal. Of a liquid, only the surface is drawn
 (`phy124.rendering.liquid`). The normals of metal are the shortest axes of its Gaussians.
 """

@@ -1,4 +1,4 @@
-"""All options of a user: the scene, its sections and the presets."""
+"""All options that a user can set: the scene, its sections and the presets."""
 
 from phy124.scene.accuracies import GOOD_FOR, PRESETS, Accuracy, AccuracyName
 from phy124.scene.changes import merge_changes, parse_changes, parse_value

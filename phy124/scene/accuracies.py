@@ -11,29 +11,38 @@ from phy124.mpm.timestep import beside_rpic
 from phy124.schema.section import Section
 
 USUAL = {"transfer": "apic", "gradient": "affine", "rpic_damping": 0.0}
-"""Settings of MPM's transfers, with their defaults; the other solvers do not use them."""
+"""Settings of MPM's transfers between particles and grid, with their defaults. The other solvers do
+not use these settings."""
 
 
 class Accuracy(Section):
     """Settings that trade accuracy against time, such as cells and particles per cell."""
 
-    cells: int = Field(default=32, ge=4, le=256, description="Grid cells across the longest side.")
+    cells: int = Field(
+        default=32,
+        ge=4,
+        le=256,
+        description="Number of grid cells across the longest side of the object.",
+    )
     particles_per_axis: float | None = Field(
         default=None,
         ge=1,
         le=4,
         examples=[2.0],
-        description="Particles per cell and axis inside the object; absent: 2 for elastic "
+        description="Particles per cell and axis inside the object. If absent: 2 for elastic "
         "materials and fluids, 1.5 for plastic and granular ones.",
     )
     cfl: float = Field(
-        default=0.75, ge=0.01, le=0.9, description="Substep as a fraction of the stable limit."
+        default=0.75,
+        ge=0.01,
+        le=0.9,
+        description="Length of a substep as a fraction of the stable limit.",
     )
     precision: Literal["float32", "float64", "auto"] = Field(
         default="float32",
-        description="Floating-point precision of the simulation. auto: float32 if everything that "
-        "moves is on lattices, where rounding errors of the strain do not add up; otherwise "
-        "float64.",
+        description="Floating-point precision of the simulation. auto: float32 if everything "
+        "that moves is simulated on lattices, where rounding errors of the strain do "
+        "not add up; otherwise float64.",
     )
     transfer: Literal["apic", "aflip", "xpic2", "xpic3", "xpic4", "xpic5"] = Field(
         default="apic",
@@ -53,18 +62,19 @@ class Accuracy(Section):
     gradient: Literal["affine", "spline"] = Field(
         default="affine",
         exclude_if=lambda value: value == "affine",
-        description="Velocity gradient for stress and strain. affine: from the affine fit around "
-        "each particle (MLS-MPM); objects that bend by several cells are then too soft. spline: "
-        "from the gradients of the weights, for transfer = apic only; this takes 1.7 to 4 times "
-        "as long.",
+        description="Velocity gradient from which stress and strain are computed. affine: from "
+        "the affine fit around each particle (MLS-MPM); objects that bend by several "
+        "cells are then too soft. spline: from the gradients of the weights, for "
+        "transfer = apic only; this takes 1.7 to 4 times as long.",
     )
     solver: Literal["auto", "mpm", "lattice"] = Field(
         default="auto",
         exclude_if=lambda value: value == "auto",
         description="Solver of elastic objects. auto: lattice, if it is supported and "
-        "measurements showed it to be better; otherwise mpm, and the report gives the reason. "
-        "mpm: the material point method. lattice: a lattice in the undeformed object, whose nodes "
-        "move with it; bending is accurate, but the object cannot tear. For transfer = apic only.",
+        "measurements showed it to be better; otherwise mpm, and the report gives "
+        "the reason. mpm: the material point method. lattice: a lattice in the "
+        "undeformed object, whose nodes move with the object; bending is accurate, "
+        "but the object cannot tear. For transfer = apic only.",
     )
     rpic_damping: float = Field(
         default=0.0,
@@ -99,9 +109,7 @@ class Accuracy(Section):
 
     @property
     def share(self) -> float:
-        """Fraction of the fluctuation (the velocities that the grid cannot represent) that
-        particles keep.
-        """
+        """Fraction of the fluctuation (velocities that the grid cannot represent) that is kept."""
         return self.blend if self.transfer == "aflip" else 1.0
 
 
@@ -121,7 +129,7 @@ NAMED = {
         "final results: cells are a third as wide, and no rounding errors build up",
     ),
 }
-"""Settings and purpose of each named accuracy. For measured errors see docs/lab/accuracy.md."""
+"""Settings and purpose of each named accuracy. Measured errors are in docs/lab/accuracy.md."""
 PRESETS = {name: accuracy for name, (accuracy, _) in NAMED.items()}
 GOOD_FOR = {name: use for name, (_, use) in NAMED.items()}
 AccuracyName = Literal["draft", "standard", "fine"]
@@ -151,8 +159,8 @@ def check_transfer(accuracy: Accuracy) -> None:
     """Refuse settings that the chosen transfer does not support.
 
     Raises:
-        InputError: `blend` is set without aflip, or `rpic_damping` or `gradient` without apic; or
-            one of them is set for a projected liquid or for the lattice solver.
+        InputError: `blend` is set without aflip, or `rpic_damping` or `gradient` without apic. Also
+            raised if one of them is set for a projected liquid or for the lattice solver.
     """
     transfer = accuracy.transfer
     changed = [name for name, usual in USUAL.items() if getattr(accuracy, name) != usual]
@@ -160,16 +168,16 @@ def check_transfer(accuracy: Accuracy) -> None:
         field, value = f"accuracy.{name}", getattr(accuracy, name)
         if accuracy.liquid == "projection":
             limit = "it has no effect with accuracy.liquid = projection."
-            remedy = "Leave it out or set accuracy.liquid = compressible."
+            remedy = "Remove it or set accuracy.liquid = compressible."
             raise InputError(field, value, limit, remedy)
         if accuracy.solver == "lattice":
             limit = "accuracy.solver = lattice has no transfers."
-            remedy = "Leave it out or set accuracy.solver = mpm."
+            remedy = "Remove it or set accuracy.solver = mpm."
             raise InputError(field, value, limit, remedy)
         if name != "transfer" and transfer != "apic":
             limit = f"it needs transfer = apic, not {transfer}."
-            raise InputError(field, value, limit, "Leave one of the two settings out.")
+            raise InputError(field, value, limit, "Remove one of the two settings.")
     if accuracy.blend != Accuracy.model_fields["blend"].default and transfer != "aflip":
         limit = f"it needs transfer = aflip, not {transfer}."
-        remedy = "Leave blend out or set the transfer."
+        remedy = "Remove blend or set the transfer."
         raise InputError("accuracy.blend", accuracy.blend, limit, remedy)

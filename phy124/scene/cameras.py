@@ -1,8 +1,8 @@
 """Cameras of a view: on a turntable, on a dolly, or along a path of keyframes.
 
-Angles are those of the view: azimuth 0 is the front, 90 the right; with a positive elevation the
-camera looks down. Distances and targets are relative to the object's size, so that a camera fits
-any object. Values that a camera does not set come from the view.
+Angles are defined as in the view: azimuth 0 is the front, 90 the right. If the elevation is
+positive, the camera looks down. Distances and targets are relative to the object's size, so that a
+camera suits any object. If a camera does not set a value, the value of the view applies.
 """
 
 from __future__ import annotations
@@ -36,30 +36,31 @@ class Poses(NamedTuple):
     elevation: Values
     """Elevation [T], degrees."""
     distance: Values
-    """Distance from the target [T], object sizes."""
+    """Distance from the target [T], in units of the object's size."""
     fov: Values
     """Vertical field of view [T], degrees."""
     target: Values
-    """Point at which the camera looks, relative to the object's centre [T,3], object sizes."""
+    """Point at which the camera looks, relative to the object's centre [T,3], in units of the
+    object's size."""
 
     @classmethod
     def still(
         cls, count: int, azimuth: float, elevation: float, distance: float, fov: float
     ) -> Poses:
-        """Return poses of a fixed camera.
+        """Return the poses of a camera that does not move.
 
         Args:
             count: Number of frames.
             azimuth: Degrees.
             elevation: Degrees.
-            distance: Object sizes.
+            distance: Distance from the target, in units of the object's size.
             fov: Vertical field of view, degrees.
         """
         a, e, d, f = (np.full(count, value) for value in (azimuth, elevation, distance, fov))
         return cls(a, e, d, f, np.zeros((count, 3)))
 
     def replace(self, **values: ArrayLike | None) -> Poses:
-        """Return poses with some values replaced by numbers or arrays; None keeps a value."""
+        """Return poses in which numbers or arrays replace some values; None keeps a value."""
         changes = {
             name: np.broadcast_to(value, getattr(self, name).shape)
             for name, value in values.items()
@@ -69,24 +70,25 @@ class Poses(NamedTuple):
 
 
 class _Circling(Section):
-    """Fields shared by the cameras whose position is set by angles and distance around a target."""
+    """Fields of cameras whose position is defined by angles and a distance around a target."""
 
     elevation: Elevation | None = Field(
-        default=None, examples=[30], description="Elevation [deg]; absent: the view's elevation."
+        default=None, examples=[30], description="Elevation [deg]; if absent, the view's elevation."
     )
     fov: FieldOfView | None = Field(
         default=None,
         examples=[40],
-        description="Vertical field of view [deg]; absent: fov of the view.",
+        description="Vertical field of view [deg]; if absent, that of the view.",
     )
     target: Target = Field(
         default=(0.0, 0.0, 0.0),
-        description="Point looked at, relative to the object's centre [object sizes].",
+        description="Point at which the camera looks, relative to the object's centre "
+        "[object sizes].",
     )
 
     @property
     def end(self) -> float:
-        """End time of the camera's path [s]; always 0, since the path lasts as long as the clip."""
+        """End time of the camera's path [s]: always 0, since the path lasts as long as the clip."""
         return 0.0
 
 
@@ -94,23 +96,23 @@ class TurntableCamera(_Circling):
     """Circles the object at a constant angular velocity, by default once during the clip."""
 
     kind: Literal["turntable"] = "turntable"
-    name: Name = Field(default="turntable", description="Name of its files.")
+    name: Name = Field(default="turntable", description="Name of the camera's files.")
     start: Turn = Field(default=0.0, description="Azimuth in the first frame [deg].")
     turns: float = Field(
         default=1.0,
         ge=-100,
         le=100,
-        description="Number of turns during the clip; negative: clockwise.",
+        description="Number of turns during the clip; if negative, clockwise.",
     )
     distance: Distance | None = Field(
         default=None,
         examples=[1.5],
-        description="Distance, in object sizes; absent: the view's distance.",
+        description="Distance, in object sizes; if absent, the view's distance.",
     )
 
     @property
     def chosen(self) -> bool:
-        """Whether distance, field of view or target differ from those of the view."""
+        """Whether the distance, the field of view or the target differs from that of the view."""
         return self.distance is not None or self.fov is not None or any(self.target)
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
@@ -118,8 +120,8 @@ class TurntableCamera(_Circling):
 
         Args:
             times: Times since the first frame [T], s.
-            length: Length of the clip [s]; a full turn ends where it began.
-            usual: Poses of the view, for the values that this camera does not set.
+            length: Length of the clip [s]. A full turn takes this time and ends where it began.
+            usual: Poses of the view. These poses supply the values that this camera does not set.
         """
         return usual.replace(
             azimuth=self.start + 360 * self.turns * times / length,
@@ -134,23 +136,23 @@ class DollyCamera(_Circling):
     """Moves straight towards the object or away from it; the speed is zero at start and end."""
 
     kind: Literal["dolly"] = "dolly"
-    name: Name = Field(default="dolly", description="Name of its files.")
+    name: Name = Field(default="dolly", description="Name of the camera's files.")
     first: Distance = Field(default=3.0, description="Distance at the start, in object sizes.")
     last: Distance = Field(default=1.2, description="Distance at the end, in object sizes.")
     azimuth: Turn = Field(default=0.0, description="Azimuth of the camera [deg].")
 
     @property
     def chosen(self) -> bool:
-        """Whether the distances of the camera are set: always true for a camera of keys."""
+        """Whether the distance of the camera is set, which is always true for this camera."""
         return True
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
         """Return the camera's poses at the given times.
 
         Args:
-            times: Times since the first frame [T], s; the path ends at the last time.
-            length: Length of the clip [s], not used.
-            usual: Poses of the view, for the values that this camera does not set.
+            times: Times since the first frame [T], s. The path ends at the last of these times.
+            length: Length of the clip [s]. It is not used.
+            usual: Poses of the view. These poses supply the values that this camera does not set.
         """
         del length
         end = float(times[-1]) or 1.0
@@ -173,9 +175,7 @@ class CameraKey(Section):
         description="Azimuth [deg]: 0 is the front, 90 the right. It may exceed 360: 370 after "
         "350 continues the rotation.",
     )
-    elevation: Elevation | None = Field(
-        default=None, examples=[30], description="Height angle [deg]."
-    )
+    elevation: Elevation | None = Field(default=None, examples=[30], description="Elevation [deg].")
     distance: Distance | None = Field(
         default=None, examples=[1.5], description="Distance, in object sizes."
     )
@@ -185,20 +185,21 @@ class CameraKey(Section):
     target: Target | None = Field(
         default=None,
         examples=[[0.0, 0.0, 0.2]],
-        description="Point looked at, relative to the object's centre [object sizes].",
+        description="Point at which the camera looks, relative to the object's centre "
+        "[object sizes].",
     )
 
 
 class PathCamera(Section):
-    """Moves smoothly through keys without overshoot; fixed before the first and after the last."""
+    """Moves smoothly through keys without overshoot; at rest before and after the path."""
 
     kind: Literal["path"] = "path"
-    name: Name = Field(default="path", description="Name of its files.")
+    name: Name = Field(default="path", description="Name of the camera's files.")
     keys: tuple[CameraKey, ...] = Field(
         default=(CameraKey(),),
         min_length=1,
         max_length=1000,
-        description="Keys of the path; with a single key the camera stands still.",
+        description="Keys of the path. If there is a single key, the camera does not move.",
     )
 
     @model_validator(mode="after")
@@ -215,7 +216,7 @@ class PathCamera(Section):
 
     @property
     def chosen(self) -> bool:
-        """Whether distance, field of view or target differ from those of the view."""
+        """Whether the distance, the field of view or the target differs from that of the view."""
         return any((key.distance, key.fov, key.target) != (None,) * 3 for key in self.keys)
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
@@ -223,8 +224,8 @@ class PathCamera(Section):
 
         Args:
             times: Times since the first frame [T], s.
-            length: Length of the clip [s], not used.
-            usual: Poses of the view, for the values that this camera does not set.
+            length: Length of the clip [s]. It is not used.
+            usual: Poses of the view. These poses supply the values that this camera does not set.
         """
         del length
         values = {}
@@ -241,8 +242,9 @@ AnyCamera = Annotated[TurntableCamera | DollyCamera | PathCamera, Field(discrimi
 def interpolate(at: Values, times: Sequence[float], values: Sequence[object]) -> Values:
     """Interpolate keys by a monotone cubic (Fritsch and Carlson 1980), without overshoot.
 
-    The derivative is continuous, and zero at the first and last key. Before the first key and after
-    the last key the value is constant. With only two keys the interpolation is 3 s^2 - 2 s^3.
+    The derivative is continuous, and it is zero at the first and the last key. Before the first key
+    and after the last key, the value is constant. If there are only two keys, the interpolation is
+    3 s^2 - 2 s^3.
 
     Args:
         at: Times at which to interpolate [T], s.
@@ -252,7 +254,7 @@ def interpolate(at: Values, times: Sequence[float], values: Sequence[object]) ->
     from scipy.interpolate import PchipInterpolator
 
     first, last = times[0], times[-1]
-    # Repeating the end values makes the derivative zero at both ends.
+    # The end values are repeated, so that the derivative is zero at both ends.
     through = PchipInterpolator(
         [first - 1, *times, last + 1], np.array([values[0], *values, values[-1]], float)
     )

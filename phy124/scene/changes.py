@@ -17,18 +17,18 @@ else:
     import tomli as tomllib
 
 TAGS = ("law", "kind")
-"""Keys that name the kind of a section."""
+"""Keys whose values are the name of a section's kind."""
 LENGTH = ("time.frames", "time.seconds")
-"""Two fields for the length of a scene; setting either replaces the other."""
+"""Two fields that set the length of a scene. If one of them is set, it replaces the other."""
 REFERENCE = "`phy124 scenes --reference` lists all fields."
 
 
 def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
-    """Set values at dotted paths, outer paths first.
+    """Set values at dotted paths; outer paths are set first.
 
-    When a section changes its kind, for instance to a material of another law, its other values
-    become the defaults of the new kind, because the old values would have another meaning. Values
-    set in the same call are kept.
+    If the kind of a section changes, for instance to a material of another law, the old values of
+    the section would have another meaning. The old values are therefore replaced by the defaults of
+    the new kind. Values set in the same call are kept.
 
     Raises:
         InputError: A path does not exist in the data.
@@ -59,7 +59,7 @@ def _check_path(path: str) -> None:
 
 
 def parse_value(text: str) -> Any:
-    """Parse a value in TOML notation; text that is not valid TOML is returned unchanged."""
+    """Parse a value in TOML notation; return text that is not valid TOML unchanged."""
     try:
         table = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
@@ -68,10 +68,10 @@ def parse_value(text: str) -> Any:
 
 
 def parse_changes(texts: tuple[str, ...]) -> dict[str, Any]:
-    """Parse texts such as `material.E=2e4` into a dict: path -> value.
+    """Parse texts such as `material.E=2e4` into a dictionary of values by path.
 
     Raises:
-        InputError: A text is not of the form KEY=VALUE, or two texts set a path to different
+        InputError: A text is not of the form KEY=VALUE, or two texts set the same path to different
             values.
     """
     pairs: dict[str, Any] = {}
@@ -89,7 +89,7 @@ def merge_changes(some: dict[str, Any], others: dict[str, Any]) -> dict[str, Any
     """Merge two sets of changes.
 
     Raises:
-        InputError: They set a path to different values.
+        InputError: The two sets contain different values for the same path.
     """
     for path in some.keys() & others.keys():
         if some[path] != others[path]:
@@ -104,7 +104,7 @@ def _outer_first(path: str) -> tuple[int, bool]:
 
 
 def _put(data: dict[str, Any], path: str, value: Any) -> None:
-    """Set a value in nested dicts and lists; an index equal to a list's length appends to it."""
+    """Set a value in nested dicts and lists; an index equal to a list's length appends it."""
     *parents, last = path.split(".")
     section: Any = data
     for key in parents:
@@ -121,7 +121,8 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 def _item(section: Any, key: str, path: str, value: Any) -> Any:
     """Return the dict or list under a key; create it if it does not exist.
 
-    A named accuracy is first replaced by its table of values; then a single value can be changed.
+    A named accuracy is first replaced by its table of values, so that a single value can be
+    changed.
     """
     if isinstance(section, dict):
         inner = section.setdefault(key, {})

@@ -1,8 +1,9 @@
 """Estimates the energy that a scene may convert to strain: by impacts, forces, walls and hands.
 
 An argument `scene` is a `Scene`, whose module imports this one. The estimate does not know the
-shapes of the objects. A wall that moves during the scene therefore counts even if it never touches
-an object, and a force counts in full even if nothing stops the object that it accelerates.
+shapes of the objects. A wall that moves during the scene therefore counts even if the wall never
+touches an object. A force counts in full even if nothing stops the object that the force
+accelerates.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ def energy(scene: Any, thickness: float | None = None) -> float:
     """Return twice the energy per mass that a scene may convert to strain [m^2/s^2].
 
     The result is v^2 + p^2 + 2 a h + sum(min(a L, a^2 t^2)). Here v is the initial speed (with
-    spin) and the speed that impacts give, p the speed of walls and hands, a the acceleration by
-    forces, t the time for which a force acts, h the object's lift, and L the object's size. Wind
-    accelerates an object at most to the speed of the wind.
+    spin) plus the speed that impacts give, and p is the speed of walls and hands. The acceleration
+    by forces is a, and the time for which a force acts is t. The object's lift is h, and its size
+    is L. Wind accelerates an object at most to the speed of the wind.
     """
     bodies, size, end = (scene.object, *scene.objects), scene.object.size, duration(scene)
     mass = _mass(scene, thickness)
@@ -52,7 +53,7 @@ def energy(scene: Any, thickness: float | None = None) -> float:
 def driven(scene: Any) -> float:
     """Return the largest displacement by a prescribed velocity, relative to the object's size.
 
-    The result is an upper bound: it assumes the largest speed for the whole time.
+    The result is an upper bound, because the largest speed is assumed for the whole time.
     """
     end = duration(scene)
     moved = [
@@ -64,12 +65,12 @@ def driven(scene: Any) -> float:
 
 
 def _lasts(force: Any, end: float) -> float:
-    """Return the time for which a force acts [s], until the end of a scene."""
+    """Return the time for which a force acts before the scene ends [s]."""
     return max(0.0, (end if force.end is None else min(force.end, end)) - force.start)
 
 
 def _speed(body: Any, size: float) -> float:
-    """Return the initial speed of an object, with its spin [m/s]."""
+    """Return the initial speed of an object, including its spin [m/s]."""
     spin = math.hypot(*getattr(body, "spin", (0.0,))) * size / 2
     return math.hypot(*getattr(body, "velocity", (0.0,))) + spin
 
@@ -103,7 +104,7 @@ def _mass(scene: Any, thickness: float | None) -> float:
 
 
 def _wall_speed(wall: Any, size: float, end: float) -> float:
-    """Return the largest speed of a wall [m/s]; a press moves as a cosine in time."""
+    """Return the largest speed of a wall [m/s]; the position of a press is a cosine in time."""
     if isinstance(wall, Press):
         return math.pi / 2 * wall.depth * size / min(wall.down, wall.up)
     motions = [getattr(part, "motion", None) for part in wall.parts()]

@@ -20,7 +20,8 @@ else:
 
 
 DEEPEST = 32
-"""Maximum nesting depth of tables and lists; it limits recursion. A scene needs eight levels."""
+"""Maximum nesting depth of tables and lists. The maximum limits recursion. A scene needs eight
+levels."""
 
 
 def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
@@ -40,11 +41,11 @@ def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
     except RecursionError:
         limit, remedy = (
             "its lists are nested too deep.",
-            "Leave out whatever is not part of a scene.",
+            "Remove whatever is not part of a scene.",
         )
     except tomllib.TOMLDecodeError as error:
         limit, remedy = f"it is not valid TOML: {error}.", "Correct that line."
-    except ValueError:  # from Python, which limits the digits of an integer
+    except ValueError:  # raised by Python, which limits the number of digits of an integer
         limit, remedy = "it contains a number of thousands of digits.", "Shorten that number."
     raise InputError(field, path, limit, remedy)
 
@@ -68,7 +69,7 @@ def check_depth(data: Any, field: str) -> None:
 
     Args:
         data: Tables, lists and values.
-        field: Name of the data in an error message.
+        field: Name of the data in error messages.
 
     Raises:
         InputError: The data is nested deeper than `DEEPEST`.
@@ -84,7 +85,7 @@ def check_depth(data: Any, field: str) -> None:
         if not level:
             return
     limit = f"it is nested more than {DEEPEST} levels deep."
-    raise InputError(field, "nested data", limit, "Leave out whatever is not part of a scene.")
+    raise InputError(field, "nested data", limit, "Remove whatever is not part of a scene.")
 
 
 def files_named(section: Any, field: str = "") -> Iterator[tuple[str, Path]]:

@@ -1,4 +1,4 @@
-"""Decides which scenes compute their elastic objects on lattices at rest.
+"""Decides in which scenes the elastic objects are simulated on lattices at rest.
 
 An argument `scene` is a `Scene`, whose module imports this one.
 """
@@ -12,19 +12,20 @@ from phy124.lattice.refusals import is_elastic, reason_for_particles
 from phy124.scene.energies import driven, energy
 
 HARDEST = 2.0
-"""Maximum Mach number of an impact for which `auto` chooses lattices. For a duck that hits the
-ground at Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as MPM.
+"""Maximum Mach number of an impact for which `auto` chooses lattices. If a duck hits the ground at
+Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as MPM.
 """
 
 FARTHEST_DRIVEN = 0.5
 """Largest displacement by prescribed velocities, relative to the object's size, for which `auto`
-chooses lattices if the object is held. A ball whose upper third is driven into its held foot, with
-half its size between them, stops the run on a lattice, but not by MPM.
+chooses lattices if the object is held. The limit follows from a ball whose upper third is driven
+into its held foot, with half its size between them. On a lattice the run stops; with MPM it does
+not.
 """
 
 
 def find_elastic(scene: Any) -> list[bool]:
-    """Return whether each object moves and is elastic as a whole."""
+    """Return whether each object moves and is elastic everywhere."""
     return [
         not getattr(item, "scenery", False)
         and all(
@@ -38,11 +39,12 @@ def find_elastic(scene: Any) -> list[bool]:
 def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     """Return why a scene does not use lattices on a device; an empty text if the scene uses them.
 
-    With `accuracy.solver = "auto"`, elastic objects use lattices where lattices are supported and
-    gave better results in measurements (docs/lab/solvers.md). In scenes with objects of other
-    materials, lattices are not faster and support fewer features. On a GPU a lattice that touches
-    walls takes many times as long as particles (docs/lab/cuda.md). A scene that requests the lost
-    energy uses lattices if only they can divide the loss, even where they are slower.
+    If `accuracy.solver = "auto"`, elastic objects use lattices where lattices are supported and
+    gave better results in measurements (docs/lab/solvers.md). In scenes that contain objects of
+    other materials, lattices are not faster and support fewer features. On a GPU a lattice that
+    touches walls takes many times as long as particles (docs/lab/cuda.md). If a scene requests the
+    lost energy and only lattices can divide the loss among its causes, the scene uses lattices even
+    where they are slower.
     """
     accuracy = scene.resolution
     if accuracy.solver != "auto":
@@ -68,8 +70,9 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
 
 
 def choose_solver(scene: Any, device: str) -> Any:
-    """Return the scene for a device; if `auto` selects another solver there, the scene names this
-    solver.
+    """Return the scene for a device.
+
+    If `auto` selects another solver on this device, the returned scene names this solver.
     """
     if device == "cpu" or scene.resolution.solver != "auto":
         return scene
@@ -82,20 +85,20 @@ def reason_for_others(scene: Any) -> str:
 
 
 def _needs_lattice(scene: Any) -> bool:
-    """Return whether a scene requests the energy that it loses, and MPM cannot divide it."""
+    """Return whether a scene requests its energy loss, but MPM cannot divide it by cause."""
     moves = any(wall.moves for wall in scene.boundaries)
     harder = bool(scene.objects) or moves or scene.stiffness_profile is not None
     return bool(scene.checks.energy and harder)
 
 
 def keep_lattice(scene: Any, before: Any) -> Any:
-    """Return the next scene of a run, in which elastic objects keep their solver."""
+    """Return the next scene of a run, in which elastic objects use the same solver as before."""
     if scene.solver == before.solver:
         return scene
     return _with_solver(scene, before.solver)
 
 
 def _with_solver(scene: Any, solver: str) -> Any:
-    """Return the scene with the solver set by name."""
+    """Return the scene with a solver that is set by its name."""
     accuracy = scene.resolution.model_copy(update={"solver": solver})
     return scene.model_copy(update={"accuracy": accuracy})

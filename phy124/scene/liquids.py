@@ -1,4 +1,4 @@
-"""Decides which scenes compute their liquid by pressure projection.
+"""Decides in which scenes the liquid is computed by pressure projection.
 
 An argument `scene` is a `Scene`, whose module imports this one.
 """
@@ -12,12 +12,13 @@ from phy124.errors import InputError, Remedy
 from phy124.scene.accuracies import USUAL
 
 REMEDY = Remedy("accuracy.liquid = compressible", {"accuracy.liquid": "compressible"})
-"""Remedy that is always possible: the compressible solver supports all scenes."""
+"""Remedy that is always possible, because the compressible solver supports all scenes."""
 
 
 def reason_for_compressible(scene: Any) -> str:
-    """Return why a scene's liquid is computed as compressible; an empty text if it is computed by
-    projection.
+    """Return why a scene's liquid is computed as compressible.
+
+    The text is empty if the liquid is computed by projection.
     """
     accuracy = scene.resolution
     if accuracy.liquid is not None:
@@ -36,7 +37,7 @@ def reason_for_compressible(scene: Any) -> str:
 
 
 def keep_solver(scene: Any, before: Any) -> Any:
-    """Return the next scene of a run, in which the liquid keeps its solver."""
+    """Return the next scene of a run, in which the liquid uses the same solver as before."""
     if not any(section.law == "fluid" for section in scene.materials):
         return scene
     liquid = "projection" if before.projects else "compressible"
@@ -48,10 +49,10 @@ def refuse_unprojectable(scene: Any) -> None:
     """Check that the solver of a scene's liquids supports everything in the scene.
 
     Args:
-        scene: The scene, with solids on a path as walls.
+        scene: The scene. Solids that follow a path are among its walls.
 
     Raises:
-        InputError: The scene has something that needs the compressible solver.
+        InputError: The scene contains something that only the compressible solver supports.
     """
     for field, value, limit in _obstacles(scene, mixes=scene.mixes):
         raise InputError(
@@ -64,7 +65,7 @@ def refuse_unprojectable(scene: Any) -> None:
 
 
 def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
-    """Yield field, value and description of everything that is not supported.
+    """Yield the field, the value and a description of everything that is not supported.
 
     Args:
         scene: The scene.
@@ -85,7 +86,7 @@ def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
 
 
 def _of_objects(scene: Any) -> Iterator[tuple[str, object, str]]:
-    """Yield the unsupported features of the objects."""
+    """Yield descriptions of the features of objects that are not supported."""
     wet = [_is_liquid(item) for item in (scene, *scene.objects)]
     for body, holds_liquid in zip(scene.every_object, wet, strict=True):
         if body.held and holds_liquid:

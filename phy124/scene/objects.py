@@ -1,4 +1,4 @@
-"""Further objects of a scene, and the contact of each pair of objects."""
+"""The further objects of a scene, and the contact of each pair of objects."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _Side = Annotated[float, Field(ge=0.01, le=1)]
 _Fraction = Annotated[float, Field(ge=0, le=1)]
 CREAM = (0.93, 0.87, 0.73)
 ANY = "any"
-"""Name that stands for every object in a pair."""
+"""Name that stands for every object in the declaration of a pair."""
 FLAT = Ground | HalfSpace | Press | Container
-"""Boundaries that a free solid can touch."""
+"""Boundaries that a solid can touch if it moves freely."""
 
 
 class SceneObject(Object):
-    """A further object: made from a picture, a file of Gaussians, a mesh, or a plain shape.
+    """A further object, made from a picture, a file of Gaussians, a mesh, or a plain shape.
 
-    Without any of these sources, the object is made from the next picture on the command line;
-    without such a picture it is a copy of the first object.
+    If none of these sources is set, the object is made from the next picture on the command line.
+    If there is no such picture, the object is a copy of the first object.
     """
 
     name: Name = Field(description="Name of the object.")
@@ -41,13 +41,13 @@ class SceneObject(Object):
     file: FileName | None = Field(
         default=None,
         examples=["teddy.ply"],
-        description="File of Gaussians, or a clip, whose first frame is read.",
+        description="File of Gaussians, or a clip, of which the first frame is read.",
     )
     generator: str | None = Field(
         default=None,
         max_length=1000,
         examples=["relief"],
-        description="Generator for its picture; absent: that of the first object.",
+        description="Generator for the object's picture; if absent, that of the first object.",
     )
     mesh: FileName | None = Field(
         default=None,
@@ -68,7 +68,8 @@ class SceneObject(Object):
         "1, or CSS name.",
     )
     static: bool = Field(
-        default=False, description="Scenery: visible, but does not move or touch anything."
+        default=False,
+        description="Scenery: the object is visible, but does not move or touch anything.",
     )
     motion: OwnMotion | None = Field(
         default=None,
@@ -93,7 +94,7 @@ class SceneObject(Object):
         if len(sources) > 1:
             raise ValueError(f"{self.name} has {' and '.join(sources)}; give one of them")
         if any(part.surroundings for part in self.parts):
-            raise ValueError("only the first object may have surroundings; leave them out")
+            raise ValueError("only the first object may have surroundings; remove them")
         return self
 
     @model_validator(mode="after")
@@ -106,7 +107,7 @@ class SceneObject(Object):
         led = not self.free
         if self.static or self.held or (led and any((*self.velocity, *self.spin))):
             raise ValueError(
-                f"{self.name} has a motion, which determines how it moves; leave out static, held, "
+                f"{self.name} has a motion, which determines how it moves; remove static, held, "
                 "velocity and spin"
             )
         if led and self.on != FLOOR:
@@ -114,7 +115,7 @@ class SceneObject(Object):
                 f"{self.name} has a motion, so it cannot stand on another object; use lift"
             )
         if led and any(self.turn) and self.shape != "sphere":
-            raise ValueError(f"{self.name} has a motion and cannot be rotated; leave `turn` out")
+            raise ValueError(f"{self.name} has a motion and cannot be rotated; remove `turn`")
         round_ = sorted(self.sides)[: 3 if self.shape == "sphere" else 2]
         if self.shape != "box" and round_[0] != round_[-1]:
             which = "all 3" if self.shape == "sphere" else "the 2 shorter"
@@ -141,7 +142,7 @@ class SceneObject(Object):
 
     @property
     def path(self) -> Path | Swing | None:
-        """Prescribed motion of the object; None without one."""
+        """Prescribed motion of the object; None if there is none."""
         return None if isinstance(self.motion, Free) else self.motion
 
     @property
@@ -150,10 +151,10 @@ class SceneObject(Object):
         return np.array(self.sides) / max(self.sides) * self.size / 2
 
     def solid(self, pairs: Sequence[Pair]) -> Movable:
-        """Return the boundary that other objects touch: it moves along this object's path.
+        """Return the boundary that other objects touch; it moves along this object's path.
 
         Args:
-            pairs: The scene's pairs, for friction and contact.
+            pairs: The scene's pairs, which define friction and contact.
         """
         half = self.half
         centre = np.array([*self.place, self.lift + half[2]])
@@ -190,7 +191,7 @@ class Pair(Section):
         description="separate (they slide with friction and may separate), or sticky.",
     )
     friction: float = Field(
-        default=0.5, ge=0, le=10, description="Coulomb friction coefficient; 0: no friction."
+        default=0.5, ge=0, le=10, description="Coulomb friction coefficient; 0 means no friction."
     )
 
 
@@ -221,32 +222,32 @@ def check_objects(first: Object, others: Sequence[SceneObject]) -> None:
 
 
 def check_free(objects: Sequence[Object], boundaries: Sequence[Any]) -> None:
-    """Check that a free solid cannot pass through a boundary or another object.
+    """Check that a solid that moves freely cannot pass through a boundary or another object.
 
     Raises:
-        ValueError: The solid would pass through it.
+        ValueError: The solid would pass through a boundary or another object.
     """
     free = [item.name for item in objects if isinstance(item, SceneObject) and item.free]
     if not free:
         return
     if len(free) > 1:
         raise ValueError(
-            f"{free[0]} and {free[1]} are both free solids, which would pass through each other; "
-            "leave the motion of one of them out, so that it is made of particles"
+            f"{free[0]} and {free[1]} are both solids that move freely, and would pass through "
+            "each other; remove the `motion` of one of them, so that it is made of particles"
         )
     for item in objects:
         led = isinstance(item, SceneObject) and item.path is not None
         if item.held or led:
             how = "follows a path" if led else "is held"
             raise ValueError(
-                f"{item.name} {how}, and the free solid {free[0]} would pass through it; leave one "
-                "of them out, or use flat boundaries"
+                f"{item.name} {how}, and the freely moving solid {free[0]} would pass through it; "
+                "remove one of them, or use flat boundaries"
             )
     for wall in boundaries:
         if not (isinstance(wall, FLAT) or wall.holds):
             raise ValueError(
-                f"the free solid {free[0]} would pass through the boundary {wall.kind}; use "
-                "ground, half_space, press or container"
+                f"the freely moving solid {free[0]} would pass through the boundary {wall.kind}; "
+                "use ground, half_space, press or container"
             )
 
 

@@ -1,4 +1,4 @@
-"""Write the scene reference: each field with its accepted values, default and meaning."""
+"""Write the scene reference: each field with its accepted values, its default and its meaning."""
 
 from __future__ import annotations
 
@@ -72,14 +72,15 @@ frames = 24
 views = ["front", "orbit"]
 background = "whitesmoke"
 """
-"""A complete scene file with a part, stiffness, forces, a profile, boundaries and a motion."""
+"""A complete example of a scene file, with a part, stiffness, forces, a profile, boundaries and a
+motion."""
 
 
 def format_reference(section: str | None = None) -> str:
-    """Return the reference in Markdown, or only a section such as `material`.
+    """Return the reference in Markdown, or only one section such as `material`.
 
     Raises:
-        InputError: There is no such section.
+        InputError: There is no section of this name.
     """
     pages = list_pages()
     if section is not None:
@@ -91,7 +92,7 @@ def format_reference(section: str | None = None) -> str:
 
 
 def list_pages() -> dict[str, str]:
-    """Return section name -> tables in Markdown; `scene` holds the scene's top-level fields."""
+    """Return tables in Markdown by section name; `scene` contains the scene's top-level fields."""
     declared, written = read_declaration(Scene), set[str]()
     pages = dict[str, str]()
     for path, text in _format_section(declared, "Fields of a scene", declared.schema, "", written):
@@ -109,8 +110,9 @@ def format_schema() -> str:
 def _format_section(
     declared: Declaration, title: str, node: Node, path: str, written: set[str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield path and table of a section, followed by those inner sections that have not been
-    yielded yet.
+    """Yield the path and the table of a section.
+
+    The section is followed by inner sections that were not yielded before.
     """
     description = (node.get("description") or "").replace("\n", " ")
     table = "\n".join(_format_table(declared, node))

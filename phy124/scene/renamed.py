@@ -8,25 +8,27 @@ from typing import Any
 from phy124.errors import InputError
 
 KEYS = {"ppc": "particles_per_axis", "patience": "budget", "share": "fraction"}
-"""Key of version 0.1 -> present name."""
+"""Present names of the keys of version 0.1."""
 VALUES = {("binding", "field"): "lattice", ("kind", "field"): "zone"}
-"""Key and value of version 0.1 -> present name of the value."""
+"""Present names of the values of version 0.1, by key and value."""
 STAGES = {True: "transparent", False: "plain"}
-"""Value of the key `transparent` of version 0.2 -> value of `stage`."""
+"""Values of `stage` that replace the values of the key `transparent` of version 0.2."""
 
 
 def rename_keys(data: Any) -> Any:
-    """Replace old names in plain data of a scene; each old name causes a FutureWarning.
+    """Replace old names in the plain data of a scene; each old name causes a FutureWarning.
 
     Raises:
-        InputError: The scene has both the old section `stiffness` of kind array and `properties`,
+        InputError: The scene has the old section `stiffness` of kind array, and also `properties`,
             which replaced it.
     """
     if isinstance(data, dict):
         if _is_array(data.get("stiffness")) and data.get("properties") is not None:
             limit, remedy = "the scene has properties as well.", "Give them a column `fraction`."
             raise InputError("stiffness.kind", "array", limit, remedy)
-        if data.get("transparent") is False:  # the old default, which any stage may replace
+        if (
+            data.get("transparent") is False
+        ):  # the old default, which any value of `stage` may replace
             data = {key: value for key, value in data.items() if key != "transparent"}
         return dict(rename_item(key, value) for key, value in data.items())
     return [rename_keys(item) for item in data] if isinstance(data, list) else data

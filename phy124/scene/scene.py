@@ -1,7 +1,7 @@
 """Scene: all options of a user, as an immutable tree, read from and written to TOML.
 
-Each option is declared only here: its bounds and description are used by validation, by the command
-line's help and by the web page.
+Each option is declared only here. Validation, the command line's help and the web page use the
+bounds and the description of the option.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ from phy124.schema.refusals import explain
 from phy124.schema.section import Section
 
 MOST_OBJECTS = 16
-"""Maximum number of objects in a scene; each object in contact needs its own velocity field."""
+"""Maximum number of objects in a scene. The number is limited because each object in contact needs
+a velocity field."""
 
 
 class Scene(Section):
@@ -71,25 +72,25 @@ class Scene(Section):
         default=(),
         max_length=MOST_OBJECTS - 1,
         exclude_if=lambda value: not value,
-        description="Further objects; accuracy, stiffness and properties refer to the first one.",
+        description="Further objects. Accuracy, stiffness and properties refer to the first.",
     )
     pairs: tuple[Pair, ...] = Field(
         default=(),
         exclude_if=lambda value: not value,
-        description="Contact between two objects; a pair that is not listed has "
-        "the contact separate and friction 0.5.",
+        description="Contact between two objects. A pair that is not listed has the contact "
+        "separate and friction 0.5.",
     )
     stiffness: AnyStiffness | None = Field(
-        default=None, description="How E varies inside the object; absent: E is uniform."
+        default=None, description="How E varies inside the object; if absent, E is uniform."
     )
     stiffness_profile: AnyProfile | None = Field(
         default=None,
-        description="Factor on E over time, evaluated at the start of each frame; absent: 1.",
+        description="Factor on E over time, evaluated at the start of each frame; if absent, 1.",
     )
     properties: Properties | None = Field(
         default=None,
-        description="Material properties that vary from point to point, from a file; absent: "
-        "uniform material.",
+        description="Material properties that vary from point to point, from a file; if absent, "
+        "the material is uniform.",
     )
     forces: tuple[AnyForce, ...] = Field(default=(Gravity(),), description="Forces on particles.")
     boundaries: tuple[AnyBoundary, ...] = Field(
@@ -104,7 +105,9 @@ class Scene(Section):
         description="lattice: Gaussians follow a lattice of particles, which is faster; "
         "particles: each Gaussian is a particle, as in the paper.",
     )
-    time: Timing = Field(default=Timing(), description="Frames, and limits on substep and time.")
+    time: Timing = Field(
+        default=Timing(), description="Number of frames, and limits on substep and time."
+    )
     checks: Checks = Field(default=Checks(), description="Checks during the run.")
     velocities: bool = Field(
         default=False,
@@ -122,8 +125,8 @@ class Scene(Section):
     )
     grains: bool = Field(
         default=True,
-        description="Show the inside of sand, snow, foam and torn material as grains; off: only "
-        "the Gaussians of the surface.",
+        description="Show the inside of sand, snow, foam and torn material as grains; if off, "
+        "only the Gaussians of the surface are shown.",
     )
     view: View = Field(default=View(), description="How the clip is filmed.")
 
@@ -153,7 +156,7 @@ class Scene(Section):
         return self
 
     def _check_energy(self) -> None:
-        """Refuse `checks.energy` if the lost energy cannot be divided; raises InputError."""
+        """Refuse `checks.energy` if the lost energy cannot be divided among its causes."""
         if not self.checks.energy:
             return
         why, solid = reason_for_others(self), not self._is_liquid
@@ -181,7 +184,7 @@ class Scene(Section):
 
     @property
     def _damped_twice(self) -> bool:
-        """Whether RPIC damping changes the C from which viscous stresses are computed."""
+        """Whether RPIC damping changes the matrix C from which viscous stresses are computed."""
         viscous = any(math.isfinite(section.viscous_limit(self.dx)) for section in self.materials)
         return self.resolution.rpic_damping > 0 and (viscous or self.properties is not None)
 
@@ -198,7 +201,7 @@ class Scene(Section):
 
     @property
     def resolution(self) -> Accuracy:
-        """Accuracy settings; a named accuracy is replaced by its settings."""
+        """Accuracy settings. A named accuracy is replaced by its settings."""
         return PRESETS[self.accuracy] if isinstance(self.accuracy, str) else self.accuracy
 
     @property
@@ -230,7 +233,7 @@ class Scene(Section):
 
     @property
     def solver(self) -> Literal["lattice", "mpm"]:
-        """The solver of elastic objects."""
+        """The solver that computes elastic objects."""
         return "lattice" if self.on_lattice else "mpm"
 
     @property
@@ -243,12 +246,12 @@ class Scene(Section):
 
     @property
     def on_lattices(self) -> list[bool]:
-        """For each object, whether it moves on a lattice; only elastic objects do."""
+        """For each object, whether it moves on a lattice. Only elastic objects do."""
         return find_elastic(self) if self.on_lattice else [False] * len(self.names)
 
     @property
     def couples(self) -> bool:
-        """Whether objects on lattices move together with objects of particles."""
+        """Whether the scene has both objects on lattices and objects of particles that move."""
         made = [
             not (isinstance(item, SceneObject) and item.scenery) for item in (self, *self.objects)
         ]
@@ -272,7 +275,7 @@ class Scene(Section):
 
     @property
     def every_object(self) -> tuple[Object, ...]:
-        """The first object and the others."""
+        """The first object, followed by all other objects."""
         return (self.object, *self.objects)
 
     @property
@@ -282,7 +285,7 @@ class Scene(Section):
 
     @property
     def materials(self) -> list[AnyMaterial]:
-        """Material of each object with particles, followed by those of its moving parts."""
+        """Material of each object with particles, followed by the materials of its moving parts."""
         materials = []
         for item in (self, *self.objects):
             if not (isinstance(item, SceneObject) and item.scenery):
@@ -290,7 +293,7 @@ class Scene(Section):
         return materials
 
     def with_solids(self) -> Scene:
-        """Return the scene with a boundary added for each object that has a path."""
+        """Return the scene with a boundary added for each object that follows a path."""
         solids = [item.solid(self.pairs) for item in self.objects if item.path is not None]
         if not solids:
             return self
@@ -324,7 +327,7 @@ class Scene(Section):
 
     @property
     def spacing(self) -> float:
-        """Distance of neighbouring particles [m]."""
+        """Distance between neighbouring particles [m]."""
         return self.dx / self.particles_per_axis
 
     @classmethod
@@ -332,7 +335,8 @@ class Scene(Section):
         """Validate plain data and return the scene.
 
         Raises:
-            InputError: The data is not a scene; the error names field, value, limit and remedy.
+            InputError: The data is not a scene. The error names the field, the value, the limit and
+                a remedy.
         """
         check_depth(data, source)
         try:
@@ -342,10 +346,10 @@ class Scene(Section):
 
     @classmethod
     def of_clip(cls, data: dict[str, Any], source: str = "clip") -> Scene:
-        """Read a clip's scene for filming, and leave out sections of classes that are unknown here.
+        """Read a clip's scene for filming, and remove sections of classes that are unknown here.
 
         Another program may have defined classes that are not known here. Forces and boundaries of
-        unknown classes are left out, and unknown materials are replaced by the default.
+        unknown classes are removed, and unknown materials are replaced by the default.
 
         Raises:
             InputError: The data is not a scene.
@@ -372,7 +376,7 @@ class Scene(Section):
         """Return a preset by its name, or read a scene file by its path.
 
         Raises:
-            InputError: There is neither a preset nor a file of that name.
+            InputError: There is neither a preset nor a file with this name.
         """
         if name in preset_names():
             return cls.from_toml(preset_folder() / f"{name}.toml")
@@ -390,14 +394,14 @@ class Scene(Section):
         """Return the whole tree as TOML.
 
         Raises:
-            InputError: A user's class is not registered under a name.
+            InputError: A class of the user is not registered under a name.
         """
         self.require_serialisable()
         return tomli_w.dumps(self.data())
 
     @property
     def unregistered(self) -> dict[str, str]:
-        """Classes that scene files cannot name -> entry-point group that would name them."""
+        """Classes that scene files cannot name, each with its entry-point group."""
         sections = ((LAWS, self.materials), (FORCES, self.forces), (BOUNDARIES, self.boundaries))
         return {
             type(section).__name__: kinds.group
@@ -410,7 +414,7 @@ class Scene(Section):
         """Refuse a scene that uses a class without a name in scene files.
 
         Raises:
-            InputError: A user's class is not registered under a name.
+            InputError: A class of the user is not registered under a name.
         """
         for name, group in self.unregistered.items():
             limit = "it is a class of your own, which has no name in scene files."
@@ -421,14 +425,15 @@ class Scene(Section):
         """Return a copy of the scene with other values at dotted paths, such as `{"material.E":
         2e4}`.
 
-        If a material's law, or the kind of a force or boundary, changes, its other values are the
-        defaults of the new law or kind.
+        If a material's law, or the kind of a force or boundary, changes, the other values are set
+        to the defaults of the new law or kind.
 
         Raises:
             InputError: A path does not exist or a value is out of bounds.
         """
         data = self.data()
-        # Keep instances of users' classes, because plain data may be unable to name their class.
+        # Instances of users' classes are kept, because plain data may be unable to name their
+        # class.
         if LAWS.is_foreign(self.material):
             data["material"] = self.material
         of_objects = zip(self.objects, data.get("objects", []), strict=True)
@@ -464,7 +469,7 @@ def _known_part(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_known_laws(section: dict[str, Any]) -> dict[str, Any]:
-    """Return a section, its parts and its objects without unknown materials."""
+    """Return a section with its parts and its objects, but without unknown materials."""
     section = dict(section)
     if not LAWS.knows(section.get("material", {})):
         section.pop("material", None)

@@ -20,7 +20,7 @@ Rate = Annotated[float, Field(ge=1, le=1000)]
 LENGTH = TypeAdapter(tuple[Seconds, Rate])
 """Length of time [s] and frames per second."""
 FLOOR = "floor"
-"""Name of the floor, on which an object stands unless it stands on another object."""
+"""Name of the floor. An object stands on the floor unless it stands on another object."""
 _Degrees = Annotated[float, Field(ge=-360, le=360)]
 Angles = tuple[_Degrees, _Degrees, _Degrees]
 
@@ -33,13 +33,18 @@ def _is(default: Any) -> Callable[[Any], bool]:
 class Object(Section):
     """The object made from the picture, and its placement in the world."""
 
-    size: float = Field(default=1.0, ge=1e-6, le=1e4, description="Longest side [m].")
+    size: float = Field(
+        default=1.0, ge=1e-6, le=1e4, description="Length of the object's longest side [m]."
+    )
     lift: float = Field(
-        default=0.0, ge=0, le=1e4, description="Height of its lowest point above z = 0 [m]."
+        default=0.0,
+        ge=0,
+        le=1e4,
+        description="Height of the object's lowest point above z = 0 [m].",
     )
     velocity: Velocity = Field(default=(0.0, 0.0, 0.0), description="Velocity at the start [m/s].")
     spin: Velocity = Field(
-        default=(0.0, 0.0, 0.0), description="Angular velocity about its centre [rad/s]."
+        default=(0.0, 0.0, 0.0), description="Angular velocity about the object's centre [rad/s]."
     )
     name: Name = Field(
         default="object", exclude_if=_is("object"), description="Name of the object."
@@ -47,7 +52,7 @@ class Object(Section):
     place: Spot = Field(
         default=(0.0, 0.0),
         exclude_if=_is((0.0, 0.0)),
-        description="Position of its centre on the floor, x and y [m].",
+        description="Position of the object's centre on the floor, x and y [m].",
     )
     turn: Angles = Field(
         default=(0.0, 0.0, 0.0),
@@ -68,7 +73,7 @@ class Object(Section):
 
 
 class Timing(Section):
-    """Number and rate of the frames that are stored, and limits on substep and computing time."""
+    """Number and rate of the stored frames, and limits on the substep and the computing time."""
 
     frames: int = Field(default=14, ge=1, le=10_000, description="Number of frames.")
     fps: Rate = Field(default=24.0, description="Frames per second of motion.")
@@ -82,7 +87,7 @@ class Timing(Section):
         ge=1e-9,
         le=1,
         examples=[1e-4],
-        description="Longest substep allowed [s]; absent: limited by stability alone.",
+        description="Longest substep allowed [s]; if absent, only stability limits the substep.",
     )
     sleep: bool = Field(
         default=True,
@@ -110,7 +115,7 @@ class Timing(Section):
             rate = data.get("fps", cls.model_fields["fps"].default)
             seconds, fps = LENGTH.validate_python((data["seconds"], rate))
         except ValidationError:
-            return data  # the validation of the fields reports the error
+            return data  # the validation of the fields reports this error
         rest = {name: value for name, value in data.items() if name != "seconds"}
         return {**rest, "frames": max(1, round(seconds * fps))}
 
@@ -121,7 +126,7 @@ class Timing(Section):
 
 
 class Checks(Section):
-    """Monitoring of a run. Each check costs time and detects a kind of failure."""
+    """Monitoring of a run. Each check costs time and detects one kind of failure."""
 
     measure: int = Field(
         default=16,
@@ -134,8 +139,8 @@ class Checks(Section):
     balance: bool = Field(
         default=True,
         description="Compare the changes of energy and momentum with the work and impulse of "
-        "forces and walls, and stop the run if they do not agree; off: only non-finite values and "
-        "inverted particles stop the run.",
+        "forces and walls, and stop the run if they do not agree; if off, only "
+        "non-finite values and inverted particles stop the run.",
     )
     energy: bool = Field(
         default=False,
@@ -149,8 +154,9 @@ def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
     """Refuse `checks.energy` in a scene in which part of the energy would not be measured.
 
     Args:
-        checks: The scene's checks.
-        unsupported: Feature for which energy losses cannot be split -> whether the scene has it.
+        checks: The checks of the scene.
+        unsupported: Features for which energy losses cannot be divided, each with whether the scene
+            has the feature.
 
     Raises:
         InputError: `checks.energy` is on and the scene has such a feature.
@@ -159,11 +165,11 @@ def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
         return
     if not checks.balance:
         limit = "it needs checks.balance, which is off."
-        raise InputError("checks.energy", "true", limit, "Leave one of the two settings out.")
+        raise InputError("checks.energy", "true", limit, "Remove one of the two settings.")
     for name, present in unsupported.items():
         if present:
             limit = f"it does not support {name.removesuffix('.')}."
-            raise InputError("checks.energy", "true", limit, "Leave one of the two settings out.")
+            raise InputError("checks.energy", "true", limit, "Remove one of the two settings.")
 
 
 class Part(Section):
@@ -171,23 +177,24 @@ class Part(Section):
 
     material: AnyMaterial = Field(default=NeoHookean(), description="Its material.")
     static: bool = Field(
-        default=False, description="Scenery: visible, but does not move or touch anything."
+        default=False,
+        description="Scenery: the part is visible, but does not move or touch anything.",
     )
     surroundings: bool = Field(
         default=False,
         description="The part is surroundings, such as a floor: static, and not counted in the "
         "object's size.",
     )
-    region: PartRegion | None = Field(default=None, description="Box that contains it [m].")
+    region: PartRegion | None = Field(default=None, description="Box that contains the part [m].")
     mask: FileName | None = Field(
         default=None,
         examples=["hat.png"],
-        description="Mask file, white where the part is visible from the front.",
+        description="Mask file, which is white where the part is visible from the front.",
     )
     gaussians: tuple[Number, Number] | None = Field(
         default=None,
         examples=[[0, 2000]],
-        description="Range of its Gaussians: index of the first, and index after the last.",
+        description="Range of the part's Gaussians: index of the first, and index after the last.",
     )
 
     @model_validator(mode="after")
@@ -195,11 +202,11 @@ class Part(Section):
         if self.region is None and self.mask is None and self.gaussians is None:
             raise ValueError("a part needs a region, a mask or gaussians; give one of them")
         if self.static and self.material != NeoHookean():
-            raise ValueError("a static part has no material; leave it out")
+            raise ValueError("a static part has no material; remove it")
         if self.surroundings and (not self.static or self.gaussians is None or self.region):
             raise ValueError(
                 "surroundings must be static and selected by gaussians alone; set static, and "
-                "leave region and mask out"
+                "remove region and mask"
             )
         return self
 

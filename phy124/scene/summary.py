@@ -13,7 +13,7 @@ BINDINGS = {
     "lattice": "Gaussians on a lattice of particles",
     "particles": "each Gaussian a particle",
 }
-"""Binding -> description in words."""
+"""Descriptions of the bindings in words."""
 
 
 def summarise(scene: Scene, cells: str = "") -> str:
@@ -21,7 +21,8 @@ def summarise(scene: Scene, cells: str = "") -> str:
 
     Args:
         scene: The scene.
-        cells: Description of the number of cells, if it is chosen later; empty: the scene's number.
+        cells: Description of the number of cells, if the number is chosen later. If empty, the
+            number in the scene is used.
     """
     items = [_describe_material(scene.material)]
     if scene.parts:
@@ -51,7 +52,7 @@ def _describe_material(material: AnyMaterial) -> str:
     for name, info in type(material).model_fields.items():
         unit = re.search(r"\[(.*)\]", info.description or "")
         number = getattr(material, name)
-        # Tint and visibility change the look, not the motion.
+        # Tint and visibility change the appearance, not the motion.
         if name not in ("law", "tint", "visibility") and number is not None:
             value = format_number(number)
             values.append(f"{name} {value} {unit[1]}" if unit else f"{name} {value}")
@@ -59,7 +60,7 @@ def _describe_material(material: AnyMaterial) -> str:
 
 
 def _list_solvers(scene: Scene) -> str:
-    """Return the names of the solvers that move the objects, as `Accuracy` calls them."""
+    """Return the names of the solvers that move the objects, as in `Accuracy`."""
     by_mpm = scene.has_solids or not scene.projects
     used = {
         "lattice": scene.on_lattice,

@@ -1,4 +1,4 @@
-"""View: cameras, picture size, formats and stage for filming a clip."""
+"""View: the cameras, the picture size, the formats and the stage with which a clip is filmed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
 def _width_and_height(size: Any) -> Any:
-    """Convert 512, "512", [640, 480] or "640x480" to two numbers; validation checks the rest.
+    """Convert 512, "512", [640, 480] or "640x480" to two numbers; the field validates the rest.
 
     Raises:
         ValueError: A text is neither a number nor two numbers.
@@ -53,7 +53,7 @@ Size = Annotated[
 
 
 class View(Section):
-    """Options of filming a clip."""
+    """Options with which a clip is filmed."""
 
     views: tuple[ViewName, ...] = Field(
         default=("front", "right", "back", "left", "orbit"),
@@ -91,7 +91,7 @@ class View(Section):
         default=10.0,
         ge=-89,
         le=89,
-        description="Elevation of the camera [deg]; positive: it looks down.",
+        description="Elevation of the camera [deg]. If it is positive, the camera looks down.",
     )
     distance: float = Field(
         default=1.9,
@@ -107,8 +107,9 @@ class View(Section):
     follow: bool | None = Field(
         default=None,
         examples=[False],
-        description="Let the camera follow the object and keep it in the centre; absent: follow "
-        "only if a fixed camera that shows the whole motion would show the object too small.",
+        description="Let the camera follow the object and keep it in the centre. If absent, the "
+        "camera follows only if a fixed camera that shows the whole motion would "
+        "show the object too small.",
     )
     fov: float = Field(default=FOV_Y, ge=1, le=120, description="Vertical field of view [deg].")
     filter: Literal["dilate", "mip"] = Field(
@@ -120,7 +121,7 @@ class View(Section):
     shine: bool = Field(
         default=True,
         description="Shade fluids and metal by their surface normals, with highlights and "
-        "reflections; off: the plain colours of the Gaussians.",
+        "reflections; if off, the Gaussians have their plain colours.",
     )
     stage: StageName = Field(
         default="plain",
@@ -135,19 +136,20 @@ class View(Section):
     gradient: RGB | None = Field(
         default=None,
         examples=["whitesmoke"],
-        description="Colour at the bottom of a vertical gradient; absent: a uniform background.",
+        description="Colour at the bottom of a vertical gradient; if absent, the background is "
+        "uniform.",
     )
     picture: FileName | None = Field(
         default=None,
         examples=["beach.jpg"],
-        description="Picture that fills the background; absent: the background colour.",
+        description="Picture that fills the background; if absent, the background colour is used.",
     )
     fps: float | None = Field(
         default=None,
         ge=1,
         le=120,
         examples=[12],
-        description="Frames per second of the videos; absent: time.fps times speed.",
+        description="Frames per second of the videos; if absent, time.fps times speed.",
     )
     speed: float = Field(
         default=1.0,
@@ -212,11 +214,11 @@ class View(Section):
         return self.fit and self.distance == View.model_fields["distance"].default
 
     def camera(self, side: str) -> AnyCamera | None:
-        """Return the moving camera of this name; None if the view is fixed."""
+        """Return the moving camera with this name; None if the view is fixed."""
         return next((camera for camera in self.cameras if camera.name == side), None)
 
     def only(self, side: str) -> View:
-        """Return the section with only the named view."""
+        """Return the section with only the view that has this name."""
         camera = self.camera(side)
         views = tuple(name for name in self.views if name == side)
         angle = () if views or camera else (float(side.removeprefix("azimuth-")),)

@@ -1,7 +1,6 @@
 """Limits of the numbers in a scene, chosen for the ranges of float32 and of the grid.
 
-The bounds are wider than any scene needs, but narrow enough that no product of two numbers
-overflows.
+The bounds are wider than any scene needs, but so narrow that no product of two numbers overflows.
 """
 
 import difflib
@@ -13,7 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 LONGEST = 1e5
 """Maximum time in a scene [s]; the duration of a clip is limited to 1e4 s."""
 SHORTEST = 1e-6
-"""Smallest duration [s]; shorter than any substep of a visible object."""
+"""Smallest duration [s]. This duration is shorter than any substep of a visible object."""
 FARTHEST = 1e5
 """Largest coordinate [m]."""
 
@@ -33,11 +32,11 @@ Push = tuple[_Push, _Push, _Push]
 Direction = tuple[_Direction, _Direction, _Direction]
 """A vector of which only the direction matters."""
 Factor = Annotated[float, Field(ge=-1e6, le=1e6)]
-"""Value of a time profile, a factor."""
+"""Value of a time profile, which is a factor."""
 Instant = Annotated[float, Field(ge=0, le=LONGEST)]
 """A time since the start [s]."""
 Colour = Annotated[float, Field(ge=0, le=1)]
-"""A channel of a colour."""
+"""A channel of a colour (red, green or blue)."""
 
 
 def _named_colour(value: Any) -> Any:
@@ -71,7 +70,9 @@ def _check_text(text: str) -> str:
 Text = Annotated[str, AfterValidator(_check_text)]
 """Text that UTF-8 can encode."""
 Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
-"""Name of an object, also used in files and topics: a letter, then letters, digits, - and _."""
+"""Name of an object, which files and topics also contain: a letter, then letters, digits, - and
+_.
+"""
 NAME_LENGTH = 4096
 """Largest length of a file name [characters]."""
 

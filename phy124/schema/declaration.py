@@ -1,4 +1,4 @@
-"""Describe in words the fields that a section declares, from its JSON schema."""
+"""Describe in words the fields that a section declares, based on the section's JSON schema."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import BaseModel
 
 Node = dict[str, Any]
-"""A piece of JSON schema."""
+"""A piece of a JSON schema."""
 COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
@@ -19,7 +19,7 @@ class Declaration:
         self.schema: Node = root.model_json_schema()
 
     def resolve(self, node: Node) -> Node:
-        """Follow references and return the schema; for an optional field, its value's schema."""
+        """Follow references and return the schema; for an optional field, that of its value."""
         while True:
             options = [option for option in node.get("anyOf", []) if option != {"type": "null"}]
             if "$ref" in node:
@@ -67,13 +67,13 @@ class Declaration:
 def read_declaration(root: type[BaseModel]) -> Declaration:
     """Return the declaration of a section class.
 
-    The declaration is cached, since it takes 0.2 s to make.
+    The declaration is cached, because it takes 0.2 s to make.
     """
     return Declaration(root)
 
 
 def describe_bounds(node: Node) -> str:
-    """Return the bounds of a number in words, empty without bounds."""
+    """Return the bounds of a number in words; empty if there are no bounds."""
     if "minimum" in node and "maximum" in node:
         return f"from {format_number(node['minimum'])} to {format_number(node['maximum'])}"
     words = {
@@ -86,7 +86,7 @@ def describe_bounds(node: Node) -> str:
 
 
 def format_number(value: float) -> str:
-    """Format a number as a person would type it."""
+    """Format a number in the way a person would type it."""
     if isinstance(value, int) and abs(value) < 1e12:
         return str(value)
     return f"{value:g}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-")

@@ -1,7 +1,8 @@
 """Plugins: classes and functions of users, used as instances or by name.
 
 In Python, an instance of a user's material, force or boundary can be used directly. In scene files
-and on the command line a class is used by the name of its entry point in one of the `GROUPS`.
+and on the command line, a class is identified by the name of its entry point in one of the
+`GROUPS`.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from phy124.errors import InputError
 from phy124.schema.section import Section
 
 GROUPS = ("materials", "forces", "boundaries", "generators", "formats", "sinks")
-"""Entry-point groups, without the prefix `phy124.`; only the bridge reads phy124.sinks."""
+"""Entry-point groups, without the prefix `phy124.`. Only the bridge reads phy124.sinks."""
 
 
 @cache
 def entry_points_of(group: str) -> dict[str, EntryPoint]:
-    """Return name -> entry point for one of the `GROUPS`.
+    """Return the entry points of one of the `GROUPS`, by name.
 
     The result is cached, because reading the metadata of packages takes milliseconds, and a scene
     may name thousands of kinds.
@@ -59,9 +60,9 @@ def list_plugins(group: str) -> list[str]:
 
 
 def load_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
-    """Load all classes that packages register; classes that cannot be loaded are left out.
+    """Load all classes that packages register; skip classes that cannot be loaded.
 
-    A scene that names a class that cannot be loaded is refused; other scenes are not affected.
+    A scene that names a class that cannot be loaded is refused. Other scenes are not affected.
     """
     kinds = {}
     for name in list_plugins(group):
@@ -78,7 +79,7 @@ def load_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
 class Kinds:
     """The kinds of section that a field of a scene accepts: phy124's own and registered kinds.
 
-    As the annotation of a field, an instance makes pydantic validate registered kinds and include
+    If an instance is the annotation of a field, pydantic validates registered kinds and includes
     them in the JSON schema.
     """
 
@@ -89,7 +90,7 @@ class Kinds:
     group: str
     """Entry-point group that registers kinds, one of the `GROUPS`."""
     union: Any
-    """Union of phy124's own kinds, which a plugin cannot replace."""
+    """Union of phy124's own kinds. A plugin cannot replace them."""
 
     @cached_property
     def by_name(self) -> dict[str, type[Any]]:
@@ -119,7 +120,8 @@ class Kinds:
         schema = handler(core)
         for name, kind in load_kinds(self.group, self.base).items():
             if name not in self.by_name:
-                # As an item of a list, the class gets an entry under "$defs" with a reference.
+                # If the class is an item of a list, it gets an entry under "$defs" with a
+                # reference.
                 items = core_schema.list_schema(kind.__pydantic_core_schema__)
                 item = handler(items)["items"]
                 schema["oneOf"].append(item)

@@ -1,4 +1,4 @@
-"""Turn validation errors of pydantic into messages that state limit and remedy."""
+"""Turn validation errors of pydantic into messages that state the limit and a remedy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from phy124.schema.declaration import Declaration, Node, format_number, read_dec
 from phy124.schema.section import Section
 
 LONGEST = 60
-"""Largest number of characters of a value that a message repeats."""
+"""Largest number of characters of a value that are repeated in a message."""
 
 
 def explain(error: ValidationError, source: str, root: type[BaseModel]) -> InputError:
@@ -22,7 +22,7 @@ def explain(error: ValidationError, source: str, root: type[BaseModel]) -> Input
 
     Args:
         error: The error that pydantic raised.
-        source: Name of the data, used if the error is not about a single field.
+        source: Name of the data, which is used if the error is not about a single field.
         root: The class of the section that was validated.
     """
     details: dict[str, Any] = {**max(error.errors(), key=lambda detail: len(detail["loc"]))}
@@ -30,7 +30,7 @@ def explain(error: ValidationError, source: str, root: type[BaseModel]) -> Input
     if isinstance(cause, InputError):
         return cause
     if details["type"] == "missing" and isinstance(details["loc"][-1], int):
-        # A list is too short: name the list, not its missing item.
+        # A list is too short. The message should name the list, not the missing item.
         details |= {"type": "too_short", "loc": details["loc"][:-1]}
     declared = read_declaration(root)
     place = _find_place(declared, details["loc"])
@@ -47,7 +47,10 @@ def explain(error: ValidationError, source: str, root: type[BaseModel]) -> Input
 
 
 def explain_options(error: ValidationError) -> InputError:
-    """Return the error of an options section, whose class is looked up by the error's title."""
+    """Return the error of an options section.
+
+    The class of the section is looked up by the error's title.
+    """
     kinds, sections = [Section], {}
     while kinds:
         kind = kinds.pop()
@@ -59,7 +62,7 @@ def explain_options(error: ValidationError) -> InputError:
 def shorten(value: Any) -> str:
     """Return a value as text for a message, shortened to `LONGEST` characters.
 
-    The text for a section consists of the names of its values.
+    If the value is a section, the text consists of the names of its values.
     """
     try:
         section = isinstance(value, dict) and value
@@ -73,13 +76,13 @@ class _Place(NamedTuple):
     """The field of the scene that an error concerns."""
 
     keys: list[int | str]
-    """Path of the field as a user writes it, without the names of kinds."""
+    """Path of the field in the form in which a user writes it, without the names of kinds."""
     node: Node
-    """Schema of the field, or of its section if the field does not exist."""
+    """Schema of the field. If the field does not exist, schema of its section."""
     around: Node
-    """Schema of its section."""
+    """Schema of the section that contains the field."""
     description: str
-    """Description of the field, or of the nearest enclosing field that has one."""
+    """Description of the field, or of the nearest enclosing field that has a description."""
 
 
 def _find_place(declared: Declaration, location: tuple[int | str, ...]) -> _Place:
@@ -156,7 +159,7 @@ def _suggest(declared: Declaration, node: Node, value: Any) -> str:
 
 
 def _explain_unknown_key(declared: Declaration, place: _Place) -> tuple[str, str]:
-    """Return limit and remedy for a key that does not exist."""
+    """Return the limit and the remedy for a key that does not exist."""
     key = str(place.keys[-1])
     choices = declared.choices(place.around)
     known = sorted({name for choice in choices for name in choice.get("properties", ())})
@@ -171,7 +174,7 @@ def _explain_unknown_key(declared: Declaration, place: _Place) -> tuple[str, str
         tag = next((tag for tag in ("law", "kind") if tag in known), None)
         kind = place.around["properties"][tag]["const"] if tag else None
         limit = f"{kind} has no such key." if kind else "there is no such key here."
-        return limit, "Leave it out."
+        return limit, "Remove it."
     return "there is no such key.", f"Known keys: {', '.join(known)}."
 
 

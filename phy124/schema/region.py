@@ -1,4 +1,4 @@
-"""Region: a box or cylinder to which a force, a boundary or a material applies."""
+"""Region: a box or cylinder in which a force, a boundary or a material acts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from phy124.schema.section import Section
 
 Vector = tuple[float, float, float]
 EVERYWHERE = 1e9
-"""Coordinate outside any scene [m]; finite, so that scenes can be written as JSON."""
+"""Coordinate outside any scene [m]. The coordinate is finite, so that scenes can be written as
+JSON."""
 _Side = Annotated[float, Field(ge=-EVERYWHERE, le=EVERYWHERE)]
 _Fraction = Annotated[float, Field(ge=-1, le=1)]
 _Corner = tuple[_Side, _Side, _Side]
@@ -31,8 +32,8 @@ class Region(Section):
     )
     cylinder: AxisName | None = Field(
         default=None,
-        description="Replace the box by the cylinder inscribed in it along this axis; absent: "
-        "keep the box.",
+        description="Replace the box by the cylinder inscribed in it along this axis; if absent, "
+        "the box is kept.",
     )
 
     @model_validator(mode="after")
@@ -46,13 +47,13 @@ class Region(Section):
             name != self.cylinder and max(-low, high) >= EVERYWHERE for name, low, high in sides
         ):
             raise ValueError(
-                f"a cylinder along {self.cylinder} needs the coordinates of both corners "
-                "on the two other axes; give lower and upper"
+                f"for a cylinder along {self.cylinder}, the extent on the two other axes must be "
+                "given; set both lower and upper there"
             )
         return self
 
     def contains(self, x: NDArray) -> NDArray[np.bool_]:
-        """Return a mask [N] of the points x [N,3], m, that lie inside."""
+        """Return a mask [N] of the points x [N,3], m, that lie inside the region."""
         inside: NDArray[np.bool_] = np.all((x >= self.lower) & (x <= self.upper), axis=1)
         if self.cylinder:
             axis, middle, radius = cylinder(self.lower, self.upper, self.cylinder)
@@ -62,10 +63,10 @@ class Region(Section):
 
 
 def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector, float]:
-    """Return axis, centre [m] and radius [m] of the cylinder inscribed in a box.
+    """Return the axis, the centre [m] and the radius [m] of the cylinder inscribed in a box.
 
-    The diameter is the shorter of the two sides across the axis. If the box is open along the axis,
-    the centre's coordinate along it has no meaning.
+    The diameter is the shorter of the two sides perpendicular to the axis. If the box is open along
+    the axis, the centre's coordinate along the axis has no meaning.
     """
     axis = "xyz".index(along)
     x, y, z = ((low + high) / 2 for low, high in zip(lower, upper, strict=True))
@@ -74,7 +75,10 @@ def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector
 
 
 class PartRegion(Region):
-    """A region that selects a part of the object; it may be rotated, or in axes of a file."""
+    """A region that selects a part of the object.
+
+    The region may be rotated, and its coordinates may be those of a file.
+    """
 
     units: Literal["metres", "file"] = Field(
         default="metres",
@@ -97,5 +101,5 @@ class PartRegion(Region):
         return self
 
     def contains(self, x: NDArray) -> NDArray[np.bool_]:
-        """Return a mask [N] of the points x [N,3], m, that lie inside."""
+        """Return a mask [N] of the points x [N,3], m, that lie inside the region."""
         return super().contains(x @ rotation_matrices(np.array([self.turn]))[0])

@@ -12,13 +12,13 @@ OTHER = PydanticCustomError("another_type", "it is of another type")
 
 
 class Section(BaseModel):
-    """A frozen group of options; unknown keys are errors."""
+    """A group of options that cannot be changed; unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
     AS_TEXT: ClassVar[bool] = False
-    """Whether all values come as text; "yes" is then accepted as a boolean."""
+    """Whether all values come as text. If so, "yes" is accepted as a boolean."""
 
-    # Not a validator per field, because pydantic allows none for discriminators.
+    # This is not a validator per field, because pydantic allows none for discriminators.
     @model_validator(mode="before")
     @classmethod
     def _check_types(cls, data: Any) -> Any:
@@ -37,7 +37,7 @@ class Section(BaseModel):
 
 @cache
 def _list_types(section: type[Section], field: str) -> frozenset[Any]:
-    """Return the types of plain values that a field accepts; empty if it accepts any."""
+    """Return the types of plain values that a field accepts; empty if it accepts any type."""
     types, annotations = set(), [section.model_fields[field].annotation]
     while annotations:
         annotation = annotations.pop()

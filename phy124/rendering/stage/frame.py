@@ -74,7 +74,7 @@ class Solid:
     half: NDArray[np.float64]
     """Half the side lengths [3], m. For a capsule (half length, 0, 0)."""
     radius: float = 0.0
-    """Radius of a capsule, m. It is 0 for a box."""
+    """Radius of a capsule, m. The radius of a box is 0."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -153,7 +153,7 @@ class Caster:
     def _response(self) -> list[NDArray[np.complex64]]:
         """Frequency response of each layer [CELLS,K], where K <= CELLS/2+1.
 
-        Higher layers are smoother. They therefore need fewer frequencies along y.
+        Higher layers are smoother. Higher layers therefore need fewer frequencies along y.
         """
         kx = 2 * np.pi * scipy.fft.fftfreq(CELLS, self.cell)[:, None]
         ky = 2 * np.pi * scipy.fft.rfftfreq(CELLS, self.cell)[None, :]

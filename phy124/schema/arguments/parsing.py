@@ -1,7 +1,7 @@
 """Parse a command line into a command, and convert the parser's errors to `InputError`s.
 
-The parser (tyro) reports errors to a hook. If the installed version does not support the hook, the
-parser's own message is shown.
+The parser (tyro) reports errors to a hook. If the installed version of tyro does not support the
+hook, the parser prints its own message.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from phy124.schema.arguments.words import (
 )
 
 NARROWEST = 40
-"""Minimum width for which help texts are laid out [characters]."""
+"""Smallest width for which help texts are laid out [characters]."""
 SIMILAR = 0.75
-"""Minimum similarity, 0 to 1, at which a known option is suggested for an unknown one."""
+"""Similarity (from 0 to 1) from which a known option is suggested in place of an unknown one."""
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 Commands = Mapping[str, type]
 
@@ -50,8 +50,8 @@ def parse(
     """Parse a command with its options.
 
     Args:
-        arguments: The words after the program's name; an empty list means --help.
-        commands: Name -> class.
+        arguments: The words after the program's name. An empty list means --help.
+        commands: Classes of the commands, by name.
         program: The program's name.
         description: The first paragraph of `--help`.
         empty: Names of options whose value may be empty.
@@ -79,7 +79,10 @@ def parse(
             )
 
     if not any(word.startswith(("-h", "--help", "--tyro-")) for word in arguments):
-        with _no_help_texts(), suppress(InputError):  # parsed again for a message with help texts
+        with (
+            _no_help_texts(),
+            suppress(InputError),
+        ):  # parsed again to get a message with help texts
             return parse_once()
     return parse_once()
 
@@ -119,7 +122,7 @@ def _translate_errors(arguments: Sequence[str], commands: Commands, program: str
     """Raise errors of the parser as InputError within this context."""
     try:
         from tyro._errors import on_parse_error
-    except ImportError:  # another version of tyro: it prints its own message
+    except ImportError:  # another version of tyro, which prints its own message
         on_parse_error = nullcontext
 
     def hook(event: Any) -> None:
@@ -141,7 +144,7 @@ def _translate_errors(arguments: Sequence[str], commands: Commands, program: str
 
 @contextmanager
 def _no_help_texts() -> Iterator[None]:
-    """Keep the parser from searching the source code for help texts, since this is slow."""
+    """Prevent the parser from searching the source code for help texts, which would be slow."""
     wrappers = {
         "get_field_docstring": lambda _: lambda *_: None,
         "get_callable_description": lambda _: lambda _: "",
@@ -152,7 +155,7 @@ def _no_help_texts() -> Iterator[None]:
 
 @contextmanager
 def _no_empty_defaults() -> Iterator[None]:
-    """Leave uninformative defaults out of help texts: False for flags, None, and empty lists."""
+    """Omit uninformative defaults from help texts: False for flags, None, and empty lists."""
 
     def wrap(describe: Callable[..., Any]) -> Callable[..., Any]:
         def describe_briefly(argument: Any, *rest: Any, **options: Any) -> Any:
@@ -175,7 +178,7 @@ def _wrap_functions(module: str, wrappers: Mapping[str, Callable[[Any], Any]]) -
 
     Args:
         module: The module's name.
-        wrappers: Name of a function -> returns the replacement of the function.
+        wrappers: For each name of a function, the function that returns the replacement.
     """
     try:
         place = import_module(f"tyro.{module}")
@@ -194,7 +197,7 @@ def _wrap_functions(module: str, wrappers: Mapping[str, Callable[[Any], Any]]) -
 
 @contextmanager
 def _ensure_width() -> Iterator[None]:
-    """Lay out help texts at least `NARROWEST` wide, since tyro hangs at a smaller width."""
+    """Lay out help texts at least `NARROWEST` characters wide; tyro hangs at a smaller width."""
     usual = os.environ.get("COLUMNS")
     if shutil.get_terminal_size().columns < NARROWEST:
         os.environ["COLUMNS"] = str(NARROWEST)
@@ -206,7 +209,7 @@ def _ensure_width() -> Iterator[None]:
 
 
 class _Refused(Exception):
-    """Wraps an InputError; the parser would catch the error itself, since it is a ValueError."""
+    """Wraps an InputError, because the parser would catch it as a ValueError."""
 
     def __init__(self, error: InputError) -> None:
         self.error = error
@@ -215,7 +218,7 @@ class _Refused(Exception):
 def _refuse_empty(
     arguments: Sequence[str], commands: Commands, program: str, empty: Container[str]
 ) -> None:
-    """Raise InputError if the first word is not a command, or a word is empty."""
+    """Raise InputError if the first word is not a command, or if a word is empty."""
     name = arguments[0]
     if name not in commands and not name.startswith(("-h", "--help", "--tyro-")):
         if name.startswith("-"):
@@ -230,7 +233,7 @@ def _refuse_empty(
             continue
         if not text or (equals and not value and option.startswith("--")):
             where = option.lstrip("-") if equals else before.lstrip("-")
-            raise InputError(where, "''", "it is empty.", "Give a value, or leave the option out.")
+            raise InputError(where, "''", "it is empty.", "Give a value, or remove the option.")
 
 
 def _refuse_named_positionals(options: Sequence[str], commands: Commands, program: str) -> None:
@@ -249,7 +252,7 @@ def _refuse_named_positionals(options: Sequence[str], commands: Commands, progra
 
 
 def option_names(command: Any) -> list[str]:
-    """Return the names of a command's options, as they are typed."""
+    """Return the names of a command's options in the form in which users type them."""
     names: list[str] = []
     unnamed = list_positionals(command)
     for name, kind in list_fields(command).items():

@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from phy124.errors import InputError
 
 END = "--"
-"""Marks the end of options: later words are operands, even if they look like options."""
+"""Marks the end of the options. Later words are operands, even if they look like options."""
 _BEFORE_HOME = re.compile(r"(?:[\w.-]+=)*(?=~)")
 """Matches the text before a `~`, such as --out=, object.file= or --set=object.file=."""
 
@@ -28,14 +28,17 @@ def expand_home(word: str) -> str:
 
 
 def split_operands(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Split the words at `--`. The second list starts with `--`; without operands it is empty."""
+    """Split the words at `--`.
+
+    The second list starts with `--`. If there are no operands, the second list is empty.
+    """
     end = list(arguments).index(END) if END in arguments else len(arguments)
     operands = list(arguments[end:])
     return list(arguments[:end]), [] if operands == [END] else operands
 
 
 def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str]:
-    """Return the words with each option once; join repeated lists and drop repeated equal values.
+    """Return the words with each option once; join repeated lists and remove repeated equal values.
 
     If an option is repeated, argparse, which reads the command line, would silently use only its
     last value. Operands are rewritten so that none looks like an option (`-x.png` becomes
@@ -53,7 +56,8 @@ def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list
     single: dict[str, str | None] = {}
     for name, values in _group_by_option(arguments):
         if name in lists:
-            # An option with `=` has a single value; later words do not belong to it.
+            # An option that is written with `=` has a single value. Later words do not belong to
+            # this option.
             joined.setdefault(name, []).extend(values)
             continue
         value = values[0] if values else None
@@ -61,7 +65,7 @@ def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list
             limit = f"the option has two values, {single[name]} and {value}."
             raise InputError(name.removeprefix("--"), value, limit, "Give it once.")
         if name and value and value.startswith("-") and value != "-h":
-            # Otherwise the parser would take the value for an option: `--front -y`.
+            # Otherwise the parser would mistake the value for an option: `--front -y`.
             name, values = f"{name}={value}", values[1:]
         rest += [name, *values] if name else values
     for name, values in joined.items():
@@ -90,7 +94,7 @@ def list_positionals(command: Any) -> list[str]:
 
 
 def list_fields(kind: Any) -> dict[str, Any]:
-    """Return name -> type of the fields of a dataclass or pydantic model; {} for other types."""
+    """Return the types of a dataclass's or pydantic model's fields by name; {} for other types."""
     if is_dataclass(kind):
         names = [field.name for field in fields(kind)]
     else:
@@ -107,7 +111,10 @@ def _strip_annotated(annotation: Any) -> Any:
 
 
 def _group_by_option(arguments: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Return pairs of an option and the words after it; words before any option follow ""."""
+    """Return pairs of an option and the words that follow it.
+
+    The words before the first option follow "".
+    """
     groups: list[tuple[str, list[str]]] = [("", [])]
     for word in arguments:
         if not word.startswith("--"):
