@@ -1,5 +1,5 @@
 /* A dialog with a brush over the picture: green keeps, red removes. Strokes are lines in fractions of the picture's
- * longer side; the server paints them. By keyboard: arrows move the brush, space holds it down, P picks the
+ * longer side. The server paints the strokes. On the keyboard, arrows move the brush, space holds it down, P picks the
  * object under it. */
 'use strict';
 (() => {
@@ -83,7 +83,7 @@
       context.globalAlpha = 1;
       context.fillStyle = '#fff';
       context.fillRect(0, 0, width, height);
-      context.globalAlpha = above ? 0.3 : 1; // what was cut away is pale
+      context.globalAlpha = above ? 0.3 : 1; // removed parts of the picture are pale
       context.drawImage(below, 0, 0, width, height);
       context.globalAlpha = 1;
       if (above) context.drawImage(above, 0, 0, width, height);

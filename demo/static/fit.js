@@ -30,7 +30,7 @@
       if (this.element.firstChild !== this.form) this.element.replaceChildren(this.form, this.status, this.result);
       this.result.replaceChildren(...(found ? this.found(found) : []));
       if (job) return this.await(job);
-      if (this.job) return; // another fit is being followed
+      if (this.job) return; // the panel already shows the progress of another fit
       this.busy(false);
       this.say(message || '', Boolean(message));
     }
@@ -85,13 +85,13 @@
       this.trigger('begin', { upload: path, side: this.side.value, speed: Number(this.speed.value), seconds: Number(this.budget.value) });
     }
 
-    /** A fit that has not begun yet is stopped as soon as it begins. */
+    /** Stop the fit; if the fit has not begun yet, stop it as soon as it begins. */
     stop() {
       this.stopping = true;
       this.trigger('stop');
     }
 
-    /** The server answered with an error; a fit that has begun continues. */
+    /** Handle an error that the server answered; a fit that has begun continues. */
     fail() {
       if (this.job || !this.go?.hidden) return;
       this.busy(false);

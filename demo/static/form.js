@@ -1,4 +1,4 @@
-/* A form for every setting of a scene, built from the scene's own JSON schema. It writes into the data
+/* A form for every setting of a scene, built from the scene's own JSON schema. The form changes the data
  * that it was drawn from.
  *
  *   const form = new Phy124.Form(schema, (sections) => {}); form.draw(data);
@@ -10,8 +10,8 @@
   const words = (name) => name.replace(/_/g, ' ').replace(/^./, (c) => c.toUpperCase());
 
   class Form {
-    /** `changed` is called after each change, with whether sections were added or removed; `first` stands before
-     * the sections, `tools` after them. */
+    /** `changed` is called after each change, with whether sections were added or removed; `first` is shown before
+     * the sections, `tools` after the sections. */
     constructor(schema, changed, first = '', tools = '') {
       Object.assign(this, { schema, changed });
       this.body = h('div', { class: 'form' });
@@ -27,7 +27,7 @@
       this.draw(this.data);
     }
 
-    /** Show these data, once the dialog is open; text that is being typed stays. */
+    /** Show the scene's data once the dialog is open; do not replace text that is being typed. */
     draw(data) {
       this.data = data;
       if (!data || !this.element.open || this.body.contains(document.activeElement)) return;
@@ -70,7 +70,7 @@
 
     section(name, ...children) { return h('fieldset', {}, h('legend', {}, words(name)), ...children); }
 
-    /** One of several kinds of section, such as a material's law. */
+    /** Create the field for a section that has one of several kinds, such as a material's law. */
     variant(name, schema, data) {
       const tag = schema.discriminator.propertyName, kinds = Object.keys(schema.discriminator.mapping);
       const of = (kind) => this.resolve({ $ref: schema.discriminator.mapping[kind] });
@@ -81,7 +81,7 @@
       return this.section(name, pick, h('p', { class: 'hint' }, chosen.description || ''), this.fields(chosen, data[name]));
     }
 
-    /** Several sections, each of one of several kinds: forces, boundaries. */
+    /** Create the field for a list of sections, each of one of several kinds: forces, boundaries. */
     list(name, schema, data) {
       const { mapping, propertyName: tag } = schema.items.discriminator;
       const items = data[name].map((item, index) => h('fieldset', { class: 'item' }, h('legend', {}, words(item[tag])),
@@ -93,7 +93,7 @@
       return this.section(name, ...items, add);
     }
 
-    /** A new section with its own defaults: what a section of another kind had means nothing to it. */
+    /** Create a section with the defaults of its kind, because the values of another kind have another meaning. */
     fresh(schema) {
       const made = {};
       for (const [name, info] of Object.entries(schema.properties)) {
@@ -132,7 +132,7 @@
       } }, value == null ? '' : JSON.stringify(value));
     }
 
-    /** A picture file, which is sent first. */
+    /** Create the field for a picture file; the file is sent before its name is set. */
     upload(name, value, set) {
       const input = h('input', { type: 'file', accept: 'image/png,image/jpeg,image/webp', 'aria-label': words(name), onchange: async () => {
         const form = new FormData();

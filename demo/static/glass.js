@@ -2,8 +2,8 @@
  *
  *   const glass = new Phy124Glass(gl, walls); glass.sort(eye, box, moved); glass.draw(camera, 'behind');
  *
- * What is behind the object is drawn before its Gaussians, what is in front of it after them. Of
- * what encloses it, the faces that are turned away come before, the others after.
+ * Solids behind the object are drawn before its Gaussians, and solids in front of it after them. If a
+ * solid encloses the object, faces that are turned away are drawn before, and all other faces after.
  */
 'use strict';
 globalThis.Phy124Glass = (() => {
@@ -49,10 +49,10 @@ globalThis.Phy124Glass = (() => {
   const sum = (a, b) => a.map((v, c) => v + b[c]);
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
-  /** A place given along the axes of a solid, in the world. */
+  /** Convert a position along the axes of a solid to a position in the world. */
   const along = ({ axes }, [a, b, c]) => [0, 1, 2].map((k) => a * axes[0][k] + b * axes[1][k] + c * axes[2][k]);
 
-  /** Triangles of a box, seen from outside counter-clockwise. */
+  /** Return the triangles of a box, counter-clockwise when seen from outside. */
   function box(solid) {
     const made = [];
     for (const axis of [0, 1, 2]) for (const side of [1, -1]) {
@@ -67,7 +67,7 @@ globalThis.Phy124Glass = (() => {
     return made;
   }
 
-  /** Triangles of a capsule along its first axis; a ball is one without length. */
+  /** Return the triangles of a capsule along its first axis; a ball is a capsule of length 0. */
   function capsule(solid) {
     const rings = [];
     for (const end of [-1, 1]) for (let r = 0; r < RINGS; r++) {
@@ -87,7 +87,7 @@ globalThis.Phy124Glass = (() => {
     return made;
   }
 
-  /** Where a solid is for an eye that looks at things in a box; as phy124/rendering/stage/order.py. */
+  /** Return whether a solid is 'behind', 'among' or 'before' (in front of) the content of a box, as seen by the eye. */
   function place(solid, moved, eye, [low, high]) {
     const sizes = solid.half.map((h) => h + solid.radius), widest = Math.max(...sizes), centre = sum(solid.centre, moved);
     const towards = low.map((v, c) => (v + high[c]) / 2 - centre[c]), half = low.map((v, c) => (high[c] - v) / 2), view = eye.map((v, c) => v - centre[c]);
@@ -121,7 +121,7 @@ globalThis.Phy124Glass = (() => {
       gl.bindVertexArray(null);
     }
 
-    /** What is behind the object, before it or about it; what is not there has no displacement. */
+    /** Sort the solids into those behind, among and in front of the Gaussians; skip absent solids (displacement NaN). */
     sort(eye, box, moved) {
       this.here = this.solids.flatMap((solid, k) => {
         const by = [...moved.subarray(3 * k, 3 * k + 3)];
@@ -129,7 +129,7 @@ globalThis.Phy124Glass = (() => {
       });
     }
 
-    /** Draw what is 'behind' the object, or 'before' it. */
+    /** Draw the solids that are 'behind' the Gaussians, or those that are 'before' (in front of) the Gaussians. */
     draw(camera, where, ground) {
       const { gl, program } = this, shown = this.here.filter((solid) => solid.where === where || solid.where === 'among');
       if (!shown.length) return;

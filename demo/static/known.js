@@ -1,11 +1,11 @@
-/* Further inputs: pictures from the side and from behind, a depth map, the thickness, and whether the
+/* Optional inputs: pictures from the side and from behind, a depth map, the thickness, and whether the
  * object is filmed in its photograph; or the orientation of a file of Gaussians. Names, ranges and choices
- * are those of the command line. The panel's value holds the inputs by option; the server's answers replace
+ * are those of the command line. The panel's value contains the inputs by option. The server's answers replace
  * the value, which is then sent again. */
 'use strict';
 (() => {
   const { h, follow, places } = globalThis.Phy124;
-  const PICTURES = { side: 'facing', back: null, depth: 'near' }; // option -> the choice that belongs to it
+  const PICTURES = { side: 'facing', back: null, depth: 'near' }; // options, each with the choice that belongs to it
   const ACCEPT = 'image/png,image/jpeg,image/webp,image/avif,.avif';
   const HEIC = ',image/heic,image/heif,.heic,.heif';
   const words = (name) => name.replace(/^./, (c) => c.toUpperCase());
@@ -17,7 +17,7 @@
     listen(panel);
   }
 
-  /** The server's events that carry no value: a request that failed, and files that are no longer there. */
+  /** Handle the server's events without a value: a failed request, and files that no longer exist. */
   function listen(panel) {
     document.addEventListener('phy124-failed', () => panel.each((view) => view.fail()));
     document.addEventListener('phy124-forgotten', () => panel.each((view) => view.restore()));
@@ -64,8 +64,8 @@
 
     each(act) { Object.values(this.views).forEach(act); }
 
-    /** What the server said: an answer about one picture, a file's orientations, or nothing at all for a new
-     * object. It stands in the place of what was told, which is told again. */
+    /** Handle the server's value: an answer about one picture, a file's orientations, or nothing for a new
+     * object. The value replaces the inputs that were sent, so they are sent again. */
     take(value) {
       if (value?.ways) return this.turn(value.ways);
       if (value?.answer) this.views[value.answer.option]?.take(value.answer);
@@ -91,7 +91,7 @@
     }
   }
 
-  /** A picture beside the one from the front, and how it is meant. */
+  /** A picture in addition to the front picture, and its choice, such as the side that it shows. */
   class View {
     constructor(option, panel) {
       Object.assign(this, { option, panel, asked: 0, following: null });
@@ -115,7 +115,7 @@
     tell(path) { this.panel.tell({ [this.option]: path }); }
 
     clear() {
-      this.asked++; // an answer that is still to come no longer counts
+      this.asked++; // ignore answers that have not arrived yet
       Object.assign(this, { following: null, pending: false, file: null });
       this.show(null);
       this.say('');
@@ -134,7 +134,7 @@
       if (url) this.shown.src = url; else this.shown.removeAttribute('src');
     }
 
-    /** Nothing is generated from what was there before, whatever becomes of this file. */
+    /** Remove the earlier picture, so that it is not used even if the new file is refused. */
     async choose(file) {
       if (!file) return;
       this.clear();
@@ -145,11 +145,11 @@
       const { reduced, sent } = globalThis.Phy124;
       // A depth map's 16 bits would not survive the browser.
       const answer = await sent(this.option === 'depth' ? file : await reduced(file, this.panel.limits), this.panel.limits);
-      if (this.file !== file) return; // another one was chosen meanwhile, or none
+      if (this.file !== file) return; // meanwhile, another file was chosen, or the file was removed
       if (answer.path) this.look(answer.path); else this.say(answer.message, true);
     }
 
-    /** Have a picture that was sent cut out. */
+    /** Ask the server to cut out a picture that was sent. */
     look(path) {
       this.say('Checking the picture …');
       this.ask('choose', { upload: path });
@@ -160,14 +160,14 @@
       this.panel.trigger(event, { option: this.option, ask: ++this.asked, ...what });
     }
 
-    /** A request was answered by an error, which carries no answer. */
+    /** Handle a request that failed, for which no answer arrives. */
     fail() {
       if (!this.pending) return;
       this.pending = false;
       this.say('The server could not process the picture. Try again.', true);
     }
 
-    /** The server no longer has the picture: it is sent again if this page has it. */
+    /** Send the picture again if this page still has it, because the server no longer has the picture. */
     restore() {
       const { file } = this, had = !this.shown.hidden || this.following;
       if (file) return this.choose(file);

@@ -1,5 +1,5 @@
-/* The lattice of a live run: nodes come frame by frame, and the Gaussians bound to them follow
- * (demo/touch/lattice.py says how both are written, demo/touch/lattice.py what comes with them).
+/* The lattice of a live run: each frame brings new nodes, and the Gaussians bound to the nodes follow.
+ * demo/touch/lattice.py defines the format of the binding, of the nodes and of the walls.
  *
  *   const lattice = new Phy124Lattice(binding); lattice.take(frame); lattice.ride(1000);
  */
@@ -29,12 +29,12 @@ globalThis.Phy124Lattice = (() => {
       this.colours = take(Uint8Array, 4 * n);
       this.weights = Float32Array.from(weights, (w) => w / 255);
       for (let i = 0; i < n; i++) this.normalise(i);
-      /** Of each node: F, and where it would put the origin. */
+      /** For each node: F, and the position to which the node's affine map moves the origin. */
       this.moves = new Float32Array(12 * this.nodes);
       this.centres = new Float32Array(this.means);
       this.shapes = new Float32Array(this.sigma);
       this.moved = new Float32Array(3 * this.walls.length).fill(NaN);
-      /** Where the nodes are, were a frame ago, and were when they were drawn. */
+      /** Positions of the nodes: now, one frame ago, and when they were last drawn. */
       [this.places, this.before, this.drawn] = [0, 1, 2].map(() => new Float32Array(3 * this.nodes).fill(Infinity));
       this.box = [[0, 0, 0], [0, 0, 0]];
     }
@@ -45,7 +45,7 @@ globalThis.Phy124Lattice = (() => {
       if (sum) for (let k = CARRIERS * i; k < CARRIERS * (i + 1); k++) this.weights[k] /= sum;
     }
 
-    /** A frame has come; its numbers are returned, its nodes kept. */
+    /** Read a frame: store its nodes, and return its numbers. */
     take(buffer, at) {
       const view = new DataView(buffer, at), p = this.nodes, { moves, rest } = this;
       const head = { index: view.getUint32(0, true), heard: view.getUint32(4, true), time: view.getFloat32(8, true), factor: view.getFloat32(12, true) };
@@ -54,7 +54,7 @@ globalThis.Phy124Lattice = (() => {
       const around = new Float32Array(own, 24 * (p + 1));
       this.box = [[...box.subarray(0, 3)], [...box.subarray(3)]];
       this.ground = Number.isNaN(around[0]) ? null : around[0];
-      /** How far each wall has moved; NaN: it is not there. */
+      /** Displacement of each wall; NaN if the wall is absent. */
       const walls = around.subarray(1), stands = walls.every((v, i) => Object.is(v, this.moved[i]));
       this.moved = walls;
       [this.places, this.before] = [this.before, this.places];
@@ -67,16 +67,16 @@ globalThis.Phy124Lattice = (() => {
           moves[m + 9 + c] = x - moves[f] * rest[r] - moves[f + 1] * rest[r + 1] - moves[f + 2] * rest[r + 2];
         }
       }
-      /** Farthest way of a node since the frame before, and since a picture was drawn [m]. */
+      /** Largest displacement of a node since the previous frame, and since the last picture was drawn [m]. */
       this.stirred = stands ? apart(this.places, this.before) : Infinity;
       this.strayed = stands ? apart(this.places, this.drawn) : Infinity;
       return head;
     }
 
-    /** A picture of this frame is drawn. */
+    /** Record that a picture of this frame is drawn. */
     shown() { this.drawn.set(this.places); }
 
-    /** Place and shape of the first `count` Gaussians: x = sum w (F X + b), F Sigma F^T. */
+    /** Compute positions and covariances of the first `count` Gaussians: x = sum w (F X + b), F Sigma F^T. */
     ride(count) {
       const { means, sigma, near, weights, moves, centres, shapes, stretch } = this;
       for (let i = 0; i < count; i++) {
@@ -101,14 +101,14 @@ globalThis.Phy124Lattice = (() => {
         const q0 = d * xx + e * xy + f * xz, q1 = d * xy + e * yy + f * yz, q2 = d * xz + e * yz + f * zz;
         const r0 = g * xx + h * xy + j * xz, r1 = g * xy + h * yy + j * yz, r2 = g * xz + h * yz + j * zz;
         const u = p0 * a + p1 * b + p2 * c, v = q0 * d + q1 * e + q2 * f, w = r0 * g + r1 * h + r2 * j;
-        // What is drawn out too far is shown smaller.
+        // Gaussians that are stretched too far are drawn smaller.
         const most = stretch[i] * stretch[i] * (xx + yy + zz), scale = u + v + w > most ? most / (u + v + w) : 1;
         shapes[s] = scale * u; shapes[s + 1] = scale * (p0 * d + p1 * e + p2 * f); shapes[s + 2] = scale * (p0 * g + p1 * h + p2 * j);
         shapes[s + 3] = scale * v; shapes[s + 4] = scale * (q0 * g + q1 * h + q2 * j); shapes[s + 5] = scale * w;
       }
     }
 
-    /** Middle of the nodes, their spread along x and y, and the lowest of them. */
+    /** Return the middle of the nodes, their spread along x and y, and the height of the lowest node. */
     shadow() {
       const { nodes, moves, rest } = this, sums = [0, 0, 0, 0, 0];
       let low = Infinity;

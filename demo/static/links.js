@@ -1,9 +1,9 @@
-/* Scenes in links: the editor makes them, and the page begins with the scene of its address. */
+/* Scenes in links: the editor creates links, and the page starts with the scene in its address. */
 'use strict';
 (() => {
   const through = async (bytes, stream) => new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(stream)).arrayBuffer());
 
-  /** A scene as part of an address: JSON, deflated, base64 of the kind that addresses take. */
+  /** Encode a scene as part of an address: JSON, deflated, in the variant of base64 for addresses. */
   async function asLink(data) {
     const bytes = await through(new TextEncoder().encode(JSON.stringify(data)), new CompressionStream('deflate-raw'));
     const text = btoa(String.fromCharCode(...bytes)).replace(/\+/g, '-').replace(/\//g, '_').replace(/=+$/, '');

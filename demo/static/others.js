@@ -1,5 +1,5 @@
 /* Pictures of the further objects of a scene. The scene editor lists the objects that take a picture (event
- * "phy124-objects") and receives the chosen pictures ("phy124-object"), which the scene itself holds. */
+ * "phy124-objects") and receives the chosen pictures ("phy124-object"), which are stored in the scene. */
 'use strict';
 (() => {
   const { h, listen, View } = globalThis.Phy124;
@@ -17,7 +17,7 @@
   class Others {
     constructor(element, limits, trigger) { Object.assign(this, { element, limits, trigger, slots: new Map(), options: {} }); }
 
-    /** One slot for each object that takes a picture; existing slots are kept. */
+    /** Create a slot for each object that takes a picture; keep existing slots. */
     draw(objects) {
       const slots = new Map(objects.map(({ name }) => [name, this.slots.get(name) || this.slot(name)]));
       if ([...slots.keys()].join() !== [...this.slots.keys()].join()) {
@@ -51,7 +51,7 @@
   class Slot extends View {
     path = null;
 
-    /** Show the picture that the scene has by now, after a reload or a step back, too. */
+    /** Show the picture that the scene currently has, also after a reload or an undo step. */
     match(picture) {
       if (picture === this.path) return;
       this.path = picture;

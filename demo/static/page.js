@@ -20,8 +20,8 @@
 
   const calm = () => matchMedia('(prefers-reduced-motion: reduce)').matches;
 
-  /** A picture that moves: always, or only under the pointer and in focus (`rests`). Where people ask for
-   * little motion, its first frame. */
+  /** A picture that moves: always, or only under the pointer and in focus (`rests`). If the visitor's system asks for
+   * less motion, only the first frame is shown. */
   function moving(src, attributes, rests = false) {
     const img = h('img', { alt: '', loading: calm() || rests ? 'eager' : 'lazy', ...attributes });
     if (!calm() && !rests) { img.src = src; return img; }
@@ -68,11 +68,11 @@
 
   /* ---- the state of the page, for its style: first, chosen, running, result or touch ---------- */
 
-  /** What stands in the place of a forecast that is not there. */
+  /** Text that is shown while there is no forecast. */
   const unforecast = () => state.opening || (state.picture ? 'the time is being estimated' : 'no picture yet');
-  /** `opening`: what is being done with a picture or file that was chosen, in words; empty afterwards. */
+  /** `opening`: text about the work on a picture or file that was chosen; empty when the work is done. */
   const state = { picture: false, opening: '', running: false, result: false, touching: false };
-  /** Neither the pointer nor keys reach what only shows a fact, or is covered. */
+  /** Make elements that only show information, or are covered, unreachable for the pointer and the keyboard. */
   const still = (part, on) => { for (const node of document.querySelectorAll(part)) node.inert = on; };
   function mark(changes) {
     Object.assign(state, changes);
@@ -87,10 +87,10 @@
     for (const button of document.querySelectorAll('#go, #begin-touch')) button.setAttribute('aria-disabled', !state.picture);
   }
 
-  /** Content of one panel that stands within another panel. */
+  /** Elements in one panel that contain parts of other panels. */
   const places = { pictures: h('div', { id: 'more-pictures' }), film: h('div', {}), fit: h('div', { id: 'fit-place' }) };
 
-  /** Without a picture Generate and Touch show where to choose one. */
+  /** If there is no picture, let Generate and Touch show where to choose a picture. */
   function guard(event) {
     if (state.picture || !event.target.closest?.('#go, #begin-touch')) return;
     event.stopPropagation();
@@ -104,7 +104,7 @@
   document.addEventListener('click', guard, true);
   document.addEventListener('DOMContentLoaded', () => mark({}));
 
-  /** Small panels close by Escape and by a click elsewhere. */
+  /** Close small panels by Escape and by a click elsewhere. */
   function closing(event) {
     for (const open of document.querySelectorAll('details.pop[open]')) {
       if (event.type === 'keydown' ? event.key === 'Escape' : !open.contains(event.target)) open.open = false;
@@ -117,7 +117,7 @@
   function forecast(element, props, watch, trigger) {
     const show = () => {
       const { change, html } = props.value || {};
-      if ((change ?? 0) < (globalThis.Phy124.change ?? 0)) return; // the answer to an earlier scene
+      if ((change ?? 0) < (globalThis.Phy124.change ?? 0)) return; // this is the answer to an earlier scene
       if (html) element.innerHTML = html; // made by demo/handlers/run.py, which escapes all text
       else element.replaceChildren(h('p', { class: 'none' }, unforecast()));
     };
@@ -135,12 +135,12 @@
     }, true);
     document.addEventListener('keydown', ({ key }) => { if (key === 'Escape') open = false; }, true);
     element.addEventListener('click', (event) => {
-      // While something runs it does nothing, as Generate.
+      // While a job runs, this button does nothing, like Generate.
       if (event.target.closest('[data-measure]') && !document.querySelector('#go').disabled) trigger('measure');
     });
   }
 
-  /* ---- progress: one line with the time to go ------------------------------------------------ */
+  /* ---- progress: one line with the remaining time ------------------------------------------------ */
 
   function progress(element, props, watch, trigger) {
     const panel = new ProgressPanel(element, trigger);
@@ -196,7 +196,7 @@
       if (job) this.trigger('finished', { job });
     }
 
-    /** Once something else is asked for, the last refusal no longer matters. */
+    /** Remove the last refusal, which no longer matters once another request is made. */
     settle() { if (this.element.querySelector('.progress.refused')) this.element.replaceChildren(); }
 
     say(state, message) {
@@ -210,7 +210,7 @@
 
   /* ---- the stage: ready results, the cut-out, the growing clip, the result --------------------- */
 
-  /** The stage as other panels see it. */
+  /** The functions of the stage that other panels call. */
   const live = { begin() {}, add() {}, glimpse() {}, drop() {}, played: () => 0 };
 
   async function viewer(element, props, watch) {
@@ -245,7 +245,7 @@
       this.greet();
     }
 
-    /** Without an object of the visitor, the first finished result is shown. */
+    /** Show the first finished result if the visitor has no object yet. */
     greet() { if (this.first && !this.url && !this.cut && !this.growing) this.play(this.first, false); }
 
     /** Show a finished result; when clicked, its picture and card are chosen as well. */
@@ -263,7 +263,7 @@
 
     fill(...children) { this.element.replaceChildren(...children); this.place(); }
 
-    /** The visitor's cut-out: on the stage at once, unless a ready result or an earlier one is shown. */
+    /** Show the visitor's cut-out on the stage, unless a ready or an earlier result is shown. */
     own({ url, fresh }) {
       const gone = this.cut && !url && !this.shown;
       this.cut = url;
@@ -281,14 +281,14 @@
 
     /* -- a run -- */
 
-    /** `keep`: what is shown stays until the run is over. */
+    /** `keep`: whether the displayed result stays until the run is over. */
     begin(keep) {
       this.growing = { waiting: [], drawn: false, busy: false, keep };
       document.body.classList.toggle('kept', Boolean(keep && this.url));
       if (!keep && this.cut) this.standing();
     }
 
-    /** A frame that was just computed: the first one makes a player, the others lengthen its clip. */
+    /** Add a frame that was just computed: the first frame creates a player, later frames lengthen its clip. */
     async add(url) {
       const growing = this.growing;
       if (!growing || growing.keep) return;
@@ -311,15 +311,15 @@
       this.player = await this.mount(host, bytes, stance, { growing: true });
     }
 
-    /** A small picture of the newest frame, for browsers without WebGL. */
+    /** Show a small picture of the newest frame, for browsers without WebGL. */
     glimpse(picture) {
       if (this.growing?.drawn && !this.player) this.element.querySelector('.viewer-host')?.replaceChildren(h('img', { class: 'hero', alt: 'The motion so far', src: `data:image/jpeg;base64,${picture}` }));
     }
 
-    /** Which part of the clip so far has been played, from 0 to 1. */
+    /** Return the fraction of the computed clip that has been played, from 0 to 1. */
     get played() { const { player } = this; return this.growing?.drawn && player?.length ? player.time / player.length : 0; }
 
-    /** The run failed: the previous result, or the cut-out, is shown again. */
+    /** Show the previous result or the cut-out again, because the run failed. */
     drop() {
       const { growing, last } = this;
       if (!growing) return;
@@ -459,7 +459,7 @@
       return h('p', { class: 'shared', role: 'status' }, h('a', { href: url, target: '_blank', rel: 'noopener' }, url), copy, h('span', {}, lasts));
     };
 
-    /* One button next to the player: the system's sheet where there is one, else a link and the video. */
+    /* One button next to the player: it opens the system's share menu if there is one, else a link and the video. */
     let pop = null;
     const share = () => {
       pop = h('details', { class: 'pop share' }, h('summary', { class: 'filled' }, 'Share'), h('div', { class: 'panel', role: 'group', 'aria-label': 'Share' }));
@@ -476,7 +476,7 @@
     };
 
     const show = (value) => {
-      if (value.asked && value.result && value.result !== shown.result) return; // of another result
+      if (value.asked && value.result && value.result !== shown.result) return; // the answer is about another result
       if (value.result !== shown.result) making.clear();
       else if (shown.share && !value.share) value = { ...value, share: shown.share };
       making.delete(value.asked);
@@ -485,7 +485,7 @@
       if (value.message) element.append(h('p', { class: 'message', role: 'alert' }, value.message));
       choices();
       const made = value.asked === last && value.file ? element.querySelector(`[data-name="${value.file}"]`) : null;
-      // Not opened by itself: browsers may block downloads that no click has asked for.
+      // The file is not opened automatically, because browsers may block downloads that no click requested.
       if (made) { last = null; made.classList.add('new'); made.focus(); }
     };
     watch('value', () => show(props.value || {}));

@@ -4,8 +4,8 @@
 'use strict';
 (() => {
   const { h, follow, mark, server, Questions } = globalThis.Phy124;
-  const KEPT = 'phy124-picture', LARGEST = 3e6; // a tab keeps a few MB of text
-  const SIDE = 2048; // the server looks no closer
+  const KEPT = 'phy124-picture', LARGEST = 3e6; // a browser tab can store a few MB of text
+  const SIDE = 2048; // the server uses no larger picture
   const ACCEPT = 'image/png,image/jpeg,image/webp,image/heic,image/heif,image/avif,.heic,.heif,.avif';
 
   async function picture(element, props, watch, trigger) {
@@ -50,7 +50,7 @@
 
     /** Choose the object at a click; the picture may have blank margins. */
     pick(event) {
-      event.preventDefault(); // the label would ask for another file
+      event.preventDefault(); // otherwise the label would open the file dialog
       if (this.props.value?.file) return;
       const box = this.shown.getBoundingClientRect(), { naturalWidth, naturalHeight } = this.shown;
       const scale = Math.min(box.width / naturalWidth, box.height / naturalHeight);
@@ -84,7 +84,7 @@
       dialog.showModal();
     }
 
-    /** Take an example or a file, which is kept to be sent again; `ready`: its result is on the stage already. */
+    /** Choose an example or a file, and store it to send it again; `ready`: its result is already on the stage. */
     take(chosen, ready = false) {
       Object.assign(this, { chosen, fresh: !ready, corrected: null });
       this.begin(chosen);
@@ -95,7 +95,7 @@
       else if (example) { this.choose({ example }); keep({ example }); }
     }
 
-    /** The server no longer has the picture: it is sent again, with the same corrections. */
+    /** Send the picture again, with the same corrections, because the server no longer has it. */
     restore() {
       this.following = null;
       const chosen = this.chosen || kept();
@@ -105,7 +105,7 @@
       } else if (this.props.value?.picture) this.refuse('The server no longer has your picture. Choose it again.');
     }
 
-    /** Send a file, reduced if it is large, and have it cut out. */
+    /** Send a file, reduced if it is large, and ask the server to cut it out. */
     async send(file) {
       const { limits } = this.offer, gaussians = isOfGaussians(file, limits);
       if (gaussians && file.size > limits.file_bytes) return this.refuse(limits.too_large);
@@ -128,20 +128,20 @@
       this.ask('choose', what);
     }
 
-    /** Brush strokes, or a click on another object. */
+    /** Send brush strokes, or a click on another object. */
     correct(how) {
       this.corrected = how.pick ? how : { ...this.corrected, ...how };
       this.ask('correct', how);
     }
 
     ask(event, what) {
-      // A question about this picture has no meaning once another one has been chosen.
+      // A request about this picture has no meaning once another picture has been chosen.
       if (event !== 'choose' && this.questions.holds('choose')) return;
       this.last = () => this.questions.ask(event, what);
       this.last();
     }
 
-    /** A request was answered by an error, which carries no new value. */
+    /** Handle a request that failed, for which no new value arrives. */
     fail() {
       if (!this.questions.pending || this.questions.answered()) return;
       mark({ opening: '' });
@@ -151,7 +151,7 @@
 
     retry() { this.again.hidden = true; this.last(); }
 
-    /** After a refusal no earlier picture is used: the server is asked to drop it. */
+    /** Ask the server to drop the earlier picture, which must not be used after a refusal. */
     refuse(message, again = null) {
       this.restoring = false;
       mark({ opening: '' });
@@ -161,7 +161,7 @@
       if (again) { this.last = again; this.again.hidden = false; }
     }
 
-    /** `details` are folded below the text. */
+    /** Show a text; `details` are hidden below the text until they are opened. */
     say(text, bad = false, details = '') {
       this.status.replaceChildren(text, details ? h('details', {}, h('summary', {}, 'Details'), details) : '');
       this.status.classList.toggle('bad', bad);
@@ -214,12 +214,12 @@
     }
   }
 
-  /** What the server does with a chosen picture or file. */
+  /** Return a text that says how the server processes a chosen picture or file. */
   const opening = (reads) => reads ? 'the file is being read' : 'the picture is being cut out';
 
   const isOfGaussians = (file, limits) => limits.file_endings.some((ending) => (file.name || '').toLowerCase().endsWith(ending));
 
-  /** Keep a picture in this tab over a reload, in case the server no longer has it then. */
+  /** Store a picture in this tab, in case the server no longer has it after a reload. */
   async function keep({ example, file }) {
     try {
       sessionStorage.removeItem(KEPT);
@@ -237,7 +237,7 @@
     } catch { return null; }
   }
 
-  /** Reduce a picture to the size that the server needs; a file that this browser cannot read is unchanged. */
+  /** Reduce a picture to the size that the server needs; return a file that this browser cannot read unchanged. */
   async function reduced(file, limits) {
     let bitmap;
     try { bitmap = await createImageBitmap(file, { imageOrientation: 'from-image' }); } catch { return file; }

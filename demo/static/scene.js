@@ -1,4 +1,4 @@
-/* The scene editor: preset cards, *Adjust* with the few knobs that matter, and a dialog with every setting
+/* The scene editor: preset cards, *Adjust* with the few most important controls, and a dialog with every setting
  * (form.js). Its value is the whole scene as plain data. */
 'use strict';
 (() => {
@@ -21,7 +21,7 @@
     try { return JSON.parse(sessionStorage.getItem(STORED)); } catch { return null; }
   }
 
-  /** The further objects of a scene that take a picture. */
+  /** Return the further objects of a scene that are made from pictures. */
   const pictured = (data) => ((data && data.objects) || []).filter((object) => !object.shape && !object.file);
 
   class Editor {
@@ -58,14 +58,14 @@
       try { if (given && given.material && given.time) this.load(given); } catch { this.choose(this.offer.presets[0].name); }
     }
 
-    /** A card: the first run is a draft, which the report offers to make finer. */
+    /** Choose a card: the first run has draft accuracy, and the report offers a finer run. */
     choose(name, material = null) {
       const data = clone(this.offer.presets.find((p) => p.name === name).scene);
       data.accuracy = 'draft';
       if (material) data.material = clone(this.offer.substances.find((s) => s.name === material).material);
-      // On a dark page white videos would glare.
+      // On a dark page, white videos would be too bright.
       if (document.body.classList.contains('dark')) [data.view.background] = clone(BACKGROUNDS.dark);
-      // Pictures that were sent stay with the objects in their order.
+      // The first object keeps the first picture that was sent, the second object the second, and so on.
       const sent = pictured(this.data).map((one) => one.picture);
       pictured(data).forEach((one, i) => { if (sent[i]) one.picture = sent[i]; });
       this.load(data);
@@ -73,7 +73,7 @@
 
     load(data) { this.show(data); this.tell(); }
 
-    /** Everything shows these data, also the control that has the focus, which keeps it. */
+    /** Show these data in all controls; the control that has the focus keeps the focus. */
     show(data) {
       this.data = clone(data);
       const controls = () => [...this.element.querySelectorAll('input, select, textarea, button, .pad')];
@@ -88,7 +88,7 @@
       this.timer = setTimeout(() => this.settle(), 120);
     }
 
-    /** All changes since the last message are one step of the history. */
+    /** Store all changes since the last message as one step of the history. */
     settle() {
       clearTimeout(this.timer);
       if (this.sent && JSON.stringify(this.sent) !== JSON.stringify(this.data)) { this.past.push(this.sent); this.future.splice(0); }
@@ -105,7 +105,7 @@
       this.send(this.sent);
     }
 
-    /** Back to an earlier scene, or forth again. */
+    /** Go back to an earlier scene (undo), or forward again (redo). */
     step(from, to) {
       this.settle();
       if (!from.length) return;
@@ -130,7 +130,7 @@
       try { await navigator.clipboard.writeText(link); announce('The link is copied.'); } catch { location.hash = link.split('#')[1]; announce('The link is in the address bar.'); }
     }
 
-    /** A picture of one of the further objects was chosen, or removed. */
+    /** Handle the choice or the removal of a picture of a further object. */
     picture({ name, picture }) {
       const one = pictured(this.data).find((each) => each.name === name);
       if (!one) return;
@@ -138,15 +138,15 @@
       this.turned();
     }
 
-    /** A knob changed the data: the form follows. */
+    /** Update the form after a control has changed the data. */
     turned() { this.markChips(); this.drawForm(); this.summarise(); this.tell(); }
 
-    /** Mark the card of the preset that the scene began as. */
+    /** Mark the card of the preset from which the scene was made. */
     markCards() {
       [...this.cards.querySelectorAll('input')].forEach((input, i) => { input.checked = this.offer.presets[i].scene.description === this.data.description; });
     }
 
-    /** Which material the scene has now: the card's own, or one of the chips, which stay, so that none loses the focus. */
+    /** Mark the scene's material: that of the card, or one of the chips, which are kept so that the focus is kept. */
     markChips() {
       const same = (material) => Object.entries(material).every(([name, value]) => JSON.stringify(this.data.material[name]) === JSON.stringify(value));
       const preset = this.preset, inputs = [...this.chips.querySelectorAll('input')];
@@ -157,7 +157,7 @@
       if (first && picture && first.dataset.of !== picture) { first.dataset.of = picture; first.replaceChildren(moving(`phy124/${picture}`, {}, true)); }
     }
 
-    /** The preset that the scene began as. */
+    /** Return the preset from which the scene was made. */
     get preset() { return this.offer.presets.find(({ scene }) => scene.description === this.data?.description); }
 
     drawChips() {
@@ -168,7 +168,7 @@
         ...this.offer.substances.map(({ name, title, material, picture }) => chip(name, title, picture, () => use(material))));
     }
 
-    /** The pictures of cards that are not shown are not loaded. */
+    /** Load the pictures of cards only when the cards are shown. */
     drawCards() {
       this.cards.replaceChildren(...this.offer.presets.map((preset) => h('label', { class: 'card', title: preset.text },
         h('input', { type: 'radio', name: 'preset', value: preset.name, onchange: () => this.choose(preset.name) }),
@@ -198,7 +198,7 @@
       this.summarise();
     }
 
-    /** What is set, in a few words. */
+    /** Describe the settings in a few words. */
     summarise() {
       const softness = this.knobs.querySelector('[aria-label=Softness]');
       const length = `${nice(this.data.time.frames / this.data.time.fps, 2)} s`, chip = [...this.chips.querySelectorAll('input')].findIndex((input) => input.checked);
@@ -225,7 +225,7 @@
       return this.knob(label, output, slider);
     }
 
-    /** The acceleration that the pad sets; a zero vector if the scene has none. */
+    /** Return the acceleration that the pad sets; a zero vector if the scene has none. */
     get pushed() { return this.data.forces.find((force) => force.kind === 'acceleration'); }
 
     push() {
@@ -321,7 +321,7 @@
           h('span', {}, words(name))))));
     }
 
-    /** Sections came or went in the form. */
+    /** Handle the addition or the removal of sections in the form. */
     redraw() { document.activeElement.blur(); this.markChips(); this.drawKnobs(); this.drawForm(); this.tell(); }
 
     drawForm() { this.form.draw(this.data); }

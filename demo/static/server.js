@@ -1,4 +1,4 @@
-/* The server as the page sees it: running jobs, connections that are lost for a while, and a server that
+/* The page's connection to the server: running jobs, connections that are lost for a while, and a server that
  * no longer has this visitor's files, because it was restarted or the page was disconnected for too long.
  *
  * Events of the document: "phy124-forgotten", and "phy124-failed" if a request was answered by an error. */
@@ -15,7 +15,7 @@
   const ask = globalThis.fetch.bind(globalThis);
   const tell = (name) => document.dispatchEvent(new Event(name));
 
-  /** Follow a job to its end, also over lost connections; `tell` returns false to give up. */
+  /** Request a job's progress until the job ends, even if connections are lost; `tell` returns false to give up. */
   async function follow(job, tell, end) {
     let seen = 0;
     for (;;) {
@@ -32,11 +32,11 @@
     }
   }
 
-  /** Questions of a panel to the server, one at a time; of later questions only the latest waits. */
+  /** Requests of a panel to the server, one at a time; of later requests only the latest waits. */
   class Questions {
     constructor(trigger) { Object.assign(this, { trigger, pending: null, next: null }); }
 
-    /** Whether an event has been sent or waits, and is not answered yet. */
+    /** Return whether an event waits or has been sent without an answer yet. */
     holds(event) { return this.pending === event || this.next?.[0] === event; }
 
     ask(event, what) {
@@ -45,7 +45,7 @@
       this.trigger(event, what);
     }
 
-    /** The server has answered; returns whether the answer is outdated by a question that waited. */
+    /** Handle an answer of the server; return whether a waiting request makes the answer outdated. */
     answered() {
       const { next } = this;
       Object.assign(this, { pending: null, next: null });

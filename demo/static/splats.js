@@ -1,5 +1,5 @@
-/* Draws Gaussians that move in every frame: their covariances go to the shader as they are, so that
- * no axes need be found, and quads are not instanced, which software WebGL draws one by one.
+/* Draws Gaussians that move in every frame. The shader receives their covariances, so that
+ * no axes must be computed. Quads are not instanced, because software WebGL would draw instances one by one.
  *
  *   const splats = new Phy124Splats(canvas, lattice); splats.look(pose); splats.draw(count);
  */
@@ -113,7 +113,7 @@ globalThis.Phy124Splats = (() => {
       gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     }
 
-    /** From where it is seen: azimuth, elevation [degrees], radius, target. */
+    /** Set the camera: azimuth, elevation [degrees], radius, target. */
     look({ azimuth, elevation, radius, target }, fov = 40) {
       const a = azimuth * Math.PI / 180, e = elevation * Math.PI / 180;
       const away = [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)];
@@ -125,16 +125,16 @@ globalThis.Phy124Splats = (() => {
       this.fov = fov;
     }
 
-    /** Focal length in pixels: a field of view of the smaller side of the picture. */
+    /** Return the focal length in pixels; the field of view refers to the smaller side of the picture. */
     get focal() { return Math.min(this.canvas.width, this.canvas.height) / 2 / Math.tan(this.fov * Math.PI / 360); }
 
-    /** A place in the world as right, up and ahead of the eye. */
+    /** Convert a position in the world to coordinates right of, above and ahead of the eye. */
     seen(x, y, z) {
       const [dx, dy, dz] = [x - this.eye[0], y - this.eye[1], z - this.eye[2]];
       return [this.right, this.up, this.ahead].map((axis) => dx * axis[0] + dy * axis[1] + dz * axis[2]);
     }
 
-    /** The first `count` Gaussians from back to front, grown so that they cover what all of them do. */
+    /** Sort the first `count` Gaussians from back to front, and write them into the texture's data. */
     fill(count) {
       const { lattice, keys, ahead, eye, floats, data, colours } = this, { centres, shapes } = lattice;
       let low = Infinity, high = -Infinity;
@@ -156,7 +156,7 @@ globalThis.Phy124Splats = (() => {
       }
     }
 
-    /** How much larger covariances are drawn when there are only so many Gaussians. */
+    /** Return the factor by which covariances are enlarged if only some of the Gaussians are drawn. */
     grown(count) { return (this.n / count) ** GROWN; }
 
     draw(count) {

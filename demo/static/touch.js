@@ -1,9 +1,9 @@
 /* Touch: a live run that the visitor pushes, over a socket (demo/touch).
  *
- * Press on the object and drag: it is held there. Next to it, dragging turns the view. Each frame is
- * acknowledged once it is drawn, so a slow browser skips frames; and while something moves it draws as
- * many pixels, and as many of the Gaussians, enlarged, as it can in time. What rests is drawn once, with
- * all of them, and then no more.
+ * Pressing on the object and dragging pulls it. Dragging next to the object turns the view. Each frame is
+ * acknowledged once it is drawn, so a slow browser skips frames. While something moves, the browser draws as
+ * many pixels and as many Gaussians (enlarged) as it can in time. An object at rest is drawn once, with
+ * all Gaussians, and is not drawn again until it moves.
  */
 'use strict';
 (() => {
@@ -39,7 +39,7 @@
       this.socket.onclose = () => this.ended('The connection to the live run was lost.');
     }
 
-    /* ---- what is seen ---------------------------------------------------------------------- */
+    /* ---- the picture ----------------------------------------------------------------------- */
 
     build() {
       const button = (label, act) => h('button', { type: 'button', class: 'quiet', onclick: act }, label);
@@ -82,14 +82,14 @@
       this.splats.look(this.pose);
     }
 
-    /** The browser took the graphics away, and gives them back empty. */
+    /** Handle the loss of the WebGL context, which the browser restores without its content. */
     restore() {
       this.prepare();
       this.drawing = null;
       this.again();
     }
 
-    /** What the socket brings: text is for people, of bytes the first is a letter. */
+    /** Handle a message of the socket: text is shown to the visitor; in bytes, the first is a letter for the kind. */
     take(data) {
       if (typeof data === 'string') return this.told(JSON.parse(data));
       this.bytes += data.byteLength;
@@ -104,7 +104,7 @@
       if (kind === 'ended') return this.ended(text);
       this.status.textContent = text;
       announce(text);
-      // The server keeps what was done while the run lasts, and ends it when it has taken that over.
+      // The server stores the session while the run lasts, and ends the run when the session is saved.
       if (kind === 'saved') { this.saved = true; this.trigger('save'); }
     }
 
@@ -135,21 +135,21 @@
 
     tellRate() {
       const rate = this.head.factor < 0.95 ? `${this.head.factor.toFixed(1)}× real time` : '';
-      // The same text again would have the page laid out anew.
+      // Setting the same text again would make the browser lay out the page again.
       if (rate !== this.rate.textContent) this.rate.textContent = rate;
     }
 
-    /** Half a pixel of the screen, where the object is [m]. */
+    /** Return the size of half a pixel of the screen at the distance of the object [m]. */
     get pixel() { return 0.5 * this.pose.radius / this.splats.focal * this.canvas.width / this.canvas.clientWidth; }
 
-    /** Whether nothing has moved for a while that can be seen to move. */
+    /** Return whether no visible motion has occurred for a while. */
     rests() {
       const still = this.head && !this.held && !this.turned && this.lattice.stirred < 0.2 * this.pixel;
       this.calm = still ? this.calm + 1 : 0;
       return this.calm > CALM;
     }
 
-    /** Wait until the picture is there, then ask for the next one. */
+    /** Wait until the picture is drawn, then request the next frame. */
     drawn(fence, begun) {
       const { gl } = this.splats, now = performance.now();
       if (this.gone || gl.isContextLost()) return;
@@ -162,7 +162,7 @@
       if (this.frame) this.drawing = requestAnimationFrame(() => this.show());
     }
 
-    /** The newest of the frames that have come is seen; others may have been left out. */
+    /** Acknowledge the newest frame, which is now drawn; earlier frames may have been skipped. */
     acknowledge(now) {
       if (!this.news) return;
       this.frames++;
@@ -190,11 +190,11 @@
 
     again() { this.turned = true; if (!this.drawing) this.drawing = requestAnimationFrame(() => this.show()); }
 
-    /* ---- what is said ---------------------------------------------------------------------- */
+    /* ---- messages ---------------------------------------------------------------------- */
 
     send(message) { if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message)); }
 
-    /** `at`: when the hand did it [ms], which may be before the page heard of it. */
+    /** Send a message; `at` is the time of the hand's action [ms], which may precede the event in the page. */
     say(message, at = performance.now()) {
       if (!this.splats) return;
       this.saved = false;
@@ -214,13 +214,13 @@
 
     /* ---- the hand -------------------------------------------------------------------------- */
 
-    /** Position of a pointer in pixels of the picture, from its middle, up. */
+    /** Return a pointer's position relative to the middle of the picture, in pixels, with the y axis up. */
     pointed(event) {
       const box = this.canvas.getBoundingClientRect(), scale = this.canvas.width / box.width;
       return [(event.clientX - box.left - box.width / 2) * scale, (box.height / 2 - event.clientY + box.top) * scale];
     }
 
-    /** The place of the foremost Gaussian that covers a pointer, else of one near to it; null beside the object. */
+    /** Return the position of the foremost Gaussian at or near a pointer; null if the pointer is not on the object. */
     under([px, py]) {
       const { splats, lattice, count } = this, { focal } = splats, reach = NEAR * this.canvas.width / this.canvas.clientWidth;
       const { shapes } = lattice, grown = splats.grown(count);
@@ -232,14 +232,14 @@
         const off = Math.hypot(focal * r / a - px, focal * u / a - py);
         const wide = focal / a * Math.sqrt(grown * (shapes[6 * i] + shapes[6 * i + 3] + shapes[6 * i + 5]) / 3);
         if (off < wide && a < first) { first = a; hit = [x, y, z]; }
-        // Nearer to the eye counts, and nearer to the pointer.
+        // Both the distance from the eye and the distance from the pointer count.
         const cost = a / lattice.size + (off / reach) ** 2;
         if (off < reach && cost < least) { least = cost; best = [x, y, z]; }
       }
       return hit ?? best;
     }
 
-    /** The place under a pointer at a distance ahead of the eye. */
+    /** Return the position under a pointer at a given distance ahead of the eye. */
     ahead([px, py], far) {
       const { eye, right, up, ahead, focal } = this.splats;
       return eye.map((e, c) => e + far * (ahead[c] + (px * right[c] + py * up[c]) / focal));
@@ -260,12 +260,12 @@
 
     listen() {
       const on = (name, act) => this.canvas.addEventListener(name, act);
-      // Without this the browser would not give them back.
+      // Without this call, the browser would not restore the WebGL context.
       on('webglcontextlost', (event) => event.preventDefault());
       on('webglcontextrestored', () => this.restore());
       on('pointerdown', (event) => this.press(event));
       on('pointermove', (event) => this.drag(event));
-      // Browsers hold the others back until they draw.
+      // Browsers delay the other pointer events until they draw.
       on('pointerrawupdate', (event) => { if (this.held?.id === event.pointerId && event.timeStamp > (this.led ?? 0) + OFTEN) this.drag(event); });
       for (const end of ['pointerup', 'pointercancel']) on(end, (event) => this.lift(event));
       on('wheel', (event) => { event.preventDefault(); this.zoom(Math.exp(event.deltaY * 0.001)); });
@@ -293,7 +293,7 @@
       this.turn((last[0] - event.clientX) * 0.4, (event.clientY - last[1]) * 0.4);
     }
 
-    /** Draw what is held to a pointer, once for each place it has been at. */
+    /** Send the target of the held object for each position of a pointer. */
     lead(event) {
       if (event.timeStamp === this.led) return;
       this.held.place = this.ahead(this.pointed(event), this.held.far);
@@ -338,7 +338,7 @@
       }
     }
 
-    /** The highest of the Gaussians that are drawn. */
+    /** Return the highest of the Gaussians that are drawn. */
     top() {
       const { centres } = this.lattice;
       let best = 0;

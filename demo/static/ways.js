@@ -5,7 +5,7 @@
   const { h } = globalThis.Phy124;
   const STORED = 'phy124-way';
 
-  /** The orientation chosen for a file before the page was reloaded, if the file still has these pictures. */
+  /** Return the orientation chosen for a file before a reload, if the file still has the same pictures. */
   function kept(pictures) {
     try {
       const { of, chosen } = JSON.parse(sessionStorage.getItem(STORED));
@@ -13,7 +13,7 @@
     } catch { return {}; }
   }
 
-  /** A file's pictures are in a folder of their own. */
+  /** Return the folder of a file's pictures; each file has its own folder. */
   function nameOf(pictures) { return Object.values(pictures)[0].path; }
 
   class Ways {
