@@ -42,11 +42,19 @@ def picture(tmp_path):
 @pytest.mark.parametrize(
     ("chosen", "options", "message"),
     [
-        ("relief", STEPS, "steps = 7: relief has no such option. It has none"),
-        ("a.ply", STEPS, "steps = 7: A file of Gaussians has no such option"),
-        ("cmd: x {image} {out}", STEPS, "steps = 7: A command has no such option"),
-        (Slow(), STEPS, "steps = 7: Slow has no such option"),
-        ("dreamgaussian", GeneratorOptions(sampler="ddim"), "no such option. It has steps."),
+        (
+            "relief",
+            STEPS,
+            "steps = 7: relief does not have this option. This generator has no options",
+        ),
+        ("a.ply", STEPS, "steps = 7: A file of Gaussians does not have this option"),
+        ("cmd: x {image} {out}", STEPS, "steps = 7: A command does not have this option"),
+        (Slow(), STEPS, "steps = 7: Slow does not have this option"),
+        (
+            "dreamgaussian",
+            GeneratorOptions(sampler="ddim"),
+            "does not have this option. It has steps.",
+        ),
     ],
 )
 def test_an_option_that_a_generator_does_not_have_is_refused(chosen, options, message):
@@ -66,7 +74,7 @@ def test_a_factory_gets_the_options_and_the_device_that_it_names(monkeypatch):
 
 def test_the_command_line_refuses_what_cannot_be(picture, capsys):
     assert main(["generate", str(picture), "--steps", "5"]) == 2
-    assert "relief has no such option" in capsys.readouterr().err
+    assert "relief does not have this option" in capsys.readouterr().err
     assert main(["generate", str(picture), "--generator", "lgm", "--steps", "0"]) == 2
     assert "steps" in capsys.readouterr().err
 
@@ -184,7 +192,7 @@ def test_the_processor_says_whether_it_multiplies_bfloat16(monkeypatch):
     assert precision.dtype_of(None, "cuda:0", 10) == torch.float16
     assert precision.dtype_of("float32", "cuda:0", 10) == torch.float32
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.warns(UserWarning, match="cannot use cuda:0: the generator runs on the CPU"):
+    with pytest.warns(UserWarning, match="cannot use cuda:0, so the generator runs on the CPU"):
         assert precision.torch_device("cuda:0") == "cpu"
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)

@@ -51,7 +51,7 @@ def test_the_picture_goes_in_and_gaussians_come_out(tmp_path, copies):
     [
         ("sys.exit('no CUDA here')", r"exit status 1: no CUDA here"),
         ("sys.exit(3)", r"exit status 3 and printed nothing\. Run it"),
-        ("pass", "wrote no file"),
+        ("pass", "did not write a file"),
         ("open(out, 'w').write('ply of nothing')", "not a PLY"),
     ],
 )
@@ -111,9 +111,9 @@ def test_a_cancelled_run_ends_it_at_once(tmp_path):
         ("cmd: nothing-of-that-name {image} {out}", "cannot be started"),
         ("cmd: copy {image}", r"does not contain \{out\}"),
         ("cmd: copy {out}", r"does not contain \{image\}"),
-        ("cmd: 'copy {image} {out}", "cannot be read"),
-        ("cmd 0: copy {image} {out}", "not a command"),
-        ("cmd x: copy {image} {out}", "not a command"),
+        ("cmd: 'copy {image} {out}", "cannot be parsed"),
+        ("cmd 0: copy {image} {out}", "not a valid command"),
+        ("cmd x: copy {image} {out}", "not a valid command"),
     ],
 )
 def test_commands_that_are_none_are_refused(text, limit):

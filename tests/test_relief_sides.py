@@ -134,7 +134,7 @@ def test_highlights_are_removed_and_white_paint_is_not():
     [
         (
             {"side": picture(ellipse(60) & (abs(Y - 80) > 20))},
-            "side.*only one of front and side.*upright",
+            "side.*only one of the front and side.*upright",
         ),
         ({"side": picture(ellipse(70, 5))}, "side.*14 times as deep.*whole object"),
         ({"side": picture(ellipse(60)), "thickness": 0.5}, "thickness = 0.5.*from the side"),

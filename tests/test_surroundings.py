@@ -47,8 +47,8 @@ def test_object_without_surroundings_has_no_note(stretched, rng):
 @pytest.mark.parametrize(
     ("around", "words"),
     [
-        (sky, "lie around all others like a sky"),
-        (wide_sky, "lie around all others like a sky"),
+        (sky, "surround all others like a sky"),
+        (wide_sky, "surround all others like a sky"),
         (haze, "of the visible area lies"),
     ],
 )

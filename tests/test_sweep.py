@@ -109,8 +109,8 @@ def test_samples_fill_all_axes_evenly_and_follow_the_seed(balls):
     [
         ({"set": {"a": {"uniform": [2, 1]}}}, r"set\.a = .*2 is above 1"),
         ({"set": {"material.nu": {"uniform": [0, 0.4]}}}, "Set samples"),
-        ({"set": {"a": []}}, "it has no values"),
-        ({"set": {"a": {"numbers": [1]}}}, "it has no values. Give one of choice"),
+        ({"set": {"a": []}}, "the axis has no values"),
+        ({"set": {"a": {"numbers": [1]}}}, "the axis has no values. Give one of choice"),
         ({"set": {"a": {"first": 1, "last": 2}}}, r"set\.a\.count = nothing"),
         ({"set": {"a": {"first": 0, "last": 2, "count": 2, "spacing": "log"}}}, "numbers above 0"),
         ({"set": {"a": {"choice": [1, 2], "weights": [1]}}}, "2 values have 1 weights"),
@@ -123,7 +123,7 @@ def test_samples_fill_all_axes_evenly_and_follow_the_seed(balls):
         ({"scene": "dropp"}, "Did you mean drop"),
         (
             {"set": {f"a{i}": {"first": 0, "last": 1, "count": 1000} for i in range(4)}},
-            "but the limit is",
+            "but at most",
         ),
     ],
 )

@@ -1,12 +1,13 @@
 """Lists and creates generators, which turn an image into static Gaussians.
 
 A generator is any callable `(image_rgba, *, seed, progress) -> Gaussians`. `image_rgba` is a PIL
-image or a uint8 array [H,W,4] in which all but the object is transparent; `seed` is an integer;
-`progress` is described in `phy124.progress`. The Gaussians are in the world's axes (z up, the
-object faces +x), centred on the origin, with a longest side of 1 m. A slow generator also has a
-method `effort` (`phy124.generators.options`), which predicts its run time. Generators with a
-trained network are packages in `phy124/generators/neural`. Other packages register generators with
-an entry point in the group `phy124.generators`. A generator may also be passed in place of a name.
+image or a uint8 array [H,W,4] in which everything except the object is transparent. `seed` is an
+integer, and `progress` is a callback as described in `phy124.progress`. The Gaussians are in the
+world's axes (z up, the object faces +x), centred on the origin, with a longest side of 1 m. A slow
+generator also has a method `effort`, which predicts its run time (see `phy124.generators.options`).
+Each generator with a trained network is a package in `phy124/generators/neural`. Other packages
+register generators with an entry point in the group `phy124.generators`. Callers may also pass a
+generator itself instead of its name.
 """
 
 from __future__ import annotations
@@ -35,12 +36,15 @@ if TYPE_CHECKING:
 
 
 class Generator(Protocol):
-    """Makes Gaussians from an image."""
+    """A generator, which makes Gaussians from an image."""
 
     def __call__(
         self, image_rgba: Image.Image | NDArray[np.uint8], *, seed: int, progress: Progress
     ) -> Gaussians:
-        """Make Gaussians of the image's opaque part; equal seeds give equal Gaussians."""
+        """Make Gaussians of the opaque part of the image.
+
+        The same seed always gives the same Gaussians.
+        """
         ...
 
 
@@ -51,7 +55,7 @@ def _relief() -> Generator:
 
 
 def find_neural_packages() -> list[ModuleType]:
-    """Import the packages in `neural` that declare generators; this does not import torch."""
+    """Import the packages in `neural` that declare generators; torch is not imported."""
     folder = import_module("phy124.generators.neural")
     names = [module.name for module in iter_modules(folder.__path__) if module.ispkg]
     packages = [import_module(f"{folder.__name__}.{name}") for name in names]
@@ -65,15 +69,18 @@ GENERATORS: dict[str, Callable[..., Generator]] = {
 }
 """Factories of generators by name; a factory imports its generator only when it is called.
 
-The keywords of a factory are the fields of `GeneratorOptions` that its generator supports, and
-`device` if its generator has a choice of devices.
+The keywords of a factory are the fields of `GeneratorOptions` that its generator supports. If the
+user can choose the device on which the generator runs, `device` is also a keyword.
 """
 WEIGHTS = {name: package.WEIGHTS for package in NEURAL for name in package.GENERATORS}
 """Names of the trained weights that each generator loads (keys of `weights.store.KNOWN`)."""
 
 
 def is_present(name: str) -> bool:
-    """Whether the weights and packages of a generator's network are present; False if unknown."""
+    """Whether the weights and packages that a generator's network needs are present.
+
+    False if the generator is unknown.
+    """
     package = next((package for package in NEURAL if name in package.GENERATORS), None)
     return bool(getattr(package, "is_present", lambda: False)())
 
@@ -92,14 +99,16 @@ def make(
     """Create a generator from a name, a file of Gaussians, or a command (`cmd: ...`).
 
     Args:
-        chosen: Name in `GENERATORS`, path of a file, command, or a generator.
-        reading: Options for reading a file of Gaussians; None: the conventions of its format.
+        chosen: Name of a generator in `GENERATORS`, path of a file, command, or a generator itself.
+        reading: Options for reading a file of Gaussians; if None, the conventions of the file's
+            format apply.
         options: Options of the generator.
-        device: Device of its network; None: a GPU if there is one.
+        device: Device on which the generator's network runs; if None, a GPU is used if there is
+            one.
 
     Raises:
-        InputError: If no generator has that name, a package is not installed, `reading` is set but
-            no file is read, or the generator lacks an option.
+        InputError: If no generator has that name, a package is not installed, `reading` is set
+            although no file is read, or the generator does not support an option.
     """
     if not isinstance(chosen, str) or is_command(chosen) or not needs_image(chosen):
         options.select(lambda: None, _describe(chosen))
@@ -122,7 +131,7 @@ def make(
 
 
 def _factory(name: str) -> Callable[..., Generator]:
-    """Return the factory of a generator by its name.
+    """Return the factory that creates the generator with a given name.
 
     Raises:
         InputError: If no generator has that name.
@@ -139,7 +148,7 @@ def _factory(name: str) -> Callable[..., Generator]:
 
 
 def _make_unnamed(chosen: str | Generator, reading: Reading | None) -> Generator:
-    """Create the generator of a file or command; return `chosen` if it is a generator."""
+    """Create the generator for a file or a command; if `chosen` is a generator, return it."""
     if not needs_image(chosen):
         from phy124.generators.ply_file import PlyFile
 
@@ -154,7 +163,7 @@ def _make_unnamed(chosen: str | Generator, reading: Reading | None) -> Generator
 
 
 def _describe(chosen: str | Generator) -> str:
-    """Describe, for messages, a generator that has no name."""
+    """Return a description of a generator without a name, for use in messages."""
     if isinstance(chosen, str):
         return "A command" if is_command(chosen) else "A file of Gaussians"
     return type(chosen).__name__
@@ -166,7 +175,7 @@ def is_command(chosen: str | Generator) -> bool:
 
 
 def needs_image(chosen: str | Generator) -> bool:
-    """Whether a generator uses the image; the generator that reads a file does not."""
+    """Whether a generator uses the image; a generator that reads a file does not use it."""
     from phy124.io.formats import is_file_of_gaussians
 
     return not isinstance(chosen, str) or is_command(chosen) or not is_file_of_gaussians(chosen)

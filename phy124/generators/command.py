@@ -1,11 +1,12 @@
-"""Runs an external generator as a command, which reads an image and writes a .ply file.
+"""Runs an external program as a generator; the program reads an image and writes a .ply file.
 
     phy124 generate cat.jpg --generator "cmd: triposplat {image} {out}" --dialect triposplat
 
-The command gets a PNG with transparency and writes Gaussians or a mesh ({out}.glb sets a mesh's
-format); it may use a separate environment. The command runs without a shell, for up to half an hour
-(with `cmd 120: ...`, two minutes). If its time runs out or the run is cancelled, the command and
-all processes that it started are killed.
+The command gets a PNG file with transparency, and writes Gaussians or a mesh. To write a mesh, add
+its extension to the output name (for example {out}.glb). The command may use a Python environment
+of its own. The command is run without a shell, and may take up to half an hour. A prefix such as
+`cmd 120: ...` sets another limit, here two minutes. If the time limit is exceeded or the run is
+cancelled, the command and all processes that it started are killed.
 """
 
 from __future__ import annotations
@@ -38,18 +39,23 @@ FORM = re.compile(r"cmd(?:\s+(?P<seconds>[0-9.]+))?\s*:\s*(?P<words>.*)", re.DOT
 LONGEST = 1800.0
 """Default time limit of a command [s]."""
 BEAT = 0.2
-"""Interval between two checks whether the command has ended or the run is cancelled [s]."""
+"""Time between two checks whether the command has ended or the run has been cancelled [s]."""
 LONGEST_MESSAGE = 300
-"""Number of characters that the error message shows from the end of a failed command's output."""
-USAGE = 'Write "cmd: PROGRAM {image} {out}"; {seed} is a number, `cmd 120:` a limit in seconds.'
+"""Length of the excerpt in the error message if a command fails: the last characters of its
+output."""
+USAGE = (
+    'Write "cmd: PROGRAM {image} {out}"; {seed} is replaced by the seed, and `cmd 120:` sets a '
+    "time limit of 120 seconds."
+)
 
 
 @dataclass(frozen=True)
 class Command:
-    """A generator that runs an external command."""
+    """A generator that runs an external program."""
 
     text: str
-    """`cmd: PROGRAM ... {image} ... {out}`, or `cmd SECONDS: ...`."""
+    """The command as the user writes it: `cmd: PROGRAM ... {image} ... {out}`, or `cmd SECONDS:
+    ...`."""
     reading: Reading = field(default_factory=Reading)
     """Options for reading the file that the command writes."""
 
@@ -66,10 +72,10 @@ class Command:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Run the command and read its Gaussians, scaled to a longest side of 1 m.
+        """Run the command, read the Gaussians that it writes, and scale their longest side to 1 m.
 
         Raises:
-            InputError: If the command cannot be started, fails, takes too long, or writes no
+            InputError: If the command cannot be started, fails, takes too long, or does not write a
                 usable file.
         """
         words, seconds = self._parse()
@@ -81,11 +87,12 @@ class Command:
             picture.convert("RGBA").save(picture_file)
             names = {"{image}": str(picture_file), "{out}": str(output_file), "{seed}": str(seed)}
             self._run([_fill(word, names) for word in words], seconds, Path(folder), progress)
-            # Programs that choose a mesh's format by its extension write to {out}.glb or the like.
+            # Programs that choose the format of a mesh by the file's extension write to a name such
+            # as {out}.glb.
             written = sorted(Path(folder).glob(f"{output_file.name}*"))
             if not written:
                 raise self._failure(
-                    "It finished without an error, but wrote no file to {out}.", USAGE
+                    "It finished without an error, but did not write a file to {out}.", USAGE
                 )
             return PlyFile(str(written[0]), self.reading)(progress=progress)
 
@@ -96,9 +103,9 @@ class Command:
             words = shlex.split(match["words"]) if match else []
             seconds = float(match["seconds"] or LONGEST) if match else 0.0
         except ValueError as error:
-            raise self._failure(f"It cannot be read ({error}).", USAGE) from None
+            raise self._failure(f"The command cannot be parsed ({error}).", USAGE) from None
         if not words or not seconds > 0:
-            raise self._failure("It is not a command.", USAGE)
+            raise self._failure("It is not a valid command.", USAGE)
         return words, seconds
 
     def _run(self, words: list[str], seconds: float, folder: Path, progress: Progress) -> None:
@@ -109,7 +116,7 @@ class Command:
             except OSError as error:
                 limit = f"It cannot be started ({error.strerror})."
                 raise self._failure(
-                    limit, "Check that the program is installed, and its path."
+                    limit, "Check that the program is installed, and that its path is correct."
                 ) from None
             with _killed_at_last(process):
                 while process.poll() is None:

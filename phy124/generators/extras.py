@@ -1,4 +1,4 @@
-"""Optional inputs in addition to the front image: a depth map, and images from other sides."""
+"""Optional inputs in addition to the front image: a depth map, and images of other sides."""
 
 from __future__ import annotations
 
@@ -24,23 +24,24 @@ from phy124.schema.section import Section
 from phy124.weights.store import require
 
 ASPECT = 0.02
-"""Largest relative difference between the aspect ratios of the depth map and the image."""
+"""Largest relative difference allowed between the aspect ratio of the depth map and that of the
+image."""
 
 
 class DepthMap(Section):
-    """Options for the depth of the front."""
+    """Options that determine the depth of the object's front."""
 
     depth: str = Field(
         default="auto",
-        description="Depth of the picture, which shapes relief's front: auto (moge2 or "
-        "depth-anything, if its weights are present), moge2, depth-anything, off, or a depth map: "
-        "a grey PNG of 8 or 16 bits, or a .npy file.",
+        description="Depth of the picture, from which relief shapes the object's front. Use auto "
+        "(moge2 or depth-anything, if its weights are present), moge2, depth-anything or off; or "
+        "give a depth map, which is a grey PNG of 8 or 16 bits, or a .npy file.",
     )
     near: Literal["white", "black"] = Field(
         default="white",
-        description="Brightness of near surfaces in the depth map: white "
-        "(large values, as MiDaS and Depth Anything write them) or black (small values, as in "
-        "depths in metres).",
+        description="Brightness of near surfaces in the depth map: white if they have large "
+        "values, as MiDaS and Depth Anything write them, or black if they have small values, as "
+        "in depths in metres.",
     )
 
     @field_validator("depth", mode="before")
@@ -50,14 +51,16 @@ class DepthMap(Section):
 
     @property
     def path(self) -> Path | None:
-        """The file of the depth map; None if the depth is estimated or off."""
+        """Path of the depth map; None if the depth is estimated by a network, or not used."""
         return None if self.depth in ("auto", "off", *NETWORKS) else Path(self.depth)
 
     def bind(self, generator: Any, name: str) -> Any:
-        """Bind the depth map to a generator; without a map, bind the network that estimates one.
+        """Bind the depth map to a generator.
+
+        If there is no map, bind the network that estimates the depth.
 
         Raises:
-            InputError: If the generator cannot use a depth map, or the file is unusable.
+            InputError: If the generator cannot use a depth map, or the file of the map is unusable.
         """
         usable = "depth" in signature(generator).parameters
         if self.depth == "off":
@@ -67,7 +70,7 @@ class DepthMap(Section):
             return generator if network is None else partial(generator, depth=network)
         if not usable:
             limit = f"{name} does not use a depth map."
-            raise InputError("depth", self.depth, limit, "Leave this option out, or choose relief.")
+            raise InputError("depth", self.depth, limit, "Remove this option, or choose relief.")
         if self.path is None:
             require(self.depth)
             return partial(generator, depth=DepthNetwork(self.depth))
@@ -76,20 +79,22 @@ class DepthMap(Section):
 
 
 def read_depth(path: Path) -> NDArray[np.float32]:
-    """Read the values [H,W] of a depth map.
+    """Read the values [H,W] of a depth map from its file.
 
     Raises:
-        InputError: If the file is missing, damaged, not a single image, or has values that are not
-            finite.
+        InputError: If the file is missing or damaged, is not a single image, or contains values
+            that are not finite.
     """
     values = _array(path) if path.suffix.lower() == ".npy" else open_levels(path, field="depth")
     if values.ndim != 2 or min(values.shape) < 2 or values.dtype.kind not in "fiu":
-        limit = f"It contains {values.dtype} values of shape {values.shape}."
-        raise InputError("depth", path, limit, "Save one number per pixel, [height, width].")
+        limit = f"It contains values of type {values.dtype} in an array of shape {values.shape}."
+        raise InputError(
+            "depth", path, limit, "Save one number per pixel, as an array [height, width]."
+        )
     if not np.isfinite(values).all():
         limit = "Some of its values are not finite."
         raise InputError(
-            "depth", path, limit, "Replace values that are not finite by the farthest depth."
+            "depth", path, limit, "Replace values that are not finite by the largest depth."
         )
     return values.astype(np.float32)
 
@@ -98,12 +103,12 @@ def fit_to_picture(depth: NDArray, width: int, height: int) -> NDArray[np.float3
     """Resize a depth map to the size of the image [H,W].
 
     Raises:
-        InputError: If the aspect ratios differ.
+        InputError: If the aspect ratio of the map differs from that of the image.
     """
     rows, columns = depth.shape
     if abs(columns * height / (rows * width) - 1) > ASPECT:
-        limit = f"It has {columns} x {rows} pixels, the picture {width} x {height}."
-        raise InputError("depth", "map", limit, "Give the depth map of the whole picture.")
+        limit = f"It has {columns} x {rows} pixels, but the picture has {width} x {height}."
+        raise InputError("depth", "map", limit, "Give a depth map that covers the whole picture.")
     small = Image.fromarray(np.ascontiguousarray(depth, np.float32))
     return np.asarray(small.resize((width, height), Image.Resampling.BILINEAR))
 
@@ -122,58 +127,61 @@ def _array(path: Path) -> NDArray:
 
 
 class OtherViews(Section):
-    """Options for images from other sides, and for the back's look, thickness and highlights."""
+    """Options for images of other sides, and for the look of the back, thickness and highlights."""
 
     side: Path | None = Field(
         default=None,
-        description="Picture of the same object from one side, taken at the object's height; "
-        "it determines the depth that relief gives the object at each height.",
+        description="Picture of the same object, seen from one side at the object's height. From "
+        "this picture, relief determines how deep the object is at each height.",
     )
     facing: Literal["left", "right"] = Field(
         default="left",
-        description="Direction of the object's front in the picture from the side: left (as in "
-        "view `right`) or right.",
+        description="Direction in which the object's front points in the picture from the side: "
+        "left (as in view `right`) or right.",
     )
     back: Path | None = Field(
         default=None,
-        description="Picture of the same object from straight behind, "
-        "which relief uses for the back.",
+        description="Picture of the same object, taken from straight behind. It shows relief the "
+        "object's back.",
     )
     back_look: Literal["auto", "mirror", "plain"] = Field(
         default="auto",
-        description="How relief makes the back without a picture of it: mirror (the mirrored "
-        "front, for an object seen from its side), plain (the front's materials without its "
-        "features) or auto (plain if the outline is symmetric).",
+        description="How relief colours the back if there is no picture of it: mirror (the "
+        "mirrored front, for an object seen from its side), plain (the materials of the front "
+        "without its features) or auto (plain if the outline is symmetric, otherwise mirror).",
     )
     thickness: float | None = Field(
         default=None,
         ge=0.05,
         le=4.0,
-        description="Factor on the depth that relief guesses, such as 0.6 for a flat fish.",
+        description=(
+            "Factor by which the depth that relief guesses is multiplied, such as 0.6 for a flat "
+            "fish."
+        ),
     )
 
     highlights: Literal["keep", "remove"] = Field(
         default="keep",
-        description="Highlights of the pictures: keep (relief paints them on the object, and they "
-        "move with it) or remove.",
+        description="How to treat highlights in the pictures: keep (relief paints them on the "
+        "object, and they move with it) or remove.",
     )
 
     @property
     def pictures(self) -> dict[str, Path]:
-        """Paths of the images, by the name of their option."""
+        """Paths of the images; each key is the name of the option that sets the image."""
         files = {"side": self.side, "back": self.back}
         return {name: path for name, path in files.items() if path is not None}
 
     def bind(self, generator: Any, name: str, cut: Callable[[str, Path], Cutout]) -> Any:
-        """Bind these inputs to a generator.
+        """Bind the images and options to a generator.
 
         Args:
-            generator: The generator.
-            name: Name of the generator.
-            cut: Function that opens the image of an option and segments the object.
+            generator: The generator that gets the inputs.
+            name: Name of the generator, for messages.
+            cut: Function that opens the image of an option and removes the image's background.
 
         Raises:
-            InputError: If the generator cannot use an input, or an image is unusable.
+            InputError: If the generator does not support an input, or an image is unusable.
         """
         known = signature(generator).parameters
         options: dict[str, Any] = dict(self.pictures)
@@ -186,7 +194,7 @@ class OtherViews(Section):
         for field, value in options.items():
             if field not in known:
                 limit = f"{name} does not use it."
-                raise InputError(field, value, limit, "Leave this option out, or choose relief.")
+                raise InputError(field, value, limit, "Remove this option, or choose relief.")
         cuts = {field: cut(field, path).picture for field, path in self.pictures.items()}
         facing = {"facing": self.facing} if self.side else {}
         return partial(generator, **{**options, **cuts, **facing}) if options else generator

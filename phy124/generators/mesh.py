@@ -1,8 +1,8 @@
-"""Covers a triangle mesh from a file with flat Gaussians in the colours of its surface.
+"""Covers a triangle mesh from a file with flat Gaussians that have the colours of its surface.
 
 trimesh reads the file in a separate process, which is killed if it takes too long. The interior is
-filled as for every object (phy124/particles/solid.py); the mesh may therefore have holes and other
-defects.
+filled as for every other object (phy124/particles/solid.py). The mesh may therefore have holes and
+other defects.
 """
 
 from __future__ import annotations
@@ -33,41 +33,42 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 UPRIGHT = {"glb": Y_UP, "gltf": Y_UP, "obj": Y_UP, "stl": ("z", None), "ply": ("z", None)}
-"""Up and front directions by file format."""
+"""Up and front directions that each file format prescribes."""
 STL_HEAD, STL_ROW = 84, 50
-"""Size of a binary STL's header, which ends with the number of triangles, and size of one triangle
-[bytes]."""
+"""Size of a binary STL file's header, and size of each triangle [bytes]. The last four bytes of the
+header are the number of triangles."""
 LARGEST = 200_000_000
 """Largest file size [bytes]; larger files are refused before they are read."""
 MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
-"""Time limit for reading a mesh."""
+"""Time limit for reading a mesh file."""
 COUNT, OBJECT_COUNT = 24_000, 50_000
-"""Approximate numbers of Gaussians of a further object and of the first object of a scene. The
-smaller number is enough to make edges look straight."""
+"""Approximate numbers of Gaussians for a mesh that is a further object of a scene, and for a mesh
+that is the first object. The first number is just large enough to make edges look straight."""
 GREY = (0.7, 0.7, 0.7)
-"""Colour of a mesh without colours."""
+"""Colour of a mesh whose file contains no colours."""
 FAR = 100.0
-"""If a mesh is farther from the origin than this multiple of its size, float32 positions are
-inexact."""
+"""If the distance of a mesh from the origin exceeds this multiple of the mesh's size, float32
+positions are too coarse."""
 LARGEST_HEADER = 1 << 20
-"""Number of leading bytes that are examined to recognise a mesh."""
+"""Number of bytes at the start of a file that are examined to decide whether it is a mesh."""
 SMALLEST = 1e-6
-"""Smallest area of a mesh, relative to the square of its longest side."""
+"""Smallest surface area of a mesh, relative to the square of its longest side."""
 Drawn = tuple[NDArray[np.float64], NDArray[np.float64], "NDArray[np.float64] | None"]
-"""Points [N,3], outward normals [N,3], and colours [N,3] in 0..1, or None without colours."""
+"""Points [N,3], outward normals [N,3], and colours [N,3] in 0..1; the colours are None if the mesh
+has no colours."""
 
 
 def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
-    """Make Gaussians of a mesh, centred on the origin, z up, with a longest side of 1 m.
+    """Make Gaussians of a mesh, centred on the origin, with z up and a longest side of 1 m.
 
     Args:
         path: A .glb, .gltf, .obj, .stl or .ply file.
-        colour: Red, green and blue, 0..1, used if the mesh has no colours.
-        seed: Seed of the Gaussians' positions.
+        colour: Red, green and blue in 0..1, used if the mesh contains no colours.
+        seed: Seed for the random positions of the Gaussians.
 
     Raises:
-        InputError: If the mesh cannot be read, is too large, or has no area.
+        InputError: If the mesh cannot be read, is too large, or has no surface area.
     """
     made, about = _cover(path, colour, COUNT, seed)
     for note in about.notes:
@@ -76,14 +77,14 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
 
 
 def read_mesh(path: Path, *, seed: int = 0) -> Content:
-    """Convert a mesh, taken as one object, to Gaussians in the axes and unit of the file.
+    """Convert a mesh file to the Gaussians of one object, in the axes and the unit of the file.
 
     Args:
         path: A .glb, .gltf, .obj, .stl or .ply file.
-        seed: Seed of the Gaussians' positions.
+        seed: Seed for the random positions of the Gaussians.
 
     Raises:
-        InputError: If the mesh cannot be read, is too large, or has no area.
+        InputError: If the mesh cannot be read, is too large, or has no surface area.
     """
     made, about = _cover(path, GREY, OBJECT_COUNT, seed)
     there = rotate_gaussians(made, orientation(*about.axes).T)
@@ -98,7 +99,7 @@ def read_mesh(path: Path, *, seed: int = 0) -> Content:
 
 
 def load_pieces(path: Path) -> tuple[list[Trimesh], tuple[str, str | None]]:
-    """Return the pieces of a mesh with their colours and textures, and its up and front directions.
+    """Return a mesh's pieces with their colours and textures, and its up and front directions.
 
     Args:
         path: A .glb, .gltf, .obj, .stl or .ply file.
@@ -112,7 +113,7 @@ def load_pieces(path: Path) -> tuple[list[Trimesh], tuple[str, str | None]]:
 
 
 def is_mesh(path: Path) -> bool:
-    """Whether a file has triangles and no Gaussians, judged by its first bytes and its name."""
+    """Whether a file contains triangles but no Gaussians, judged by its first bytes and name."""
     kind = path.suffix.lower()
     if kind in MESH_ENDINGS:
         return True
@@ -129,18 +130,18 @@ def is_mesh(path: Path) -> bool:
 
 
 class _About(NamedTuple):
-    """The bounding box of a mesh in the axes of its file, and notes about reading it."""
+    """The bounding box of a mesh in the axes of its file, and notes about reading the file."""
 
     axes: tuple[str, str | None]
     """Up and front directions of the file."""
     centre: NDArray[np.float64]
     size: float
-    """Longest side of the box."""
+    """Longest side of the bounding box."""
     notes: tuple[str, ...]
 
 
 def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[Gaussians, _About]:
-    """Cover a mesh with about `count` Gaussians in phy124's axes, scaled to a longest side of 1."""
+    """Cover a mesh with about `count` Gaussians in phy124's axes, with a longest side of 1."""
     _refuse(path)
     kind = _kind(path)
     drawn, coarse = _read_apart(path, _read, str(path), kind, seed, count)
@@ -154,15 +155,15 @@ def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[
 
 
 def _read_apart(path: Path, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function that reads a mesh, in a separate process with a time limit.
+    """Call a function that reads a mesh; the call runs in a separate process with a time limit.
 
     Raises:
-        InputError: If the function takes too long or raises ValueError("limit; remedy").
+        InputError: If the function takes too long, or raises ValueError("limit; remedy").
     """
     try:
         return isolated.run(function, *arguments, deadline=TIME)
     except isolated.Unfinished as error:
-        raise _unusable(path, f"reading it {error}.", "Give a smaller mesh.") from None
+        raise _unusable(path, f"reading the mesh {error}.", "Give a smaller mesh.") from None
     except ValueError as error:
         limit, _, remedy = str(error).partition("; ")
         raise _unusable(
@@ -171,10 +172,10 @@ def _read_apart(path: Path, function: Callable[..., Any], *arguments: Any) -> An
 
 
 def _kind(path: Path) -> str:
-    """Return the format of a file, from its first bytes if possible, else from its extension.
+    """Return the format of a file, from its first bytes if possible, otherwise from its extension.
 
     Raises:
-        InputError: If an STL file is cut short.
+        InputError: If an STL file contains fewer triangles than its header states.
     """
     with open(path, "rb") as file:
         head = file.read(STL_HEAD)
@@ -186,31 +187,35 @@ def _kind(path: Path) -> str:
     if head[:6].lower() == b"solid " or there == STL_ROW * stated:
         return "stl"
     kind = path.suffix.lower().removeprefix(".")
-    if kind == "stl" and b"\0" in head and there < STL_ROW * stated:  # text files have no zeros
+    # text files contain no zero bytes
+    if kind == "stl" and b"\0" in head and there < STL_ROW * stated:
         limit = (
-            f"it is cut short: {max(there, 0) // STL_ROW:,} of {stated:,} triangles are present."
+            f"it is cut short: only {max(there, 0) // STL_ROW:,} of {stated:,} triangles "
+            "are present."
         )
         raise _unusable(path, limit, AGAIN)
     return kind
 
 
 def _refuse(path: Path) -> None:
-    """Raise an error if a file is not a mesh or is unreadable, or if trimesh is not installed.
+    """Raise an error if a file is not a readable mesh, or if trimesh is not installed.
 
     Raises:
-        InputError: If the file or the package is missing or unusable.
+        InputError: If the file is missing or unusable, or the package trimesh is not installed.
     """
     if path.suffix.lower().removeprefix(".") not in UPRIGHT:
         known = ", ".join(f".{name}" for name in UPRIGHT)
         raise _unusable(
-            path, "it is not a mesh in a format that phy124 reads.", f"Give one of {known}."
+            path,
+            "it is not a mesh in a format that phy124 can read.",
+            f"Give a file in one of the formats {known}.",
         )
     if hindrance := obstacle(path):
         raise _unusable(path, *hindrance)
     size = path.stat().st_size
     if not 0 < size <= LARGEST:
-        limit = f"it has {size:,} bytes; a mesh has from 1 to {LARGEST:,}."
-        raise _unusable(path, limit, "Give a simpler mesh." if size else "Save it again.")
+        limit = f"it has {size:,} bytes, but a mesh must have from 1 to {LARGEST:,} bytes."
+        raise _unusable(path, limit, "Simplify the mesh." if size else "Save it again.")
     if find_spec("trimesh") is None:
         limit = "it needs the package trimesh, which is not installed."
         raise _unusable(path, limit, f"Run `{install_command('mesh')}`.")
@@ -221,20 +226,21 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
 
 
 def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | None]:
-    """Sample points of a mesh and check its resolution; call this function in a separate process.
+    """Sample points on a mesh and check its resolution; call this function in a separate process.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".
     """
     solids, shapes = _load_solids(path, kind)
     drawn = _sample_surface(solids, seed, count)
-    # The vertices of `shapes` are in the file's coordinates, before any transform of a node.
+    # The vertices of `shapes` are in the file's coordinates, before the transform of any scene node
+    # is applied.
     largest: Any = max(shapes, key=lambda piece: len(getattr(piece, "faces", ())))
     return drawn, describe_coarseness(largest.vertices, step_of(largest.vertices))
 
 
 def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
-    """Return the pieces of a mesh, placed in the scene, with only the vertices of their triangles.
+    """Return the pieces of a mesh in the scene's axes; vertices without a triangle are removed.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".
@@ -247,7 +253,7 @@ def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
 
 
 def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
-    """Return a mesh's pieces with triangles, in the scene's axes, and the file's shapes.
+    """Return a mesh's pieces that have triangles, in the scene's axes, and all shapes of the file.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".
@@ -258,7 +264,9 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
         triangles = sum(len(getattr(piece, "faces", ())) for piece in shapes)
         pieces = scene.dump() if triangles <= MOST_TRIANGLES else []
     except MemoryError:
-        raise ValueError("it needs more memory than is free.; Give a simpler mesh.") from None
+        raise ValueError(
+            "reading it needs more memory than is free.; Give a mesh with fewer triangles."
+        ) from None
     except Exception as error:
         message = f"{type(error).__name__}: {error}"[:200]
         raise ValueError(f"it cannot be read as a mesh ({message}).") from None
@@ -266,13 +274,16 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
         remedy = "For a file of Gaussians or points, use the generator `file`."
         raise ValueError(f"it has no triangles.; {remedy}")
     if triangles > MOST_TRIANGLES:
-        limit = f"it has {triangles:,} triangles, and {MOST_TRIANGLES:,} are allowed."
+        limit = f"it has {triangles:,} triangles, but at most {MOST_TRIANGLES:,} are allowed."
         raise ValueError(f"{limit}; Simplify the mesh in the program that made it.")
     return [piece for piece in pieces if len(getattr(piece, "faces", ()))], shapes
 
 
 def _load(path: str, kind: str) -> Any:
-    """Load the scene of a file; if a PLY fails, retry without its comments and blank lines."""
+    """Load the scene of a file.
+
+    If a PLY file fails to load, remove its comments and blank lines and retry.
+    """
     import trimesh
     from trimesh.resolvers import FilePathResolver
 
@@ -289,7 +300,7 @@ def _load(path: str, kind: str) -> Any:
 
 
 def _legible(path: str) -> BytesIO:
-    """Return the content of a PLY without blank lines, and without comments that are not UTF-8."""
+    """Return the content of a PLY file without blank lines and without non-UTF-8 comments."""
     head, end, body = Path(path).read_bytes().partition(b"end_header")
     lines = [line for line in head.splitlines() if line.strip() and _is_text(line)]
     if b"format ascii 1.0" in lines:
@@ -307,29 +318,32 @@ def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[n
     """Return the corners [3F,3] and the areas [F] of the triangles in all pieces of a mesh.
 
     Raises:
-        ValueError: If a corner is not finite or does not exist, or the pieces have no area.
+        ValueError: If a corner is not finite, a triangle refers to a missing vertex, or the pieces
+            have no surface area.
     """
     for piece in pieces:
         if piece.faces.min() < 0 or piece.faces.max() >= len(piece.vertices):
-            raise ValueError("a triangle refers to a vertex that is not in the file.")
+            raise ValueError("a triangle refers to a vertex that the file does not contain.")
         if not np.isfinite(piece.vertices[piece.faces]).all():
-            raise ValueError("a vertex of a triangle is NaN or infinite.")
+            raise ValueError("a vertex of a triangle has a coordinate that is NaN or infinite.")
     corners = np.concatenate([piece.triangles.reshape(-1, 3) for piece in pieces])
     side = float(np.ptp(corners, axis=0).max())
     areas = np.concatenate([piece.area_faces for piece in pieces])
     if not areas.sum() > SMALLEST * side * side > 0:
-        raise ValueError("its triangles have no area.")
+        raise ValueError("its triangles have no surface area.")
     return corners, areas
 
 
 def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
-    """Sample evenly spaced points on all pieces of a mesh.
+    """Sample evenly spaced points on the surfaces of all pieces of a mesh.
 
     Raises:
-        ValueError: If a corner is not finite or does not exist, or the pieces have no area.
+        ValueError: If a corner is not finite, a triangle refers to a missing vertex, or the pieces
+            have no surface area.
     """
     corners, areas = _join_corners(pieces)
-    # If most of the area faces the centre, the mesh is inside out, and its normals are reversed.
+    # If the normals of most of the area point towards the centre, the mesh is inside out. All
+    # normals are then reversed.
     away = np.concatenate([piece.triangles_center for piece in pieces]) - corners.mean(axis=0)
     normals = np.concatenate([piece.face_normals for piece in pieces])
     sign = 1.0 if (areas * (away * normals).sum(axis=1)).sum() >= 0 else -1.0
@@ -342,7 +356,7 @@ def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
 def _colours(
     pieces: list[Trimesh], chosen: NDArray[np.int64], weights: NDArray
 ) -> NDArray[np.float64] | None:
-    """Return the colours [N,3] of points in triangles; None if no piece has colours.
+    """Return the colours [N,3] of points on triangles; None if no piece of the mesh has colours.
 
     Args:
         pieces: Pieces of the mesh, whose triangles are numbered consecutively.
@@ -362,7 +376,7 @@ def _colours(
 
 
 def _colour_piece(piece: Trimesh, triangles: NDArray, weights: NDArray) -> NDArray[Any] | None:
-    """Return the colours [N,3 or 4] in 0..255 of points on a piece; None without colours."""
+    """Return the colours [N,3 or 4] in 0..255 of points on a piece; None if it has no colours."""
     visual: Any = piece.visual
     if visual.kind == "face":
         return visual.face_colors[triangles]

@@ -1,8 +1,8 @@
 """Declares the options of all generators, and predicts a generator's run time.
 
-A generator supports those options that are keywords of its factory (`phy124.generators.make`);
-other options are refused. The predicted time is the number of arithmetic operations of the
-networks divided by the measured speed of this machine.
+A generator supports the options that are keywords of its factory (`phy124.generators.make`). Other
+options are refused. The predicted time is the number of arithmetic operations that the networks
+need, divided by the speed that was measured on this machine.
 """
 
 from __future__ import annotations
@@ -21,93 +21,97 @@ from phy124.schema.section import Section
 
 Sampler = Literal["ddim", "dpmsolver++"]
 SAMPLER: Sampler = "ddim"
-"""The default sampler, as in the DDIM paper and in LGM."""
+"""The default sampler, which the DDIM paper and LGM also use."""
 Precision = Literal["float32", "bfloat16", "float16"]
 
 
 class GeneratorOptions(Section):
-    """Options of a generator; an absent option has the generator's default."""
+    """Options of a generator; if an option is not set, the generator's default applies."""
 
     steps: int | None = Field(
         default=None,
         ge=1,
         le=500,
-        description="Steps of the generator's diffusion (lgm: 30) or of its fit (dreamgaussian: "
-        "500); fewer steps are faster and less exact.",
+        description="Number of steps of the generator's diffusion (lgm: 30) or of its fit "
+        "(dreamgaussian: 500); fewer steps are faster but less exact.",
     )
     sampler: Sampler | None = Field(
         default=None,
-        description="Solver of lgm's diffusion: ddim, of first order, as in the paper, or "
-        "dpmsolver++, of second order.",
+        description="Solver for lgm's diffusion: ddim, which is of first order and used in the "
+        "paper, or dpmsolver++, which is of second order.",
     )
     precision: Precision | None = Field(
         default=None,
-        description="Precision of the network of lgm's diffusion. Default: float16 on a GPU, "
-        "bfloat16 on a processor that supports it, float32 otherwise.",
+        description="Floating-point precision of lgm's diffusion network. Default: float16 on a "
+        "GPU, bfloat16 on a processor that supports it, float32 otherwise.",
     )
 
     def select(self, factory: Callable[..., Any], name: str) -> dict[str, Any]:
-        """Return the options that are set, as keywords for a generator's factory.
+        """Return the options that are set, as keywords for the factory of a generator.
 
         Raises:
-            InputError: If the factory lacks a keyword.
+            InputError: If the factory does not have a keyword for an option that is set.
         """
         options, known = self.model_dump(exclude_none=True), signature(factory).parameters
         for option, value in options.items():
             if option not in known:
                 others = [other for other in type(self).model_fields if other in known]
-                limit = f"{name} has no such option."
-                remedy = f"It has {', '.join(others)}." if others else "It has none: leave it out."
+                limit = f"{name} does not have this option."
+                remedy = (
+                    f"It has {', '.join(others)}."
+                    if others
+                    else "This generator has no options: remove this option."
+                )
                 raise InputError(option, value, limit, remedy)
         return options
 
 
 UNCHANGED = GeneratorOptions()
-"""Options of which none is set."""
+"""Options in which nothing is set."""
 
 
 ROUNDS = 2
-"""Number of timed repetitions for each kind of operation, after a warm-up."""
+"""Number of times each kind of operation is repeated and timed, after a warm-up."""
 
 
 class Work(NamedTuple):
-    """Numbers of floating-point operations by kind, or rates in operations per second."""
+    """Numbers of floating-point operations of each kind, or rates in operations per second."""
 
     linear: float
     convolution: float
     attention: float
 
     def at(self, speed: Work) -> float:
-        """Return the time that this work takes at the rates `speed` [s]."""
+        """Return the time that this work takes if the rates are `speed` [s]."""
         return sum(work / rate for work, rate in zip(self, speed, strict=True))
 
     def times(self, count: float) -> Work:
-        """Return `count` times this work."""
+        """Return `count` times this amount of work."""
         return Work(*(count * work for work in self))
 
 
 @dataclass(frozen=True)
 class Effort:
-    """Predicted run time and effective settings of a generator for one object."""
+    """The predicted run time of a generator for one object, and the settings that it will use."""
 
     seconds: float
-    """Predicted run time without loading the weights [s]."""
+    """Predicted run time [s], without the time for loading the weights."""
     settings: dict[str, Any]
-    """The effective options, for the report."""
+    """The settings that the generator will use, for the report."""
     words: str
-    """The effective options, as text."""
+    """The settings that the generator will use, as text."""
 
 
 def effort_of(generator: Any) -> Effort | None:
-    """Return the effort of a generator; None for fast generators, which predict none."""
+    """Return the effort that a generator predicts; None for fast generators."""
     effort: Callable[[], Effort] | None = getattr(generator, "effort", None)
     return effort() if effort is not None else None
 
 
 def speed_of(device: str, dtype: Any) -> Work:
-    """Measure torch's floating-point operations per second, by kind, under the current load.
+    """Measure how many floating-point operations of each kind torch performs per second at present.
 
-    The measurement takes about a second and uses arrays as large as those in the networks.
+    The measurement takes about a second, and uses arrays of the same size as those in the networks.
     """
     import torch
     from torch.nn import functional as F

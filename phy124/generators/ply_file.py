@@ -1,4 +1,4 @@
-"""Reads Gaussians from a file, and moves and scales them to the default position and size."""
+"""Reads Gaussians from a file, then moves and scales them to the default position and size."""
 
 from __future__ import annotations
 
@@ -28,12 +28,13 @@ if TYPE_CHECKING:
     from PIL import Image
 
 MIN_OPACITY = 0.005
-"""Smallest opacity; Gaussians below it are dropped, as LGM does when it saves."""
+"""Smallest opacity of Gaussians that are kept; LGM also drops Gaussians below this opacity when it
+saves a file."""
 TAIL = 0.005
-"""Fraction of the total opacity that lies outside the object's core at each end of an axis."""
+"""Fraction of the total opacity that lies outside the object's core, at each end of each axis."""
 MARGIN = 0.5
-"""Largest distance from the core at which Gaussians belong to the object, relative to the core's
-size."""
+"""Gaussians up to this distance from the core belong to the object; the distance is relative to the
+core's size."""
 
 
 class Reading(Section):
@@ -41,80 +42,84 @@ class Reading(Section):
 
     up: str | None = Field(
         default=None,
-        description="Up axis of the file of Gaussians: x, y, z, -x, -y, -z, or "
-        "three numbers such as 0.1,-1,0.2; default: that of its dialect or format.",
+        description="Up axis of the file of Gaussians: x, y, z, -x, -y, -z, or three numbers "
+        "such as 0.1,-1,0.2. Default: the up axis of the file's dialect or format.",
     )
     front: str | None = Field(
         default=None,
-        description="Axis of the file towards which the object faces, in the same form as --up.",
+        description="Axis of the file towards which the object faces, written like that of --up.",
     )
     dialect: str | None = Field(
         default=None,
-        description="Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ...; default: "
-        "the axes of its format.",
+        description="Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ... "
+        "Default: the axes of the file's format are used.",
     )
     rotate: str | None = Field(
         default=None,
-        description="Rotation applied to the file first: degrees about x, then y, then z, such as "
-        "10,0,-25; or a quaternion w,x,y,z.",
+        description="Rotation that is applied to the file's Gaussians first: degrees about x, "
+        "then y, then z, such as 10,0,-25; or a quaternion w,x,y,z.",
     )
     crop: str | None = Field(
         default=None,
-        description="Keep only the Gaussians in a box, x,y,z,X,Y,Z, in the file's units and axes.",
+        description=(
+            "Keep only the Gaussians in the box x,y,z,X,Y,Z, which is stated in the units and "
+            "axes of the file."
+        ),
     )
     floor: bool = Field(
         default=False,
-        description="Find the floor of a capture by a plane fit, place the object upright "
-        "on the floor, and keep the floor as scenery.",
+        description="Fit a plane to the floor of a captured scene, place the object upright on "
+        "this floor, and keep the floor as scenery.",
     )
 
     def refuse(self, name: str, source: object) -> None:
         """Raise an error if options for reading a file are set but no file is read.
 
         Raises:
-            InputError: If any option is set; `source` is the value that is not a file.
+            InputError: If any option is set; `source` is the value that was expected to be a file.
         """
         options = [f"--{option}" for option in self.model_dump(exclude_defaults=True)]
         if options:
             verb = "is" if len(options) == 1 else "are"
-            limit = f"{' and '.join(options)} {verb} for a file of Gaussians."
+            limit = f"{' and '.join(options)} {verb} only for a file of Gaussians."
             raise InputError(
                 name,
                 source,
                 limit,
-                f"Give a file of Gaussians, or leave {' and '.join(options)} out.",
+                f"Give a file of Gaussians, or remove {' and '.join(options)}.",
             )
 
 
 NO_AXES = Reading().model_dump(include={"up", "front", "dialect", "rotate"})
-"""The four options about axes, with their default values."""
+"""The default values of the four options about axes."""
 
 
 class Opened(NamedTuple):
-    """Visible Gaussians of a file, and the notes about reading it."""
+    """The visible Gaussians of a file, and notes for the user about reading the file."""
 
     gaussians: Gaussians
-    """The visible Gaussians in the axes of phy124, in the file's unit of length."""
+    """The visible Gaussians in the axes of phy124 and in the file's unit of length."""
     rotation: NDArray[np.float64]
     """Rotation from the file's axes to those of phy124 [3,3]."""
     cleaning: list[str]
-    """One sentence for each reason why Gaussians were dropped."""
+    """Sentences that say why Gaussians were dropped, one sentence per reason."""
     axes: tuple[str, str | None] = Y_DOWN
-    """Up and front directions stated by the file or its format."""
+    """Up and front directions that the file or its format states."""
     notes: tuple[str, ...] = ()
-    """Sentences about ignored columns, columns read in an unusual way, and surroundings."""
+    """Sentences about columns that were ignored or read in an unusual way, and about the object's
+    surroundings."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin of the Gaussians' coordinates, in the file's axes and unit."""
     coarse: bool = False
-    """Whether the object is so far from the origin that the file's positions are imprecise."""
+    """Whether the object is so far from the origin that the positions in the file are imprecise."""
 
 
 @dataclass(frozen=True)
 class PlyFile:
-    """A generator that reads a file and ignores the image.
+    """A generator that reads Gaussians from a file and ignores the image.
 
-    `phy124.pipeline.capture` separates a floor from the object on it, since the separation needs
-    the scene.
+    `phy124.pipeline.capture` separates an object from the floor on which it stands, because this
+    step needs the scene.
     """
 
     path: str
@@ -127,14 +132,19 @@ class PlyFile:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Read the file's Gaussians, scaled to a longest side of 1 m; ignore image and seed.
+        """Read the file's Gaussians and scale their longest side to 1 m.
+
+        `image` and `seed` are ignored.
 
         Raises:
-            InputError: As `read_gaussians`, or if all Gaussians are nearly transparent or coincide.
+            InputError: For the reasons listed at `read_gaussians`, or if all Gaussians are nearly
+                transparent or at the same point.
         """
         del image_rgba, seed
         if self.reading.floor:
-            limit = "A floor becomes part of a scene, but this function returns only Gaussians."
+            limit = (
+                "A floor becomes a part of the scene, but this function can return only Gaussians."
+            )
             remedy = "Call phy124.pipeline.capture.capture instead."
             raise InputError("floor", "wanted", limit, remedy)
         opened = self.open(progress)
@@ -143,18 +153,19 @@ class PlyFile:
         return normalise_size(opened.gaussians, self.path)
 
     def open(self, progress: Progress = silent) -> Opened:
-        """Read the file's visible Gaussians, crop them, and rotate them to the axes of phy124.
+        """Read the visible Gaussians of the file, crop them, and rotate them to the axes of phy124.
 
         Raises:
-            InputError: As `read_gaussians`, or if the options contradict each other or leave no
-                Gaussians.
+            InputError: For the reasons listed at `read_gaussians`, or if the options contradict
+                each other or no Gaussian remains.
         """
         progress("read", 0, 1)
         axes = self.reading.up, self.reading.front, self.reading.dialect, self.reading.rotate
-        orientation(*axes)  # refuses bad options before the file is read
+        orientation(*axes)  # raise an error for bad options before the file is read
         box = self._box()
         path = Path(self.path)
-        with for_run() if box is None else nullcontext():  # a box may keep few of many
+        # the box may contain only few of many Gaussians
+        with for_run() if box is None else nullcontext():
             content = read_mesh(path) if is_mesh(path) else read_as_is(path)
         self._hint(content)
         everything, dropped = content.gaussians, content.dropped
@@ -168,8 +179,10 @@ class PlyFile:
         faint = inside & (everything.opacities < MIN_OPACITY)
         gaussians = everything.select(inside & ~faint)
         if not len(gaussians):
-            limit = f"All its Gaussians have an opacity below {MIN_OPACITY}."
-            raise InputError("file", self.path, limit, "Give a file with a visible object.")
+            limit = f"The opacity of all its Gaussians is below {MIN_OPACITY}."
+            raise InputError(
+                "file", self.path, limit, "Give a file that contains a visible object."
+            )
         total = len(everything) + dropped
         left_out = {
             "had NaN or infinite values": dropped,
@@ -203,8 +216,9 @@ class PlyFile:
         if likely is not None:
             dialect, why = likely
             warnings.warn(
-                f"{self.path} may be a file of {why}. If the object lies down or faces away, "
-                f"give --dialect {dialect}; `phy124 orient` draws all six up axes.",
+                f"{self.path} may be a file of {why}. If the object lies down or faces away, give "
+                f"--dialect {dialect}; `phy124 orient` draws the object with each of the six up "
+                "axes.",
                 stacklevel=2,
             )
 
@@ -215,7 +229,7 @@ class PlyFile:
             return None
         values = parse_numbers(crop, 6)
         if values is None or (values[:3] >= values[3:]).any():
-            limit = "A box has six numbers; the first three are the lower corner."
+            limit = "A box must have six numbers, of which the first three are the lower corner."
             raise InputError("crop", crop, limit, "Write x,y,z,X,Y,Z, such as -1,-1,-1,1,1,1.")
         return values.reshape(2, 3)
 
@@ -228,10 +242,10 @@ class PlyFile:
 
 
 def normalise_size(gaussians: Gaussians, name: str = "") -> Gaussians:
-    """Centre Gaussians on the origin and scale their longest side to 1 m, ignoring outliers.
+    """Centre Gaussians on the origin and scale their longest side to 1 m; outliers are ignored.
 
     Raises:
-        InputError: If all centres coincide.
+        InputError: If the centres of all Gaussians coincide.
     """
     return gaussians.transform(*unit_transform(gaussians, name))
 
@@ -240,22 +254,22 @@ def unit_transform(gaussians: Gaussians, name: str) -> tuple[float, NDArray[np.f
     """Return the scale and offset [3] that `normalise_size` applies.
 
     Raises:
-        InputError: If all centres coincide.
+        InputError: If the centres of all Gaussians coincide.
     """
     low, high = robust_bounds(gaussians)
     size = float((high - low).max())
     if not size > 0:
-        limit = "All its Gaussians are at the same point."
-        raise InputError("file", name, limit, "Give a file with an object in it.")
+        limit = "All Gaussians of the file are at the same point."
+        raise InputError("file", name, limit, "Give a file that contains an object.")
     return 1 / size, -(low + high) / 2 / size
 
 
 def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the smallest and largest coordinates of the centres [3], [3], without outliers.
+    """Return the smallest and largest coordinates [3], [3] of the centres, ignoring outliers.
 
     The core excludes a fraction `TAIL` of the total opacity at each end of each axis. The bounds
-    include all Gaussians within `MARGIN` core sizes of the core; the bounds of an object without
-    outliers are therefore exact.
+    include all Gaussians within `MARGIN` core sizes of the core. For an object without outliers,
+    the bounds are therefore exact.
     """
     means = gaussians.means.astype(np.float64)
     low = weighted_quantile(means, gaussians.opacities, TAIL)

@@ -13,16 +13,17 @@ from phy124.gaussians import Gaussians, quaternions, spread_directions
 COUNT = 8000
 """Approximate number of Gaussians of a shape."""
 TRIES = 6
-"""Random candidate points per point on triangles; an evenly spaced subset is kept."""
+"""Number of random candidates per point on triangles, from which an evenly spaced subset is
+kept."""
 FLATNESS = 0.15
 """Thickness of the surface's Gaussians relative to their width."""
 LIGHT = (0.35, 0.25, 0.9)
-"""Direction towards the light that shades the shape."""
+"""Direction towards the light with which the shape is shaded."""
 AMBIENT = 0.72
 """Brightness of surfaces whose normal is perpendicular to the direction of the light."""
 CHECKS, CONTRAST = 8, 0.05
-"""Number of squares of the checker pattern along the longest side, and their contrast. The pattern
-makes motion visible."""
+"""Number of checker squares along the longest side, and contrast of the checker pattern. The
+pattern makes the motion of the shape visible."""
 Surface = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Points [N,3] and outward unit normals [N,3]."""
 
@@ -30,11 +31,12 @@ Surface = tuple[NDArray[np.float64], NDArray[np.float64]]
 def make_shape(
     name: str, sides: Sequence[float], colour: Sequence[float], *, patterned: bool = True
 ) -> Gaussians:
-    """Make the Gaussians of a shape that is centred on the origin.
+    """Make the Gaussians of a simple shape that is centred on the origin.
 
     Args:
-        name: sphere (an ellipsoid if the sides differ), box, or capsule (along its longest side).
-        sides: Lengths along x, y and z, m.
+        name: sphere (an ellipsoid if the sides differ), box, or capsule (whose axis is its longest
+            side).
+        sides: Lengths of the shape along x, y and z, m.
         colour: Red, green and blue, 0..1.
         patterned: Whether a checker pattern and a light from above make the motion visible.
     """
@@ -61,9 +63,10 @@ def cover_surface(
     Args:
         points: Centres [N,3], m.
         normals: Outward unit normals [N,3].
-        rgb: Colours [N,3], or one colour for all [3], 0..1.
-        width: Standard deviation along the surface [m]; None: derived from the spacing of points.
-        bright: Factor on the colours [N].
+        rgb: Colours [N,3], or a single colour for all points [3], 0..1.
+        width: Standard deviation along the surface [m]; if None, it is derived from the spacing of
+            the points.
+        bright: Factor by which the colours are multiplied [N].
         shaded: Whether the surface is slightly shaded by a light from above.
     """
     wide = _spread(points) if width is None else np.full(len(points), width)
@@ -77,15 +80,15 @@ def cover_surface(
 def choose_triangles(
     corners: NDArray, count: int, seed: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Choose about `count` evenly spaced points on triangles.
+    """Choose about `count` evenly spaced points on a set of triangles.
 
     Args:
         corners: Corners of the triangles [T,3,3].
         count: Approximate number of points.
-        seed: Seed of the positions.
+        seed: Seed of the points' random positions.
 
     Returns:
-        The triangle of each point [N], and its barycentric coordinates [N,3].
+        The index of each point's triangle [N], and the point's barycentric coordinates [N,3].
     """
     sides = corners[:, 1:] - corners[:, :1]
     areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2
@@ -98,7 +101,7 @@ def choose_triangles(
 
 
 def _thin(points: NDArray, width: float) -> NDArray[np.int64]:
-    """Return, for each occupied cube of a grid, the index of the point nearest to its centre."""
+    """Return the index of the point nearest to the centre of each occupied cube of a grid."""
     cubes = np.floor(points / width)
     off = np.linalg.norm(points / width - cubes - 0.5, axis=1)
     order = np.lexsort((off, *cubes.T))
@@ -108,13 +111,13 @@ def _thin(points: NDArray, width: float) -> NDArray[np.int64]:
 
 
 def _spread(points: NDArray) -> NDArray[np.float64]:
-    """Return 0.75 times the mean distance of each point to its six nearest neighbours [N], m."""
+    """Return, for each point, 0.75 times the mean distance to its six nearest neighbours [N], m."""
     nearest = scipy.spatial.KDTree(points).query(points, k=min(7, len(points)))[0]
     return 0.75 * np.maximum(np.asarray(nearest)[:, 1:].mean(axis=1), 1e-9)
 
 
 def _area(half: NDArray) -> float:
-    """Return the area of a box with half sides [3] [m^2], an upper bound for the other shapes."""
+    """Return the area of a box with half sides [3] [m^2], an upper bound for all other shapes."""
     a, b, c = 2 * half
     return float(2 * (a * b + b * c + c * a))
 
@@ -145,11 +148,12 @@ def _box(half: NDArray) -> Surface:
 
 
 def _capsule(half: NDArray) -> Surface:
-    """Distribute points evenly over a cylinder with a hemisphere at each end."""
+    """Distribute points evenly over a cylinder that has a hemisphere at each end."""
     axis = int(np.argmax(half))
     across = np.delete(half, axis)
     radius, length = float(across.max()), float(half[axis] - across.max())
-    # Archimedes: between two heights, a sphere has the same area as its circumscribed cylinder.
+    # Archimedes' theorem: between two heights, a sphere has the same area as its circumscribed
+    # cylinder.
     height = (np.arange(COUNT) + 0.5) / COUNT * 2 - 1
     along = height * (length + radius)
     middle = along.clip(-length, length)
@@ -167,7 +171,7 @@ def _capsule(half: NDArray) -> Surface:
 
 
 def _facing(normals: NDArray) -> NDArray[np.float64]:
-    """Return quaternions [N,4] of discs whose third axis is the normal."""
+    """Return quaternions [N,4] that rotate discs so that their third axes are the normals."""
     helper = np.where(np.abs(normals[:, 2:]) < 0.7, [[0.0, 0, 1]], [[1.0, 0, 0]])
     along = np.cross(helper, normals)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -175,7 +179,7 @@ def _facing(normals: NDArray) -> NDArray[np.float64]:
 
 
 def ball(count: int = 6000, diameter: float = 1.0) -> Gaussians:
-    """Return a ball facing +x: a closed shell of flat Gaussians on a Fibonacci lattice."""
+    """Return a ball that faces +x: a closed shell of flat Gaussians on a Fibonacci lattice."""
     normals = spread_directions(count)
     helper = np.where(np.abs(normals[:, 2:]) < 0.7, [[0.0, 0, 1]], [[1.0, 0, 0]])
     along = np.cross(helper, normals)

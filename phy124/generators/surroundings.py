@@ -1,8 +1,8 @@
-"""Detects the surroundings of an object in a file of Gaussians: a background or a sky.
+"""Detects whether a file of Gaussians shows, besides an object, a background or a sky.
 
-A capture of an object often contains its surroundings. The object is then a small part of the
-bounding box, from which its size is determined; and object and surroundings would move as a single
-body.
+A capture of an object often contains the surroundings of the object. The object's size is
+determined from the bounding box, of which the object would then be only a small part. In addition,
+the object and its surroundings would move as a single body.
 """
 
 from __future__ import annotations
@@ -16,36 +16,38 @@ from phy124.gaussians import Gaussians
 from phy124.particles import clean, visible_area
 
 SAMPLE = 100_000
-"""Number of Gaussians that are examined; they are picked at even intervals."""
+"""Number of Gaussians that are examined; they are chosen at even intervals."""
 MOST = 0.8
-"""Fraction of the visible area, or of the inner Gaussians, that counts as the object."""
+"""Fraction of the visible area, or of the inner Gaussians, that is assumed to belong to the
+object."""
 SMALL = 0.3
-"""If the object's longest side, divided by the bounding box's, is at most this, the rest is
-background."""
+"""If the ratio of the object's longest side to that of the bounding box is at most this, the rest
+is assumed to be background."""
 AROUND = 1.25
 """Size of the recommended crop box relative to the object."""
 TAIL = 1e-3
-"""Fraction of the Gaussians that lie beyond each end of a box."""
+"""Fraction of the Gaussians that may lie beyond each end of a bounding box."""
 ROUNDS = 4
 """Number of iterations that refine the centre of the object."""
 FAR = 3.0
 """Smallest distance of a sky from the centre, relative to the radius that contains the fraction
 `MOST` of the Gaussians inside the sky."""
 THIN = 0.2
-"""Largest standard deviation of the distances of a sky's Gaussians, relative to their mean."""
+"""Largest standard deviation of the distances of a sky's Gaussians from the centre, relative to
+their mean distance."""
 MANY = 0.01
-"""A sky contains at least this fraction of all Gaussians; and at least seven octants each contain
-at least this fraction of the sky's Gaussians."""
+"""Minimum fraction that is used twice. A sky must contain this fraction of all Gaussians, and each
+of at least seven octants must contain this fraction of the sky's Gaussians."""
 
 
 def surroundings(
     gaussians: Gaussians, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> list[str]:
-    """Return sentences about an object's surroundings, and the `--crop` that removes these.
+    """Return sentences about an object's surroundings, and the `--crop` option that removes them.
 
     Args:
-        gaussians: The Gaussians of a file, in its axes and unit of length.
-        origin: Origin of their coordinates, in the file's axes and unit [3].
+        gaussians: The Gaussians of a file, in the axes and unit of length of the file.
+        origin: Origin of the Gaussians' coordinates, in the axes and unit of the file [3].
     """
     visible = np.flatnonzero(gaussians.longest > 0)
     if not len(visible):
@@ -58,11 +60,11 @@ def surroundings(
     corners = np.array(around.box) + origin
     digits = 10 if np.any(origin) else 4
     box = ",".join(f"{value:.{digits}g}" for value in corners.ravel())
-    return [f"{around.words} --crop={box} leaves the rest out."]
+    return [f"{around.words} --crop={box} removes the surroundings."]
 
 
 class _Around(NamedTuple):
-    """Surroundings that were detected, and the bounding box of the object."""
+    """Detected surroundings of an object, and the bounding box of the object."""
 
     words: str
     box: tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -70,7 +72,10 @@ class _Around(NamedTuple):
 
 
 def _sky(means: NDArray[np.float64]) -> _Around | None:
-    """Describe a sky, if there is one: centres [N,3] that form a shell far around the others."""
+    """Describe a sky if there is one.
+
+    A sky is a shell of centres [N,3] far around the other Gaussians.
+    """
     places = means - np.median(means, axis=0)
     distances = np.linalg.norm(places, axis=1)
     far = distances > np.quantile(distances, 1 - MANY / 2) / 2
@@ -83,15 +88,15 @@ def _sky(means: NDArray[np.float64]) -> _Around | None:
     low, high = np.quantile(means[~far], [TAIL, 1 - TAIL], axis=0)
     grown = (AROUND - 1) / 2 * (high - low).max()
     words = (
-        f"{far.mean():.0%} of the Gaussians lie around all others like a sky, "
-        f"{shell.mean() / reach:.0f} times as far out as most of them, and are treated as a part "
-        "of the object."
+        f"{far.mean():.0%} of the Gaussians surround all others like a sky, "
+        f"{shell.mean() / reach:.0f} times as far out as most of the others, and are treated as a "
+        "part of the object."
     )
     return _Around(words, (low - grown, high + grown))
 
 
 def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
-    """Describe a background, if there is one: the object is a small part of the bounding box.
+    """Describe a background if there is one; the object is then a small part of the bounding box.
 
     Args:
         means: Centres [N,3].
@@ -104,7 +109,7 @@ def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
         return None
     grown = (AROUND - 1) / 2 * side
     words = (
-        f"{MOST:.0%} of the visible area lies within {side / whole:.0%} of the longest side, and "
+        f"{MOST:.0%} of the visible area lies within {side / whole:.0%} of the longest side, but "
         "everything is treated as the object."
     )
     return _Around(words, (low - grown, high + grown))

@@ -1,7 +1,7 @@
-"""Generators with trained networks; the rest of phy124 imports these packages by name only.
+"""Contains the generators with trained networks; other modules import them by name only.
 
-Each generator package declares two variables in its `__init__`: `GENERATORS` (factories by name)
-and `WEIGHTS` (names of the weights that it loads, keys of `phy124.weights.store.KNOWN`). Importing
-such a package is fast; its factories import torch when they are called. To add a generator, add a
-package.
+Each generator is a package whose `__init__` declares two variables. `GENERATORS` holds factories by
+name, and `WEIGHTS` lists the weights that the generator loads (keys of
+`phy124.weights.store.KNOWN`). Importing such a package is fast, because torch is imported only when
+a factory is called. To add a generator, add a package.
 """

@@ -1,4 +1,4 @@
-"""Selects the device and precision of a generator's networks."""
+"""Selects the device and the floating-point precision of a generator's networks."""
 
 from __future__ import annotations
 
@@ -13,28 +13,34 @@ from phy124.runtime.memory import free_memory
 SPARE = 0.8
 """Largest fraction of the free memory that a network may use."""
 FLAGS = ("avx512_bf16", "amx_bf16")
-"""CPU features that include bfloat16 multiplication, by their names in Linux and in torch."""
+"""CPU features that include the multiplication of bfloat16 numbers, by their names in Linux and in
+torch."""
 
 
 def torch_device(name: str | None) -> str:
-    """Return torch's name of a usable device; for None, a GPU if torch can use one."""
+    """Return torch's name of a usable device.
+
+    If `None` is passed, a GPU is chosen if torch can use one.
+    """
     usable = torch.cuda.is_available()
     if name is None:
         return "cuda" if usable else "cpu"
     number = int(name.partition(":")[2] or 0) if name.startswith("cuda") else -1
     if number >= (torch.cuda.device_count() if usable else 0):
-        message = f"This torch cannot use {name}: the generator runs on the CPU."
+        message = f"This installation of torch cannot use {name}, so the generator runs on the CPU."
         warnings.warn(message, stacklevel=2)
         return "cpu"
     return name
 
 
 def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dtype:
-    """Return the requested precision; by default, the fastest accurate one that fits into memory.
+    """Return the requested precision.
+
+    By default, the fastest accurate precision that fits into memory.
 
     Args:
-        precision: The user's choice, if any.
-        device: Device of the network.
+        precision: Precision that the user requested; None if there is no request.
+        device: Device on which the network runs.
         numbers: Number of the network's parameters.
     """
     if precision is not None:
@@ -46,14 +52,15 @@ def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dt
 
 
 def is_short(needed: float, device: str = "cpu") -> bool:
-    """Whether `needed` bytes exceed the usable fraction of a device's free memory."""
+    """Whether `needed` bytes exceed the fraction of a device's free memory that may be used."""
     gpu = device.startswith("cuda")
     return needed > SPARE * (torch.cuda.mem_get_info(device)[0] if gpu else free_memory())
 
 
 def multiplies_bfloat16() -> bool:
     """Whether this CPU has instructions that multiply bfloat16 (AVX512-BF16, AMX)."""
-    features = getattr(torch.cpu, "get_capabilities", dict)()  # missing in older releases
+    # older releases of torch lack this function
+    features = getattr(torch.cpu, "get_capabilities", dict)()
     if features:
         return any(features.get(flag, False) for flag in FLAGS)
     try:

@@ -1,9 +1,10 @@
 """A differentiable rasteriser of 3D Gaussians, used to fit Gaussians to images.
 
-Kerbl et al. 2023, "3D Gaussian Splatting"; the projection follows Zwicker et al. 2002 (EWA). This
-reference implementation is plain torch, tile by tile, and suits small images and gradients on the
-CPU. On CUDA, gsplat (the extra `gpu`) is used if it is installed. Final images are rendered by
-`phy124.rendering.render`.
+Sources: Kerbl et al. 2023, "3D Gaussian Splatting"; the projection follows Zwicker et al. 2002
+(EWA). This reference implementation is written in plain torch and processes one tile after the
+other. It is suited to small images, and to gradients on the CPU. On CUDA devices, gsplat (the extra
+`gpu`) is used instead if it is installed. The images of films are rendered by
+`phy124.rendering.render` instead.
 """
 
 from __future__ import annotations
@@ -21,17 +22,21 @@ from phy124.runtime.installation import install_command
 TILE = 16
 """Side of a tile [pixels]."""
 BLUR = 0.3
-"""Variance added on both screen axes [pixels^2]; Gaussians are then at least a pixel wide."""
+"""Variance added to each Gaussian along both screen axes [pixels^2], so that no Gaussian is
+narrower than about a pixel."""
 NEAR = 0.01
 ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.99
 STOP = 1e-4
-"""Transmittance below which compositing of a pixel ends."""
+"""Compositing of a pixel ends once its transmittance is below this value."""
 GUARD = 1.3
-"""Largest position at which the Jacobian is evaluated, relative to half the field of view; farther
-out, the Jacobian would become very large."""
+"""The Jacobian of the projection is evaluated at most this far from the image centre, relative to
+half the field of view. Farther out, the Jacobian would become very large."""
 
 
-SLOW = f"This takes many times longer than with gsplat; `{install_command('gpu')}` installs it."
+SLOW = (
+    f"Rendering takes many times longer than with gsplat; `{install_command('gpu')}` installs "
+    "gsplat."
+)
 
 
 @dataclass(frozen=True)
@@ -51,13 +56,15 @@ class Rendering:
     """A rendered image, and the data that densification needs."""
 
     rgb: Tensor
-    """Colours [H,W,3] over the background."""
+    """Colours [H,W,3], composited over the background."""
     alpha: Tensor
     """Alpha [H,W], 0..1."""
     centres: Tensor
-    """Projected centres [N,2], pixels; the backward pass stores their gradient."""
+    """Projected centres [N,2], pixels; the backward pass stores the gradient of the loss in this
+    tensor."""
     radii: Tensor
-    """Radius of three standard deviations [N], pixels; 0 for invisible Gaussians."""
+    """Radius on screen that corresponds to three standard deviations [N], pixels; 0 for invisible
+    Gaussians."""
 
     def screen_gradients(self) -> Tensor:
         """Return the loss gradients with respect to the centres [N,2], per half image side."""
@@ -77,11 +84,11 @@ def rasterize(
     view: View,
     background: Tensor,
 ) -> Rendering:
-    """Render Gaussians; gradients flow back to all of their parameters.
+    """Render Gaussians; gradients flow back to all parameters of the Gaussians.
 
     Args:
         means: Centres [N,3].
-        quats: Quaternions wxyz [N,4] of any length.
+        quats: Quaternions wxyz [N,4], which need not be normalised.
         scales: Standard deviations [N,3].
         opacities: Opacities [N], 0..1.
         colors: Colours [N,3].
@@ -106,7 +113,7 @@ def rasterize(
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:
-    """Return the rotation matrices [N,3,3] of quaternions wxyz [N,4] of any length."""
+    """Return rotation matrices [N,3,3] for quaternions wxyz [N,4], which need not be normalised."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -128,7 +135,7 @@ def project(
         view: The camera.
 
     Returns:
-        Centres [N,2] in pixels, depths [N], covariances on screen [N,2,2] in pixels^2.
+        Centres [N,2] in pixels, depths [N], and covariances on screen [N,2,2] in pixels^2.
     """
     rotation = view.matrix[:3, :3].to(means)
     x, y, z = (means @ rotation.T + view.matrix[:3, 3].to(means)).unbind(-1)
@@ -151,7 +158,7 @@ def project(
 
 
 def _conics(covariances: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
-    """Return inverse covariances (xx, xy, yy) [N,3], and radii of three std deviations [N]."""
+    """Return inverse covariances (xx, xy, yy) [N,3] and radii of three standard deviations [N]."""
     a, b, c = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     determinant = a * c - b * b
     conics = torch.stack([c, -b, a], dim=-1) / determinant[:, None]
@@ -170,7 +177,7 @@ def _on_screen(centres: Tensor, radii: Tensor, view: View) -> Tensor:
 
 
 def _reach(covariances: Tensor, opacities: Tensor) -> Tensor:
-    """Return half sides [N] of the squares outside which alpha is below ALPHA_MIN."""
+    """Return half the sides [N] of the squares outside which alpha is below ALPHA_MIN."""
     variance = covariances.diagonal(dim1=1, dim2=2).amax(dim=1)
     return (2 * torch.log((opacities / ALPHA_MIN).clamp(min=1)) * variance).sqrt()
 
@@ -184,7 +191,10 @@ def _tiles(
     order: Tensor,
     view: View,
 ) -> tuple[Tensor, Tensor]:
-    """Return the image over black [H,W,3] and alpha [H,W]; `order` sorts from near to far."""
+    """Return colours [H,W,3] over black, and alpha [H,W].
+
+    `order` lists the Gaussians from near to far.
+    """
     rows = []
     low, high = (
         (centres.detach() - reach[:, None])[order],
@@ -213,7 +223,7 @@ def _pixel_centres(left: int, top: int, size: tuple[int, int], like: Tensor) -> 
 def _blend(
     pixels: Tensor, centres: Tensor, conics: Tensor, opacities: Tensor, colors: Tensor
 ) -> Tensor:
-    """Composite front to back at `pixels [P,2]`: return colour and alpha [P,4]."""
+    """Composite Gaussians front to back at `pixels` [P,2]; return colour and alpha [P,4]."""
     d = pixels[:, None, :] - centres
     xx, xy, yy = conics.unbind(-1)
     power = -0.5 * (xx * d[..., 0] ** 2 + yy * d[..., 1] ** 2) - xy * d[..., 0] * d[..., 1]
@@ -261,13 +271,13 @@ def _with_gsplat(
 
 
 def orbit_view(elevation: float, azimuth: float, radius: float, size: int) -> View:
-    """Return the square view from a pose on the networks' orbit (`phy124.generators.neural.orbit`).
+    """Return a square view from a pose on the networks' orbit (`phy124.generators.neural.orbit`).
 
     Args:
-        elevation: Elevation, degrees; positive is below the object.
+        elevation: Elevation, degrees; a positive angle is below the object.
         azimuth: Azimuth, degrees.
-        radius: Distance from the origin.
-        size: Side of the image, pixels.
+        radius: Distance of the camera from the origin.
+        size: Width and height of the image, pixels.
     """
     matrix = torch.from_numpy(to_opencv(orbit(elevation, azimuth, radius))).float()
     return View(matrix, focal(size), size, size)

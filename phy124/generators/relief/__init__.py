@@ -1,10 +1,10 @@
 """Generator `relief`: inflates an image with alpha into a closed shell of flat Gaussians.
 
-The generator needs no trained weights. The shape is a guess, not a reconstruction: the most
-plausible solid for the silhouette (`phy124.generators.relief.solids`). The front shows the image;
-the back is invented (`phy124.generators.relief.back`). An image from the side replaces the guess of
-the depth (`phy124.generators.relief.hull`). docs/lab/relief.md compares the results with objects
-whose shape is known from all sides.
+The generator needs no trained weights. The shape is not reconstructed but guessed: it is the most
+plausible solid for the silhouette (`phy124.generators.relief.solids`). The front shows the image,
+and the look of the back is invented (`phy124.generators.relief.back`). If there is an image from
+the side, it determines the depth instead (`phy124.generators.relief.hull`). docs/lab/relief.md
+compares the results with objects whose shape is known from all sides.
 """
 
 from __future__ import annotations
@@ -45,31 +45,35 @@ def relief(
     thickness: float | None = None,
     highlights: Literal["keep", "remove"] = "keep",
 ) -> Gaussians:
-    """Inflate the opaque part of an image to a closed shell.
+    """Inflate the opaque part of an image to the closed shell of an object.
 
-    The object faces +x. A camera in front of the shell, at the distance `VIEW_DISTANCE`, sees the
-    shell's silhouette at x = 0 with a longest side of 1 m. If the object is longer in the image
-    from the side, its longest side there is 1 m. Equal seeds give equal Gaussians.
+    The object faces +x. A camera at the distance `VIEW_DISTANCE` in front of the shell sees the
+    shell's silhouette in the plane x = 0, where its longest side is 1 m. If the object is longer in
+    the image from the side than in the front image, its longest side in the side image is 1 m
+    instead. The same seed always gives the same Gaussians.
 
     Args:
         image_rgba: The image [H,W,4].
-        seed: Seed of the random positions.
+        seed: Seed of the points' random positions.
         progress: Callback as described in `phy124.progress`.
         count: Approximate number of Gaussians.
-        depth: Depth map of the image [H,W] in any unit, larger is nearer, or a network that
-            estimates it; None: the front is inflated like the back.
-        side: Image of the segmented object from one side, which determines its depth.
+        depth: Depth map of the image [H,W] in any unit, in which larger values are nearer, or a
+            network that estimates the map; if None, the front is inflated like the back.
+        side: Image of the segmented object from one side, from which the object's depth is
+            determined.
         facing: Direction in which the object's front points in `side`.
         back: Image of the segmented object from behind.
-        back_look: Look of the back without such an image: "mirror": the mirrored front; "plain":
-            the front's materials without its features; "auto": plain if the silhouette is
-            symmetric, else mirrored.
-        thickness: Factor on the depth guessed from the silhouette; None: 1.
-        highlights: "keep": they are painted on the object and move with it; "remove" them first.
+        back_look: Look of the back if there is no image from behind. "mirror": the mirrored front;
+            "plain": the materials of the front without its features; "auto": plain if the
+            silhouette is symmetric, otherwise mirrored.
+        thickness: Factor by which the depth guessed from the silhouette is multiplied; None stands
+            for 1.
+        highlights: "keep" paints the highlights on the object, with which they move; "remove"
+            removes them from the images first.
 
     Raises:
         InputError: If an image has no opaque pixels, the depth map does not fit the image, or the
-            images contradict each other.
+            front and side images contradict each other.
     """
     rng = np.random.default_rng(seed)
     compile_missing([*(INFLATED if side is None else HULL), push], progress=progress)
@@ -86,7 +90,7 @@ def relief(
     if isinstance(depth, DepthNetwork) and side is None:
         depth = depth(np.asarray(open_picture(image_rgba, "image")))
     elif isinstance(depth, DepthNetwork) and depth.optional:
-        depth = None  # the picture from the side shows the depth better
+        depth = None  # the image from the side determines the depth better than a network
     behind = None if back is None else prepare(back, "back")
     if side is None:
         assert not isinstance(depth, DepthNetwork)

@@ -1,9 +1,11 @@
 """Guesses the look of an object's unseen back from the image of its front.
 
-An object seen from its side has no symmetric silhouette, even without thin parts, and is assumed to
-look alike from the other side: the back is the mirrored front. An object seen from its front has a
-back of the same materials without the features: colours are interpolated between those near the
-rim, and get the fine texture of parts of the front that have similar colours and no strong edges.
+If the silhouette is not symmetric, even after thin parts are removed, the image is assumed to show
+the object from its side. The other side then looks alike, so the back is the mirrored front. If the
+silhouette is symmetric, the image is assumed to show the object from its front. The back then has
+the materials of the front but not its features: colours are interpolated between the colours near
+the rim. Fine texture is copied from parts of the front that have similar colours and no strong
+edges.
 """
 
 from __future__ import annotations
@@ -20,44 +22,47 @@ from phy124.generators.relief.height import nearest_of
 Field = NDArray[np.float64]
 BackLook = Literal["auto", "mirror", "plain"]
 SYMMETRIC = 0.86
-"""A silhouette counts as a front if it overlaps with its mirror image by at least this much
-(IoU)."""
+"""A silhouette is assumed to show the object's front if its overlap (IoU) with its mirror image is
+at least this."""
 HANDLE, BODY = 0.4, 0.75
-"""Largest thickness of thin parts relative to the thickest part, and smallest area of an object
-without them."""
+"""Largest thickness of a part that counts as thin, relative to the thickest part; and smallest
+fraction of the silhouette's area that must remain without the thin parts."""
 UPPER, OUTLINE, FACE = 0.4, 0.65, 0.75
-"""Upper fraction of the height that may contain a face; and the overlap of outlines and the
-correlation of brightness that this part must have with its mirror image to count as a face."""
+"""Upper fraction of the height that may contain a face. To count as a face, this part must overlap
+with its mirror image (IoU) by at least the second value, and its brightness must correlate with
+that of the mirror image by at least the third."""
 LARGE, FEWEST = 20.0, 50
-"""Standard deviation of the filter that removes the shading [pixels], and the smallest number of
-pixels that are compared."""
+"""Standard deviation of the filter that removes the shading [pixels], and smallest number of pixels
+for a comparison."""
 SHIFTS = 21
-"""Number of positions tried for the axis of symmetry, in the middle half of the silhouette."""
+"""Number of candidate positions for the axis of symmetry, in the middle half of the silhouette."""
 INSET = 0.03
-"""Distance inside the rim at which the rim's colour is read, in image sizes."""
+"""Distance from the rim at which the colours near the rim are read, relative to the image's
+size."""
 SHORTER = 6.0
-"""On the back, a row and a column are weighted by the ratio of their lengths to this power; the
-shorter one has more weight."""
+"""The colour of a pixel on the back is a mean of its row's and its column's colour, weighted by the
+ratio of their lengths to this power. The shorter of the two has more weight."""
 COARSE = 3.0
-"""Standard deviation of the filter that separates colours and fine texture [pixels]."""
+"""Standard deviation of the filter that separates colours from fine texture [pixels]."""
 PATCH, STEP, OFFSET = 20, 10, 3
-"""Side of a patch of texture, spacing of the patches on the back, and spacing of the candidates
-from which they are copied [pixels]."""
+"""Side of a square patch of texture, spacing of the patches on the back, and spacing of the patches
+on the front from which they are copied [pixels]."""
 QUIET, STRONG = 0.4, 0.07
-"""Fraction of the candidates that may be copied, beginning with the least texture; and standard
-deviation above which texture is weakened, because it shows edges of features."""
+"""Fraction of the front's patches that may be copied; the patches with the least texture are taken
+first. The second value is the standard deviation above which texture is weakened, because such
+texture shows the edges of features."""
 BINS = 10
-"""Number of bins per channel in which the colours of a card are counted."""
+"""Number of bins per channel of the histogram that counts the colours of a flat card."""
 ALIKE = 6
-"""Number of candidates with the most similar colours; one of them is chosen at random."""
+"""Number of front patches with the most similar colours; one of them is chosen at random."""
 
 
 def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
-    """Choose the back for an image [H,W,4]: plain if the image shows the object's front, else
-    mirrored.
+    """Choose the look of the back: plain if the image [H,W,4] shows the front, otherwise mirrored.
 
-    An image shows a front if its silhouette is symmetric, apart from thin parts, or if the upper
-    part is symmetric in outline and in colour, such as a face above an outstretched arm.
+    An image shows a front if its silhouette without thin parts is symmetric. It also shows a front
+    if the outline and the colours of its upper part are symmetric, such as a face above an
+    outstretched arm.
     """
     solid = rgba[..., 3] > 0.5
     rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
@@ -74,8 +79,9 @@ def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
 
 
 def _body(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a silhouette [H,W] without thin parts such as a handle, cropped to its columns. If the
-    thin parts are large, return the silhouette unchanged.
+    """Return a silhouette [H,W] without thin parts such as handles, cropped to its columns.
+
+    If the thin parts are large, return the silhouette unchanged.
     """
     depth = nearest_of(~np.pad(solid, 1))[0][1:-1, 1:-1]
     radius = HANDLE * float(depth.max())
@@ -87,9 +93,9 @@ def _body(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _fold(solid: NDArray[np.bool_]) -> tuple[float, int]:
-    """Return the largest overlap (IoU) of a silhouette with its mirror image, and the axis.
+    """Return the largest overlap (IoU) of a silhouette with its mirror image, and the axis for it.
 
-    The axis is stated as twice its distance from the middle of the image [pixels].
+    The axis is returned as twice its distance from the middle of the image [pixels].
     """
     width, area = solid.shape[1], np.count_nonzero(solid)
     best, axis = 0.0, 0
@@ -103,12 +109,12 @@ def _fold(solid: NDArray[np.bool_]) -> tuple[float, int]:
 
 
 def _about(values: NDArray, axis: int) -> NDArray:
-    """Pad an array [H,W] so that the axis of symmetry is in its middle."""
+    """Pad an array [H,W] so that the axis of symmetry is in the middle column."""
     return np.pad(values, ((0, 0), (max(axis, 0), max(-axis, 0))))
 
 
 def _alike(rgba: Field, axis: int) -> float:
-    """Return the correlation of an image's brightness [H,W,4] with its mirror image's."""
+    """Return the correlation between the brightness of an image [H,W,4] and of its mirror image."""
     solid = _about(rgba[..., 3] > 0.5, axis).astype(np.float64)
     bright = _about(rgba[..., :3].mean(axis=2), axis) * solid
     weight = cv2.GaussianBlur(solid, (0, 0), LARGE)
@@ -128,13 +134,13 @@ def plain_back(
     rng: np.random.Generator,
     turned: bool = False,
 ) -> Field:
-    """Return colours of the back [H,W,3] without the features of the front.
+    """Return colours for the back [H,W,3] that do not show the features of the front.
 
     Args:
-        picture: Colours of the front [H,W,3], continued beyond the silhouette.
+        picture: Colours of the front [H,W,3], extrapolated beyond the silhouette.
         inside: Mask of the silhouette [H,W].
         size: Size of the object, pixels.
-        rng: Random number generator that chooses patches of texture.
+        rng: Random number generator for the choice of texture patches.
         turned: Whether the object is a solid of revolution with a vertical axis.
     """
     smooth = smooth_back(picture, inside, size, turned)
@@ -144,7 +150,7 @@ def plain_back(
 def _texture(
     picture: Field, smooth: Field, inside: NDArray[np.bool_], rng: np.random.Generator
 ) -> Field:
-    """Copy fine texture [H,W,3] from patches of the front whose colours are like the back's.
+    """Copy fine texture [H,W,3] to the back from patches of the front with similar colours.
 
     Overlapping patches are blended with weights that preserve the variance (Heitz, Neyret 2018).
     """
@@ -152,7 +158,7 @@ def _texture(
     fine = picture - coarse
     window = np.sin(np.pi * (np.arange(PATCH) + 0.5) / PATCH) ** 2
     window = np.outer(window, window)
-    # Patches of the front lie wholly inside the silhouette.
+    # Only patches that lie wholly inside the silhouette are used.
     whole = cv2.erode(np.pad(inside, 1).astype(np.uint8), np.ones((PATCH, PATCH), np.uint8))[
         1:-1, 1:-1
     ]
@@ -188,7 +194,7 @@ def _texture(
 
 
 def card_back(picture: Field, inside: NDArray[np.bool_]) -> Field:
-    """Return the back of a flat card [H,W,3]: everywhere the most common colour of the front.
+    """Return the back of a flat card [H,W,3], which has the front's most common colour everywhere.
 
     Args:
         picture: Colours of the front [H,W,3].
@@ -198,7 +204,7 @@ def card_back(picture: Field, inside: NDArray[np.bool_]) -> Field:
 
 
 def most_common(colours: Field) -> Field:
-    """Return the most common colour [3] of colours [N,3]."""
+    """Return the most common colour [3] in a list of colours [N,3]."""
     count = np.histogramdd(colours, BINS, [(0.0, 1.0)] * 3)[0]
     count = scipy.ndimage.gaussian_filter(count, 0.7)
     most = (np.array(np.unravel_index(count.argmax(), count.shape)) + 0.5) / BINS
@@ -209,16 +215,17 @@ def most_common(colours: Field) -> Field:
 def smooth_back(
     picture: Field, inside: NDArray[np.bool_], size: int, turned: bool = False
 ) -> Field:
-    """Interpolate the back [H,W,3] along rows and columns between colours near the rim.
+    """Interpolate the back [H,W,3] between colours near the rim, along rows and columns.
 
-    Stripes therefore continue around the object, and features inside the silhouette (eyes, a beak)
-    do not appear again on the back.
+    Stripes therefore continue around the object. Features inside the silhouette, such as eyes or a
+    beak, do not appear on the back.
 
     Args:
-        picture: Colours of the front [H,W,3], continued beyond the silhouette.
+        picture: Colours of the front [H,W,3], extrapolated beyond the silhouette.
         inside: Mask of the silhouette [H,W].
         size: Size of the object, pixels.
-        turned: Whether the object is a solid of revolution: only rows are interpolated.
+        turned: Whether the object is a solid of revolution; if so, colours are interpolated only
+            along rows.
     """
     depth, _ = nearest_of(~inside)
     ridge = scipy.ndimage.maximum_filter(depth, size=2 * int(INSET * size) + 1)
@@ -248,9 +255,11 @@ def _thickness(depth: Field) -> Field:
 
 
 def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tuple[Field, Field]:
-    """Interpolate colours [H,W,3] along each row's runs of inside pixels; also return run lengths.
+    """Interpolate colours [H,W,3] along each row's runs of inside pixels.
 
-    The colours of thin features, such as a beak, are weighted less at a distance.
+    Also return the run lengths.
+
+    The colours of thin features, such as a beak, get less weight with increasing distance.
     """
     columns = np.arange(inside.shape[1])
     before = np.maximum.accumulate(np.where(inside, 0, columns), axis=1)

@@ -1,6 +1,7 @@
-"""Fits a box to an outline with six corners: the outline of a cuboid seen towards one of its edges.
+"""Fits a box to an outline with six corners, such as that of a cuboid seen towards one edge.
 
-The picture determines the box: twelve coordinates for a rotation, three sizes and a position.
+The corners have twelve coordinates, which determine the box's rotation, its three side lengths and
+its position.
 """
 
 from __future__ import annotations
@@ -18,14 +19,15 @@ from phy124.generators.relief.surface import View
 
 Field = NDArray[np.float64]
 TOLERANCES, OVERLAP = (0.01, 0.007, 0.004), 0.98
-"""Largest distances of the outline from the hexagon that are tried, relative to the outline's
-length; and smallest overlap (IoU) of the silhouette and the hexagon."""
+"""Tolerances that are tried for the distance of the outline from the hexagon, relative to the
+outline's length; and smallest overlap (IoU) of the silhouette with the hexagon."""
 YAWS, PITCHES = (20.0, 45.0, 70.0), (-2.0, -25.0, -50.0)
-"""Directions from which the fit begins [degrees]; boxes are assumed to be seen from above."""
+"""View directions from which the fit starts [degrees]; boxes are assumed to be seen from above."""
 MISFIT = 7.0
-"""Largest root mean square distance of the corners of box and hexagon [pixels]."""
+"""Largest root mean square distance between the corners of the box and those of the hexagon
+[pixels]."""
 LONGEST = 12.0
-"""Largest ratio of the box's sizes."""
+"""Largest ratio of the box's longest side to its shortest side."""
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 
 
@@ -36,17 +38,18 @@ class Cuboid:
     turn: Field
     """Rotation from the box's axes to those of the camera [3,3]."""
     half: Field
-    """Half of the sizes [3], pixels."""
+    """Half of the side lengths [3], pixels."""
     centre: Field
-    """Centre [3], pixels."""
+    """Position of the box's centre [3], pixels."""
     view: View
     """The front camera."""
 
     def spread(self, count: int) -> tuple[Field, Field, float]:
-        """Distribute about `count` points evenly over the faces.
+        """Distribute about `count` points evenly over the faces of the box.
 
         Returns:
-            Points in projected coordinates [N,3], outward unit normals [N,3], and the spacing.
+            Points in projected coordinates [N,3], outward unit normals [N,3], and the spacing of
+            the points.
         """
         half = np.maximum(self.half - DRAWN_IN, self.half / 2)
         area = 8 * (half.prod() / half).sum()
@@ -63,7 +66,8 @@ class Cuboid:
                 face = np.zeros((len(rows), len(columns), 3))
                 face[..., axis] = side * half[axis]
                 face[..., v] = rows[:, None]
-                # A triangular lattice: every second row is shifted by half a spacing.
+                # The points form a triangular lattice: every second row is shifted by half a
+                # spacing.
                 shift = np.where(np.arange(len(rows)) % 2, edge / 2, 0.0)[:, None]
                 face[..., u] = np.minimum(columns + shift, half[u])
                 points.append(face.reshape(-1, 3))
@@ -72,12 +76,14 @@ class Cuboid:
         return placed, np.concatenate(normals) @ self.turn.T, pitch
 
     def colours(self, points: Field, normals: Field, seen: Field) -> Field:
-        """Colour points [N,3]: a hidden face has the most common colour of the opposite face.
+        """Return colours [N,3].
+
+        Points on hidden faces get the most common colour of the opposite face.
 
         Args:
             points: Projected points [N,3].
             normals: Unit normals [N,3].
-            seen: Colours of these points in the image [N,3].
+            seen: Colours that the image has at these points [N,3].
         """
         eye = np.array([0.0, 0.0, self.view.distance])
         visible = ((eye - points) * normals).sum(axis=1) > 0
@@ -91,7 +97,7 @@ class Cuboid:
 
 
 def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
-    """Return the box whose outline is a silhouette [H,W]; None if no box has this outline."""
+    """Return the box whose outline is a given silhouette [H,W]; None if no box has this outline."""
     corners = _hexagon(object_mask)
     if corners is None:
         return None
@@ -109,7 +115,7 @@ def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
 
 
 def _hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
-    """Return the corners of a hexagonal silhouette [6,2], pixels; None for other silhouettes."""
+    """Return the corners of a silhouette [6,2], pixels; None if the silhouette is not a hexagon."""
     outlines, _ = cv2.findContours(
         object_mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
     )
@@ -125,14 +131,20 @@ def _hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
 
 
 def _project(values: Field, distance: float) -> Field:
-    """Return a box's corners [8,2] in the image, from its rotation, log sizes, x and y."""
+    """Project a box, given as rotation, log sizes, x and y.
+
+    Return its corners in the image [8,2].
+    """
     turn = scipy.spatial.transform.Rotation.from_rotvec(values[:3]).as_matrix()
     points = (CORNERS * np.exp(values[3:6])) @ turn.T + [*values[6:], 0.0]
     return points[:, :2] / (1 - points[:, 2:] / distance)
 
 
 def _fit(corners: Field, yaw: float, pitch: float, distance: float) -> tuple[Field, float] | None:
-    """Fit a box to corners [6,2] from a first direction; return its values and misfit [pixels]."""
+    """Fit a box to corners [6,2], starting from a direction.
+
+    Return its parameters and misfit [pixels].
+    """
     turn = scipy.spatial.transform.Rotation.from_euler("yx", [yaw, pitch], degrees=True)
     size = np.ptp(corners, axis=0)
     values = np.array([*turn.as_rotvec(), *[np.log(size.mean() / 3.5)] * 3, *corners.mean(axis=0)])

@@ -1,4 +1,4 @@
-"""Closes the flat ends of an object, and colours these faces, which no image shows."""
+"""Closes the flat ends of an object, and colours the end faces, which no image shows."""
 
 from __future__ import annotations
 
@@ -14,36 +14,38 @@ from phy124.generators.relief.surface import Surface, View
 
 Field = NDArray[np.float64]
 SEEN = 0.7
-"""The height of a flat end's plane is a weighted mean. The object's front edge, which is seen on
-the image's lowest line, has this weight; the end's corners have the rest. (For divided feet, the
-weight is 1.)"""
+"""The height of the plane of a flat end is a weighted mean of two heights. The height of the
+object's front edge, which is the lowest line of the object in the image, has this weight. The
+height of the end's corners has the remaining weight. (If the end consists of separate feet, the
+weight of the front edge is 1.)"""
 STRIP, BLUR = 8, 12.0
-"""Height of the strip of the image along an end that determines the end's colours, and their blur
-[pixels]."""
+"""Height of the strip of the image along an end from which the end's colours are taken, and
+standard deviation of the filter that blurs them [pixels]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """The horizontal plane of a flat end. Where the plane's near part would appear beyond the
-    object's outline in the image, a bevel along the view rays of the outline replaces it.
+    """The horizontal plane of a flat end.
+
+    If the near part of the plane would appear beyond the object's outline in the image, this part
+    is replaced by a bevel, which follows the view rays of the outline.
     """
 
     level: float
     """Projected y of the plane [pixels]."""
     outline: Field
-    """The object's last row in each column of the image [W]."""
+    """The last row of the object in each column of the image [W]."""
     view: View
     """The front camera."""
     sign: int
-    """1 for the bottom, -1 for the top."""
+    """1 for the bottom of the object, -1 for its top."""
 
     def rows(self, columns: Field, z: Field) -> tuple[Field, NDArray[np.bool_]]:
-        """Return the row, before projection, of the plane or of the bevel [N], and whether it is
-        the bevel's.
+        """Return the row of the plane or bevel [N], before projection, and whether it is the bevel.
 
         Args:
-            columns: Columns before projection [N].
-            z: Coordinates towards the camera [N].
+            columns: Columns of the points before projection [N].
+            z: Coordinates of the points towards the camera [N].
         """
         flat = self.level / self.view.k(z) + self.view.middle[1]
         outline = np.interp(columns, np.arange(len(self.outline)), self.outline)
@@ -51,7 +53,7 @@ class Plane:
         return np.where(bevelled, outline, flat), bevelled
 
     def normals(self, columns: Field, z: Field) -> Field:
-        """Return unit normals before projection [N,3], for the arguments of `rows`."""
+        """Return unit normals before projection [N,3]; the arguments are those of `rows`."""
         tilt = np.where(
             self.rows(columns, z)[1],
             0.0,
@@ -61,34 +63,34 @@ class Plane:
         return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     def includes(self, points: Field, by: float) -> NDArray[np.bool_]:
-        """Whether points before projection [N,3] are inside by at least `by` projected pixels."""
+        """Whether points before projection [N,3] are inside the plane by at least `by` pixels."""
         x, y, z = points.T
         return (self.rows(x, z)[0] - y) * self.sign * self.view.k(z) >= by
 
 
 @dataclass(frozen=True, eq=False)
 class Cap:
-    """The flat face at an end of the object."""
+    """The flat face that closes an end of the object."""
 
     points: Field
-    """Lattice of points on the face [M,3], pixels."""
+    """Regularly spaced points on the face [M,3], pixels."""
     normals: Field
-    """Normals before projection [M,3]."""
+    """Unit normals of the points before projection [M,3]."""
     plane: Plane
-    """The plane of the face; everything beyond it is cut off."""
+    """The plane of the face; everything beyond this plane is cut off."""
     last: float
-    """The object's last row at this end."""
+    """The last row of the object at this end."""
 
 
 def make_cap(
     surface: Surface, view: View, end: End, object_mask: NDArray[np.bool_], pitch: float
 ) -> Cap:
-    """Make the flat face of an end, at the height that follows from the end's rows in the image.
+    """Make the flat face of an end; its height follows from the rows of the end in the image.
 
     Args:
         surface: The inflated solid.
         view: The front camera.
-        end: The end.
+        end: The flat end that the face closes.
         object_mask: Mask of the object, without its mirror images [H,W].
         pitch: Spacing of the points, pixels.
     """
@@ -102,7 +104,7 @@ def make_cap(
     x = np.arange(-width / 2, width / 2, pitch)
     z = np.arange(-thick, thick + pitch, pitch * 3**0.5 / 2)
     gx, gz = np.meshgrid(x, z)
-    # A triangular lattice: every second line is shifted by half a spacing.
+    # The points form a triangular lattice: every second line is shifted by half a spacing.
     gx = gx + np.where(np.arange(len(z)) % 2, pitch / 2, 0.0)[:, None]
     depth = gz.ravel()
     column = gx.ravel() / view.k(depth) + view.middle[0]
@@ -113,8 +115,9 @@ def make_cap(
 
 
 def _outline(end: End, object_mask: NDArray[np.bool_]) -> Field:
-    """Return the last row of the object in each column [W]; if the object has no such end, the
-    outermost row.
+    """Return the last row of the object in each column [W].
+
+    If the object has no such end, return the outermost row.
     """
     if end.divided:
         return np.full(object_mask.shape[1], end.outermost)
@@ -125,16 +128,16 @@ def _outline(end: End, object_mask: NDArray[np.bool_]) -> Field:
 
 
 def _thick(surface: Surface, row: float) -> float:
-    """Return the largest half thickness in a row [pixels]."""
+    """Return the largest half thickness of the object in a row [pixels]."""
     return float(np.sqrt(max(surface.w[int(row)].max(), 0.0)))
 
 
 def colour_cap(cap: Cap, unlit: Field, light: Field) -> Field:
-    """Return the colours [M,3] of a cap, which are the image's colours along the end.
+    """Return the colours [M,3] of a cap, taken from the image along the end.
 
     Args:
-        cap: The face.
-        unlit: Colours of the front without light [H,W,3].
+        cap: The face to colour.
+        unlit: Colours of the front with the light removed [H,W,3].
         light: Direction and strength of the light [3].
     """
     rows = np.clip(cap.last - cap.plane.sign * np.arange(STRIP), 0, len(unlit) - 1).astype(int)

@@ -1,4 +1,4 @@
-"""Colours an object from its images and from a guess of its back."""
+"""Colours an object from its images and from a guess of how its back looks."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from phy124.runtime.cores import cores
 
 Field = NDArray[np.float64]
 REACH = 0.2
-"""Depth behind the rim over which the mirrored image fades into the back, in image sizes."""
+"""Depth behind the rim over which the colours change from the mirrored image to the back, relative
+to the image's size."""
 STRETCH, BLURS = 1.0, (0.0, 1.5, 3.0, 6.0)
-"""Blur of the image per unit by which a steep surface stretches the image, and levels of blur
-[pixels]."""
+"""Blur of the image where a steep surface stretches it, per unit of stretch, and available levels
+of blur [pixels]."""
 FRINGE = 2.0
-"""Width of the edge whose colours are ignored [pixels]."""
+"""Width of the silhouette's edge in which colours are ignored [pixels]."""
 
 
 def clean_picture(rgba: Field) -> Field:
-    """Return colours [H,W,3] without the background that is mixed into the edge pixels.
+    """Return colours [H,W,3] from which the background that is mixed into edge pixels is removed.
 
-    Edge pixels, and all pixels outside, get the colour of the nearest reliable opaque pixel.
+    Edge pixels and pixels outside the object get the colour of the nearest reliable opaque pixel.
     """
     solid = rgba[..., 3] > 0.5
     clean = nearest_of(rgba[..., 3] <= 0.95)[0] > FRINGE
-    # Where the object is too thin to have clean pixels, trust the pixels on its centre line.
+    # Where the object is too thin to have clean pixels, use the pixels on its centre line.
     depth, _ = nearest_of(~solid)
     ridge = depth >= scipy.ndimage.maximum_filter(depth, size=3)
     lost = nearest_of(clean)[0] > 2 * FRINGE + 1 if clean.any() else solid
@@ -51,19 +52,19 @@ def colour_points(
 ) -> Field:
     """Colour surface points [N,3] from the front image, and extend its colours around the rim.
 
-    Behind the rim, the mirrored image fades into the back, so that there is no seam at the rim.
-    Colours behind the rim are lit as the normals require.
+    Behind the rim, the colours change gradually from the mirrored image to the back, so that no
+    seam is visible. The colours behind the rim are shaded according to the surface's normals.
 
     Args:
-        points: Positions [N,3], pixels.
-        normals: Unit normals [N,3].
-        surface: The surface.
+        points: Positions of the points [N,3], pixels.
+        normals: Unit normals of the surface at the points [N,3].
+        surface: The surface on which the points lie.
         front: Colours of the front [H,W,3].
-        unlit: Colours of the front without light (`light.unlight`) [H,W,3].
-        back: Colours of the back without light [H,W,3].
+        unlit: Colours of the front with the light removed (`light.unlight`) [H,W,3].
+        back: Colours of the back with the light removed [H,W,3].
         light: Direction and strength of the light (`light.fit_light`) [3].
-        reach: Depth behind the rim over which the mirrored image fades into the back, pixels; 0:
-            only the narrow sides of a card show the mirrored image.
+        reach: Depth behind the rim over which the colours change from the mirrored image to the
+            back, pixels; if 0, only the narrow sides of a card show the mirrored image.
     """
     place = points[:, 1::-1].T
     blur = STRETCH * (1 / np.maximum(np.abs(normals[:, 2]), 1e-3) - 1)
@@ -79,7 +80,7 @@ def colour_points(
 
 
 def _fade(points: Field, normals: Field, surface: Surface, reach: float) -> Field:
-    """Return the weight of the back's colours at surface points behind the rim [N]."""
+    """Return the weight of the back's colours at points behind the rim [N]."""
     if reach == 0:
         return np.clip(-normals[:, 2], 0, 1) ** 2
     part = np.clip((surface.middle(points) - points[:, 2]) / reach, 0, 1)
@@ -87,10 +88,12 @@ def _fade(points: Field, normals: Field, surface: Surface, reach: float) -> Fiel
 
 
 def _sample_blurred(picture: Field, place: Field, blur: Field) -> Field:
-    """Return colours [3,N] at image positions; each position has a blur, stated as a standard
-    deviation [pixels].
+    """Return colours [3,N] at image positions.
 
-    On a steep surface, a pixel covers a long strip; without the blur, strips show as streaks.
+    Each position has its own blur, stated as a standard deviation [pixels].
+
+    On a steep surface, a pixel covers a long strip. Without the blur, such strips would appear as
+    streaks.
     """
 
     def sample_level(width: float) -> Field:
@@ -115,21 +118,22 @@ def _sample(picture: Field, place: Field) -> Field:
 
 
 FACING = 4.0
-"""Exponent of the cosine between normal and view direction in the weight of an image."""
+"""Exponent in the weight of an image: the cosine between the normal and the view direction is
+raised to this power."""
 HIDDEN = 0.02
-"""Factor on the weight of an image in which the point is hidden."""
+"""Factor by which the weight of an image is multiplied if the point is hidden in this image."""
 BEHIND = 8.0
 """A point is hidden if it is farther than this behind the visible surface [pixels]."""
 CELL = 2.0
-"""Size of the cells of the visibility test [pixels]."""
+"""Size of the cells in which the visibility of points is tested [pixels]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """An image of the object from one side, with its camera."""
+    """An image that shows the object from one side, with the camera of the image."""
 
     rgb: Field
-    """Colours [H,W,3], continued beyond the silhouette."""
+    """Colours [H,W,3], extrapolated beyond the silhouette."""
     middle: tuple[float, float]
     """Column and row of the object's centre."""
     towards: Field
@@ -137,10 +141,10 @@ class Shown:
     across: Field
     """Unit vector along the rows of the image [3]."""
     weight: float = 1.0
-    """Weight of the image relative to a photograph."""
+    """Weight of the image; a photograph has weight 1."""
 
     def colours(self, points: Field, distance: float) -> Field:
-        """Return the colours [N,3] of points [N,3] as seen by the camera at `distance`."""
+        """Return the colours [N,3] that a camera at `distance` sees at points [N,3]."""
         column, row = self._places(points, distance)
         place = np.stack([row + self.middle[1], column + self.middle[0]])
         channels = [
@@ -150,7 +154,7 @@ class Shown:
         return np.stack(channels, axis=1)
 
     def weights(self, points: Field, normals: Field, distance: float) -> Field:
-        """Return the weight of the image for each point [N]."""
+        """Return the weight of the image's colour for each point [N]."""
         facing = np.maximum(normals @ self.towards, 0.0) ** FACING
         return self.weight * facing * np.where(self._seen(points, distance), 1.0, HIDDEN) + 1e-6
 
@@ -163,7 +167,7 @@ class Shown:
         return along > nearest[tuple(cells)] - BEHIND
 
     def _places(self, points: Field, distance: float) -> Field:
-        """Return the column and row of points relative to the object's centre [2,N]."""
+        """Return the columns and rows of points, relative to the object's centre [2,N]."""
         near = 1 - points @ self.towards / distance
         return np.stack([points @ self.across, points[:, 1]]) / near
 
@@ -171,13 +175,13 @@ class Shown:
 def blend_pictures(
     points: Field, normals: Field, pictures: Sequence[Shown], distance: float
 ) -> Field:
-    """Blend the colours [N,3] of points from several images, with weights by visibility.
+    """Blend the colours [N,3] of points from several images, weighted by visibility.
 
     Args:
         points: Points relative to the object's centre [N,3], pixels.
         normals: Unit normals of the surface [N,3].
         pictures: Images of the object.
-        distance: Distance of every camera from the centre, pixels.
+        distance: Distance of each camera from the centre, pixels.
     """
     weights = np.stack([picture.weights(points, normals, distance) for picture in pictures])
     weights /= weights.sum(axis=0)

@@ -1,9 +1,10 @@
-"""Detects the flat ends of an object: the base on which it stands, and a flat top.
+"""Detects the flat ends of an object: the base on which the object stands, and a flat top.
 
-In an image, the lower edge of a standing object is a straight line or, with perspective, an arc
-between two corners. If the solid were closed at this edge as at other parts of the rim, the solid
-would get a keel. To avoid a keel, the silhouette is extended by its mirror image below the edge,
-inflated, and then cut off flat. Flat tops are treated in the same way.
+The lower edge of a standing object appears in an image as a straight line. With perspective, it
+appears as an arc between two corners. If the solid were rounded off at this edge as at the rest of
+the rim, a sharp ridge would stick out below the solid. To avoid the ridge, the silhouette is
+extended below the edge by its mirror image, inflated, and then cut off flat. Flat tops are treated
+in the same way.
 """
 
 from __future__ import annotations
@@ -16,39 +17,41 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
 MIRRORED = 0.25
-"""Height of the mirror image, relative to the image's height; a taller one would hardly change the
+"""Height of the mirror image, relative to the image's height; more height would hardly change the
 object."""
 FLAT = 0.2
 """Smallest width of a flat end, as a fraction of the object's width."""
 ARC = 0.15
-"""Largest height of an end's arc, as a fraction of its width."""
+"""Largest height of an end's arc, as a fraction of the end's width."""
 CURVED, STRAIGHT = 4, 2
-"""Smallest height of an arc, and largest height of a line [pixels]."""
+"""Smallest height of a lower edge that counts as an arc, and largest height of an edge that counts
+as a straight line [pixels]."""
 CORNERED = 0.92
-"""Smallest ratio of the width at the start of the arc to the width twice as high above the end; a
-ball has 0.74."""
+"""Smallest ratio of the width at the start of the arc to the width twice as high above the end; for
+a ball, this ratio is 0.74."""
 RAGGED = 0.03
-"""Gaps between the parts of an end count if they are deeper than this fraction of its width;
-shallower ones are the raggedness of a cut-out."""
+"""Gaps between the parts of an end are real if they are deeper than this fraction of the end's
+width. Shallower gaps are assumed to be irregularities of the mask."""
 TALL = 0.8
-"""Smallest ratio of height to width above a flat end; flatter objects lie and do not stand."""
+"""Smallest ratio of the height to the width of the object above a flat end; flatter objects are
+assumed to lie, not to stand."""
 
 
 @dataclass(frozen=True)
 class End:
-    """A flat end, described by rows of the image, counted from the top."""
+    """A flat end of the object, described by rows of the image, which are counted from the top."""
 
     corner: float
     """Row at which the sides end and the arc begins; the silhouette is mirrored at this row."""
     outermost: float
     """Row at which the arc ends."""
     sign: int
-    """1 for the bottom, -1 for the top."""
+    """1 for the bottom of the object, -1 for its top."""
     divided: bool = False
-    """Whether the end shows the outlines of several round feet and not a single arc."""
+    """Whether the end shows the outlines of several round feet instead of a single arc."""
 
     def beyond(self, y: Field, by: float = 0.0) -> NDArray[np.bool_]:
-        """Whether rows lie beyond the end by more than `by` pixels."""
+        """Whether each row lies beyond the end by more than `by` pixels."""
         return (y - self.outermost) * self.sign > by
 
 
@@ -64,16 +67,19 @@ class Continued:
 
     @property
     def object_mask(self) -> NDArray[np.bool_]:
-        """Mask of the object, without the mirror images [H,W]."""
+        """Mask of the object, which does not include the mirror images [H,W]."""
         return self.rgba[..., 3] > 0.5
 
     def shorten(self) -> Continued:
-        """Return the image without its mirror images and ends."""
+        """Return the image after its mirror images and the ends of the object are removed."""
         return Continued(self.rgba, self.rgba[..., 3], ())
 
 
 def continue_silhouette(rgba: Field, padding: int) -> Continued:
-    """Extend the silhouette of an image [H,W,4] that has a border of `padding` pixels."""
+    """Extend the silhouette of an image [H,W,4] beyond its flat ends.
+
+    Its border has `padding` pixels.
+    """
     alpha, ends = rgba[..., 3], []
     standing = stands(alpha > 0.5)
     for sign in (1, -1):
@@ -82,12 +88,12 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
         if not rows or not (standing or _rises(upright > 0.5, rows)):
             continue
         if sign < 0 and _is_parted(upright > 0.5, rows):
-            continue  # for example a gap between two ears
+            continue  # there is, for example, a gap between two ears
         last = int(np.flatnonzero((upright > 0.5).any(axis=1))[-1])
         corner = last - rows + 1
         upper = upright[: corner + 1]
         lower = upper[::-1][: max(rows, min(corner, round(MIRRORED * len(rgba))))]
-        lower = np.minimum(lower, upper[-1])  # without a neck at the end
+        lower = np.minimum(lower, upper[-1])  # the object does not become narrower near the end
         longer = np.concatenate([upper, lower, np.zeros_like(upper[:padding])])
         grown = max(0, len(longer) - len(alpha))
         rgba = np.pad(rgba[::sign], ((0, grown), (0, 0), (0, 0)))[::sign]
@@ -102,8 +108,10 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
 
 
 def stands(solid: NDArray[np.bool_]) -> bool:
-    """Whether the outline is that of an upright cylinder: arcs at the top and the bottom, and
-    straight lines at the sides. (A lying cylinder has the arcs at its sides.)
+    """Whether the outline is that of an upright cylinder.
+
+    Such an outline has arcs at the top and the bottom, and straight lines at the sides. (A lying
+    cylinder has its arcs at the left and right.)
     """
     arcs = _arc(solid), _arc(solid[::-1])
     sides = _arc(solid.T), _arc(solid.T[::-1])
@@ -111,10 +119,12 @@ def stands(solid: NDArray[np.bool_]) -> bool:
 
 
 def _arc(solid: NDArray[np.bool_]) -> int:
-    """Return the height, in rows, of the arc at the silhouette's lower end; 0 if this end is not
-    flat.
+    """Return the height, in rows, of the arc at the silhouette's lower end.
 
-    A flat end has corners. Above the corners, the sides are steep, so the width hardly changes.
+    0 if the end is not flat.
+
+    A flat end has corners. Above the corners of a flat end, the sides are steep, so the width
+    hardly changes.
     """
     solid = solid[::-1][np.flatnonzero(solid[::-1].any(axis=1))[0] :]
     widths = np.count_nonzero(solid, axis=1)
@@ -135,18 +145,18 @@ def _widest(row: NDArray[np.bool_]) -> int:
 
 
 def _divides(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether a row of the lower end has more separate runs of pixels than the end's first row."""
+    """Whether any row of the lower end has more separate runs of pixels than its first row."""
     runs = _count_runs(solid, rows)
     return bool(runs.max() > runs[0])
 
 
 def _is_parted(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether a row of the lower end has several separate parts, such as two legs."""
+    """Whether any row of the lower end consists of several separate parts, such as two legs."""
     return bool(_count_runs(solid, rows).max() > 1)
 
 
 def _count_runs(solid: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
-    """Count, in each row of the lower end, the parts that are separated by deep gaps."""
+    """Count the parts in each row of the lower end that are separated by deep gaps."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     first = last - rows + 1
     depth = round(RAGGED * _widest(solid[first]))
@@ -155,7 +165,7 @@ def _count_runs(solid: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
 
 
 def _rises(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether the object above the lower end is at least `TALL` times as high as wide."""
+    """Whether the object above its lower end is at least `TALL` times as high as it is wide."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     row = solid[last - rows + 1]
     columns = solid[: last - rows + 2, row][::-1]

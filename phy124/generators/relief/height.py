@@ -15,17 +15,18 @@ from numpy.typing import NDArray
 Field = NDArray[np.float64]
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 THETA_MIN = 0.1
-"""Smallest distance to the rim that is used [pixels]; it keeps the matrix well conditioned."""
+"""Lower bound on the distance to the rim [pixels], which keeps the matrix well conditioned."""
 
 
 class Factors:
-    """Sparse LU factors, which another thread computes, uses and frees.
+    """Sparse LU factors of a matrix, which are computed, used and freed in a thread of their own.
 
-    SciPy frees the memory of factors only in the thread that made them.
+    The thread is needed because SciPy frees the memory of factors only in the thread that created
+    them.
     """
 
     def __init__(self, matrix: Any) -> None:
-        """Start to factorise a matrix."""
+        """Start the factorisation of a matrix."""
         self._pool, made = ThreadPoolExecutor(1, "factorise"), list[Any]()
         self._made = made
         # Supernodal panels wider than one column take 1.5 times as long.
@@ -34,48 +35,50 @@ class Factors:
         finalize(self, _free, self._pool, made).atexit = False
 
     def solve(self, values: NDArray) -> NDArray:
-        """Return the solution for the right-hand sides [N] or [N,C]."""
+        """Return the solution for right-hand sides of shape [N] or [N,C]."""
         made = self._made
         return self._pool.submit(lambda: made[0].solve(values)).result()
 
 
 def _free(pool: ThreadPoolExecutor, made: list[Any]) -> None:
-    """Release the factors in the thread that made them, then end that thread."""
+    """Release the factors in the thread that created them, then end this thread."""
     pool.submit(made.clear)
     pool.shutdown(wait=False)
 
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """The Laplace operator on the pixels inside a silhouette, with a subpixel rim.
+    """The Laplace operator on the pixels inside a silhouette, with a rim at subpixel accuracy.
 
-    The rim is the contour alpha = 1/2. If a neighbour is outside, and the rim is at the distance
-    theta, the neighbour has weight 1/theta: the symmetric second-order scheme of Gibou et al. 2002.
+    The rim is the contour alpha = 1/2. If a neighbour of a pixel is outside, and the rim is at the
+    distance theta from the pixel, the neighbour has the weight 1/theta. This is the symmetric
+    second-order scheme of Gibou et al. 2002.
     """
 
     inside: NDArray[np.bool_]
-    """Mask of the pixels whose centre is inside [H,W]."""
+    """Mask of the pixels whose centres are inside the rim [H,W]."""
     weights: Field
-    """Weights 1/theta of the rim towards each neighbour [4,H,W]; 0 if the neighbour is inside."""
+    """Weights 1/theta of the rim in the direction of each neighbour [4,H,W]; 0 if the neighbour is
+    inside."""
     factors: Factors
-    """Factors of the operator."""
+    """LU factors of the operator's matrix."""
 
     @classmethod
     def of(cls, alpha: Field) -> Silhouette:
-        """Return the operator for an alpha [H,W] in 0..1 with a transparent border."""
+        """Return the operator for an alpha channel [H,W] in 0..1 that has a transparent border."""
         inside = alpha > 0.5
         weights = np.stack([_rim_weight(alpha, inside, shift) for shift in NEIGHBOURS])
         return cls(inside, weights, Factors(_laplacian(inside, weights)))
 
     def poisson(self, source: float) -> Field:
-        """Solve -Laplace(u) = source with u = 0 on the rim; return u [H,W], 0 outside."""
+        """Solve -Laplace(u) = source with u = 0 on the rim; return u [H,W], which is 0 outside."""
         u = np.zeros(self.inside.shape)
         u[self.inside] = self.factors.solve(np.full(int(self.inside.sum()), source))
         return u
 
     @cached_property
     def distance(self) -> Field:
-        """Distance of each inside pixel to the rim [H,W], pixels; 0 outside."""
+        """Distance of each inside pixel from the rim [H,W], pixels; 0 for pixels outside."""
         rim = np.concatenate(
             [
                 np.argwhere(weight > 0) + np.outer(1 / weight[weight > 0], shift)
@@ -87,10 +90,10 @@ class Silhouette:
         return distance
 
     def sides(self) -> tuple[Field, Field]:
-        """Return the outermost columns of the rim, on the left and on the right of each row: [H],
-        [H].
+        """Return the columns at which the rim begins and ends in each row: left [H] and right [H].
 
-        In a row without pixels of the object, the left column is greater than the right column.
+        In a row that contains no pixels of the object, the left column is greater than the right
+        column.
         """
         rows, width = np.arange(len(self.inside)), self.inside.shape[1]
         first, last = self.inside.argmax(axis=1), width - 1 - self.inside[:, ::-1].argmax(axis=1)
@@ -100,7 +103,10 @@ class Silhouette:
         return first - 1 / np.maximum(left, 1.0), last + 1 / np.maximum(right, 1.0)
 
     def extend(self, u: Field) -> Field:
-        """Extrapolate `u` linearly across the rim: outside, it is negative and decreases."""
+        """Extrapolate `u` linearly across the rim.
+
+        Outside, `u` is negative and decreases with distance.
+        """
         total, count = np.zeros_like(u), np.zeros_like(u)
         for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True):
             mirrored = -u * np.maximum(weight - 1, 0.02)
@@ -108,7 +114,7 @@ class Silhouette:
             count += np.roll(weight > 0, (dy, dx), (0, 1))
         ghost = count > 0
         outside = np.where(ghost, total / np.maximum(count, 1), 0)
-        # Farther out, only the sign and the direction towards the rim are used.
+        # Farther out, only the sign of the result and its direction towards the rim are used.
         far, nearest = nearest_of(ghost)
         return np.where(self.inside, u, outside[nearest] * (1 + far))
 

@@ -1,9 +1,10 @@
-"""Removes highlights from an image; otherwise they would be painted on the object and move with it.
+"""Removes highlights from an image, because they would be painted on the object and move with it.
 
-A highlight adds white light to the colour of the surface. It is a small spot that is brighter than
-its surroundings by equal amounts of red, green and blue, unless a channel is clipped. White paint
-on a coloured surface, in contrast, adds mainly the colours that the surface lacks. On a grey
-surface, highlights and paint cannot be distinguished; grey surfaces are unchanged.
+A highlight is white light that is added to the colour of the surface. It appears as a small spot
+that is brighter than its surroundings by equal amounts of red, green and blue, unless a channel is
+clipped. White paint on a coloured surface, in contrast, mainly adds the colours that the surface
+lacks. On a grey surface, highlights and paint cannot be distinguished, so grey surfaces are left
+unchanged.
 """
 
 from __future__ import annotations
@@ -18,24 +19,25 @@ from phy124.generators.relief.picture import WORK, opaque_size
 
 Field = NDArray[np.float64]
 LARGEST = 0.065
-"""Radius of the largest highlight, in image sizes."""
+"""Radius of the largest highlight, relative to the image's size."""
 SMALLEST = 3
-"""Radius of the smallest highlight [pixels]; narrower spots are edges between colours."""
+"""Radius of the smallest highlight [pixels]; narrower bright spots are assumed to be edges between
+colours."""
 BRIGHT = 0.08
 """Smallest difference in brightness between a highlight and its surroundings."""
 NEUTRAL = 0.15
-"""Largest difference between the red, green and blue that a highlight adds, relative to the largest
-of the three."""
+"""Largest difference between the amounts of red, green and blue that a highlight adds, relative to
+the largest of the three amounts."""
 COLOURED = 0.15
-"""Smallest saturation of the surroundings."""
+"""Smallest saturation of the surroundings of a highlight."""
 FULL = 0.985
-"""Value from which a channel counts as clipped."""
+"""Channel value at or above which the channel counts as clipped."""
 RIM = 2
 """Width of the faint rim of a highlight [pixels]."""
 
 
 def matte(picture: Image.Image) -> Image.Image:
-    """Replace the highlights of an RGBA image by the colours around them."""
+    """Replace the highlights of an RGBA image with the colours around them."""
     scale = WORK / max(opaque_size(picture))
     size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))
     small = np.asarray(picture.resize(size, Image.Resampling.BILINEAR), np.float64) / 255
@@ -48,10 +50,10 @@ def matte(picture: Image.Image) -> Image.Image:
 
 
 def _light(rgba: Field) -> Field:
-    """Return the brightness [H,W,3] of the highlights in an image [H,W,4] of size `WORK`."""
+    """Return the brightness that highlights add [H,W,3] in an image [H,W,4] of size `WORK`."""
     rgb, inside = clean_picture(rgba).astype(np.float32), rgba[..., 3] > 0.5
     disc = _disc(round(LARGEST * WORK))
-    # A morphological opening removes bright spots smaller than the disc.
+    # A morphological opening removes bright spots that are smaller than the disc.
     dark = cv2.erode(np.where(inside[..., None], rgb, np.float32(1)), disc, borderValue=(1, 1, 1))
     under = np.asarray(cv2.dilate(dark, disc, borderValue=(0, 0, 0)), np.float32)
     shine = inside & _white(rgb, under)
@@ -62,11 +64,11 @@ def _light(rgba: Field) -> Field:
 
 
 def _white(rgb: NDArray[np.float32], under: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return the mask [H,W] where the image is the colour `under` [H,W,3] plus white light."""
+    """Return the mask [H,W] of pixels whose colour is `under` [H,W,3] plus white light."""
     added, full = rgb - under, rgb > FULL
     light = np.where(full, -np.inf, added).max(axis=2, keepdims=True)
     light = np.where(np.isfinite(light), light, added.max(axis=2, keepdims=True))
-    # In a clipped channel, the added light is only a lower bound.
+    # In a clipped channel, the added light is known only as a lower bound.
     apart = np.where(full, np.maximum(added - light, 0), np.abs(added - light)).max(axis=2)
     most = added.max(axis=2)
     coloured = np.ptp(under, axis=2) > COLOURED * np.maximum(under.max(axis=2), 1e-3)

@@ -1,9 +1,9 @@
-"""Builds the closed surface that has two given silhouettes, from the front and from the side.
+"""Builds the closed surface that matches two silhouettes, from the front and from the side.
 
-At each height, the front image determines the width of the cross-section, and the side image its
-depth; the two inflated silhouettes determine its roundness. If both images show two legs, the
-surface has four. Coordinates are pixels relative to the object's centre: x right, y down, z towards
-the front camera.
+At each height, the front image determines the width of the cross-section, and the side image
+determines its depth. The two inflated silhouettes determine how round the cross-section is. If two
+legs are visible in both images, the surface has four legs. Coordinates are pixels relative to the
+object's centre: x right, y down, z towards the front camera.
 """
 
 from __future__ import annotations
@@ -23,44 +23,45 @@ from phy124.kernels import implicit
 
 Field = NDArray[np.float64]
 COARSE = 4
-"""Size of the cells of the coarse search for the surface, relative to the cells of the final
+"""Cell size of the coarse search for the surface, as a multiple of the cell size of the final
 search."""
 OUTSIDE = -4.0
-"""Lower limit of the normalised silhouette far outside the object."""
+"""Lower limit of the normalised silhouette's values, which is reached far outside the object."""
 TOLERANCE = 0.25
 """Largest distance of a point from the surface [pixels]."""
 BEYOND = 3
-"""Number of rows of the fields above the object, and below it."""
+"""Number of rows that the fields have above the object, and below it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hull(Implicit):
     """The zero set of F = w(x, y) + r(y)^2 (s(z, y) - 1), cut off at flat ends.
 
-    Here w is the squared half thickness from the front, and r^2 its largest value in the row; s is
-    the squared half thickness from the side, divided by its largest value in the row. For a ball F
+    Here w is the squared half thickness from the front, and r^2 is the largest w of the row. s is
+    the squared half thickness from the side, divided by its largest value in the row. For a ball, F
     = r^2 - |p|^2.
     """
 
     kernels: ClassVar[implicit.Kernels] = implicit.HULL
     front: Field
-    """w and its derivatives along x and y [H,W,3]."""
+    """The field w, and its derivatives along x and y [H,W,3]."""
     side: Field
-    """r^2 (s - 1) and its derivatives along z and y [H,D,3]."""
+    """The field r^2 (s - 1), and its derivatives along z and y [H,D,3]."""
     y: Field
     """Heights of the rows [H], evenly spaced."""
     planes: tuple[tuple[float, float, float], ...]
-    """Sign, height and steepness of each flat end."""
+    """Sign, height and steepness of the plane of each flat end."""
 
     @classmethod
     def of(cls, front: Field, side: Field, y: Field, ends: tuple[bool, bool]) -> Hull:
         """Build the hull from the squared half thicknesses of two silhouettes.
 
         Args:
-            front: Squared half thickness from the front [H,W]; W is odd, centred on the object.
-            side: The same from the side [H,D]; columns increase towards the front camera.
+            front: Squared half thickness from the front [H,W]; W is odd, and the object is centred.
+            side: Squared half thickness from the side [H,D]; columns increase towards the front
+                camera.
             y: Heights of the rows [H].
-            ends: Whether the top and the bottom are flat.
+            ends: Whether the top is flat, and whether the bottom is flat.
         """
         thick, largest = front.max(axis=1), side.max(axis=1)
         share = np.maximum(side / np.maximum(largest, 1.0)[:, None] - 1, OUTSIDE)
@@ -73,7 +74,7 @@ class Hull(Implicit):
 
     @cached_property
     def struct(self) -> Any:
-        """The hull's fields as a struct for kernels."""
+        """The fields of the hull as a Warp struct for kernels."""
         struct = implicit.Hull()
         struct.front = wp.array(self.front, dtype=wp.float64, device="cpu")
         struct.side = wp.array(self.side, dtype=wp.float64, device="cpu")
@@ -83,18 +84,18 @@ class Hull(Implicit):
         return struct
 
     def scatter(self, pitch: float, rng: np.random.Generator) -> Field:
-        """Return random points, on average one per pitch^2 of surface area."""
+        """Return random points near the surface, on average one per area of pitch^2."""
         corners = self._cells(COARSE * pitch)
         offsets = np.stack(np.meshgrid(*[np.arange(COARSE)] * 3, indexing="ij"), -1).reshape(-1, 3)
         corners = (corners[:, None] + offsets * pitch).reshape(-1, 3)
         points = corners + pitch * rng.random(corners.shape)
-        # With one random point per cube, the points within half a pitch of the surface number one
-        # per pitch^2 of its area.
+        # If each cube gets one random point, the points within half a pitch of the surface number
+        # one per pitch^2 of its area.
         points = self.project(points[self._near(points, pitch / 2)], rounds=4)
         return points[self.is_near(points)]
 
     def is_near(self, points: Field) -> NDArray[np.bool_]:
-        """Whether points [N,3] are within `TOLERANCE` of the surface."""
+        """Whether each point [N,3] is within `TOLERANCE` of the surface."""
         value, gradient = self.gradient(points)
         near = np.abs(value) < TOLERANCE * np.linalg.norm(gradient, axis=1)
         return near & (np.abs(points) <= self._reach()).all(axis=1)
@@ -105,16 +106,16 @@ class Hull(Implicit):
         return np.array(sizes, dtype=np.float64)
 
     def _cells(self, size: float) -> Field:
-        """Return the lower corners [M,3] of the cubes that the surface may cross."""
+        """Return the lower corners [M,3] of the cubes that the surface may intersect."""
         axes = [np.arange(-half, half, size) for half in self._reach()]
         corners = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         return corners[self._near(corners + size / 2, 1.3 * size)]
 
     def _near(self, points: Field, distance: float) -> NDArray[np.bool_]:
-        """Whether points [N,3] are within about `distance` of the surface."""
+        """Whether each point [N,3] is within about `distance` of the surface."""
         value, gradient = self.gradient(points)
-        # For r^2 - |p|^2, the distance is value / (r + |p|). Deep inside, the gradient alone would
-        # be too small a slope.
+        # If the field is r^2 - |p|^2, the distance is value / (r + |p|). Deep inside the object,
+        # the norm of the gradient alone would be too small a divisor.
         slope = np.sqrt((gradient**2).sum(axis=1) / 4 + np.abs(value))
         return np.abs(value) <= 2 * distance * slope
 
@@ -127,13 +128,13 @@ def _add_slopes(w: Field, y: Field) -> Field:
 def spread_over(
     hull: Hull, count: int, rng: np.random.Generator, alive: Callable[[], None] = lambda: None
 ) -> tuple[Field, Field, Field]:
-    """Distribute about `count` points [N,3] evenly over the hull; also return normals and spacing.
+    """Distribute about `count` points [N,3] evenly on the hull; also return normals and spacing.
 
     Args:
-        hull: The surface.
+        hull: The surface on which the points are placed.
         count: Approximate number of points.
         rng: Random number generator.
-        alive: Called between rounds; may raise an exception to cancel.
+        alive: Function that is called between rounds; it may raise an exception to cancel.
     """
     trial = 3.0
     pitch = trial * float(np.sqrt(max(len(hull.scatter(trial, rng)), 1) / count))
@@ -144,6 +145,6 @@ def spread_over(
 
     points = settle(hull, points, spacing_at, alive)
     points, spacing = relax(hull, points, spacing_at)
-    is_near = hull.is_near(points)  # true for all points except a handful
+    is_near = hull.is_near(points)  # this is true for all points except a few
     points, spacing = points[is_near], spacing[is_near]
     return points, hull.normals(points), spacing

@@ -1,9 +1,10 @@
-"""Estimates the light of an image from the shading of its front, to shade the unseen back.
+"""Estimates the light in an image from the shading of the front, to shade the unseen back.
 
-The brightness of a pixel is modelled as albedo * exp(s . n), with the unit normal n of the guessed
-solid and one vector s for the image: a Lambertian surface under distant lights, of first order
-(Ramamoorthi, Hanrahan 2001). Pixels of similar hue share an albedo. A robust linear fit of the
-logarithm gives s. Since n and the albedo may be correlated, s is shrunk towards 0 and limited.
+The brightness of a pixel is modelled as albedo * exp(s . n). Here n is the unit normal of the
+guessed solid, and s is one vector for the whole image. The model is a first-order approximation of
+a Lambertian surface under distant lights (Ramamoorthi, Hanrahan 2001). Pixels of similar hue are
+assumed to have the same albedo. The vector s follows from a robust linear fit to the logarithm of
+the brightness. Since n and the albedo may be correlated, s is reduced towards 0 and limited.
 """
 
 from __future__ import annotations
@@ -16,30 +17,31 @@ from phy124.generators.relief.surface import Surface
 
 Field = NDArray[np.float64]
 HUES, GREY = 7, 0.06
-"""Number of groups of pixels of similar hue, and the saturation below which a pixel is grey."""
+"""Number of groups into which pixels are divided by hue, and saturation below which a pixel counts
+as grey."""
 EVERY = 3
-"""Spacing of the pixels that are compared."""
+"""Spacing of the pixels that are used for the fit [pixels]."""
 EDGE = 4
-"""Width of the edge whose pixels are not compared."""
+"""Width of the edge of the silhouette whose pixels are not used for the fit [pixels]."""
 DARKEST = 0.03
-"""Added to the brightness before its logarithm is taken."""
+"""Constant that is added to the brightness before its logarithm is taken."""
 PRIOR, SAMPLES = 0.3, 60.0
-"""Expected size of the light s, and number of independent samples in an image."""
+"""Expected length of the light vector s, and number of independent samples in an image."""
 LIMIT, FRONTAL = 0.3, 0.2
-"""Largest size of the components of s across the view, and of the component towards the camera. The
-component towards the camera is not negative, because photographs are rarely lit from behind
-alone."""
+"""Largest length of the part of s across the view, and largest component of s towards the camera.
+The component towards the camera is not negative, because photographs are rarely lit only from
+behind."""
 CERTAIN = (0.08, 0.16)
-"""Two sizes of s: below the smaller, s is ignored, because colours may cause it; above the larger,
-s is fully used."""
+"""Two lengths of s. Below the smaller length, s is ignored, because colours may be the cause of it;
+above the larger length, s is used fully."""
 THICK = (8.0, 18.0)
-"""Two half thicknesses of the object [pixels]: below the smaller, the normals are uncertain and s
-is ignored; above the larger, the normals are certain."""
+"""Two half thicknesses of the object [pixels]. Below the smaller value, the normals are uncertain,
+so s is ignored; above the larger value, the normals are reliable."""
 ROUNDS = 4
 
 
 def fit_light(rgb: Field, surface: Surface, object_mask: NDArray[np.bool_]) -> Field:
-    """Return the light s [3] of an image [H,W,3] that shows a surface's front."""
+    """Return the light vector s [3] of an image [H,W,3] that shows the front of a surface."""
     seen = cv2.erode(object_mask.astype(np.uint8), np.ones((2 * EDGE + 1,) * 2)) > 0
     place = np.argwhere(seen)
     place = place[(place % EVERY == 0).all(axis=1)]
@@ -68,12 +70,15 @@ def fit_light(rgb: Field, surface: Surface, object_mask: NDArray[np.bool_]) -> F
 
 
 def unlight(rgb: Field, surface: Surface, light: Field) -> Field:
-    """Return the colours of an image [H,W,3] of a surface's front, with its light removed."""
+    """Return the colours [H,W,3] of an image of a surface's front after removing the light."""
     return rgb * np.exp(-front_normals(surface) @ light)[..., None]
 
 
 def front_normals(surface: Surface) -> Field:
-    """Return the unit normals of the front [H,W,3]; beyond the rim, they are the rim's normals."""
+    """Return the unit normals of the front [H,W,3].
+
+    Pixels beyond the rim get the normals of the rim.
+    """
     half = np.sqrt(np.maximum(surface.w, 0.25))
     across = [slope / (2 * half) + tilt for slope, tilt in zip(*surface.slopes, strict=True)]
     normals = np.stack([-across[0], -across[1], np.ones_like(half)], axis=2)
@@ -81,7 +86,10 @@ def front_normals(surface: Surface) -> Field:
 
 
 def _groups(colours: Field) -> NDArray[np.int_]:
-    """Return the index of each pixel's group [N]: greys are group 0, other groups differ in hue."""
+    """Return the index of each pixel's group [N].
+
+    Group 0 is grey, the other groups differ in hue.
+    """
     red, green, blue = (colours / (colours.sum(axis=1, keepdims=True) + DARKEST)).T
     across, along = red - green, (red + green) / 2 - blue
     turn = np.arctan2(along, across) / (2 * np.pi) % 1.0

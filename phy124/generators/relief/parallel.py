@@ -1,8 +1,9 @@
-"""Removes the perspective from the front and side images, as if their cameras were infinitely far.
+"""Removes the perspective from the front and side images, as if their cameras were at infinity.
 
-In the front image, the nearer a row of the object is to the camera, the larger it appears. The side
-image shows the distance of a row at the same height, and vice versa. A row's distance is that of
-the point where the row appears thickest or, at a flat end, that of the edge nearer to the camera.
+In the front image, a row of the object appears larger if it is nearer to the camera. The side image
+shows how near the row at the same height is, and vice versa. The distance of a row is measured at
+the point where the row appears thickest. At a flat end, the distance is measured at the edge that
+is nearer to the camera.
 """
 
 from __future__ import annotations
@@ -15,38 +16,40 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
 ROUNDS = 8
-"""Number of iterations that match the heights in both images."""
+"""Number of iterations that match the heights in the front image to those in the side image."""
 SMOOTHING = 0.04
-"""Standard deviation of the filter that smooths the rows' depths, relative to the object's
+"""Standard deviation of the filter that smooths the depths of the rows, relative to the object's
 height."""
 END = 0.05
-"""Fraction of the object's height over which a flat end affects the depth."""
+"""Length, as a fraction of the object's height, over which a flat end changes the depths of the
+rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """An inflated silhouette from one side."""
+    """A silhouette from one side, inflated to a solid."""
 
     w: Field
-    """Squared half thickness [H,W], pixels^2: negative outside, extended beyond flat ends."""
+    """Squared half thickness [H,W], pixels^2; it is negative outside, and extended beyond flat
+    ends."""
     middle: tuple[float, float]
     """Column and row of the object's centre."""
     half: float
-    """Half of the object's height, without extensions, pixels."""
+    """Half of the object's height without the extensions beyond flat ends, pixels."""
     ends: tuple[bool, bool]
-    """Whether the top and the bottom are flat."""
+    """Whether the top is flat, and whether the bottom is flat."""
 
     def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
-        """For each row, return how far its thickest point and its nearest edge are towards the
-        other camera.
+        """Return, per row, how near its thickest point and nearest edge are to the other camera.
 
         Args:
-            y: Rows relative to the centre [N].
+            y: Rows relative to the object's centre [N].
             distance: Distance of the other camera from the centre, pixels.
         """
         columns = np.arange(self.w.shape[1]) - self.middle[0]
         far = 1 - columns / distance
-        heights = (np.arange(len(self.w)) - self.middle[1])[:, None] * far  # along the view rays
+        # distances are measured along the view rays
+        heights = (np.arange(len(self.w)) - self.middle[1])[:, None] * far
         place = np.broadcast_arrays(heights + self.middle[1], columns + self.middle[0])
         along = scipy.ndimage.map_coordinates(self.w, place, order=1)
         thick = np.sqrt(np.maximum(along, 0.0)) / far
@@ -69,22 +72,22 @@ class Rows:
     """Maps heights of the object to rows of an image."""
 
     k: Field
-    """Image pixels per object pixel at every height [N]."""
+    """Number of image pixels per object pixel at each height [N]."""
     shift: float = 0.0
-    """Row of height 0, relative to the centre."""
+    """Row of the image at height 0, relative to the object's centre."""
 
     def rows(self, y: Field) -> Field:
-        """Return the rows of heights y [N], relative to the centre."""
+        """Return the image rows of heights y [N], relative to the object's centre."""
         return y * self.k + self.shift
 
 
 def match_heights(front: Profile, side: Profile, distance: float) -> tuple[Field, Rows, Rows]:
-    """Return heights of the object [N], and the maps to rows of both images.
+    """Return heights of the object [N], and for both images the maps from heights to rows.
 
     Args:
-        front: Profile from the front.
-        side: Profile from the side; its columns increase towards the front camera.
-        distance: Distance of both cameras from the centre, pixels.
+        front: Profile of the object from the front.
+        side: Profile of the object from the side; its columns increase towards the front camera.
+        distance: Distance of each camera from the object's centre, pixels.
     """
     y = np.arange(-np.ceil(front.half) - 3, np.ceil(front.half) + 4)
     front_rows, side_rows, scale = Rows(np.ones_like(y)), Rows(np.ones_like(y)), 1.0
@@ -106,7 +109,7 @@ def match_heights(front: Profile, side: Profile, distance: float) -> tuple[Field
 
 
 def _ends(front: Profile, side: Profile, y: Field) -> NDArray[np.bool_]:
-    """Whether heights [N] are within `END` of a flat end."""
+    """Whether each height [N] is within `END` of a flat end."""
     reach = (y[-1] - y[0]) * END
     top, bottom = (any(flat) for flat in zip(front.ends, side.ends, strict=True))
     return (top & (y < y[0] + reach)) | (bottom & (y > y[-1] - reach))
@@ -115,7 +118,7 @@ def _ends(front: Profile, side: Profile, y: Field) -> NDArray[np.bool_]:
 def straighten(profile: Profile, y: Field, rows: Rows) -> Field:
     """Return the squared half thickness at heights y [N], as an array [N,W].
 
-    W is odd, and the middle of the profile is in the middle column.
+    The width W is odd, and the middle of the profile is in the middle column.
     """
     column = np.flatnonzero((profile.w > 0).any(axis=0)) - profile.middle[0]
     reach = int(np.ceil(np.abs(column).max() / rows.k.min())) + 4

@@ -1,4 +1,4 @@
-"""Resamples the object in an image to the resolution at which `relief` works."""
+"""Resamples the object in an image to the resolution that `relief` uses."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ PADDING = 4
 
 
 def open_picture(image: Picture, field: str = "image") -> Image.Image:
-    """Convert an image to RGBA, and check that some of it is opaque.
+    """Convert an image to RGBA, and check that at least a part of it is opaque.
 
     Raises:
-        InputError: If no pixel is opaque; `field` names the input.
+        InputError: If no pixel is opaque; `field` is the name of the input in the error message.
     """
     picture = image if isinstance(image, Image.Image) else Image.fromarray(np.asarray(image))
     picture = picture.convert("RGBA")
     if not (np.asarray(picture.getchannel("A")) > 127).any():
-        limit = "Nothing in it is opaque."
-        raise InputError(field, "transparent", limit, "Give a picture with an object in it.")
+        limit = "No part of the picture is opaque."
+        raise InputError(field, "transparent", limit, "Give a picture that shows an object.")
     return picture
 
 
@@ -41,15 +41,15 @@ def opaque_size(picture: Image.Image) -> tuple[int, int]:
 def work_picture(
     picture: Image.Image, scale: float | None = None, depth: NDArray | None = None
 ) -> Field:
-    """Resample the opaque part to [H,W,4 or 5] in 0..1, padded by `PADDING`.
+    """Resample the opaque part to [H,W,4 or 5] in 0..1, with a border of `PADDING` pixels.
 
     Args:
-        picture: An image from `open_picture`.
-        scale: Scale factor; None: the longest side becomes `WORK` pixels.
-        depth: Depth map of the image, which becomes the fifth channel.
+        picture: An image that was opened by `open_picture`.
+        scale: Scale factor; if None, the longest side becomes `WORK` pixels.
+        depth: Depth map of the image, which is returned as the fifth channel.
     """
     left, top, right, bottom = _box(picture)
-    # One more pixel on each side keeps the half-transparent edge.
+    # One more pixel on each side keeps the half-transparent edge of the object.
     box = left - 1, top - 1, right + 2, bottom + 2
     distances = None
     if depth is not None:
@@ -60,8 +60,9 @@ def work_picture(
     picture = picture.crop(box)
     scale = scale or WORK / (1 + max(right - left, bottom - top))
     size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))
-    # Both filters have no negative lobes: colours must not overshoot where alpha is clipped at 1.
-    # Hamming is sharper, but shows the enlarged pixels of tiny images as squares.
+    # Both filters have no negative lobes, because colours must not overshoot where alpha is clipped
+    # at 1. The Hamming filter is sharper, but tiny images would show their enlarged pixels as
+    # squares.
     sharp, smooth = Image.Resampling.HAMMING, Image.Resampling.BILINEAR
     picture = picture.resize(size, sharp if scale < 2 else smooth)
     rgba = np.asarray(picture, dtype=np.float64) / 255
@@ -72,6 +73,6 @@ def work_picture(
 
 
 def _box(picture: Image.Image) -> tuple[int, int, int, int]:
-    """Return the left, top, right and bottom pixel of the opaque part."""
+    """Return the left, top, right and bottom limits of the opaque part [pixels]."""
     rows, columns = np.nonzero(np.asarray(picture.getchannel("A")) > 127)
     return int(columns.min()), int(rows.min()), int(columns.max()), int(rows.max())

@@ -1,4 +1,4 @@
-"""Builds the shell of an object from an image of its front and an image of its side."""
+"""Builds the shell of an object from one image of its front and one image of its side."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from phy124.generators.relief.surface import VIEW_DISTANCE
 Field = NDArray[np.float64]
 Facing = Literal["left", "right"]
 IMAGINED = 0.3
-"""Weight of an imagined side relative to a photographed one."""
+"""Weight of a side whose colours are invented, relative to a side that a photograph shows."""
 BACK_PLACE = 1
 """Index of the back among the four sides."""
 
@@ -41,17 +41,18 @@ def from_sides(
     rng: np.random.Generator,
     step: Callable[[int], None],
 ) -> Shell:
-    """Intersect both silhouettes, and colour the surface from all images.
+    """Build the surface that both silhouettes determine, and colour it from all images.
 
     Args:
         picture: Image of the front.
         side: Image of the object from one side.
         facing: Direction in which the object's front points in `side`.
         back: Image of the object from behind.
-        look: Look of the back if there is no such image.
+        look: Look of the back if there is no image from behind.
         count: Approximate number of points.
         rng: Random number generator.
-        step: Called with the number of finished steps, also during a step.
+        step: Function that is called with the number of finished steps, also while a step is
+            running.
 
     Raises:
         InputError: If the silhouettes contradict each other.
@@ -84,10 +85,10 @@ def from_sides(
 def _show_sides(front: Continued, side_picture: Continued, look: BackLook) -> list[Shown]:
     """Return the images of the front, the back and both sides.
 
-    The object is assumed to be symmetric about a vertical plane, which is seen edge-on in the image
-    with the more symmetric silhouette. The less symmetric image, mirrored, then also shows the
-    opposite side. No image shows the side opposite to the symmetric image, so its colours are
-    invented (`smooth_back`).
+    The object is assumed to be symmetric about a vertical plane. In the image with the more
+    symmetric silhouette, this plane is seen edge-on. The mirrored copy of the less symmetric image
+    then shows the opposite side of the object. The side opposite to the more symmetric image is not
+    visible in any image, so its colours are invented (`smooth_back`).
     """
     pictures = []
     for picture, towards, across in ((front, FRONT, ACROSS), (side_picture, ACROSS, FRONT)):
@@ -116,7 +117,7 @@ def _profile(picture: Continued) -> Profile:
 
 
 def _shrinking(points: Field, box: Box, distance: float) -> float:
-    """Return the scale factor that makes points [N,3] appear as large as in the image."""
+    """Return the factor that scales points [N,3] so that they appear as large as in the image."""
     axis = int(np.argmax(box.size))
     factor = 1.0
     for _ in range(4):

@@ -1,4 +1,4 @@
-"""Turns points on the object's surface into a shell of flat Gaussians."""
+"""Converts points on the object's surface to a closed shell of flat Gaussians."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from phy124.generators.relief.picture import WORK
 
 Field = NDArray[np.float64]
 TANGENT = 0.58
-"""Standard deviation along the surface, relative to the points' spacing; it makes neighbours
-overlap, without holes."""
+"""Standard deviation of the Gaussians along the surface, relative to the points' spacing. With this
+value, neighbours overlap without holes."""
 BACK_REACH = 1.25
-"""On the back, the standard deviation along the surface is multiplied by this factor."""
+"""Factor by which the standard deviation along the surface is multiplied on the back."""
 NORMAL = 0.12
-"""Standard deviation across the surface, relative to the points' spacing: small, to keep the
-outline crisp."""
+"""Standard deviation across the surface, relative to the points' spacing; it is small so that the
+outline is sharp."""
 OPACITY = 0.97
 DRAWN_IN = 1.35
-"""Depth of the centres below the surface [pixels]; Gaussians seen edge-on extend outwards by about
-this distance."""
+"""Depth below the surface at which the centres are placed [pixels]. Gaussians that are seen edge-on
+extend outwards by about this distance."""
 
 
 @dataclass(frozen=True)
 class Shell:
-    """Points of a surface relative to the object's centre: x right, y down, z to the camera."""
+    """Points of a surface relative to the object's centre; x right, y down, z to the camera."""
 
     points: Field
-    """Centres [N,3], pixels, `DRAWN_IN` below the surface."""
+    """Centres of the Gaussians [N,3], pixels, at `DRAWN_IN` below the surface."""
     normals: Field
     """Outward unit normals [N,3]."""
     spacing: Field
-    """Mean distance to the neighbours [N], pixels."""
+    """Mean distance from each point to its neighbours [N], pixels."""
     rgb: Field
     """Colours [N,3], 0..1."""
 
@@ -43,7 +43,8 @@ class Shell:
         # In the world, x points towards the camera, y to the right, z up.
         means = self.points[:, [2, 0, 1]] * [1, 1, -1] / WORK
         normals = self.normals[:, [2, 0, 1]] * [1, 1, -1]
-        # Wider on the back, whose colours are smooth: no gap must show the inside of the front.
+        # On the back, where colours are smooth, Gaussians are wider, so that the inside of the
+        # front is not visible through gaps.
         reach = TANGENT * self.spacing * np.interp(-normals[:, 0], [0.0, 0.5], [1.0, BACK_REACH])
         scales = np.stack([reach, reach, NORMAL * self.spacing], axis=1) / WORK
         opacities = np.full(len(means), OPACITY)
@@ -54,7 +55,7 @@ class Shell:
 
 
 def _frames(normals: Field) -> Field:
-    """Return rotations [N,3,3] whose third column is the normal."""
+    """Return rotation matrices [N,3,3] whose third columns are the normals."""
     helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     first = np.cross(helper, normals)
     first /= np.linalg.norm(first, axis=1, keepdims=True)

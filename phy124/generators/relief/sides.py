@@ -1,4 +1,4 @@
-"""Checks further images of the object, from the side and from behind, against the front."""
+"""Checks whether images from the side and from behind are consistent with the front image."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from phy124.errors import InputError
 Field = NDArray[np.float64]
 Solid = NDArray[np.bool_]
 UNLIKE = 0.5
-"""Smallest overlap (IoU) of the front's silhouette with the mirrored silhouette from behind."""
+"""Smallest allowed overlap (IoU) of the front's silhouette with the mirrored silhouette from
+behind."""
 EMPTY = 0.05
-"""Largest fraction of heights at which only one of two images shows the object."""
+"""Largest allowed fraction of the heights at which only one of two images shows the object."""
 DEEPEST, FLATTEST = 4.0, 0.03
-"""Largest and smallest depth of the object, relative to the longest side of the front."""
+"""Largest and smallest allowed depth of the object, relative to the longest side of the front."""
 
 
 @dataclass(frozen=True)
@@ -36,20 +37,21 @@ class Box:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the box."""
+        """Width and height of the box [pixels]."""
         return self.right - self.left, self.bottom - self.top
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Column and row of the centre, relative to the centre of pixel 0."""
+        """Column and row of the box's centre, relative to the centre of pixel 0."""
         return (self.left + self.right - 1) / 2, (self.top + self.bottom - 1) / 2
 
 
 def check_side(front: Solid, side: Solid) -> None:
-    """Raise an error if two silhouettes of equal height cannot show the same object.
+    """Raise an error if two silhouettes of equal height cannot belong to the same object.
 
     Raises:
-        InputError: If the depth is out of range, or only one shows the object at some heights.
+        InputError: If the depth is out of range, or only one image shows the object at too many
+            heights.
     """
     front_box, side_box = Box.of(front), Box.of(side)
     depth = side_box.size[0] / max(front_box.size)
@@ -58,7 +60,7 @@ def check_side(front: Solid, side: Solid) -> None:
             "With the picture from the side scaled to the height of the front picture, the object "
             f"would be {depth:.2g} times as deep as the longest side of its front."
         )
-        remedy = "Give pictures of the whole object, upright in both."
+        remedy = "Give pictures that show the whole object, upright in both."
         raise InputError("side", "picture", limit, remedy)
     height = min(front_box.size[1], side_box.size[1])
     rows = [
@@ -66,20 +68,20 @@ def check_side(front: Solid, side: Solid) -> None:
         for solid, box in ((front, front_box), (side, side_box))
     ]
     if float(np.mean(rows[0] != rows[1])) > EMPTY:
-        limit = "At some heights, only one of front and side shows the object."
-        remedy = "Give two pictures of the same object, upright in both."
+        limit = "At some heights, only one of the front and side pictures shows the object."
+        remedy = "Give two pictures of the same object, which is upright in both."
         raise InputError("side", "picture", limit, remedy)
 
 
 def check_back(front: Solid, back: Solid) -> None:
-    """Refuse a silhouette from behind that differs from the mirrored silhouette of the front.
+    """Refuse a silhouette from behind that differs too much from the mirrored front silhouette.
 
     Args:
         front: Silhouette from the front.
-        back: Silhouette from behind, already mirrored, of the same height.
+        back: Silhouette from behind, already mirrored, with the same height as the front's.
 
     Raises:
-        InputError: If they differ, or the image seems to have been mirrored beforehand.
+        InputError: If the silhouettes differ, or the image seems to have been mirrored beforehand.
     """
     alike, unmirrored = overlap(front, back), overlap(front, back[:, ::-1])
     if alike >= UNLIKE:
@@ -94,14 +96,14 @@ def check_back(front: Solid, back: Solid) -> None:
     )
     if unmirrored >= UNLIKE:
         remedy = (
-            "The picture fits without mirroring, so it seems to be "
-            "mirrored already: mirror it back."
+            "The picture fits the front if it is not mirrored, so it seems to be mirrored "
+            "already: mirror it back."
         )
     raise InputError("back", "picture", limit, remedy)
 
 
 def overlap(first: Solid, second: Solid) -> float:
-    """Return the intersection over union of two silhouettes with aligned centres."""
+    """Return the intersection over union of two silhouettes whose centres are aligned."""
     boxes = Box.of(first), Box.of(second)
     width, height = (max(sizes) for sizes in zip(*(box.size for box in boxes), strict=True))
     placed = []

@@ -39,10 +39,11 @@ from phy124.generators.relief.solids import (
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
 
 CARD = 0.12
-"""Largest half thickness of a card, in image sizes; thicker slabs are blocks."""
+"""Largest half thickness of an object that counts as a card, relative to the image's size; thicker
+slabs count as blocks."""
 BLOCK = 0.8
-"""Largest depth behind a block's rim over which the mirrored image fades into the back, relative to
-half of the block's depth."""
+"""Largest depth behind the rim of a block over which the colours change from the mirrored image to
+the back, relative to half of the block's depth."""
 
 Field = NDArray[np.float64]
 Step = Callable[[int], None]
@@ -60,18 +61,21 @@ def from_front(
     look: BackLook,
     thickness: float,
 ) -> Shell:
-    """Inflate the silhouette. Colour the back from an image of it, if there is one, otherwise from
-    the rim of the front.
+    """Inflate the silhouette of the object to a shell.
+
+    The colours of the back are taken from an image of the back if there is one, otherwise from the
+    rim of the front.
 
     Args:
         picture: Image of the front.
         count: Approximate number of points.
         rng: Random number generator.
-        step: Called with the number of finished steps, also during a step.
-        depth: Depth map of the image; None: the front is inflated like the back.
+        step: Function that is called with the number of finished steps, also while a step is
+            running.
+        depth: Depth map of the image; if None, the front is inflated like the back.
         back: Image of the object from behind.
-        look: Look of the back if there is no such image.
-        thickness: Factor on the depth guessed from the silhouette.
+        look: Look of the back if there is no image from behind.
+        thickness: Factor by which the depth guessed from the silhouette is multiplied.
     """
     work = continue_silhouette(work_picture(picture, depth=depth), PADDING)
     view = View.of(work.object_mask, VIEW_DISTANCE * WORK)
@@ -134,9 +138,9 @@ def _box_shell(box: Cuboid, front: Field, count: int) -> Shell:
 
 
 def _reach_behind(surface: Surface, slab: bool) -> float:
-    """Return the depth behind the rim over which the mirrored image fades into the back [pixels].
+    """Return the depth behind the rim over which the mirrored image changes to the back [pixels].
 
-    The depth is 0 for a card.
+    For a card, this depth is 0.
     """
     deepest = float(np.sqrt(max(surface.w.max(), 0.0)))
     if not slab:
@@ -145,7 +149,7 @@ def _reach_behind(surface: Surface, slab: bool) -> float:
 
 
 def show_back(back: Image.Image, scale: float, object_mask: NDArray[np.bool_]) -> Shown:
-    """Mirror an image from behind and check it; `object_mask` is the front's silhouette [H,W].
+    """Mirror an image from behind and check it against `object_mask`, the front's silhouette [H,W].
 
     Raises:
         InputError: If the silhouettes differ.
@@ -164,7 +168,10 @@ def _points(
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Field, Field, Field, list[Cap]]:
-    """Return points, normals and spacing of side walls, then of caps; and the caps themselves."""
+    """Return points, normals and spacing, for the walls and then the caps.
+
+    And the caps themselves.
+    """
     points, normals, spacing, pitch = spread(surface, work.ends, count, rng, alive)
     caps = [make_cap(surface, view, end, work.object_mask, pitch) for end in work.ends]
     kept = np.ones(len(points), bool)

@@ -1,10 +1,10 @@
-"""Guesses the solid for a silhouette: a round shape, a solid of revolution, or a slab.
+"""Guesses which solid a silhouette shows: a round shape, a solid of revolution, or a slab.
 
-Round parts are as deep as they are wide: the solid is the union of all balls that fit inside, which
-turns a disc into a ball and a limb into a cylinder. An object looks like a solid of revolution if
-each row is a single run about a common axis and the outline has a waist; each row is then as deep
-as it is wide. A shape with straight edges and without shading becomes a flat slab. A depth map
-replaces the guessed shape of the front.
+Round parts are as deep as they are wide. The solid is the union of all balls that fit inside, so a
+disc becomes a ball and a limb becomes a cylinder. An object is assumed to be a solid of revolution
+if each row is a single run of pixels about a common axis and the outline has a waist. Each row is
+then as deep as it is wide. A shape with straight edges and without shading is assumed to be a flat
+slab. If there is a depth map, it replaces the guessed shape of the front.
 """
 
 from __future__ import annotations
@@ -21,36 +21,40 @@ from phy124.generators.relief.surface import Surface, View, smooth
 
 Field = NDArray[np.float64]
 SMOOTHING = 0.02
-"""Standard deviation of the filter that smooths thicknesses, in image sizes."""
+"""Standard deviation of the filter that smooths the thickness, relative to the image's size."""
 CENTRED = 0.06
 """Largest distance of a row's centre from the axis of revolution, relative to half the object's
 largest width."""
 EVERY = 0.97
-"""Smallest fraction of the rows that must fit a solid of revolution."""
+"""Smallest fraction of the rows that must match a solid of revolution."""
 WAISTED = 0.97
-"""A silhouette has a waist if its area, divided by that of its convex hull, is at most this."""
+"""A silhouette has a waist if the ratio of its area to the area of its convex hull is at most
+this."""
 COMPACT = 1.25
-"""Largest ratio of the longer to the shorter side of a convex shape that looks like a solid of
-revolution; longer shapes may lie on their side, unless `stands`."""
+"""Largest ratio of the longer to the shorter side of a convex shape that is assumed to be a solid
+of revolution. Longer shapes may lie on their side, so `stands` must be true for them."""
 OVERHANG = 3.0
-"""Largest ratio of depth to height of a brim; limits the depth of thin features such as wings."""
+"""Largest ratio of depth to height of a brim; this ratio limits the depth of thin features such as
+wings."""
 STRAIGHT = 0.98
-"""An outline has straight edges if it overlaps with a polygon of few corners by at least this
-(IoU)."""
+"""An outline has straight edges if its overlap (IoU) with a polygon of few corners is at least
+this."""
 CORNERS = 12
 BOXED = 0.95
-"""Smallest part of its bounding rectangle that a rectangle with rounded corners fills."""
+"""Smallest fraction of its bounding rectangle that a rectangle with rounded corners fills."""
 ROUNDED = 0.1
-"""Radius of a block's edges, relative to half the block's width."""
+"""Radius of the rounded edges of a block, relative to half the block's width."""
 RIM = 3.0
-"""Width over which the outline of a foot is rounded [pixels]."""
+"""Width of the rounded rim of a foot's outline [pixels]."""
 SHADED = 0.1
-"""Smallest change of brightness across a shaded round object, relative to its mean."""
+"""Smallest change of brightness across a round object that counts as shading, relative to the mean
+brightness."""
 FRAME, LEAST_FRAME = 0.2, 4.0
-"""Largest width of a frame, relative to half the object's width, and its smallest value
+"""Largest width of a frame, relative to half the object's width, and lower bound of this width
 [pixels]."""
 NOISE, ROUNDS = 0.01, 10
-"""Noise of the brightness relative to its mean, and rounds of the fit to most pixels."""
+"""Noise of the brightness, relative to the mean brightness; and number of iterations of the fit
+that follows most pixels."""
 
 
 def inflate(
@@ -59,11 +63,11 @@ def inflate(
     """Return the surface of a round object.
 
     Args:
-        half: Squared half thicknesses from `half_thickness` [H,W].
+        half: Squared half thicknesses [H,W], as returned by `half_thickness`.
         silhouette: The silhouette, extended beyond flat ends.
-        picture: Colours, and mask of the object.
+        picture: Colours of the image, and mask of the object.
         view: The front camera.
-        thickness: Factor on the guessed depth.
+        thickness: Factor by which the guessed depth is multiplied.
     """
     surface = Surface.seen(silhouette.extend(thickness**2 * half), view.middle, view.distance)
     if not picture.ends:
@@ -74,10 +78,10 @@ def inflate(
 
 
 def _straighten(surface: Surface, ends: tuple[End, ...]) -> Field:
-    """Return the midsurface [H,W] without a ridge at flat ends.
+    """Return the midsurface [H,W] after removing its ridge at flat ends.
 
-    The silhouette is narrower in an end's arc, but the object is not; a ball that becomes narrower
-    has its midsurface nearer to the camera.
+    Within the arc of an end, the silhouette becomes narrower although the object does not. For a
+    ball that becomes narrower, the midsurface would be nearer to the camera.
     """
     rows, widths = np.arange(len(surface.m)), np.count_nonzero(surface.w > 0, axis=1)
     m = surface.m
@@ -91,9 +95,10 @@ def _straighten(surface: Surface, ends: tuple[End, ...]) -> Field:
 
 
 def _with_feet(w: Field, picture: Continued) -> Field:
-    """Return squared half thicknesses with round feet as deep as the object above them.
+    """Return squared half thicknesses in which round feet are as deep as the object above them.
 
-    Beyond the corners, the silhouette of the feet, with a rounded rim, replaces the mirror image.
+    Beyond the corners of the end, the mirror image is replaced by the silhouette of the feet, with
+    a rounded rim.
     """
     distance = np.where(
         picture.object_mask,
@@ -109,11 +114,11 @@ def _with_feet(w: Field, picture: Continued) -> Field:
 
 
 def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Field | None:
-    """Return the squared half thicknesses [H,W] of a round object; None for a slab.
+    """Return the squared half thicknesses [H,W] of a round object; None if the object is a slab.
 
     Args:
         silhouette: The silhouette, extended beyond flat ends.
-        picture: Colours, and mask of the object.
+        picture: Colours of the image, and mask of the object.
         size: Size of the object, pixels.
     """
     round_ = _within(silhouette, _balls(silhouette), 0.3, 1.2, size)
@@ -127,31 +132,32 @@ def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Fie
 
 
 def flat_topped(inside: NDArray[np.bool_]) -> Field:
-    """Return the squared half thicknesses [H,W] of a block as deep as the silhouette is wide."""
+    """Return squared half thicknesses [H,W] of a block as deep as the silhouette is wide."""
     distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
     widest = float(distance.max())
     return widest**2 * np.clip(distance / max(2.0, ROUNDED * widest), -4, 1)
 
 
 def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size: int) -> Field:
-    """Return squared half thicknesses near `wanted` that are smooth and exactly 0 on the rim.
+    """Return smooth squared half thicknesses that are close to `wanted` and exactly 0 on the rim.
 
-    The solution u of -Laplace(u) = 4 is smooth and 0 on the rim (for a disc it gives the ball). The
-    result is u times the smoothed ratio of the wanted thickness to u.
+    The solution u of -Laplace(u) = 4 is smooth, and 0 on the rim. For a disc, u describes a ball.
+    The result is u times the smoothed ratio of the desired squared half thickness to u.
     """
     u = silhouette.poisson(4.0)
     ratio = np.clip(wanted / np.maximum(u, 1e-9), low, high)
     width = max(1.0, SMOOTHING * size)
-    # At the rim, both are almost 0 and their ratio is inexact.
+    # At the rim, both numbers are almost 0, so their ratio is inexact.
     weight = np.minimum(silhouette.distance, width)
     return u * smooth(ratio, weight, width)
 
 
 def _balls(silhouette: Silhouette) -> Field:
-    """Return the squared half thicknesses of the union of all balls in the silhouette.
+    """Return the squared half thicknesses of the union of all balls that fit inside the silhouette.
 
-    The result is the maximum over centres m of D(m)^2 - |x - m|^2, with D the distance to the rim.
-    The result is an upper envelope of parabolas, which is computed along one axis after the other.
+    The result is the maximum, over all centres m, of D(m)^2 - |x - m|^2, where D is the distance to
+    the rim. This maximum is the upper envelope of parabolas, and is computed along one axis after
+    the other.
     """
     squares = silhouette.distance**2
     for _ in range(2):
@@ -162,7 +168,7 @@ def _balls(silhouette: Silhouette) -> Field:
 
 
 def is_turned(object_mask: NDArray[np.bool_]) -> bool:
-    """Whether a silhouette [H,W] looks like a solid of revolution with a vertical axis."""
+    """Whether a silhouette [H,W] is assumed to be a solid of revolution with a vertical axis."""
     rows = np.flatnonzero(object_mask.any(axis=1))
     low, high = (
         object_mask[rows].argmax(axis=1),
@@ -180,7 +186,7 @@ def is_turned(object_mask: NDArray[np.bool_]) -> bool:
 
 
 def _lathe(silhouette: Silhouette) -> Field:
-    """Return squared half thicknesses of a vertical solid of revolution."""
+    """Return the squared half thicknesses of a solid of revolution with a vertical axis."""
     inside = silhouette.inside
     left, right = silhouette.sides()
     x = np.arange(inside.shape[1])
@@ -190,7 +196,7 @@ def _lathe(silhouette: Silhouette) -> Field:
 
 
 def _runs(inside: NDArray[np.bool_]) -> Field:
-    """Return for each inside pixel the length of the vertical run of pixels around it [H,W]."""
+    """Return, for each inside pixel, the length of the vertical run that contains it [H,W]."""
     rows = np.arange(len(inside))[:, None]
     above = np.maximum.accumulate(np.where(inside, -1, rows), axis=0)
     below = np.minimum.accumulate(np.where(inside, len(rows), rows)[::-1], axis=0)[::-1]
@@ -205,7 +211,7 @@ def _outline(object_mask: NDArray[np.bool_]) -> NDArray:
 
 
 def _solidity(object_mask: NDArray[np.bool_]) -> float:
-    """Return the ratio of the silhouette's area to that of its convex hull."""
+    """Return the ratio of the silhouette's area to the area of its convex hull."""
     hull = cv2.convexHull(_outline(object_mask))
     return float(np.count_nonzero(object_mask) / max(cv2.contourArea(hull), 1.0))
 
@@ -225,13 +231,14 @@ def _polygonal(object_mask: NDArray[np.bool_]) -> bool:
 
 
 def _is_shaded(picture: Continued, round_: Field) -> bool:
-    """Whether the brightness changes across the object as on a shaded round object.
+    """Whether the brightness changes across the object in the same way as on a shaded round object.
 
-    The brightness is fitted by a linear function of the round solid's normals. Only the component
-    towards the camera is used, which is largest in the middle of a round object. Gradients on a
-    flat object, printed or caused by light, run from one side to the other instead. The median of
-    each row is subtracted, because labels, or the roof of a house, are horizontal bands. Frames are
-    excluded. A wide object may be lying on its side, so columns are tried in place of rows, too.
+    A linear function of the round solid's normals is fitted to the brightness. Only the component
+    of the normals towards the camera is used; on a round object, it is largest in the middle. On a
+    flat object, printed gradients and gradients caused by light run from one side to the other. The
+    median of each row is subtracted, because labels and features such as the roof of a house are
+    horizontal bands. Frames are excluded from the fit. A wide object may be lying on its side, so
+    the fit is repeated with columns in place of rows.
     """
     depth, _ = nearest_of(~picture.object_mask)
     seen = depth > max(LEAST_FRAME, FRAME * float(depth.max()))
@@ -254,9 +261,12 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
 
 
 def _fit_most(known: Field, values: Field, noise: float) -> list[float]:
-    """Fit values [N] linearly by the columns of `known` [N,C], with the smallest absolute errors.
+    """Fit values [N] by a linear combination of the columns of `known` [N,C].
 
-    Unlike least squares, this fit ignores the minority of pixels on letters and frames.
+    The fit minimises the absolute errors.
+
+    Unlike a least-squares fit, this fit is not affected by a minority of pixels, such as those on
+    letters and frames.
     """
     weights = np.ones(len(values))
     fitted = np.zeros(known.shape[1])
@@ -268,12 +278,14 @@ def _fit_most(known: Field, values: Field, noise: float) -> list[float]:
 
 
 def make_slab(picture: Continued, view: View, thickness: float = 1.0) -> Surface:
-    """Return a slab with flat front and back: a square becomes a cube, other shapes are thinner.
+    """Return a slab with flat front and back.
+
+    A square becomes a cube, and other shapes are thinner.
 
     Args:
         picture: Mask of the object.
         view: The front camera.
-        thickness: Factor on the guessed depth.
+        thickness: Factor by which the guessed depth is multiplied.
     """
     object_mask = picture.object_mask
     rows, columns = np.flatnonzero(object_mask.any(axis=1)), np.flatnonzero(object_mask.any(axis=0))
@@ -282,8 +294,10 @@ def make_slab(picture: Continued, view: View, thickness: float = 1.0) -> Surface
     inside = picture.alpha > 0.5
     distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
     h = float(distance.max() * aspect**3 * full) * thickness
-    h /= 1 + h / view.distance  # the front is nearer than the centre and therefore appears larger
-    # The camera sees the walls' front edges at the rim; the front hides the walls behind them.
+    # the front is nearer to the camera than the centre and therefore appears larger
+    h /= 1 + h / view.distance
+    # The camera sees the front edges of the walls at the rim, and the front hides the walls behind
+    # these edges.
     dy, dx = np.gradient(scipy.ndimage.gaussian_filter(distance, 1.0))
     y, x = np.mgrid[: object_mask.shape[0], : object_mask.shape[1]]
     out = -(dx * (x - view.middle[0]) + dy * (y - view.middle[1]))
@@ -299,37 +313,39 @@ def make_slab(picture: Continued, view: View, thickness: float = 1.0) -> Surface
 
 
 MIXED_RIM = 8.0
-"""Width of the zone along the rim in which depth maps mix object and background [pixels]."""
+"""Width of the zone along the rim in which depth maps mix the depths of object and background
+[pixels]."""
 PLANE = 0.01
-"""Smallest standard deviation of the depth, as a fraction of the map's range; below it, the front
-is flat."""
+"""If the standard deviation of the depth is below this fraction of the map's range, the front is
+assumed to be flat."""
 THINNEST = 2.0
 """Smallest half thickness away from the rim [pixels]."""
 
 
 def normalise_depth(depth: NDArray, alpha: NDArray) -> NDArray[np.float32]:
-    """Normalise a depth map to 0..1, and check it against the object's alpha [H,W].
+    """Normalise a depth map to 0..1, and check that it is consistent with the object's alpha [H,W].
 
     Raises:
         InputError: If the map is constant, or the object is farther away than its surroundings.
     """
     low, high = float(depth.min()), float(depth.max())
     if high - low <= 1e-6 * max(abs(low), abs(high), 1e-30):
-        limit = "The depth map is constant."
-        raise InputError("depth", "map", limit, "Give the network's output before any rounding.")
+        limit = "All values of the depth map are equal."
+        raise InputError("depth", "map", limit, "Save the network's output without rounding it.")
     inside, outside = alpha > 127, alpha == 0
     if outside.any() and float(depth[inside].mean()) < float(depth[outside].mean()):
-        limit = "The object is farther away than its surroundings."
-        remedy = "If black is near, add --near black; if white is near, leave --near out."
+        limit = "In the depth map, the object is farther away than its surroundings."
+        remedy = "If black is near in the map, add --near black; if white is near, remove --near."
         raise InputError("depth", "map", limit, remedy)
     return ((depth - low) / (high - low)).astype(np.float32)
 
 
 def apply_depth(surface: Surface, depth: Field, object_mask: NDArray[np.bool_]) -> Surface:
-    """Replace the front of a surface by a depth map [H,W] in 0..1, in which near is 1.
+    """Replace the front of a surface with a depth map [H,W] in 0..1, in which 1 is nearest.
 
-    The scale and offset of the map are unknown. The mean and standard deviation of the map are
-    therefore set to those of the inflated front, unless the map is flat. The back is unchanged.
+    The scale and the offset of the depth map are unknown. The map is therefore scaled and shifted
+    to the mean and standard deviation of the inflated front, unless the map is flat. The back is
+    unchanged.
     """
     far, _ = nearest_of(~object_mask)
     known = far > min(MIXED_RIM / 2, 0.5 * float(far.max()))

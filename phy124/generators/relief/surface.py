@@ -1,7 +1,7 @@
-"""Defines the closed surface z^2 = w(x, y), and spreads points evenly over it.
+"""Defines the closed surface z^2 = w(x, y), and distributes points evenly over it.
 
-Coordinates are pixels: x right, y down, z towards the camera. The surface is implicit and has no
-seam: points at the rim are treated like all others.
+Coordinates are pixels: x right, y down, z towards the camera. The surface is defined by an implicit
+function and has no seam, so points at the rim need no special treatment.
 """
 
 from __future__ import annotations
@@ -24,34 +24,34 @@ from phy124.kernels import implicit
 from phy124.runtime.cores import cores
 
 VIEW_DISTANCE = 2.0
-"""Distance of the front camera, relative to the object's longest side; the camera's view is the
+"""Distance of the front camera, relative to the object's longest side; this camera sees the
 image."""
 
 
 @dataclass(frozen=True)
 class View:
-    """The perspective of the front camera, which images each surface point at its pixel.
+    """The perspective of the front camera, which maps each surface point to its pixel in the image.
 
-    Relative to the centre, x' = x k(z) and y' = y k(z), with k = 1 - z / distance.
+    Relative to the centre, x' = x k(z) and y' = y k(z), where k = 1 - z / distance.
     """
 
     middle: Field
-    """Pixel at which the camera looks [3], with z = 0."""
+    """Pixel at the centre of the camera's view [3], with z = 0."""
     distance: float
     """Distance of the camera from the object's centre [pixels]."""
 
     @classmethod
     def of(cls, object_mask: NDArray[np.bool_], distance: float) -> View:
-        """Return the camera that looks at the centre of the mask's bounding box; mask [H,W]."""
+        """Return the camera that looks at the centre of the bounding box of a mask [H,W]."""
         y, x = np.nonzero(object_mask)
         return cls(np.array([x.min() + x.max(), y.min() + y.max(), 0.0]) / 2, distance)
 
     def k(self, z: Field) -> Field:
-        """Return the scale factor at coordinate z."""
+        """Return the scale factor of the perspective at coordinate z."""
         return 1 - z / self.distance
 
     def project_points(self, points: Field, normals: Field) -> tuple[Field, Field]:
-        """Apply the perspective to points and normals [N,3]; points become relative to `middle`."""
+        """Project points and normals [N,3]; the returned points are relative to `middle`."""
         flat, z = (points - self.middle)[:, :2], points[:, 2:]
         k = self.k(z)
         across = normals[:, :2] / k
@@ -64,21 +64,24 @@ class View:
 Field = NDArray[np.float64]
 Neighbours = NDArray[np.int32]
 BACK_PITCH = 1.5
-"""Spacing of points on the back relative to the front; larger, because the back's colours are
-smooth."""
+"""Spacing of points on the back, relative to their spacing on the front; it is larger because the
+colours of the back are smooth."""
 OVERHANG = 5.0
 """Points are distributed up to this distance beyond the flat ends [pixels]."""
 TRIAL = 2.0
-"""Spacing of the points by which the area is measured [pixels]."""
+"""Spacing of the random points from which the surface's area is measured [pixels]."""
 ROUNDS = 6
-"""Number of relaxation rounds; after five, the spacing is even to about 10 %."""
+"""Number of relaxation rounds; after five rounds, the spacing is even to about 10 %."""
 ALIKE = 3
-"""Number of rounds that use the same neighbours, because searching for them takes most of the
-time."""
+"""Number of rounds after which the neighbours are searched again, because the search takes most of
+the time."""
 
 
 def smooth(values: Field, weights: NDArray, width: float) -> Field:
-    """Average values [H,W] with weights [H,W] times a Gaussian kernel; 0 where the weight is 0."""
+    """Average values [H,W] with weights [H,W] times a Gaussian kernel.
+
+    The result is 0 where there is no weight.
+    """
     weights = weights.astype(np.float64)
     total = scipy.ndimage.gaussian_filter(values * weights, width)
     fraction = scipy.ndimage.gaussian_filter(weights, width)
@@ -86,8 +89,9 @@ def smooth(values: Field, weights: NDArray, width: float) -> Field:
 
 
 def _slopes(values: Field, inside: NDArray[np.bool_]) -> tuple[Field, Field]:
-    """Return the derivatives at inside pixels, downwards and to the right; outside pixels have no
-    effect.
+    """Return the derivatives downwards and to the right at inside pixels.
+
+    Outside pixels have no effect.
     """
     slopes = []
     for axis in (0, 1):
@@ -100,14 +104,14 @@ def _slopes(values: Field, inside: NDArray[np.bool_]) -> tuple[Field, Field]:
 
 
 class Implicit(ABC):
-    """The zero set of a function F that is positive inside."""
+    """The zero set of a function F that is positive inside the object."""
 
     kernels: ClassVar[implicit.Kernels]
 
     @cached_property
     @abstractmethod
     def struct(self) -> Any:
-        """The fields of the surface as a struct for kernels."""
+        """The fields of the surface as a Warp struct for kernels."""
 
     def gradient(self, points: Field) -> tuple[Field, Field]:
         """Return F [N] and its gradient [N,3] at points [N,3]."""
@@ -122,9 +126,9 @@ class Implicit(ABC):
         return normals
 
     def inset(self, points: Field, depth: float) -> Field:
-        """Limit `depth` to a third of the local radius [N,1], pixels."""
+        """Return `depth` [N,1], limited to a third of the local radius of curvature, pixels."""
         _, gradient = self.gradient(points)
-        # For a ball F = r^2 - |x|^2; the norm of its gradient is twice the radius.
+        # For a ball, F = r^2 - |x|^2, so the norm of the gradient is twice the radius.
         radius = 0.5 * np.linalg.norm(gradient, axis=1, keepdims=True)
         return np.minimum(depth, radius / 3)
 
@@ -144,7 +148,7 @@ class Surface(Implicit):
     w: Field
     """Squared half thickness [H,W], pixels^2; negative outside."""
     m: Field
-    """z of the midsurface between front and back [H,W], pixels."""
+    """Coordinate z of the midsurface between front and back [H,W], pixels."""
     slopes: Field
     """Derivatives of w and m along x and y [2,2,H,W]."""
 
@@ -157,14 +161,15 @@ class Surface(Implicit):
 
     @classmethod
     def seen(cls, w: Field, middle: Field, distance: float) -> Surface:
-        """Return the surface whose image in the camera of `View` is w; a camera sees less than half
-        of a ball.
+        """Return the surface that the camera of `View` images as w.
 
-        Let p be a pixel relative to the image centre, d the camera's distance, and
-        w = h^2 - |p - c|^2 the image of a ball. Along the view ray, with A = 1 + p^2 / d^2, the
-        ball's midsurface is at z = p (p - k c) / (d A), k = 1 / (1 + h^2 / d^2), and its squared
-        half thickness is w k / (A B), B = 1 + p (p - c) / d^2 (exactly, if c = 0). Here
-        p - c = -grad(w) / 2.
+        A camera sees less than half of a ball.
+
+        Let p be a pixel relative to the image centre, d the distance of the camera, and w = h^2 -
+        |p - c|^2 the image of a ball. Along the view ray, with A = 1 + p^2 / d^2, the ball's
+        midsurface is at z = p (p - k c) / (d A), k = 1 / (1 + h^2 / d^2), and its squared half
+        thickness is w k / (A B), B = 1 + p (p - c) / d^2 (exactly, if c = 0). Here p - c = -grad(w)
+        / 2.
         """
         inside = w > 0
         dy, dx = (smooth(slope, inside, 1.5) for slope in _slopes(w, inside))
@@ -181,14 +186,14 @@ class Surface(Implicit):
 
     @cached_property
     def struct(self) -> Any:
-        """The fields w, m and their derivatives as a struct for kernels."""
+        """The fields w, m and their derivatives as a Warp struct for kernels."""
         struct, size = implicit.Inflated(), self.w.shape
         fields = np.stack([self.w, self.m, *self.slopes.reshape(4, *size)], axis=2)
         struct.fields = wp.array(fields, dtype=wp.float64, device="cpu")
         return struct
 
     def middle(self, points: Field) -> Field:
-        """Return z of the midsurface at points [N,3 or 2]."""
+        """Return the coordinate z of the midsurface at points [N,3 or 2]."""
         return scipy.ndimage.map_coordinates(self.m, points[:, 1::-1].T, order=1, mode="nearest")
 
     def section(self, y: float) -> float:
@@ -209,18 +214,18 @@ def spread(
     rng: np.random.Generator,
     alive: Callable[[], None] = lambda: None,
 ) -> tuple[Field, Field, Field, float]:
-    """Distribute points evenly over the surface between the flat ends.
+    """Distribute points evenly over the part of the surface between the flat ends.
 
     Args:
         surface: The surface.
-        ends: The flat ends.
+        ends: The flat ends of the object.
         count: Approximate number of points on the walls and the flat ends together.
         rng: Random number generator.
-        alive: Called between rounds; may raise an exception to cancel.
+        alive: Function that is called between rounds; it may raise an exception to cancel.
 
     Returns:
-        Positions [N,3], unit normals [N,3], spacing [N] and the front's spacing, pixels. A few
-            points lie beyond the ends; the caller must remove them.
+        Positions [N,3], unit normals [N,3], spacing [N], and the spacing on the front, pixels. A
+            few points lie beyond the ends; the caller must remove them.
     """
     trial = _scatter(surface, TRIAL, rng)
     walls = TRIAL**2 * np.count_nonzero(_between(trial, ends))
@@ -238,7 +243,7 @@ def spread(
 
 
 def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.bool_]:
-    """Whether points are between the ends of the object, or at most `by` pixels beyond."""
+    """Whether each point lies between the ends of the object, or at most `by` pixels beyond."""
     kept = np.ones(len(points), bool)
     for end in ends:
         kept &= ~end.beyond(points[:, 1], by)
@@ -246,11 +251,11 @@ def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.
 
 
 def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
-    """Return random points, on average one per pitch^2 of the front's area.
+    """Return random points near the surface, on average one per area of pitch^2 on the front.
 
-    Each cube that the surface crosses gets one candidate. Since a plane of normal n crosses |nx| +
-    |ny| + |nz| cubes per square, candidates are then dropped at random to reduce their number by
-    the factor |nx| + |ny| + |nz|.
+    Each cube that the surface intersects gets one candidate point. A plane with normal n intersects
+    |nx| + |ny| + |nz| cubes per square. Candidates are therefore dropped at random, so that their
+    number is reduced by this factor.
     """
     corner, low, high = _columns(surface.w, pitch)
     first, last = np.floor(low / pitch).astype(int), np.floor(high / pitch).astype(int)
@@ -273,10 +278,10 @@ def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
 
 
 def _columns(w: Field, pitch: float) -> tuple[Field, Field, Field]:
-    """Return corners [M,2] of the square columns that meet the surface, and their range of |z|."""
+    """Return corners [M,2] of the square columns that the surface meets, and their range of |z|."""
     height, width = w.shape
     x, y = np.arange(0, width - 1 - pitch, pitch), np.arange(0, height - 1 - pitch, pitch)
-    # Sample w at the corners of all squares, and halfway between them.
+    # Sample w at the corners of all squares and halfway between the corners.
     halves = [np.arange(2 * len(along) + 1) * (pitch / 2) for along in (y, x)]
     fine = scipy.ndimage.map_coordinates(w, np.meshgrid(*halves, indexing="ij"), order=1)
     thirds = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
@@ -293,13 +298,14 @@ def settle(
     spacing_at: Callable[[Field], Field],
     alive: Callable[[], None] = lambda: None,
 ) -> Field:
-    """Relax points [N,3] in several rounds, and return them.
+    """Relax points [N,3] in several rounds, and return the relaxed points.
 
     Args:
         surface: The surface.
-        points: The points.
+        points: The points to relax.
         spacing_at: Function from normals [N,3] to the desired spacing [N].
-        alive: Called before each round and after the last; may raise an exception to cancel.
+        alive: Function that is called before each round and after the last; it may raise an
+            exception to cancel.
     """
     for _ in range(ROUNDS // ALIKE):
         near = neighbours(points)
@@ -316,13 +322,15 @@ def relax(
     spacing_at: Callable[[Field], Field],
     near: Neighbours | None = None,
 ) -> tuple[Field, Field]:
-    """Push points [N,3] apart along a surface; also return the mean distance of neighbours [N].
+    """Push points [N,3] apart along a surface.
+
+    Also return each point's mean neighbour distance [N].
 
     Args:
         surface: The surface.
-        points: The points.
+        points: The points to push apart.
         spacing_at: Function from normals [N,3] to the desired spacing [N].
-        near: Neighbours of each point [N,7]; None: search them.
+        near: Indices of each point's neighbours [N,7]; if None, the neighbours are searched.
     """
     near = neighbours(points) if near is None else near
     normals = surface.normals(points)
@@ -333,27 +341,30 @@ def relax(
 
 
 def neighbours(points: Field) -> Neighbours:
-    """Return the seven nearest neighbours of each point [N,7], nearest first."""
-    tree = scipy.spatial.KDTree(points, leafsize=16, balanced_tree=False)  # halves the build time
+    """Return the indices of the seven nearest neighbours of each point [N,7], nearest first."""
+    # this halves the time to build the tree
+    tree = scipy.spatial.KDTree(points, leafsize=16, balanced_tree=False)
     near = tree.query(points, k=min(8, len(points)), workers=-1)[1]
     return np.ascontiguousarray(np.asarray(near)[:, 1:], np.int32)
 
 
 def share(values: Field) -> wp.array:
-    """Wrap points [N,3] or numbers [N] as a Warp array that shares their memory where possible."""
+    """Wrap points [N,3] or numbers [N] as a Warp array; the memory is shared where possible."""
     dtype: Any = wp.vec3d if values.ndim == 2 else wp.float64
     return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
 
 
 def launch(kernel: Any, constants: list[Any], values: Sequence[Field]) -> None:
-    """Run a kernel once per point, with an equal part of the points on each core.
+    """Run a kernel once per point; the points are divided equally among the cores.
 
     Args:
         kernel: The kernel; each thread reads and writes one point.
-        constants: Its first arguments.
-        values: Its other arguments, with a row per point; outputs are contiguous.
+        constants: The first arguments of the kernel.
+        values: The other arguments of the kernel, which have one row per point; outputs are
+            contiguous.
     """
-    wp.load_module(kernel.module, "cpu")  # Warp cannot load a kernel from several threads at once.
+    # Several threads cannot load a kernel in Warp at the same time.
+    wp.load_module(kernel.module, "cpu")
     count = cores()
 
     def run(part: int) -> None:

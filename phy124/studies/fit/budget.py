@@ -1,4 +1,4 @@
-"""Forecasts the time of a fit before its first run, and measures the time used."""
+"""Forecasts how long a fit will take before its first run, and measures the time used so far."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from phy124.scene import Scene
 from phy124.studies.fit.search import HALVES, generation_size, log2_screened
 
 FEWEST = 6
-"""Minimum useful number of generations in a search."""
+"""Smallest number of generations with which a search is useful."""
 USUAL = 20
-"""Typical number of generations in a search."""
+"""Number of generations that a search typically needs."""
 ROUNDS = 3
-"""Typical number of refinement steps per grid."""
+"""Number of refinement steps that a grid typically needs."""
 STARTING = 3.0
-"""Time to start the worker processes [s]."""
+"""Time that the worker processes need to start [s]."""
 
 
 @dataclass
@@ -42,7 +42,7 @@ class Budget:
 
     @property
     def spent(self) -> float:
-        """Time since the budget was created [s]."""
+        """Time since the budget object was created [s]."""
         return self.clock() - self._begun
 
     def late(self, part: float) -> bool:
@@ -52,17 +52,17 @@ class Budget:
 
 @dataclass(frozen=True)
 class Outlook:
-    """Forecast of a fit: its workers, and the time of a run on each grid."""
+    """Forecast of a fit: the number of workers, and the time of a run on each grid."""
 
     grids: tuple[int, ...]
     each: tuple[float, ...]
-    """Time of one run on each grid, with one thread [s]."""
+    """Time of one run on each grid if the run uses one thread [s]."""
     values: int
     """Number of values to fit."""
     workers: int
 
     def runs(self, generations: int = USUAL) -> list[int]:
-        """Return the number of runs on each grid, for a search with this number of generations."""
+        """Return the number of runs on each grid, for a search with `generations` generations."""
         steps, slopes = len(HALVES) * ROUNDS + 1, 2 * self.values
         first = 2 ** log2_screened(self.values) + generations * generation_size(self.values)
         counts = [first + 2 * slopes + 2 * steps] + [steps] * (len(self.grids) - 1)
@@ -70,18 +70,19 @@ class Outlook:
         return counts
 
     def wall(self, generations: int) -> float:
-        """Return the duration of the fit if all workers are always busy [s]."""
+        """Return how long the fit takes if all workers are always busy [s]."""
         work = np.dot(self.runs(generations), self.each)
         return float(work) / self.workers + (STARTING if self.workers > 1 else 0.0)
 
     def refuse(self, seconds: float) -> None:
-        """Refuse a time budget that is too small.
+        """Refuse a time budget that is too small for the fit.
 
         Args:
-            seconds: The budget [s].
+            seconds: The time budget [s].
 
         Raises:
-            InputError: The budget is shorter than a fit with the fewest useful generations.
+            InputError: The budget is shorter than a fit with the smallest useful number of
+                generations.
         """
         least = self.wall(FEWEST)
         if seconds < least:
@@ -105,14 +106,14 @@ class Outlook:
 def make_outlook(
     gaussians: Gaussians, scenes: Sequence[Scene], values: int, workers: int, crop: Crop = WHOLE
 ) -> Outlook:
-    """Forecast the time of a fit.
+    """Forecast how long a fit will take.
 
     Args:
         gaussians: The object.
-        scenes: For each grid, the scene with all values in the middle of their ranges.
+        scenes: One scene per grid, in which all values are in the middle of their ranges.
         values: Number of values to fit.
-        workers: Number of processes.
-        crop: Rectangle of the object in the picture.
+        workers: Number of worker processes.
+        crop: Rectangle of the picture that contains the object.
     """
     forecaster, each = Forecaster(RunContext(threads=1)), []
     for scene in scenes:

@@ -14,7 +14,8 @@ from phy124.schema.section import Section
 from phy124.studies.sweep.declaration import LogUniform, Uniform
 
 DECADE = 10.0
-"""Minimum ratio of a range's ends (1e4..1e6: 100) for which its sampling is logarithmic."""
+"""Smallest ratio of a range's ends for which the range is sampled logarithmically (for 1e4..1e6,
+the ratio is 100)."""
 
 
 def parse_range(data: Any) -> Any:
@@ -23,7 +24,7 @@ def parse_range(data: Any) -> Any:
     Data that is not text, such as a table from a sweep, is returned unchanged.
 
     Raises:
-        ValueError: The text is not a range.
+        ValueError: The text does not describe a range.
     """
     if not isinstance(data, str):
         return data
@@ -32,14 +33,15 @@ def parse_range(data: Any) -> Any:
     except ValueError:
         raise ValueError("it is not a range. Write, for example, 1e4..1e6.") from None
     if not low < high:
-        raise ValueError(f"{low:g} is not below {high:g}. Give the smaller number first.")
+        raise ValueError(f"{low:g} is not smaller than {high:g}. Give the smaller number first.")
     log = low > 0 and high >= DECADE * low
     return {"log_uniform" if log else "uniform": (low, high)}
 
 
 def _kind(data: Any) -> str:
-    """Return the tag of a range's type. For invalid data the tag is "even", whose type then refuses
-    the data.
+    """Return the tag that names the type of a range.
+
+    For invalid data the tag is "even", and the type of that name then refuses the data.
     """
     log = isinstance(data, LogUniform) or (isinstance(data, dict) and "log_uniform" in data)
     return "log" if log else "even"
@@ -58,69 +60,82 @@ class Fit(Section):
     """The options of a fit: the values to fit, and the observations."""
 
     target: str = Field(
-        description="Observations: a clip or its folder, a .csv file of tracked points, or a "
-        "video or folder of pictures."
+        description="Observations of the motion: a clip or its folder, a .csv file of tracked "
+        "points, or a video or a folder of pictures."
     )
     object: str | None = Field(
         default=None,
-        description="Picture or file of Gaussians, or a clip whose first frame shows the object at "
-        "rest; default: the object of the target, if that is a clip.",
+        description="Picture or file of Gaussians, or a clip whose first frame shows the object "
+        "at rest. Default: the object of the target, if the target is a clip.",
     )
     scene: str | None = Field(
         default=None,
-        description="Preset or .toml file; default: the scene of the clip, if any, or else press.",
+        description=(
+            "Preset or .toml file of the scene. Default: the scene of the clip if there is one, "
+            "otherwise press."
+        ),
     )
     set: dict[str, Any] = Field(
-        default={}, description="Other values of the scene, by dotted path."
+        default={}, description="Other values to set in the scene, by dotted path."
     )
     find: dict[str, Range] = Field(
         min_length=1,
         max_length=8,
-        description='Dotted path in the scene -> range, such as "1e4..1e6".',
+        description="Ranges of the values to fit: dotted path in the scene -> range, such as "
+        '"1e4..1e6".',
     )
     forces: str | None = Field(
         default=None,
         description="A .csv file of measured forces on walls, with columns time, wall, fx, fy, fz.",
     )
     side: str = Field(
-        default="front", description="View or camera that recorded the pixels or the video."
+        default="front",
+        description="View or camera from which the pixels or the video were recorded.",
     )
     fps: float | None = Field(
         default=None,
         gt=0,
         le=1000,
-        description="Frames per second of a video or folder; default: the rate in the file, or "
-        "else the scene's rate [1/s].",
+        description="Frames per second of a video or folder [1/s]. Default: the rate in the file "
+        "if it has one, otherwise the rate of the scene.",
     )
     align: bool = Field(
         default=False,
-        description="Align a video's first frame with the object at rest, for an unknown camera.",
+        description=(
+            "Align the video's first frame with the object at rest; use this if the camera is "
+            "unknown."
+        ),
     )
-    gaussians: int | None = Field(default=None, ge=1, description="Maximum number of Gaussians.")
+    gaussians: int | None = Field(
+        default=None, ge=1, description="Maximum number of Gaussians of the object."
+    )
     grids: tuple[Cells, ...] = Field(
         default=(16, 24),
         min_length=1,
         max_length=4,
-        description="Cells across the object on each grid: the first for the search, the others "
-        "to refine its result.",
+        description="Number of cells across the object on each grid. The first grid is used for "
+        "the search, and the others refine its result.",
     )
     seconds: float = Field(
         default=300.0, ge=1, le=1e7, description="Maximum duration of the fit [s]."
     )
     seed: int = Field(
-        default=0, ge=0, le=2**31 - 1, description="Seed of the search and the intervals."
+        default=0,
+        ge=0,
+        le=2**31 - 1,
+        description="Seed of the random numbers for the search and the intervals.",
     )
 
     @field_validator("grids")
     @classmethod
     def _finer(cls, grids: tuple[int, ...]) -> tuple[int, ...]:
         if list(grids) != sorted(set(grids)):
-            raise ValueError("each grid must be finer than the one before; sort them")
+            raise ValueError("each grid must be finer than the one before it; sort the grids")
         return grids
 
     @classmethod
     def from_data(cls, data: dict[str, Any], source: str = "fit") -> Fit:
-        """Validate plain data.
+        """Validate plain data and return the options.
 
         Raises:
             InputError: The data does not declare a fit; the message names field, value, limit and
@@ -133,10 +148,10 @@ class Fit(Section):
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> dict[str, Any]:
-        """Read the plain data of a fit from a file, before options of the command line change it.
+        """Read the plain data of a fit from a file, before options of the command line are applied.
 
         Raises:
-            InputError: The file is missing or is not TOML.
+            InputError: The file is missing or is not valid TOML.
         """
         return read_toml(path, "fit")
 
@@ -145,7 +160,7 @@ def parse_ranges(texts: tuple[str, ...]) -> dict[str, str]:
     """Convert texts such as material.E=1e4..1e6 to a mapping from paths to ranges.
 
     Raises:
-        InputError: A text has another form, or a path occurs twice.
+        InputError: A text does not have this form, or a path occurs twice.
     """
     ranges: dict[str, str] = {}
     for text in texts:
@@ -154,6 +169,6 @@ def parse_ranges(texts: tuple[str, ...]) -> dict[str, str]:
             limit = "it is not PATH=LEAST..LARGEST."
             raise InputError("find", text, limit, "Write, for example, material.E=1e4..1e6.")
         if path in ranges:
-            raise InputError("find", text, f"{path} is given twice.", "Give it once.")
+            raise InputError("find", text, f"{path} occurs twice.", "Give each path once.")
         ranges[path] = text
     return ranges

@@ -1,7 +1,8 @@
 """Estimates the fitted values and their intervals.
 
-The steps are a search on the coarsest grid, the refusal of values that the measurements cannot
-determine, a refinement on each finer grid, and the intervals.
+First, the best values are searched on the coarsest grid. Values that the measurements cannot
+determine are then refused, the other values are refined on each finer grid, and the intervals are
+computed.
 """
 
 from __future__ import annotations
@@ -25,14 +26,15 @@ from phy124.studies.fit.problem import Distance, Problem, differentiate
 from phy124.studies.fit.search import Refined, refine, screen, search
 
 STEP = 0.05
-"""Step of central differences, as a fraction of the range.
+"""Step of central differences, as a fraction of a value's range.
 
-The results of runs scatter by some tenths of a pixel, even if the values hardly differ. With a
-shorter step, this scatter dominates the differences: with 0.01, the derivatives with respect to nu
-for a pressed duck were up to nine times too large.
+The results of runs differ at random by some tenths of a pixel, even if the values hardly differ.
+With a shorter step, these random differences dominate. With a step of 0.01, the derivatives with
+respect to nu for a pressed duck were up to nine times too large.
 """
 END = 0.005
-"""Distance from an end of the range, as a fraction of the range, below which a note warns."""
+"""A note warns if a value is closer than this to an end of its range, as a fraction of the
+range."""
 
 
 @dataclass(frozen=True)
@@ -42,27 +44,28 @@ class Estimate:
     places: tuple[Values, ...]
     """The best point in the unit cube [P] on each grid that was used."""
     misfits: tuple[list[float], ...]
-    """RMS misfit of each kind of measurement, on each grid."""
+    """RMS misfit of each kind of measurement on each grid."""
     grids: tuple[int, ...]
-    """Cells across the object on each grid."""
+    """Number of cells across the object on each grid."""
     sampling: Values
-    """Half-width of the 95 % interval due to the errors of the measurements [P]."""
+    """Half-width of each value's 95 % interval that is due to the errors of the measurements
+    [P]."""
     model: Values
     """Largest shift of each value due to the estimated error of the finest grid [P]."""
     correlation: Values
-    """Correlation matrix of the values [P,P]."""
+    """Correlation matrix of the fitted values [P,P]."""
     notes: tuple[str, ...]
 
     def on(self, cells: float) -> tuple[Values, Values]:
         """Return the best point on a grid [P], and the half-width of its intervals [P].
 
-        The values are extrapolated to a grid of this size; infinity means no grid error. The
-        uncertainty of the extrapolated values is assumed to be their shift by the extrapolation,
-        and at least `model`. The uncertainty of the extrapolated values is a systematic error, so
-        it is added to the error due to the measurements.
+        The values are extrapolated to a grid with this number of cells; infinity stands for a grid
+        without error. The uncertainty of the extrapolated values is assumed to be the distance by
+        which the extrapolation shifts them, and at least `model`. This uncertainty is a systematic
+        error, so it is added to the error that is due to the measurements.
 
         Args:
-            cells: Cells across the object; may be infinite.
+            cells: Number of cells across the object; may be infinite.
         """
         place, shift = extrapolate(self.grids, self.places, cells)
         return place, self.sampling + np.maximum(self.model, shift)
@@ -71,15 +74,16 @@ class Estimate:
 def estimate(
     problem: Problem, *, seed: int = 0, on_generation: Callable[[float], object] = lambda cost: None
 ) -> Estimate:
-    """Fit the values.
+    """Fit the values to the measurements.
 
     Args:
         problem: The measurements and their prediction.
         seed: Seed of all random numbers.
-        on_generation: Called with the smallest cost so far after each generation of the search.
+        on_generation: Function that is called with the smallest cost so far after each generation
+            of the search.
 
     Raises:
-        InputError: Some values cannot be determined, or runs fail.
+        InputError: Some values cannot be determined, or runs of the simulation fail.
     """
     distance = Distance(problem)
     start = screen(problem, distance, seed)
@@ -96,7 +100,8 @@ def estimate(
         fit = levels[-1]
         levels.append(_refine(problem, distance, fit.place, fit.jacobian, level))
     if not problem.late(1.0):
-        # Broyden's updates are accurate only along the steps, so recompute all derivatives here.
+        # Broyden's updates are accurate only along the steps, so all derivatives are computed again
+        # here.
         level, fit = len(levels) - 1, levels[-1]
         slopes = _slopes(problem, fit.place, level)
         fit = _refine(problem, distance, fit.place, slopes, level)
@@ -130,14 +135,18 @@ def _notes(problem: Problem, places: tuple[Values, ...]) -> list[str]:
     for name, part in zip(problem.names, places[-1], strict=True):
         if not END < part < 1 - END:
             end = "lower" if part < 0.5 else "upper"
-            notes.append(f"{name} lies at the {end} end of its range: widen the range.")
+            notes.append(f"{name} lies at the {end} end of its range, so widen the range.")
     if len(problem.grids) == 1:
         notes.append(
-            "With one grid, the grid's error is unknown and not included in the intervals."
+            "Since there is only one grid, the grid's error is unknown and not included in the "
+            "intervals."
         )
     elif len(places) < len(problem.grids):
         left = ", ".join(map(str, problem.grids[len(places) :]))
-        notes.append(f"The time ended before the grid of {left} cells was run: increase --seconds.")
+        notes.append(
+            f"The time limit was reached before the grid of {left} cells was run: increase "
+            "--seconds."
+        )
     return notes
 
 
@@ -167,9 +176,14 @@ def _refine(
 
 def _failure(problem: Problem) -> InputError:
     limit = "the run stops early near the best values."
-    return InputError("find", ", ".join(problem.names), limit, "Choose narrower ranges.")
+    return InputError(
+        "find", ", ".join(problem.names), limit, "Choose narrower ranges for the values."
+    )
 
 
 def _rescale(problem: Problem, distance: Distance, fit: Refined) -> Distance:
-    """Return a distance scaled by a fit's misfits; misfits below 1e-12 count as 1e-12."""
+    """Return a distance whose scales are the misfits of a fit.
+
+    Misfits below 1e-12 count as 1e-12.
+    """
     return Distance(problem, [max(misfit, 1e-12) for misfit in distance.misfits(fit.predicted)])

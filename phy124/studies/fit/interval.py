@@ -1,13 +1,14 @@
 """Computes intervals of the fitted values, and finds values that remain undetermined.
 
-J is the Jacobian of the measurements in units of their errors. The Fisher matrix J^T J shows how
-precisely each direction in the space of values is determined: along an eigenvector with eigenvalue
-l, the standard error is 1 / sqrt(l). The half-width of an interval is the sum of two parts: the
-error from a bootstrap over groups of measurements, and the effect of the grid's error.
+J is the Jacobian of the measurements, which are stated in units of their errors. The Fisher matrix
+J^T J shows how precisely each direction in the space of values is determined. Along an eigenvector
+with eigenvalue l, the standard error is 1 / sqrt(l). The half-width of an interval is the sum of
+two parts. The first is the error from a bootstrap over groups of measurements, and the second is
+the effect of the grid's error.
 
-Each bootstrap draw selects G of the G groups, with replacement, and makes one Gauss-Newton step
-from the fitted point. A Gauss-Newton step from the fitted point needs no simulation. Errors that
-are common to a group, such as those of a badly tracked point, widen the interval because each group
+Each bootstrap draw selects G of the G groups with replacement, and makes one Gauss-Newton step from
+the fitted point. This step needs no simulation. All measurements of a group may have the same
+error, for example if a point is badly tracked. Such errors widen the interval, because each group
 is drawn as a whole.
 """
 
@@ -28,7 +29,7 @@ PROBABILITY = 0.95
 
 
 class Spread(NamedTuple):
-    """Uncertainty of the values due to the errors of the measurements."""
+    """Uncertainty of the fitted values that is due to the errors of the measurements."""
 
     errors: Values
     """Half-width of each 95 % interval, as a fraction of the range [P]."""
@@ -42,11 +43,11 @@ def bootstrap(
     """Estimate the uncertainty of the fitted values by a bootstrap over groups of measurements.
 
     Args:
-        jacobian: Derivatives of the weighted prediction [M,P].
-        residual: Weighted differences at the fitted point [M].
+        jacobian: Derivatives of the weighted prediction with respect to the values [M,P].
+        residual: Weighted differences between prediction and measurement at the fitted point [M].
         groups: Group of each measurement, from 0 [M]; errors in a group are correlated.
-        kinds: Kinds of measurements; each kind's groups are drawn separately.
-        seed: Seed of the draws.
+        kinds: Kinds of measurements; the groups of each kind are drawn separately.
+        seed: Seed of the random draws.
     """
     from scipy.special import stdtrit
 
@@ -78,18 +79,21 @@ def _draw(groups: Groups, kinds: Sequence[Kind], count: int, random: np.random.G
 def extrapolate(
     grids: Sequence[int], places: Sequence[Values], cells: float
 ) -> tuple[Values, Values]:
-    """Extrapolate the fitted values to another grid (Richardson).
+    """Extrapolate the fitted values to another grid by Richardson's method.
 
     The error of a surface's position is a fraction of a cell. The extrapolation therefore assumes
-    first order in the spacing. With only one grid, the result is the point on this grid.
+    that the error is proportional to the grid spacing. If there is only one grid, the result is the
+    point on this grid.
 
     Args:
-        grids: Cells across the object, from coarse to fine.
+        grids: Numbers of cells across the object, from coarse to fine.
         places: The fitted point on each grid [P].
-        cells: Cells across the object on the other grid; infinity: no grid error.
+        cells: Number of cells across the object on the other grid; infinity stands for a grid
+            without error.
 
     Returns:
-        The extrapolated point [P], and the absolute shift of each value from the finest grid [P].
+        The extrapolated point [P], and the distance of each value from the value on the finest grid
+        [P].
     """
     finest = places[-1]
     if len(places) < 2:
@@ -102,15 +106,16 @@ def extrapolate(
 def find_unexplained(
     grids: Sequence[int], coarse: Sequence[float], fine: Sequence[float]
 ) -> Values:
-    """Return the finest grid's error in each kind of measurement, as a fraction of the misfit.
+    """Return the finest grid's error for each kind of measurement, as a fraction of the misfit.
 
-    A misfit m is modelled as m^2 = a^2 + (c h)^2. The errors of the measurements, a, are equal on
-    all grids. The grid's error c h is proportional to the spacing h. Two grids determine c.
+    The model of a misfit m is m^2 = a^2 + (c h)^2. The error of the measurements, a, is the same on
+    all grids. The error of the grid, c h, is proportional to the spacing h. The misfits on two
+    grids determine c.
 
     Args:
-        grids: Cells across the object, from coarse to fine.
-        coarse: RMS misfit of each kind on the second-finest grid.
-        fine: RMS misfit of each kind on the finest grid.
+        grids: Numbers of cells across the object, from coarse to fine.
+        coarse: RMS misfit of each kind of measurement on the second-finest grid.
+        fine: RMS misfit of each kind of measurement on the finest grid.
     """
     more = (np.asarray(coarse) / np.maximum(fine, 1e-12)) ** 2 - 1
     return np.sqrt(np.maximum(more, 0) / ((grids[-1] / grids[-2]) ** 2 - 1))
@@ -119,16 +124,17 @@ def find_unexplained(
 def shift_values(
     jacobian: Values, parts: Values, groups: Groups, kinds: Sequence[Kind]
 ) -> NDArray[np.float64]:
-    """Return the largest shift of each value due to grid errors of known size [P].
+    """Return the largest shift of each value that grid errors of known size can cause [P].
 
     The pattern of a grid's errors over the measurements is unknown, but has few degrees of freedom
-    (two to four singular values in synthetic tests). A grid's errors may therefore resemble the
-    effect of a value; the worst case is assumed. In a least-squares fit, errors of norm e then
-    shift value i by at most e sqrt(((J^T J)^-1)_ii).
+    (two to four singular values in synthetic tests). A grid's errors may therefore have the same
+    effect on the measurements as a change of a value; the worst case is assumed. In a least-squares
+    fit, errors of norm e can then shift value i by at most e sqrt(((J^T J)^-1)_ii).
 
     Args:
         jacobian: Derivatives of the weighted prediction [M,P], in units of the misfit.
-        parts: Size of the grid errors in each kind of measurement, as a fraction of its misfit.
+        parts: Size of the grid errors for each kind of measurement, as a fraction of the misfit of
+            this kind.
         groups: Group of each measurement, from 0 [M]; errors in a group are correlated.
         kinds: Kinds of measurements.
     """
@@ -140,51 +146,55 @@ def shift_values(
 
 
 DEAD = 1e-3
-"""Relative effect on the measurements below which a value is undetermined.
+"""A value is undetermined if its relative effect on the measurements is smaller than this.
 
-It is the change of the measurements over the value's range, divided by the measurements' norm.
+The relative effect is the change of the measurements over the value's range, divided by the norm of
+the measurements.
 """
 ALIKE = 0.12
-"""Minimum singular value of the values' normalised effects on the measurements.
+"""Smallest allowed singular value of the matrix whose columns are the normalised effects of the
+values on the measurements.
 
 The singular value is 0 if the effects of two values have the same direction, and 1 if they are
-orthogonal; 0.12 means a correlation of 0.986. Below this limit, errors of the model, such as grid
-errors, resemble the difference between the effects, so the values cannot be separated.
+orthogonal; 0.12 means a correlation of 0.986. Below this limit, the values cannot be separated,
+because errors of the model, such as grid errors, resemble the difference between the effects.
 
-For example, the effects of E and density on a pressed duck differ only by damping if no force is
-known. The singular value is then 0.04 to 0.08 on grids of 16 and 20 cells. For E and nu, it is
-0.93.
+For example, if no force is known, E and density of a pressed duck have effects that differ only by
+damping. The singular value is then 0.04 to 0.08 on grids of 16 and 20 cells. For E and nu, the
+singular value is 0.93.
 """
 SHARE = 0.3
-"""Minimum component in the weakest direction from which a value counts as undetermined."""
+"""A value counts as undetermined if its component in the weakest direction is at least this."""
 VAGUE = 1 / 3
-"""Half-width of a 95 % interval, as a fraction of the range, from which a value is undetermined.
+"""A value is undetermined if the half-width of its 95 % interval is at least this fraction of the
+range.
 
 The interval then covers two thirds of the range.
 """
 MODULI = ("E", "mu", "lambda", "bulk", "yield_stress", "hardening")
-FORCE = "measure the force on a wall, or load it with a known force in newtons"
+FORCE = "measure the force on a wall, or load the wall with a known force in newtons"
 HOW = (
     " (--forces plate.csv, or a clip of a scene with wrenches = true; "
     '[[forces]] kind = "force" is a load)'
 )
-"""Part of a message that explains how to provide a force on the command line."""
+"""Part of a message that explains how to provide a measured force on the command line."""
 EXPERIMENTS = {
     "material.density": f"weigh it, or {FORCE}",
     "material.E": f"let it oscillate freely after the load, or {FORCE}",
-    "material.nu": "squeeze a block of it between slippery plates and "
-    "measure how far its sides bulge",
+    "material.nu": "squeeze a block of the material between slippery plates and measure how far "
+    "its sides bulge",
     "material.damping": "watch it swing freely for several periods without touching anything",
     "friction": "let it slide down a slope that is just steep enough",
     "object.velocity": "watch it fly for some frames before it touches anything",
     "object.spin": "watch it fly for some frames before it touches anything",
     "stiffness": "load the stiff and the soft end one after the other",
 }
-"""Path of a value, or part of a path -> an experiment that determines the value."""
+"""Experiments that determine a value: path of the value, or a part of the path -> description of
+the experiment."""
 
 
 class Undecided(InputError):
-    """Error: the measurements do not determine some values; `limit` gives the reason."""
+    """An error: the measurements do not determine some values; `limit` states the reason."""
 
     def __init__(self, field: str, value: object, limit: str, remedy: str, tell: str) -> None:
         self.tell = tell
@@ -192,22 +202,25 @@ class Undecided(InputError):
         super().__init__(field, value, limit, remedy)
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        """Return the class and its arguments, so that pickle can restore the error."""
+        """Return the class and its arguments, from which pickle can restore the error."""
         return type(self), (self.field, self.value, self.limit, self.remedy, self.tell)
 
 
 class Blind(NamedTuple):
-    """Values that the measurements do not determine, and the reason."""
+    """Values that the measurements do not determine, and the reason why."""
 
     names: tuple[str, ...]
     why: str
 
     def refusal(self) -> Undecided:
-        """Return the error for these values, with an experiment that would determine them."""
+        """Return the error for these values.
+
+        It suggests an experiment that would determine them.
+        """
         fixed = self.names[-1]
         tell = suggest_experiment(self.names)
         how = HOW if FORCE in tell else ""
-        remedy = f"To determine them: {tell}{how}; or fix {fixed} by --set and find the others."
+        remedy = f"To determine them: {tell}{how}; or fix {fixed} by --set and fit the others."
         return Undecided("find", ", ".join(self.names), self.why, remedy, tell)
 
 
@@ -219,7 +232,7 @@ def suggest_experiment(names: Sequence[str]) -> str:
     for known, words in EXPERIMENTS.items():
         if any(re.search(rf"(^|\.){re.escape(known)}(\.|$)", name) for name in names):
             return words
-    return "measure for longer, from another side, or under another load"
+    return "measure for a longer time, from another side, or under another load"
 
 
 def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind | None:
@@ -231,7 +244,7 @@ def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind 
         names: Names of the values [P].
         jacobian: Derivatives of the weighted prediction with respect to the values, as fractions of
             their ranges [M,P].
-        spread: Norm of the weighted measurements.
+        spread: Norm of the vector of weighted measurements.
     """
     effects = np.linalg.norm(jacobian, axis=0)
     for name, effect in zip(names, effects, strict=True):
@@ -248,15 +261,15 @@ def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind 
 def find_undetermined(
     names: Sequence[str], errors: Values, model: Values, directions: Values
 ) -> Blind | None:
-    """Return values whose intervals are too wide; None if all intervals are narrow enough.
+    """Return the values whose intervals are too wide; None if all intervals are narrow enough.
 
     Args:
         names: Names of the values [P].
-        errors: Half-width of the interval due to the measurements' errors, as a fraction of the
-            range [P].
-        model: Half-width of the interval due to the finest grid's error, as a fraction of the
-            range [P].
-        directions: Covariance of the values [P,P].
+        errors: Half-width of each value's interval that is due to the errors of the measurements,
+            as a fraction of the range [P].
+        model: Half-width of each value's interval that is due to the error of the finest grid, as a
+            fraction of the range [P].
+        directions: Covariance matrix of the values [P,P].
     """
     worst = int(np.argmax(errors + model))
     wide = 2 * float(errors[worst] + model[worst])

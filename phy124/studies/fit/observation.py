@@ -22,7 +22,7 @@ class Table(NamedTuple):
     times: Values
     """Time of each row [R], s."""
     names: NDArray[np.str_]
-    """Name of the point or wall in each row [R]."""
+    """Name of the point or wall that each row describes [R]."""
     values: Values
     """Measured values [R,C]."""
     columns: tuple[str, ...]
@@ -35,14 +35,14 @@ def read_table(
     """Read a file of measurements.
 
     Args:
-        path: The file.
-        field: The option that names the file.
-        name: Name of the column that names points or walls.
-        kinds: Possible sets of names of the value columns.
+        path: The file of measurements.
+        field: The option that names the file, for messages.
+        name: Name of the column that contains the names of points or walls.
+        kinds: Allowed sets of names for the columns of values.
 
     Raises:
-        InputError: The file cannot be read, lacks a column, has no rows, or a value is not a
-            finite number.
+        InputError: The file cannot be read, has no rows, lacks a column, or contains a value that
+            is not a finite number.
     """
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
@@ -55,9 +55,9 @@ def read_table(
     if columns is None or not {"time", name} <= set(header):
         ways = " or ".join(",".join(("time", name, *kind)) for kind in kinds)
         limit = f"its first line is {','.join(header)!r}."
-        raise InputError(field, path, limit, f"Begin it with {ways}.")
+        raise InputError(field, path, limit, f"The first line must begin with {ways}.")
     if len(lines) == 1:
-        raise InputError(field, path, "it has no rows.", "Give at least two times.")
+        raise InputError(field, path, "it has no rows.", "Give measurements at two or more times.")
     places = [header.index(column) for column in ("time", *columns)]
     numbers = np.array([_numbers(path, field, i, line, places) for i, line in enumerate(lines[1:])])
     names = np.array([line[header.index(name)].strip() for line in lines[1:]])
@@ -67,27 +67,27 @@ def read_table(
 def _numbers(
     path: object, field: str, index: int, line: list[str], places: list[int]
 ) -> list[float]:
-    """Return the numbers in a row of the file, at the indices `places`."""
+    """Return the numbers in a row of the file, from the columns with indices `places`."""
     try:
         numbers = [float(line[place]) for place in places]
     except (ValueError, IndexError):
         numbers = [np.nan]
     if not np.isfinite(numbers).all():
         limit = f"row {index + 1} ({','.join(line)[:60]}) has values that are not finite numbers."
-        raise InputError(field, path, limit, "Leave out the rows in which a point was not seen.")
+        raise InputError(field, path, limit, "Remove the rows in which a point was not seen.")
     return numbers
 
 
 Groups = NDArray[np.int64]
 ROUNDED = 1e-3
-"""Maximum rounding error of times in files [s]."""
+"""Largest rounding error that is assumed for times in files [s]."""
 
 
 class Observation(Protocol):
-    """Measurements of one kind, such as heights, and their prediction from a clip."""
+    """Measurements of one kind, such as heights, which can be predicted from a clip."""
 
     name: str
-    """Name of the kind of measurements, in the plural."""
+    """Name of the kind of measurement, in the plural."""
     unit: str
     measured: Values
     """Measured values [M]."""
@@ -97,12 +97,12 @@ class Observation(Protocol):
     """Time of the last measurement [s]."""
 
     def predict(self, clip: Clip) -> Values:
-        """Predict the measurements from a clip [M]."""
+        """Predict the measurements [M] from a clip."""
         ...
 
 
 class Kind(NamedTuple):
-    """A kind of measurements, and its slice of the vector of all measurements."""
+    """A kind of measurement, and the slice that it has in the vector of all measurements."""
 
     name: str
     unit: str
@@ -110,7 +110,7 @@ class Kind(NamedTuple):
 
 
 class Observations:
-    """All kinds of measurements, concatenated to one vector."""
+    """All kinds of measurements, concatenated into one vector."""
 
     def __init__(self, parts: list[Observation]) -> None:
         self.parts = parts
@@ -130,12 +130,12 @@ class Observations:
         return max(part.last for part in self.parts)
 
     def predict(self, clip: Clip) -> Values:
-        """Predict all measurements from a clip [M]."""
+        """Predict all measurements [M] from a clip."""
         return np.concatenate([part.predict(clip) for part in self.parts])
 
 
 def at_times(times: Values, values: Values, wanted: Values) -> Values:
-    """Interpolate values at other times.
+    """Interpolate values, which are known at some times, at other times.
 
     If all requested times coincide with frames, the values of these frames are returned; otherwise
     a spline is used.
@@ -143,10 +143,10 @@ def at_times(times: Values, values: Values, wanted: Values) -> Values:
     Args:
         times: Times of the values [T], s.
         values: The values [T,...].
-        wanted: The other times [R], s.
+        wanted: The times at which values are requested [R], s.
 
     Returns:
-        The values at the other times [R,...].
+        The values at the requested times [R,...].
     """
     nearest = np.abs(times[None] - wanted[:, None]).argmin(1)
     if np.allclose(times[nearest], wanted, atol=ROUNDED / 10):
@@ -157,20 +157,22 @@ def at_times(times: Values, values: Values, wanted: Values) -> Values:
 
 
 def refuse_outside(field: str, source: object, times: Values, length: float) -> None:
-    """Refuse measurements before the first or after the last frame of a scene.
+    """Refuse measurements that are earlier than a scene's first frame or later than its last frame.
 
     Args:
-        field: The option that names the measurements.
-        source: The file of the measurements.
+        field: The option that names the measurements, for messages.
+        source: The file that contains the measurements.
         times: Times of the measurements [s].
         length: Time of the scene's last frame [s].
 
     Raises:
-        InputError: A measurement is outside this range.
+        InputError: A measurement is outside the time range of the scene.
     """
     if times.min() < -ROUNDED:
         limit = f"it begins at {times.min():.3g} s, before the scene, which begins at 0."
-        raise InputError(field, source, limit, "Give times since the beginning of the scene.")
+        raise InputError(
+            field, source, limit, "Give times that count from the beginning of the scene."
+        )
     if times.max() > length + ROUNDED:
         limit = f"it goes on until {times.max():.3g} s, and the scene's last frame is at "
         remedy = f"Add --set time.seconds={times.max() + 0.1:.3g}, or shorten the recording."
@@ -178,7 +180,10 @@ def refuse_outside(field: str, source: object, times: Values, length: float) -> 
 
 
 class Forces:
-    """Measured forces on walls. Each force is the mean since the previous frame."""
+    """Measured forces on the walls of a scene.
+
+    Each force is the mean over the time since the previous frame.
+    """
 
     name, unit = "forces", "N"
 
@@ -194,8 +199,12 @@ class Forces:
         """
         for name in table.names:
             if name not in walls:
-                limit = "the scene has no wall of that name."
-                remedy = suggest(str(name), walls) if walls else "Give it a boundary."
+                limit = "the scene has no wall with this name."
+                remedy = (
+                    suggest(str(name), walls)
+                    if walls
+                    else "Add a boundary with this name to the scene."
+                )
                 raise InputError("forces", name, limit, remedy)
         self._wall = np.array([walls.index(str(name)) for name in table.names])
         self._times, self.last = table.times, float(table.times.max())
@@ -203,7 +212,7 @@ class Forces:
         self.groups: Groups = np.repeat(np.arange(len(table.times)), 3)
 
     def predict(self, clip: Clip) -> Values:
-        """Predict the forces from a clip [M]."""
+        """Predict the forces [M] from a clip."""
         assert clip.wrenches is not None
         instants, row = np.unique(self._times, return_inverse=True)
         return at_times(clip.times, clip.wrenches[:, :, 0], instants)[row, self._wall].ravel()

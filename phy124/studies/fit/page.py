@@ -1,7 +1,7 @@
-"""Writes the comparison of a video with the fitted scene: an HTML page, a video, and an image.
+"""Compares a video with the fitted scene in three files: an HTML page, a video, and an image.
 
-The web page also shows `figure`. The web page serves the script and the style sheet from
-phy124/io/viewer.
+The web page of phy124 also shows `figure`. The script and the style sheet are in phy124/io/viewer,
+and the web page serves them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ from phy124.studies.fit.video import Film
 
 WIDTH, HEIGHT, TOP, BOTTOM, MARGIN = 300, 110, 6, 92, 6
 COLOURS = ("#d55e00", "#0072b2")
-"""CSS colours of pixels only in the video (`ONLY_SEEN`) and only in the fit (`ONLY_FITTED`)."""
+"""CSS colours of pixels that the object covers only in the video (`ONLY_SEEN`) or only in the fit
+(`ONLY_FITTED`)."""
 PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -51,11 +52,11 @@ Phy124Compare(document.querySelector('.compare'));</script>
 
 
 def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
-    """Write an HTML file with an embedded comparison video, which browsers can show offline.
+    """Write an HTML file that contains the comparison video, which browsers can show offline.
 
     Args:
         path: The HTML file.
-        report: The report of a fit to a video.
+        report: The report of a fit whose target is a video.
         film: The MP4 that shows the video, the fitted scene and their difference.
     """
     data = base64.b64encode(film.read_bytes()).decode()
@@ -71,10 +72,10 @@ def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
 
 
 def figure(report: dict[str, Any], film: str) -> str:
-    """Return the comparison video with its slider, and the curves, as HTML with escaped text.
+    """Return HTML with the comparison video, its slider, and the curves; all text is escaped.
 
     Args:
-        report: The report of a fit to a video.
+        report: The report of a fit whose target is a video.
         film: Address of the MP4 that shows the video, the fitted scene and their difference.
     """
     shown = report["pictures"]
@@ -98,7 +99,7 @@ def figure(report: dict[str, Any], film: str) -> str:
 
 
 def distances(shown: dict[str, Any]) -> str:
-    """Return curves of the outlines' distance over time, before and after the fit, as SVG."""
+    """Return SVG curves of the outlines' distance over time, before and after the fit."""
     times = shown["times"]
     lines = {name: shown[name] for name in ("before", "fitted") if shown[name]}
     highest = max((max(line) for line in lines.values()), default=0.0) or 1.0
@@ -111,14 +112,14 @@ def distances(shown: dict[str, Any]) -> str:
     places = " ".join(f"{x(time):.1f}" for time in times)
     mark = f'<line class="now" y1="{TOP}" y2="{BOTTOM}" data-places="{places}"/>'
     was = ", ".join(f"{value:g}" for value in shown["was"].values())
-    label = f"Distance of the outlines, up to {highest:.3f} of a pixel; dashed: before ({was})"
+    label = f"Distance between the outlines, up to {highest:.3f} of a pixel; dashed: before ({was})"
     return _plot(label, [*drawn, mark], f"{times[0]:.2f} s", f"{times[-1]:.2f} s")
 
 
 def trials(report: dict[str, Any], name: str) -> str:
-    """Plot the misfit of each run against one of the fitted values, as SVG.
+    """Return an SVG plot of the misfit of each run over one of the fitted values.
 
-    The plot also shows the interval of the fitted value.
+    The plot also shows the interval of this value.
     """
     tried = [run for run in report["tried"] if run["misfits"]]
     log = "log_uniform" in report["declared"]["find"][name]
@@ -160,16 +161,17 @@ def _scale(
 
 
 ROWS = 8
-"""Maximum number of rows in the image of the comparison."""
+"""Maximum number of rows in the image that compares video and fitted scene."""
 PICTURE_HEIGHT = 192
-"""Height of each frame in the comparison [pixels]."""
+"""Height of each frame in the comparison image [pixels]."""
 BOTH, ONLY_SEEN, ONLY_FITTED = (225, 225, 225), (213, 94, 0), (0, 114, 178)
-"""Colours of the difference; colour-blind people can distinguish them."""
+"""Colours of the image that shows the difference; colour-blind people can distinguish these
+colours."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A video, and the clip of the scene that was fitted to it, seen by the same camera."""
+    """A video and the clip of the scene that was fitted to it, both seen from the same camera."""
 
     film: Film
     times: Values
@@ -180,7 +182,7 @@ class Comparison:
     """Camera of each frame of the clip."""
 
     def write_sheet(self, path: Path) -> None:
-        """Write an image with one row per selected frame: target, fitted scene and difference."""
+        """Write an image with a row per selected frame: video, fitted scene and difference."""
         count = len(self.times)
         shown = np.unique(np.linspace(0, count - 1, min(ROWS, count)).round().astype(int))
         Image.fromarray(np.concatenate([*self._rows(shown)])).save(path)
@@ -189,8 +191,8 @@ class Comparison:
         """Write an MP4 that shows target, fitted scene and difference side by side.
 
         Args:
-            path: The file.
-            fps: Frames per second.
+            path: The MP4 file.
+            fps: Number of frames per second.
         """
         write_mp4(path, self._rows(range(len(self.times))), fps=fps)
 
@@ -211,7 +213,7 @@ class Comparison:
 
 
 def difference(seen: NDArray[np.bool_], fitted: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return an image [H,W,3] that shows pixels in both masks, and in only one, by colours."""
+    """Return an image [H,W,3] whose colours show pixels in both masks and in only one of them."""
     picture = np.full((*seen.shape, 3), 255, np.uint8)
     picture[seen & fitted] = BOTH
     picture[seen & ~fitted] = ONLY_SEEN

@@ -1,4 +1,4 @@
-"""Measurements of tracked points: positions of points on the object over time, in m or pixels."""
+"""Compares tracked points, whose positions over time are measured in m or pixels, with a clip."""
 
 from __future__ import annotations
 
@@ -13,30 +13,34 @@ from phy124.io.clip import Clip
 from phy124.studies.fit.observation import Groups, Table, Values, at_times
 
 NEIGHBOURS = 4
-"""Number of nearby Gaussians whose weighted mean position predicts a point."""
+"""Number of nearby Gaussians from whose weighted mean position a point's position is predicted."""
 FAR = 0.2
-"""Maximum distance of a point from the object, as a fraction of the object's size."""
+"""Maximum distance between a point and the object, as a fraction of the object's size."""
 FEW = 8
-"""Number of points below which errors at different times are treated as independent."""
+"""If there are fewer points than this, errors at different times are treated as independent."""
 
 
 class Points:
-    """Tracked points, each attached to the Gaussians nearest to it in the first frame.
+    """Tracked points.
 
-    An error of a point's first measurement would shift the point's whole predicted track. The mean
-    of each measured and each predicted track is therefore subtracted before the comparison.
+    Each point is attached to the Gaussians that are nearest to it in the first frame.
+
+    An error in a point's first measurement would shift the whole predicted track of this point.
+    Therefore, the mean of each track is subtracted from the track before the comparison, for
+    measured and predicted tracks alike.
     """
 
     def __init__(self, table: Table, rest: Values, cameras: Sequence[Camera] | None = None) -> None:
         """Attach the points to the object's Gaussians.
 
         Args:
-            table: Positions of the points: x, y, z in metres, or u, v in pixels.
+            table: Measured positions of the points: x, y, z in metres, or u, v in pixels.
             rest: Centres of the object's Gaussians in the first frame [N,3], m.
-            cameras: Camera of each frame, for positions in pixels; None for positions in metres.
+            cameras: Camera of each frame, if positions are in pixels; None if positions are in
+                metres.
 
         Raises:
-            InputError: A point is missing in the first frame, or is not on the object.
+            InputError: A point is missing at the first time, or is not on the object.
         """
         self.unit, self.cameras = "m" if cameras is None else "px", cameras
         self.name = "points" if cameras is None else "pixels"
@@ -53,7 +57,7 @@ class Points:
         )
 
     def predict(self, clip: Clip) -> Values:
-        """Predict the points' positions from a clip [M]."""
+        """Predict the positions of the points [M] from a clip."""
         means = clip.means[:, self.chosen.ravel()].astype(np.float64)
         shape = (len(means), *self.chosen.shape, 3)
         tracks = (means.reshape(shape) * self.weights[None, :, :, None]).sum(2)
@@ -71,23 +75,25 @@ class Points:
 
 
 def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
-    """Return the position of each point at the first time [K,C]."""
+    """Return the position of each point at the first measured time [K,C]."""
     start = np.flatnonzero(table.times <= table.times.min() + 1e-9)
     places = {int(track[row]): table.values[row] for row in start}
     missing = [name for number, name in enumerate(names) if number not in places]
     if missing:
         limit = f"point {missing[0]} is not seen at the first time, {table.times.min():g} s."
         raise InputError(
-            "target", f"{len(names)} points", limit, "Leave out points that appear later."
+            "target", f"{len(names)} points", limit, "Remove points that appear only later."
         )
     if len(np.unique(table.times)) < 2:
-        limit = "there is only one time."
-        raise InputError("target", f"{len(names)} points", limit, "Give at least two.")
+        limit = "all measurements have the same time."
+        raise InputError(
+            "target", f"{len(names)} points", limit, "Give measurements at two or more times."
+        )
     return np.stack([places[number] for number in range(len(names))])
 
 
 def _nearest(first: Values, rest: Values) -> tuple[NDArray[np.int64], Values]:
-    """Return the Gaussians nearest to each point in space, and their weights [K,NEIGHBOURS]."""
+    """Return the Gaussians nearest to each point in space, and the weights [K,NEIGHBOURS]."""
     from scipy.spatial import KDTree
 
     count = min(NEIGHBOURS, len(rest))

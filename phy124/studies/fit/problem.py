@@ -1,7 +1,7 @@
-"""Defines the search problem of a fit.
+"""Defines the minimisation problem that a fit solves.
 
-A point of the unit cube represents a set of values, with one axis per value. A problem predicts the
-measurements for a point of the cube.
+A point of the unit cube stands for a set of values; each value has an axis of the cube. For each
+point of the cube, a problem can predict the measurements.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Places = Sequence[Values]
 
 
 class Problem(Protocol):
-    """Measurements, and their predictions by simulations of a scene or by a formula."""
+    """Measurements, and a way to predict them: simulations of a scene, or a formula."""
 
     measured: Values
     """Measured values [M]."""
@@ -38,15 +38,15 @@ class Problem(Protocol):
 
     @property
     def grids(self) -> Sequence[int]:
-        """Cells across the object on each grid, from coarse to fine."""
+        """Number of cells across the object on each grid, from coarse to fine."""
         ...
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """Predict the measurements [M] for each point; None if the run stopped early.
+        """Predict the measurements [M] for each point; the result is None if the run stopped early.
 
         Args:
             places: Points in the unit cube.
-            level: Index of the grid.
+            level: Index of the grid on which to simulate.
         """
         ...
 
@@ -56,18 +56,19 @@ class Problem(Protocol):
 
 
 class Distance:
-    """Computes weighted differences between predictions and measurements.
+    """Computes the weighted differences between predicted and actual measurements.
 
-    Each kind of measurement is divided by its scale. A group of correlated measurements has the
-    total weight of a single measurement.
+    The measurements of each kind are divided by the scale of this kind. A group of correlated
+    measurements has the same total weight as a single measurement.
     """
 
     def __init__(self, problem: Problem, scales: Sequence[float] | None = None) -> None:
-        """Compute the weights.
+        """Compute the weights of the measurements.
 
         Args:
             problem: The measurements.
-            scales: Scale of each kind of measurement; None: the RMS of its measured values.
+            scales: Scale of each kind of measurement; if None, the RMS of the measured values of
+                this kind.
         """
         self.measured, self.kinds = problem.measured, tuple(problem.kinds)
         spreads = [float(np.sqrt(np.mean(self.measured[kind.place] ** 2))) for kind in self.kinds]
@@ -79,11 +80,11 @@ class Distance:
             self._weights[kind.place] = np.sqrt(count / len(groups)) / scale
 
     def residual(self, predicted: Values) -> Values:
-        """Return the weighted differences [M]."""
+        """Return the weighted differences between a prediction and the measurements [M]."""
         return self._weights * (predicted - self.measured)
 
     def weigh(self, jacobian: Values) -> Values:
-        """Return the weighted Jacobian [M,P], in the units of `residual`."""
+        """Return the weighted Jacobian [M,P], in the same units as `residual`."""
         return self._weights[:, None] * jacobian
 
     def cost(self, predicted: Values | None) -> float:
@@ -93,22 +94,22 @@ class Distance:
         return 0.5 * float(np.sum(self.residual(predicted) ** 2))
 
     def misfits(self, predicted: Values) -> list[float]:
-        """Return the RMS difference of each kind of measurement, in the unit of the kind."""
+        """Return the RMS difference for each kind of measurement, in the unit of this kind."""
         apart = predicted - self.measured
         return [float(np.sqrt(np.mean(apart[kind.place] ** 2))) for kind in self.kinds]
 
 
 def differentiate(problem: Problem, place: Values, level: int, step: float) -> NDArray | None:
-    """Return the Jacobian of the prediction [M,P], by central differences.
+    """Return the Jacobian of the prediction [M,P], computed by central differences.
 
     Args:
         problem: The problem.
         place: Point in the unit cube at which to differentiate [P].
-        level: Index of the grid.
-        step: Step of the central differences, as a fraction of the range.
+        level: Index of the grid on which to simulate.
+        step: Step of the central differences, as a fraction of each value's range.
 
     Returns:
-        The Jacobian; None if a run failed.
+        The Jacobian; None if a run of the simulation failed.
     """
     centre = np.clip(place, step, 1 - step)
     sides = [centre + sign * step * axis for axis in np.eye(len(place)) for sign in (1, -1)]

@@ -1,4 +1,4 @@
-"""Makes the report of a fit: values, intervals, and the misfit of each kind of measurement."""
+"""Makes the report of a fit: values, intervals, and misfits for each kind of measurement."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from phy124.studies.fit.silhouettes import Silhouettes
 from phy124.studies.fit.target import Target
 
 FASTEST = 240.0
-"""Maximum number of frames per second in the comparison video."""
+"""Maximum frame rate of the comparison video [frames/s]."""
 
 
 def make_report(
@@ -23,10 +23,10 @@ def make_report(
     """Return the report of a fit as plain data.
 
     Args:
-        target: The measurements, the object and the scene.
+        target: The inputs of the fit: measurements, object and scene.
         runs: The runs of the fit.
-        estimate: The fitted values.
-        clip: The clip of the scene with the fitted values, on the scene's grid.
+        estimate: The fitted values and their intervals.
+        clip: The clip of the scene with the fitted values, simulated on the scene's grid.
         seconds: Time since the fit began [s].
     """
     cells = target.scene.resolution.cells
@@ -63,12 +63,12 @@ def make_report(
 
 
 def report_pictures(target: Target, runs: Runs, clip: Clip) -> dict[str, Any]:
-    """Return the misfit of the silhouette in each frame of a video, before and after the fit.
+    """Return the misfit of the silhouette in each video frame, before and after the fit.
 
     Args:
-        target: The measurements, which must be a video.
+        target: The inputs of the fit; the measurements must be a video.
         runs: The runs of the fit.
-        clip: The clip of the scene with the fitted values, on the scene's grid.
+        clip: The clip of the scene with the fitted values, simulated on the scene's grid.
     """
     (seen,) = (part for part in target.observations.parts if isinstance(part, Silhouettes))
     assert target.film is not None
@@ -96,7 +96,7 @@ def value_at(data: Any, path: str) -> Any:
 
 
 def format_table(report: dict[str, Any]) -> str:
-    """Format a report as a table."""
+    """Format the report as a text table."""
     rows = [("value", f"on {report['cells']} cells", "95 %", "without grid error", "95 %")]
     for path, value in report["found"].items():
         rows.append((path, *_format(value), *_format(value["limit"])))
@@ -128,6 +128,6 @@ def _around(runs: Runs, place: Values, errors: Values) -> dict[str, Any]:
 
 
 def _format(value: dict[str, Any]) -> tuple[str, str]:
-    """Format a value and its interval."""
+    """Format a value together with its interval."""
     low, high = value["interval"]
     return f"{value['value']:.4g}", f"{low:.4g} to {high:.4g}"

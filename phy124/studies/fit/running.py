@@ -1,4 +1,4 @@
-"""Runs a fit from its declaration, and writes its files."""
+"""Runs a fit from the declaration of its options, and writes the result files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SHEET, FILM, PAGE = "comparison.png", "comparison.mp4", "comparison.html"
 
 @dataclass(frozen=True)
 class Fitted:
-    """The result of a fit, and its files."""
+    """The result of a fit, and the files that were written."""
 
     scene: Scene
     """The scene with the fitted values, extrapolated to the scene's grid."""
@@ -50,14 +50,15 @@ def fit(
     on_forecast: Callable[[Outlook], object] = lambda forecast: None,
     progress: Progress = silent,
 ) -> Fitted:
-    """Run a fit and write its files; a repeated call continues an interrupted fit.
+    """Run a fit and write its files; if called again, continue an interrupted fit.
 
     Args:
         declared: The options of the fit.
-        out: Folder of the results; it also stores the results of the runs.
-        workers: Number of worker processes; 0: all runs are made in this process.
-        on_forecast: Called with the forecast before the first run.
-        progress: Called with ("fit", runs made, runs expected); may raise Cancelled.
+        out: Folder for the results; the results of the single runs are also stored there.
+        workers: Number of worker processes; if 0, all runs are made in this process.
+        on_forecast: Function that is called with the forecast before the first run.
+        progress: Function that is called with ("fit", runs made, runs expected); it may raise
+            Cancelled.
 
     Raises:
         InputError: An input is invalid, a value cannot be determined, or the time budget is too
@@ -115,7 +116,7 @@ def _write_report(folder: Path, report: dict[str, Any]) -> None:
 
 
 def _compare(target: Target, film: Film, clip: Clip, report: dict[str, Any], folder: Path) -> None:
-    """Write the comparison of video and fitted scene as an image, a video and an HTML page."""
+    """Write an image, a video and an HTML page that compare the video with the fitted scene."""
     both = Comparison(film, target.times_of(film), clip, target.seen_by())
     both.write_sheet(folder / SHEET)
     both.write_film(folder / FILM, report["pictures"]["fps"])

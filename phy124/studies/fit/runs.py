@@ -1,4 +1,4 @@
-"""Runs a scene with different values, in several processes, and stores the result of each run."""
+"""Runs a scene with different values in several processes, and stores the result of each run."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from phy124.studies.fit.target import Target
 from phy124.studies.sweep.keys import code
 
 FOLDER = "runs"
-"""Name of the folder of the stored predictions."""
+"""Name of the folder in which predictions are stored."""
 DIGITS = 6
 """Number of significant digits to which values of a scene are rounded."""
 
 Played = tuple[Values | None, float]
-"""Predicted measurements (None if the run stopped early), and the CPU time of the run [s]."""
+"""Predicted measurements, or None if the run stopped early; and the CPU time of the run [s]."""
 
 
 class Tried(NamedTuple):
-    """A run with trial values, and its misfit."""
+    """A run with trial values, and the misfit of this run."""
 
     level: int
     """Index of the grid."""
@@ -59,14 +59,14 @@ class Player:
     observations: Observations
 
     def __call__(self, scene: dict[str, Any]) -> Played:
-        """Predict the measurements for a scene (as plain data), and return the CPU time [s]."""
+        """Simulate a scene (plain data); return the predicted measurements and the CPU time [s]."""
         begun = time.process_time()
         clip = self.clip(scene)
         predicted = self.observations.predict(clip) if clip.report["complete"] else None
         return predicted, time.process_time() - begun
 
     def clip(self, scene: dict[str, Any]) -> Clip:
-        """Simulate a scene (as plain data).
+        """Simulate a scene, which is passed as plain data, and return its clip.
 
         The simulation uses one thread, which makes it deterministic.
         """
@@ -77,21 +77,23 @@ class Player:
 
 
 class Runs:
-    """The `Problem` of a fit, which predicts measurements by simulating the scene."""
+    """The `Problem` that a fit solves; it predicts measurements by simulating the scene."""
 
     def __init__(
         self, target: Target, folder: Path, budget: Budget, progress: Progress = silent
     ) -> None:
-        """Prepare the runs.
+        """Prepare the runs of a fit.
 
         Args:
-            target: The measurements, the object and the scene.
-            folder: Folder of the fit, in which `FOLDER` stores the predictions.
+            target: The inputs of the fit: measurements, object and scene.
+            folder: Folder of the fit; predictions are stored in its subfolder `FOLDER`.
             budget: The time budget of the fit.
-            progress: Called with ("fit", runs made, runs expected); may raise Cancelled.
+            progress: Function that is called with ("fit", runs made, runs expected); it may raise
+                Cancelled.
 
         Raises:
-            InputError: A path does not exist in the scene, or a range exceeds its bounds.
+            InputError: A path does not exist in the scene, or a range is not within the allowed
+                values.
         """
         declared, seen = target.declared, target.observations
         self.names, self._ranges = tuple(declared.find), tuple(declared.find.values())
@@ -100,16 +102,17 @@ class Runs:
         self.scene, self._budget, self._progress = target.played, budget, progress
         self.player = Player(target.gaussians, target.crop, seen)
         self.made, self.kept, self.seconds = [0] * len(self.grids), 0, 0.0
-        """Number of runs made on each grid, number of stored results reused, and CPU time [s]."""
+        """For each grid: number of runs made, number of stored results that were reused, and CPU
+        time [s]."""
         self.tried: list[Tried] = []
-        """All trial runs, in order."""
+        """All trial runs in the order in which they were made."""
         self._folder, self._play = folder / FOLDER, self._alone
         for end in (0.0, 1.0):
             self.scene_at(np.full(len(self.names), end), 0)
         self._known = _digest(self.player, target.declared)
 
     def values(self, place: Values) -> dict[str, float]:
-        """Return the values at a point of the unit cube."""
+        """Return the values that a point of the unit cube stands for."""
         pairs = zip(self.names, self._ranges, place, strict=True)
         return {name: float(f"{axis.draw(float(part)):.{DIGITS}g}") for name, axis, part in pairs}
 
@@ -118,11 +121,11 @@ class Runs:
         return self.scene.replaced({**self.values(place), "accuracy.cells": self.grids[level]})
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """Predict the measurements [M] for each point; None if the run stopped early.
+        """Predict the measurements [M] for each point; the result is None if the run stopped early.
 
         Args:
             places: Points in the unit cube.
-            level: Index of the grid.
+            level: Index of the grid on which to simulate.
         """
         scenes = [self.scene_at(place, level).data() for place in places]
         files = [self._folder / f"{self._key(scene)}.npy" for scene in scenes]
@@ -147,7 +150,7 @@ class Runs:
 
     @contextmanager
     def workers(self, count: int) -> Iterator[None]:
-        """Simulate in `count` worker processes within this context; for 0 or 1, in this process."""
+        """Within this context, simulate in `count` worker processes; if 0 or 1, in this process."""
         if count < 2:
             yield
             return
@@ -180,7 +183,10 @@ class Runs:
 
 
 def _digest(player: Player, declared: Fit) -> str:
-    """Return a digest of all inputs of a prediction except the scene, including the code."""
+    """Return a digest of all inputs of a prediction except the scene.
+
+    The code is one of the inputs.
+    """
     seen = player.gaussians
     arrays = (seen.means, seen.quats, seen.scales, player.observations.measured)
     whole = hashlib.sha256(code().encode())
@@ -191,5 +197,5 @@ def _digest(player: Player, declared: Fit) -> str:
 
 
 def _play(player: Player, kept: tuple[Path, dict[str, Any]]) -> Played:
-    """Predict the measurements for a scene, in a worker process; `kept` is (file, scene)."""
+    """Predict the measurements for a scene in a worker process; `kept` is a pair (file, scene)."""
     return player(kept[1])

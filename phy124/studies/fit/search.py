@@ -1,6 +1,6 @@
-"""Minimises the misfit by Sobol points, then CMA-ES (Hansen 2016), then Gauss-Newton steps.
+"""Minimises the misfit: Sobol points first, then CMA-ES (Hansen 2016), then Gauss-Newton steps.
 
-The search with CMA-ES runs on the coarsest grid. The Gauss-Newton steps on a grid may start with
+CMA-ES searches on the coarsest grid. On finer grids, the Gauss-Newton steps may start with the
 derivatives from a coarser grid.
 """
 
@@ -20,15 +20,15 @@ from phy124.studies.fit.problem import Distance, Problem
 PART = 0.6
 """Maximum fraction of the time budget that the search may use."""
 START = 0.2
-"""Standard deviation of the first generation, as a fraction of the range."""
+"""Standard deviation of the first generation of CMA-ES, as a fraction of the range."""
 SETTLED = 3e-3
-"""Standard deviation below which the search ends, as a fraction of the range."""
+"""The search ends when the standard deviation is below this fraction of the range."""
 GENERATIONS = 60
 """Maximum number of generations."""
 
 
 def screen(problem: Problem, distance: Distance, seed: int) -> Values:
-    """Return the best of several points that are evenly distributed in the unit cube.
+    """Evaluate points that are evenly distributed in the unit cube, and return the best one.
 
     Raises:
         InputError: The run fails at all points.
@@ -41,20 +41,20 @@ def screen(problem: Problem, distance: Distance, seed: int) -> Values:
     seen = problem.predict([*drawn], 0)
     costs = [*map(distance.cost, seen)]
     if all(prediction is None for prediction in seen):
-        limit = "every run in these ranges fails."
+        limit = "all runs in these ranges fail."
         raise InputError("find", ", ".join(problem.names), limit, "Choose other ranges.")
     return drawn[int(np.argmin(costs))]
 
 
 def log2_screened(count: int) -> int:
-    """Return log2 of the number of points to screen, for `count` values."""
+    """Return the base-2 logarithm of the number of points to screen for `count` values."""
     return 3 + (count > 1) + (count > 3)
 
 
 def generation_size(count: int) -> int:
-    """Return the number of runs per generation for `count` values.
+    """Return the number of runs in a generation for `count` values.
 
-    The number is even, so that two cores are equally busy.
+    The number is even, so that two cores have the same amount of work.
     """
     return 2 * ((5 + int(3 * np.log(count))) // 2)
 
@@ -70,17 +70,17 @@ def search(
 
     Args:
         problem: The problem.
-        distance: The distance to minimise.
+        distance: The distance between prediction and measurements, which is minimised.
         start: The initial point [P].
         seed: Seed of the random generations.
-        on_generation: Called with the smallest cost so far after each generation.
+        on_generation: Function that is called with the smallest cost so far after each generation.
 
     Raises:
-        InputError: The package `cma` is missing.
+        InputError: The package `cma` is not installed.
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it warns of a missing matplotlib
+            warnings.simplefilter("ignore")  # the import warns if matplotlib is missing
             import cma
     except ImportError:
         command = install_command("fit")
@@ -88,7 +88,7 @@ def search(
             "fit", "cma", "the package cma is not installed.", f"Run {command}."
         ) from None
     count = len(start)
-    # CMA-ES needs two coordinates; a second one without effect costs little.
+    # CMA-ES needs at least two coordinates; a second one that has no effect costs little.
     begin = start if count > 1 else np.append(start, 0.5)
     options = {"bounds": [0, 1], "seed": seed + 1, "popsize": generation_size(count)}
     options |= {"tolx": SETTLED, "maxiter": GENERATIONS}
@@ -99,7 +99,8 @@ def search(
         asked = strategy.ask()
         places = [np.asarray(place[:count], float) for place in asked]
         costs = [*map(distance.cost, problem.predict(places, 0))]
-        # The logarithm preserves the order of the costs, and resolves small costs.
+        # The logarithm keeps the order of the costs, and makes differences between small costs
+        # visible.
         strategy.tell(asked, np.log(np.maximum(costs, 1e-30)).tolist())
         if min(costs) < least:
             best, least = places[int(np.argmin(costs))], min(costs)
@@ -110,17 +111,18 @@ def search(
 
 
 LONGEST = 0.15
-"""Maximum length of a step, as a fraction of the range."""
+"""Maximum length of a Gauss-Newton step, as a fraction of the range."""
 SHORTEST = 1e-3
-"""Length of a step below which the refinement ends, as a fraction of the range."""
+"""The refinement ends when a step is shorter than this fraction of the range."""
 INFORMATIVE = 0.01
-"""Minimum length of a step that updates derivatives, as a fraction of the range.
+"""A step updates the derivatives only if it is at least this long, as a fraction of the range.
 
-The effect of a shorter step is no larger than the scatter of runs.
+The effect of a shorter step is no larger than the random differences between runs.
 """
 ROUNDS = 6
 HALVES = (1.0, 0.5)
-"""Fractions of a step that are evaluated in parallel; the best one is used."""
+"""Fractions of a step that are evaluated in parallel; the fraction with the smallest cost is
+used."""
 
 
 class Refined(NamedTuple):
@@ -139,13 +141,13 @@ def refine(
 
     Args:
         problem: The problem.
-        distance: The distance to minimise.
+        distance: The distance between prediction and measurements, which is minimised.
         place: The initial point [P].
         jacobian: Derivatives of the prediction, on this or a coarser grid [M,P].
-        level: Index of the grid.
+        level: Index of the grid on which to simulate.
 
     Returns:
-        The result; None if the run at the initial point fails.
+        The refined point; None if the run at the initial point fails.
     """
     predicted = problem.predict([place], level)[0]
     if predicted is None:
@@ -175,11 +177,11 @@ def refine(
 
 
 def _step(distance: Distance, place: Values, predicted: Values, jacobian: Values) -> Values:
-    """Return the step that minimises the linear model's sum of squares within the ranges."""
+    """Return the step within the ranges that minimises the sum of squares of the linear model."""
     from scipy.optimize import lsq_linear
 
     matrix, residual = distance.weigh(jacobian), distance.residual(predicted)
-    # The normal equations have one row per value, so they are far smaller than the Jacobian.
+    # The normal equations have only one row per value, so they are far smaller than the Jacobian.
     square, slope = matrix.T @ matrix, matrix.T @ residual
     low = np.maximum(-place, -LONGEST) - 1e-12
     high = np.minimum(1 - place, LONGEST) + 1e-12

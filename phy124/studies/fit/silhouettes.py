@@ -1,7 +1,7 @@
-"""Measures silhouettes (the coverage of each pixel by the object), and aligns videos.
+"""Measures silhouettes, which state how much of each pixel the object covers, and aligns videos.
 
 If a video's camera is unknown, its first frame is aligned with the scene's view of the object at
-rest. The alignment is a scale and a shift, and is applied to all frames.
+rest. The alignment is a scale and a shift, which are applied to all frames.
 """
 
 from __future__ import annotations
@@ -23,23 +23,25 @@ from phy124.studies.fit.observation import Groups, Values, at_times
 from phy124.studies.fit.video import SIDE, Film, shrunk
 
 LONGEST = 64
-"""Longest side of the compared silhouettes [pixels]; a cell at `draft` is about 2 pixels wide."""
+"""Longest side of the silhouettes that are compared [pixels]; at accuracy `draft`, a grid cell is
+about 2 pixels wide."""
 BLUR = 1.0
-"""Standard deviation of the blur of silhouettes [pixels].
+"""Standard deviation of the filter that blurs silhouettes [pixels].
 
-The blur gives the difference of silhouettes a gradient even if their edges do not overlap.
+Because of the blur, the difference between silhouettes has a gradient even if their edges do not
+overlap.
 """
 BLOCK = 16
 """Side of a block of pixels [pixels]; errors in a block are assumed to be correlated."""
 
 
 class Silhouettes:
-    """Measured silhouettes: the object's coverage of each pixel in a video."""
+    """Measured silhouettes: the fraction of each pixel of a video that the object covers."""
 
     name, unit = "silhouettes", "of a pixel"
 
     def __init__(self, film: Film, times: Values, cameras: Sequence[Camera]) -> None:
-        """Compute the video's silhouettes at a reduced resolution.
+        """Compute the silhouettes of a video at a reduced resolution.
 
         Args:
             film: The video.
@@ -47,7 +49,7 @@ class Silhouettes:
             cameras: Camera of each frame of the scene.
 
         Raises:
-            InputError: The aspect ratios of video and camera differ.
+            InputError: The aspect ratio of the video differs from that of the camera.
         """
         height, width = film.masks.shape[1:]
         camera = cameras[0]
@@ -65,7 +67,7 @@ class Silhouettes:
         self.groups: Groups = _blocks(covered.shape)
 
     def predict(self, clip: Clip) -> Values:
-        """Predict the silhouettes from a clip [M]."""
+        """Predict the silhouettes [M] from a clip."""
         from phy124.rendering.render import Renderer
 
         draw = Renderer(device="cpu", filter="mip")
@@ -74,13 +76,13 @@ class Silhouettes:
         return _blur(at_times(clip.times, np.stack(alphas).astype(float), self._times)).ravel()
 
     def apart(self, predicted: Values) -> Values:
-        """Return the RMS difference of coverage in each frame [T], as a fraction of a pixel."""
+        """Return the RMS difference in coverage for each frame [T], as a fraction of a pixel."""
         squares = (predicted - self.measured) ** 2
         return np.sqrt(squares.reshape(len(self._times), -1).mean(1))
 
 
 def smaller(camera: Camera, size: tuple[int, int]) -> Camera:
-    """Return the camera with an image of another size (width, height) [pixels]."""
+    """Return the camera with another image size (width, height) [pixels]."""
     part = size[0] / camera.width
     shift = (camera.shift[0] * part, camera.shift[1] * part)
     return replace(camera, width=size[0], height=size[1], shift=shift)
@@ -91,40 +93,42 @@ def _blur(covered: Values) -> Values:
 
 
 def _blocks(shape: tuple[int, ...]) -> Groups:
-    """Return the index of each pixel's block [T*h*w]; each frame has separate blocks."""
+    """Return the index of the block to which each pixel belongs [T*h*w]; blocks span one frame."""
     t, h, w = np.indices(shape)
     across, down = -(-shape[2] // BLOCK), -(-shape[1] // BLOCK)
     return ((t * down + h // BLOCK) * across + w // BLOCK).ravel()
 
 
 ALIGN_BLUR = 2.0
-"""Standard deviation of the blur of silhouettes during alignment [pixels]."""
+"""Standard deviation of the filter that blurs silhouettes during alignment [pixels]."""
 STEP, LONGEST_STEP, SETTLED, ROUNDS = 0.5, 8.0, 0.01, 20
-"""Step of central differences, maximum step, step below which the alignment ends [pixels], and
-maximum number of steps."""
+"""Step of central differences, maximum step, step length below which the alignment ends [pixels],
+and maximum number of steps."""
 LEAST = 0.6
-"""Minimum intersection over union of two aligned silhouettes.
+"""Smallest allowed intersection over union of two aligned silhouettes.
 
-Below this limit, they are assumed to show different objects or views.
+Below this limit, the silhouettes are assumed to show different objects or views.
 """
 
 
 class Laid(NamedTuple):
-    """The alignment of a video with the camera's view."""
+    """The transform that aligns a video with the camera's view."""
 
     scale: float
-    """Magnification of the video's frames."""
+    """Factor by which the video's frames are magnified."""
     shift: tuple[float, float]
-    """Shift of the frames' upper left corner (right, down), relative to the image's height."""
+    """Shift of the upper left corner of the frames (right, down), relative to the image's
+    height."""
     shared: float
-    """Intersection over union of the video's first silhouette and that of the object at rest."""
+    """Intersection over union of the video's first silhouette and the silhouette of the object at
+    rest."""
 
 
 def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, Laid]:
-    """Align a video with the camera's view.
+    """Align a video with the view of the scene's camera.
 
     Args:
-        film: The video; its first frame must show the object at rest.
+        film: The video, whose first frame must show the object at rest.
         gaussians: The object at rest.
         camera: The camera of the scene.
 
@@ -132,7 +136,7 @@ def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, 
         The transformed video, and the alignment.
 
     Raises:
-        InputError: The silhouettes cannot be aligned.
+        InputError: The video's silhouette cannot be aligned with that of the object.
     """
     from phy124.rendering.render import Renderer
 
@@ -158,14 +162,14 @@ def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, 
 def _fit_similarity(mask: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> Values:
     """Return the transformation [2,3] (scale and shift) that aligns a mask with another mask.
 
-    The moments of the masks give the initial transformation. Gauss-Newton steps then refine the
-    transformation.
+    The initial transformation is computed from the moments of the masks. Gauss-Newton steps then
+    refine it.
     """
     size, masks = wanted.shape[::-1], (mask, wanted)
     areas = [max(int(outline.sum()), 1) for outline in masks]
     middles = [np.argwhere(m).mean(0)[::-1] if m.any() else np.zeros(2) for m in masks]
-    # Multiplying the scale by exp(1 / radius) moves the outline by about one pixel, so all three
-    # parameters have the unit pixel.
+    # Multiplying the scale by exp(1 / radius) moves the outline by about one pixel. All three
+    # parameters therefore have the unit pixel.
     start, radius = float(np.sqrt(areas[1] / areas[0])), float(np.sqrt(areas[1] / np.pi))
     solid, place = mask.astype(np.float32), np.zeros(3)
     goal = _blur_outline(wanted.astype(np.float32))
@@ -191,7 +195,7 @@ def _fit_similarity(mask: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> Value
 def _warp(
     picture: NDArray, matrix: Values, size: tuple[int, ...], border: int = cv2.BORDER_CONSTANT
 ) -> NDArray:
-    """Transform an image to an image of another size (width, height)."""
+    """Transform an image to another size (width, height)."""
     return cv2.warpAffine(picture, matrix, size, flags=cv2.INTER_LINEAR, borderMode=border)
 
 

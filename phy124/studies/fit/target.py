@@ -36,35 +36,36 @@ from phy124.studies.fit.silhouettes import Laid, Silhouettes, align_film
 from phy124.studies.fit.video import FILMS, Film, read_film
 
 TRACKED = 256
-"""Maximum number of a clip's Gaussians that serve as tracked points."""
+"""Maximum number of a clip's Gaussians that are used as tracked points."""
 PLACE_COLUMNS = (("x", "y", "z"), ("u", "v"))
 FORCE_COLUMNS = (("fx", "fy", "fz"),)
 
 
 class Target:
-    """The measurements of a fit, the object, and the scene with the known values."""
+    """The inputs of a fit: the measurements, the object, and the scene with the known values."""
 
     def __init__(self, declared: Fit) -> None:
-        """Read all inputs.
+        """Read all inputs of the fit.
 
         Raises:
-            InputError: An input cannot be read, or they contradict each other.
+            InputError: An input cannot be read, or the inputs contradict each other.
         """
         self.declared = declared
         path = Path(declared.target)
         clip = _clip_of(path)
         self.film: Film | None = None
         self.laid: Laid | None = None
-        """Alignment of the video with the camera's view; None if not requested."""
+        """Transform that aligns the video with the camera's view; None if no alignment was
+        requested."""
         kinds = {".csv": "table", **dict.fromkeys(FILMS, "film")}
         kind = "clip" if clip else "film" if path.is_dir() else kinds.get(path.suffix.lower())
         if kind is None or not path.exists():
-            limit = "it does not exist, or is not a clip, .csv file, video or folder."
+            limit = "it does not exist, or it is not a clip, .csv file, video or folder."
             raise InputError(
                 "target", path, limit, "Give a clip, a .csv file, a video or a folder."
             )
         if declared.align and kind != "film":
-            raise InputError("align", True, "the target is not a video.", "Leave it out.")
+            raise InputError("align", True, "the target is not a video.", "Remove this option.")
         self.scene, self.gaussians, self.crop = _read_object(declared, clip)
         table = read_table(path, "target", "id", PLACE_COLUMNS) if kind == "table" else None
         if kind == "film":
@@ -82,7 +83,10 @@ class Target:
 
     @property
     def played(self) -> Scene:
-        """The scene for the runs of the fit, without grains, up to the last measurement."""
+        """The scene that the runs of the fit simulate, without grains.
+
+        It ends at the last measurement.
+        """
         timing = self.scene.time
         frames = int(np.ceil((self.observations.last - ROUNDED) * timing.fps)) + 1
         return self.scene.replaced({"time.frames": min(frames, timing.frames), "grains": False})
@@ -91,14 +95,14 @@ class Target:
         """Return the camera of each frame.
 
         Raises:
-            InputError: The view has no such side.
+            InputError: The view has no side or camera with this name.
         """
         view = self.scene.view
         frames = self.scene.time.frames
         try:
             chosen = view.only(self.declared.side)
         except ValueError:
-            limit = "there is no such view."
+            limit = "there is no view with this name."
             remedy = "Give front, right, back, left, azimuth-45, or the name of a camera."
             raise InputError("side", self.declared.side, limit, remedy) from None
         means = np.broadcast_to(self.rest.means[0], (frames, *self.rest.means.shape[1:]))
@@ -110,11 +114,11 @@ class Target:
         return cameras(still, chosen.model_copy(update={"fit": False}), self.declared.side)
 
     def times_of(self, film: Film) -> np.ndarray:
-        """Return the times of a video's frames in the scene [T], s."""
+        """Return the scene times of a video's frames [T], s."""
         return np.arange(len(film.masks)) * self.scene.view.speed / self.rate_of(film)
 
     def rate_of(self, film: Film) -> float:
-        """Return the playback rate of a video [frames/s]."""
+        """Return the frame rate at which a video is played [frames/s]."""
         return self.declared.fps or film.fps or self.scene.time.fps
 
     def _seen(self, clip: Clip | None, table: Table | None) -> Observation:
@@ -130,7 +134,7 @@ class Target:
         return Points(table, rest, self.seen_by() if "u" in table.columns else None)
 
     def _forces(self, clip: Clip | None) -> Table | None:
-        """Return the measured forces; None if there are none."""
+        """Return the measured forces; None if no forces were measured."""
         if self.declared.forces is not None:
             return read_table(self.declared.forces, "forces", "wall", FORCE_COLUMNS)
         if clip is None or clip.wrenches is None or not clip.walls:
@@ -142,7 +146,7 @@ class Target:
         )
 
     def _end(self, clip: Clip | None, table: Table | None, forces: Table | None) -> None:
-        """Refuse measurements before the first or after the last frame of the scene."""
+        """Refuse measurements outside the time range of the scene's frames."""
         length = (self.scene.time.frames - 1) / self.scene.time.fps
         tables = {"target": table, "forces": forces}
         sources = {"target": self.declared.target, "forces": self.declared.forces}
@@ -156,7 +160,7 @@ class Target:
 
 
 def _clip_of(path: Path) -> Clip | None:
-    """Load the clip at a path; return None if there is no clip."""
+    """Load the clip at a path; return None if there is no clip at this path."""
     inside = path / "clip.safetensors"
     if inside.is_file():
         return Clip.load(inside)
@@ -164,7 +168,7 @@ def _clip_of(path: Path) -> Clip | None:
 
 
 def _read_object(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Crop]:
-    """Return the scene, the object, and the object's rectangle in the picture."""
+    """Return the scene, the object, and the rectangle of the picture that contains the object."""
     changes = {**declared.set}
     source = clip if declared.object is None else _clip_of(Path(declared.object))
     with_scene = clip or source
@@ -176,8 +180,10 @@ def _read_object(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Cr
         gaussians = source.surface.frame(0).gaussians
         return scene, thin(gaussians, declared.gaussians, seed=scene.seed), WHOLE
     if declared.object is None:
-        limit = "no object is given."
-        raise InputError("object", None, limit, "Give the object's picture or file of Gaussians.")
+        limit = "no object is set."
+        raise InputError(
+            "object", None, limit, "Give a picture of the object or a file of Gaussians."
+        )
     options: dict[str, Any] = {"count": declared.gaussians}
     path = os.fspath(declared.object)
     made = make_gaussians(path, scene, generator="relief" if needs_image(path) else path, **options)
@@ -185,7 +191,7 @@ def _read_object(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Cr
 
 
 def _tracks(clip: Clip) -> Table:
-    """Return the positions over time of some of a clip's Gaussians."""
+    """Return the positions over time of some Gaussians of a clip."""
     surface, object_ = clip.surface, np.flatnonzero(clip.surface.object_mask)
     chosen = object_[np.linspace(0, len(object_) - 1, min(TRACKED, len(object_))).astype(int)]
     count = len(clip)

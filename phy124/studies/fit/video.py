@@ -1,4 +1,4 @@
-"""Reads the frames of a video or a folder of images, and masks the object in each frame."""
+"""Reads a video or a folder of images, and separates the object from its background."""
 
 from __future__ import annotations
 
@@ -20,35 +20,38 @@ from phy124.studies.fit.observation import Values
 FILMS = (".mp4", ".webm", ".mov", ".mkv", ".avi", ".gif", ".webp")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 DIFFERS = 20.0
-"""Minimum RGB distance between a pixel of the object and the background; the maximum is 442."""
+"""Smallest distance between the RGB colour of an object pixel and that of the background; the
+largest possible distance is 442."""
 MOST = 2000
-"""Maximum number of frames."""
+"""Maximum number of frames that are read."""
 SIDE = 256
-"""Maximum length of the longest side of frames in memory [pixels]; 2,000 frames take 400 MB."""
+"""Longest side to which frames are reduced in memory [pixels]; at this size, 2,000 frames take 400
+MB."""
 LONGEST = 600
 """Maximum time for reading a video [s]."""
 FIRST = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
-"""Possible bytes 5 to 8 of MP4 and MOV files."""
+"""Values that bytes 5 to 8 of MP4 and MOV files may have."""
 SAFE = ("-protocol_whitelist", "file,pipe", "-format_whitelist", "mov,matroska,avi")
-"""Options of ffmpeg that exclude playlists, which may refer to other files and addresses."""
+"""Options that prevent ffmpeg from reading playlists, which may refer to other files and
+addresses."""
 PPM = re.compile(rb"P6\s(\d+)\s(\d+)\s255\s")
 """Header of each image in a stream of PPM files."""
 FPS = re.compile(rb"Video: .* ([\d.]+) fps")
 
 
 class Film(NamedTuple):
-    """Frames of a video, with the object's mask in each frame."""
+    """Frames of a video, and a mask that shows the object in each frame."""
 
     masks: NDArray[np.bool_]
     """Masks of the object [T,H,W]."""
     pictures: NDArray[np.uint8]
-    """Frames on white [T,H,W,3]."""
+    """Frames composited over white [T,H,W,3]."""
     fps: float | None
-    """Frame rate in the file [frames/s]; None if the file has none."""
+    """Frame rate that the file states [frames/s]; None if the file states none."""
 
 
 def read_film(path: Path) -> Film:
-    """Read a video, or a folder of images sorted by name.
+    """Read a video, or a folder of images in the order of their names.
 
     Raises:
         InputError: The video or folder cannot be read, its frames differ in size, or a frame shows
@@ -56,15 +59,20 @@ def read_film(path: Path) -> Film:
     """
     drawn, fps = (list(_folder(path)), None) if path.is_dir() else _frames(path)
     if len(drawn) < 2:
-        limit = f"it has {len(drawn)} frames that can be read."
+        limit = f"it has {len(drawn)} readable frames."
         raise InputError("target", path, limit, "Give a video, or a folder of PNG files.")
     if len({picture.shape[:2] for picture in drawn}) > 1:
-        raise InputError("target", path, "its pictures differ in size.", "Give all the same size.")
+        raise InputError(
+            "target", path, "its pictures have different sizes.", "Give pictures of the same size."
+        )
     masks = np.stack([_mask(picture) for picture in drawn])
     empty = np.flatnonzero(~masks.any(axis=(1, 2)))
     if len(empty):
         limit = f"picture {empty[0]} shows no object in front of its background."
-        remedy = "Film in front of a plain colour, or give a folder of PNG files with transparency."
+        remedy = (
+            "Film the object in front of a plain colour, or give a folder of PNG files with "
+            "transparency."
+        )
         raise InputError("target", path, limit, remedy)
     return Film(masks, np.stack([_on_white(picture) for picture in drawn]), fps)
 
@@ -117,13 +125,13 @@ def _read_animation(path: Path) -> tuple[list[NDArray], float | None]:
             pictures = [_shrink(frame) for frame in ImageSequence.Iterator(file)]
     except InputError:
         raise
-    except Exception:  # Pillow raises many types.
+    except Exception:  # Pillow raises exceptions of many types.
         raise _unreadable(path) from None
     return pictures, len(seconds) / sum(seconds) if sum(seconds) else None
 
 
 def is_film(path: Path) -> bool:
-    """Return whether a file's first bytes are those of a video or animation."""
+    """Return whether a file begins with the bytes of a video or animation."""
     with open(path, "rb") as file:
         head = file.read(12)
     within = (head[:4], head[8:12])
@@ -132,7 +140,7 @@ def is_film(path: Path) -> bool:
 
 
 def _unreadable(path: Path) -> InputError:
-    return InputError("target", path, "it is not a readable video.", "Give an MP4.")
+    return InputError("target", path, "it is not a readable video.", "Give an MP4 file.")
 
 
 def _folder(path: Path) -> Iterator[NDArray]:
@@ -143,9 +151,9 @@ def _folder(path: Path) -> Iterator[NDArray]:
             with Image.open(file) as image:
                 image.load()
                 picture = _shrink(turn_upright(image))
-        except Exception:  # Pillow raises many types.
+        except Exception:  # Pillow raises exceptions of many types.
             limit = "it is not a readable picture."
-            raise InputError("target", file, limit, "Leave it out.") from None
+            raise InputError("target", file, limit, "Remove this file.") from None
         yield picture
 
 
@@ -158,15 +166,15 @@ def _shrink(image: Image.Image) -> NDArray[np.uint8]:
 
 def _refuse_endless(path: Path, count: int) -> None:
     if count > MOST:
-        raise InputError("target", path, f"it has more than {MOST} frames.", "Shorten it.")
+        raise InputError("target", path, f"it has more than {MOST} frames.", "Shorten the video.")
 
 
 def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return the object's mask in a frame.
+    """Return the mask of the object in a frame.
 
-    The mask contains the opaque pixels if the frame has transparent pixels. Otherwise, the mask
-    contains the pixels whose colour differs from the median colour of the frame's border, with
-    holes filled.
+    If the frame has transparent pixels, the mask contains its opaque pixels. Otherwise, the mask
+    contains the pixels whose colour differs from the median colour of the frame's border; holes in
+    this mask are filled.
     """
     if picture.shape[2] == 4 and picture[..., 3].min() < 255:
         return picture[..., 3] > 127
@@ -179,7 +187,7 @@ def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _on_white(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Composite an image on white."""
+    """Composite an image over white."""
     if picture.shape[2] == 3:
         return picture
     part = picture[..., 3:].astype(np.float32) / 255
@@ -187,6 +195,6 @@ def _on_white(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def shrunk(masks: NDArray[np.bool_], size: tuple[int, int]) -> Values:
-    """Reduce masks to a size (w, h), and return the coverage of each pixel [T,h,w]."""
+    """Reduce masks to a size (w, h), and return the covered fraction of each pixel [T,h,w]."""
     small = [cv2.resize(m.astype(np.float32), size, interpolation=cv2.INTER_AREA) for m in masks]
     return np.stack(small).astype(np.float64)

@@ -1,7 +1,7 @@
 """Makes clips for many pictures, generators and values of a scene, with parallel workers.
 
 `run(Plan(Sweep.from_toml("sweep.toml")), "out/sweep")` makes the clips. `Dataset("out/sweep")` then
-yields the manifest's row and the clip for each.
+yields each clip together with its row of the manifest.
 """
 
 from phy124.studies.sweep.cost import Expected, forecast_sweep, list_refused

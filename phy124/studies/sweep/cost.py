@@ -1,4 +1,4 @@
-"""Forecasts the cost of a sweep from a few clips, and estimates the remaining time of a run."""
+"""Forecasts the time and size of a sweep from a few clips, and estimates the remaining time."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from phy124.studies.sweep.plan import Item, Plan
 from phy124.studies.sweep.work import Row, make_static
 
 TRIED = 8
-"""Maximum number of clips that are forecast."""
+"""Maximum number of clips from which the sweep is forecast."""
 NUMBERS = 10
-"""Numbers stored per Gaussian and frame of a clip: position, rotation and scale."""
+"""Numbers stored per Gaussian and frame of a clip, for its position, rotation and scale."""
 
 
 class Expected(NamedTuple):
-    """The predicted time and size of a sweep."""
+    """The predicted computing time and storage size of a sweep."""
 
     clips: int
     tried: int
-    """Number of clips that were forecast."""
+    """Number of clips from which the sweep was forecast."""
     seconds: tuple[float, float]
     """CPU time per clip [s]: its mean, and the standard error of the mean."""
     bytes: float
     """Mean size of a clip [bytes]."""
 
     def wall(self, workers: int) -> float:
-        """Return the duration of the sweep if all workers are always busy [s]."""
+        """Return how long the sweep takes if all workers are always busy [s]."""
         return self.seconds[0] * self.clips / workers
 
     def sentence(self, workers: int) -> str:
@@ -52,7 +52,7 @@ class Expected(NamedTuple):
 
 
 def list_refused(plan: Plan, progress: Progress = silent) -> Iterator[tuple[Item, str]]:
-    """Yield each clip whose scene is invalid, with the reason."""
+    """Yield each clip whose scene is invalid, with the reason why it is invalid."""
     for item in plan:
         try:
             plan.scene_of(item)
@@ -62,10 +62,10 @@ def list_refused(plan: Plan, progress: Progress = silent) -> Iterator[tuple[Item
 
 
 def forecast_sweep(plan: Plan, context: RunContext) -> Expected:
-    """Forecast a sweep from a few of its clips.
+    """Forecast the time and size of a sweep from a few of its clips.
 
     Raises:
-        InputError: None of the selected clips can be made.
+        InputError: None of the selected clips can be computed.
     """
     chosen = np.linspace(0, len(plan) - 1, min(TRIED, len(plan))).round().astype(int)
     seconds, sizes, why = [], [], None
@@ -80,7 +80,9 @@ def forecast_sweep(plan: Plan, context: RunContext) -> Expected:
         sizes.append(size)
         context.progress("forecast", count + 1, len(chosen))
     if not seconds:
-        raise why or InputError("sweep", plan.sweep.scene, "it has no clips.", "Add pictures.")
+        raise why or InputError(
+            "sweep", plan.sweep.scene, "the sweep has no clips.", "Add pictures."
+        )
     error = float(np.std(seconds, ddof=1) / len(seconds) ** 0.5) if len(seconds) > 1 else 0.0
     mean = float(np.mean(seconds))
     return Expected(len(plan), len(seconds), (mean, error), float(np.mean(sizes)))
@@ -97,7 +99,7 @@ def _forecast_clip(plan: Plan, item: Item, forecaster: Forecaster) -> tuple[floa
     making = watch.seconds.get("generate", 0.0) + watch.seconds.get("image", 0.0)
     if made.effort is not None:
         making += made.effort.seconds
-    making *= plan.sources / len(plan)  # clips of the same source share their Gaussians
+    making *= plan.sources / len(plan)  # clips with the same source share their Gaussians
     size = made.scene.time.frames * len(run.setup.shown) * NUMBERS * 4.0
     return forecast.seconds + watch.seconds["particles"] + making, size
 
@@ -105,13 +107,14 @@ def _forecast_clip(plan: Plan, item: Item, forecaster: Forecaster) -> tuple[floa
 SAMPLED = 256
 """Maximum number of evenly spaced clips from which the mean work of all clips is estimated."""
 ORIGIN = 1e-3
-"""Weight per clip of the added data point (no work, no time) in the least-squares fit."""
+"""The least-squares fit contains an additional data point (no work, no time), which has this weight
+per clip."""
 FEWEST = 3
-"""Minimum number of finished clips for an estimate of the remaining time."""
+"""The remaining time is estimated once at least this number of clips is finished."""
 
 
 class Remaining:
-    """Estimates the remaining time of a run, from the work of its clips and the speed so far."""
+    """Estimates the remaining time of a run from the work of its clips and the speed so far."""
 
     def __init__(
         self, plan: Plan, numbers: Sequence[int], clock: Callable[[], float] = time.time
@@ -120,19 +123,21 @@ class Remaining:
 
         Args:
             plan: The sweep.
-            numbers: Indices of the clips of this run.
-            clock: Returns the current time [s], on the same clock as `written` in the rows.
+            numbers: Indices of the clips that this run makes.
+            clock: Function that returns the current time [s], on the same clock as `written` in the
+                rows.
         """
         self._plan, self._numbers, self._clock = plan, numbers, clock
         self._start: float | None = None
         self._last = -1
         self._moments = np.zeros(5)
-        """Sums over finished clips of 1, work, seconds, work squared, and work times seconds."""
+        """Sums over all finished clips of 1, work, seconds, work squared, and work times
+        seconds."""
         places = np.linspace(0, len(numbers) - 1, min(SAMPLED, len(numbers))).astype(int)
         self._sample = [(numbers[place], self._work_of(numbers[place])) for place in places]
 
     def note_finished(self, row: Row) -> None:
-        """Record a finished clip."""
+        """Include a finished clip in the estimate."""
         if "seconds" not in row:
             return
         seconds = row["seconds"]["clip"]
@@ -143,7 +148,10 @@ class Remaining:
         self._moments += (1.0, work, seconds, work**2, work * seconds)
 
     def left(self, clips: int) -> float | None:
-        """Return the time for `clips` more clips [s]; None until enough clips are finished."""
+        """Return the time that `clips` more clips will take [s].
+
+        None until enough clips are finished.
+        """
         count, work, seconds = self._moments[:3]
         if self._start is None or count < FEWEST:
             return None
@@ -157,7 +165,7 @@ class Remaining:
         return clips * (fixed + per_work * mean) * spent / made
 
     def _work_of(self, index: int) -> float:
-        """Return the time of a clip on a typical machine [s]; 0 for a clip that is refused."""
+        """Return how long a clip takes on a typical machine [s]; 0 for a clip that is refused."""
         try:
             scene = self._plan.scene_of(self._plan.item(index))
             return work_of(scene, films=self._plan.sweep.films)
@@ -166,7 +174,10 @@ class Remaining:
 
 
 def work_of(scene: Scene, *, films: bool) -> float:
-    """Return the time of a scene's clip on a typical machine [s], without making the Gaussians."""
+    """Return how long a scene's clip takes on a typical machine [s].
+
+    No Gaussians are made for this.
+    """
     costs = USUAL["cpu"].seconds(Work.of(scene))
     stages = ("simulate", "deform", "film") if films else ("simulate", "deform")
     return sum(costs[stage] for stage in stages)
@@ -175,8 +186,8 @@ def work_of(scene: Scene, *, films: bool) -> float:
 def fit_line(moments: np.ndarray) -> tuple[float, float]:
     """Fit a line to seconds over work by least squares, with non-negative intercept and slope.
 
-    Clips with equal work determine only the ratio of seconds to work. A small penalty on the
-    intercept makes the fit unique if all clips have equal work.
+    If all clips have equal work, the data determine only the ratio of seconds to work. A small
+    penalty on the intercept makes the fit unique in this case.
 
     Args:
         moments: Sums over clips of 1, work, seconds, work squared, and work times seconds.

@@ -1,6 +1,6 @@
-"""Reads the clips of a sweep, for Python and torch's DataLoader, and packs them in tar files.
+"""Reads the clips of a sweep in Python or torch's DataLoader, and packs them into tar files.
 
-WebDataset can read the tar files.
+The tar files can be read by WebDataset.
 """
 
 from __future__ import annotations
@@ -21,23 +21,24 @@ from phy124.studies.sweep.work import Row
 
 
 class Sample(NamedTuple):
-    """A clip and its row in the manifest."""
+    """A clip, and the row of the manifest that describes it."""
 
     row: Row
     clip: Clip
 
 
 class Dataset:
-    """A sequence of all complete clips of a sweep, in the order of their indices.
+    """A sequence of all complete clips of a sweep, in the order of the clips' indices.
 
-    torch's DataLoader accepts it, because it has `len` and `[...]`.
+    torch's DataLoader accepts a `Dataset`, because it has `len` and `[...]`.
     """
 
     def __init__(self, folder: str) -> None:
         """Read the manifest.
 
         Args:
-            folder: The `out` of a sweep: a folder, or an fsspec address.
+            folder: The folder of the sweep's results (its `out`), or the fsspec address of this
+                folder.
 
         Raises:
             InputError: The folder contains no results of a sweep.
@@ -56,7 +57,7 @@ class Dataset:
         return (self[number] for number in range(len(self)))
 
     def _clip(self, row: Row) -> Clip:
-        """Load a clip; a clip on another machine is downloaded and read into memory."""
+        """Load a clip; if the clip is on another machine, download it and read it into memory."""
         name = f"{row['folder']}/clip.safetensors"
         if self._storage.here is not None:
             return Clip.load(self._storage.here / name)
@@ -71,20 +72,21 @@ class Dataset:
 
 
 NAME = "archives/{:06d}.tar"
-"""Pattern for the name of a tar file, by its number."""
+"""Pattern for the names of the tar files, which are numbered."""
 
 
 def pack(storage: Storage, per_file: int) -> int:
-    """Write all complete clips to tar files, in the order of their indices.
+    """Write all complete clips to tar files, in the order of the clips' indices.
 
-    A clip consists of two files, KEY.clip.safetensors and KEY.json, its row in the manifest.
+    Each clip is stored as two files: KEY.clip.safetensors, and KEY.json with its row of the
+    manifest.
 
     Args:
         storage: The sweep's folder.
         per_file: Number of clips per tar file.
 
     Returns:
-        The number of tar files.
+        The number of tar files that were written.
     """
     rows = [row for row in read_manifest(storage) if row["status"] == "done"]
     groups = [rows[start : start + per_file] for start in range(0, len(rows), per_file)]
@@ -98,7 +100,7 @@ def _pack(storage: Storage, rows: list[dict[str, Any]]) -> bytes:
     written = io.BytesIO()
     with tarfile.open(fileobj=written, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         for row in rows:
-            # Omit columns that differ from run to run.
+            # Remove columns that differ from run to run.
             constant = {k: v for k, v in row.items() if not k.startswith(("seconds.", "written"))}
             clip = storage.read(f"{row['folder']}/clip.safetensors")
             for ending, content in (

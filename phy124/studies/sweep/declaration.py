@@ -19,19 +19,22 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Counted(Section, ABC):
-    """An axis with a finite number of values."""
+    """An axis of a sweep that has a finite number of values."""
 
     @property
     @abstractmethod
     def count(self) -> int:
-        """Number of values."""
+        """Number of values on the axis."""
 
     @abstractmethod
     def value(self, index: int) -> Any:
-        """Return the value with an index, from 0."""
+        """Return the value at an index, which starts at 0."""
 
     def draw(self, u: float) -> Any:
-        """Return the value for a number u in 0..1; a uniform u makes all values equally likely."""
+        """Return the value for a number u in 0..1.
+
+        If u is uniform, all values are equally likely.
+        """
         return self.value(min(int(u * self.count), self.count - 1))
 
 
@@ -46,7 +49,7 @@ class Listed(Counted):
         return len(self.values)
 
     def value(self, index: int) -> Any:
-        """Return the value with an index, from 0."""
+        """Return the value at an index, which starts at 0."""
         return self.values[index]
 
 
@@ -63,7 +66,7 @@ class Range(Counted):
     @model_validator(mode="after")
     def _positive(self) -> Range:
         if self.spacing == "log" and min(self.first, self.last) <= 0:
-            raise ValueError('a logarithm needs numbers above 0. Use spacing = "linear".')
+            raise ValueError('a logarithmic spacing needs numbers above 0. Use spacing = "linear".')
         return self
 
     @property
@@ -72,7 +75,7 @@ class Range(Counted):
         return self.count_
 
     def value(self, index: int) -> float:
-        """Return the value with an index, from 0."""
+        """Return the value at an index, which starts at 0."""
         part = index / (self.count - 1) if self.count > 1 else 0.0
         return interpolate(self.first, self.last, part, log=self.spacing == "log")
 
@@ -88,12 +91,15 @@ class Uniform(Section):
         return self
 
     def draw(self, u: float) -> float:
-        """Return the value for u in 0..1; a uniform u gives values of the declared distribution."""
+        """Return the value for u in 0..1.
+
+        If u is uniform, the values have the declared distribution.
+        """
         return interpolate(*self.uniform, u)
 
 
 class LogUniform(Section):
-    """A distribution with a uniform logarithm, such as `{ log_uniform = [1e4, 1e6] }`."""
+    """A distribution whose logarithm is uniform, such as `{ log_uniform = [1e4, 1e6] }`."""
 
     log_uniform: tuple[Number, Number] = Field(description="Smallest and largest value, above 0.")
 
@@ -101,11 +107,14 @@ class LogUniform(Section):
     def _check_order(self) -> LogUniform:
         _refuse_descending(self.log_uniform)
         if self.log_uniform[0] <= 0:
-            raise ValueError("a logarithm needs numbers above 0. Use uniform.")
+            raise ValueError("a logarithmic distribution needs numbers above 0. Use uniform.")
         return self
 
     def draw(self, u: float) -> float:
-        """Return the value for u in 0..1; a uniform u gives values of the declared distribution."""
+        """Return the value for u in 0..1.
+
+        If u is uniform, the values have the declared distribution.
+        """
         return interpolate(*self.log_uniform, u, log=True)
 
 
@@ -114,18 +123,22 @@ class Choice(Section):
 
     choice: tuple[Any, ...] = Field(min_length=1, description="The values.")
     weights: tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...] | None = Field(
-        default=None, description="Relative frequency of each value; None: all equally frequent."
+        default=None,
+        description="Relative frequency of each value; None: all values are equally frequent.",
     )
 
     @model_validator(mode="after")
     def _matching(self) -> Choice:
         if self.weights is not None and len(self.weights) != len(self.choice):
             limit = f"{len(self.choice)} values have {len(self.weights)} weights."
-            raise ValueError(f"{limit} Give one weight per value.")
+            raise ValueError(f"{limit} Give one weight for each value.")
         return self
 
     def draw(self, u: float) -> Any:
-        """Return the value for u in 0..1; a uniform u gives values of the declared distribution."""
+        """Return the value for u in 0..1.
+
+        If u is uniform, the values have the declared distribution.
+        """
         weights = self.weights or (1.0,) * len(self.choice)
         rest = u * sum(weights)
         for value, weight in zip(self.choice, weights, strict=True):
@@ -137,18 +150,18 @@ class Choice(Section):
 
 NAMED = {"values": "Listed", "first": "Range", "uniform": "Uniform"}
 NAMED |= {"log_uniform": "LogUniform", "choice": "Choice"}
-"""Key that identifies a type of axis in plain data -> name of the type."""
+"""Key that identifies the type of an axis in plain data -> name of this type."""
 
 
 def _kind(data: Any) -> str:
-    """Return the name of the type of an axis."""
+    """Return the name of an axis's type."""
     if isinstance(data, Section):
         return type(data).__name__
     return next(kind for key, kind in NAMED.items() if key in data)
 
 
 def parse_axis(data: Any) -> Any:
-    """Convert a list or a single value to the plain data of an axis; other data is returned as is.
+    """Convert a list or a single value to the plain data of an axis; return other data unchanged.
 
     Raises:
         ValueError: The data contains no values.
@@ -158,7 +171,7 @@ def parse_axis(data: Any) -> Any:
     axis = data if isinstance(data, dict) else {"values": [data]}
     axis = {"values": data} if isinstance(data, (list, tuple)) else axis
     if not axis.keys() & NAMED or axis.get("values") == []:
-        raise ValueError(f"it has no values. Give one of {', '.join(sorted(NAMED))}.")
+        raise ValueError(f"the axis has no values. Give one of {', '.join(sorted(NAMED))}.")
     return axis
 
 
@@ -173,13 +186,13 @@ Axis = Annotated[
 
 
 def interpolate(first: float, last: float, part: float, *, log: bool = False) -> float:
-    """Interpolate between two numbers; the result is exact at both ends.
+    """Interpolate between two numbers; the result is exact for part = 0 and part = 1.
 
     Args:
-        first: Value for part = 0.
-        last: Value for part = 1.
+        first: Result for part = 0.
+        last: Result for part = 1.
         part: Position between the two numbers, 0 to 1.
-        log: True to interpolate the logarithms; both numbers must then be above 0.
+        log: Whether to interpolate the logarithms; if so, both numbers must be above 0.
     """
     if part <= 0:
         return first
@@ -192,11 +205,12 @@ def interpolate(first: float, last: float, part: float, *, log: bool = False) ->
 
 def _refuse_descending(ends: Sequence[float]) -> None:
     if ends[0] > ends[1]:
-        raise ValueError(f"{ends[0]:g} is above {ends[1]:g}. Give the smaller number first.")
+        raise ValueError(f"{ends[0]:g} is larger than {ends[1]:g}. Give the smaller number first.")
 
 
 KIND = re.compile(rf"\.({'|'.join(NAMED.values())})\b")
-"""Matches the names of axis types, which pydantic adds to the names of fields in its errors."""
+"""Pattern that matches the names of axis types, which pydantic adds to the names of fields in its
+errors."""
 Texts = Annotated[
     tuple[str, ...], BeforeValidator(lambda data: (data,) if isinstance(data, str) else data)
 ]
@@ -204,7 +218,7 @@ Texts = Annotated[
 
 
 class Sweep(Section):
-    """The options of a sweep, which makes all combinations of the axes or samples of them."""
+    """The options of a sweep, which combines the values on its axes, or samples them."""
 
     pictures: Texts = Field(
         min_length=1,
@@ -212,7 +226,9 @@ class Sweep(Section):
         "addresses of fsspec such as s3://bucket/photos/*.png.",
     )
     generators: Texts = Field(
-        default=("relief",), min_length=1, description="Generators of the Gaussians."
+        default=("relief",),
+        min_length=1,
+        description="Names of the generators that make the Gaussians.",
     )
     gaussians: int | None = Field(
         default=None, ge=1, description="Maximum number of Gaussians; None: no limit."
@@ -222,19 +238,23 @@ class Sweep(Section):
     )
     set: dict[str, Annotated[Axis, BeforeValidator(parse_axis)]] = Field(
         default={},
-        description="Values of the scene by their dotted path, such as material.E: one value, a "
-        "list, a range, or a distribution.",
+        description="Values of the scene by their dotted path, such as material.E. Each is one "
+        "value, a list, a range, or a distribution.",
     )
     samples: int | None = Field(
         default=None,
         ge=1,
         le=10_000_000,
-        description="Number of clips, sampled evenly from all axes; None: all combinations.",
+        description="Number of clips, sampled evenly from all axes; None: all combinations of the "
+        "values.",
     )
     seed: int = Field(
-        default=0, ge=0, le=2**31 - 1, description="Seed of the samples' random shift."
+        default=0,
+        ge=0,
+        le=2**31 - 1,
+        description="Seed of the random shift that is applied to the samples.",
     )
-    films: bool = Field(default=False, description="Whether to make videos, too.")
+    films: bool = Field(default=False, description="Whether to make videos as well.")
     archive: int | None = Field(
         default=None,
         ge=1,
@@ -244,7 +264,7 @@ class Sweep(Section):
 
     @classmethod
     def from_data(cls, data: dict[str, Any], source: str = "sweep") -> Sweep:
-        """Validate plain data.
+        """Validate plain data and return the options.
 
         Raises:
             InputError: The data does not declare a sweep; the message names field, value, limit
@@ -262,6 +282,6 @@ class Sweep(Section):
         """Read the options from a file.
 
         Raises:
-            InputError: The file is missing, is not TOML, or does not declare a sweep.
+            InputError: The file is missing, is not valid TOML, or does not declare a sweep.
         """
         return cls.from_data(read_toml(path, "sweep"), str(path))

@@ -1,6 +1,6 @@
-"""Computes the key of a clip: a digest of all inputs that determine the clip.
+"""Computes the key of a clip, which is a digest of all inputs that determine the clip.
 
-Clips with equal keys are equal, so they are made only once.
+Clips with the same key are equal, so such clips are made only once.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from phy124.studies.sweep.storage import fetch, stamp
 from phy124.weights.store import KNOWN, find
 
 DIGITS = 24
-"""Number of hexadecimal digits of a key.
+"""Number of hexadecimal digits in a key.
 
 The probability that any two of 1e9 different clips have equal keys is 6e-12.
 """
 CUT_OUT = ("u2net", "u2netp")
-"""Names of the weights that may segment the object of a picture."""
+"""Names of the weights that may be used to segment the object in a picture."""
 
 
 def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
@@ -57,7 +57,7 @@ def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
 
 
 def key_of_request(picture: str, generator: str, changes: dict[str, Any]) -> str:
-    """Return the key of a request; an invalid request has a key, too.
+    """Return the key of a request for a clip; an invalid request also has a key.
 
     Args:
         picture: Address of the picture.
@@ -73,7 +73,7 @@ def _digest_of(data: Any) -> str:
 
 
 def digest(address: str) -> str:
-    """Return the digest of a file's content; the digest is cached until the file changes.
+    """Return the digest of a file's content; it is cached until the file changes.
 
     Raises:
         InputError: The file cannot be read.
@@ -83,16 +83,16 @@ def digest(address: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _digest(address: str, stamp: object) -> str:
-    del stamp  # a new stamp invalidates the cache
+    del stamp  # a changed file has a new stamp and is therefore read again
     with fetch(address) as path:
         return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @lru_cache(maxsize=64)
 def weights_of(generator: str) -> dict[str, str]:
-    """Return digests of the weight files for a generator and for segmentation.
+    """Return digests of the weight files that a generator and the segmentation use.
 
-    Weight files that are not on this machine are left out.
+    Weight files that are not on this machine are skipped.
     """
     if not needs_image(generator):
         return {}
@@ -112,16 +112,16 @@ def code() -> str:
 
 
 HEXADECIMAL = 16
-"""Number of a key's hexadecimal digits that `Seen` stores.
+"""Number of hexadecimal digits of each key that `Seen` stores.
 
-The probability that any two of 1e6 keys agree in these digits is 3e-8.
+The probability that any two of 1e6 keys agree in all these digits is 3e-8.
 """
 RECENT = 4096
 """Maximum number of keys in the unsorted set."""
 
 
 class Seen:
-    """A set of hexadecimal keys that needs eight bytes per key, for sweeps of millions of clips."""
+    """A set of hexadecimal keys with eight bytes per key, for sweeps of millions of clips."""
 
     def __init__(self, keys: Iterable[str] = ()) -> None:
         self._sorted = np.empty(0, np.uint64)
@@ -130,7 +130,7 @@ class Seen:
             self.add(key)
 
     def add(self, key: str) -> None:
-        """Add a key."""
+        """Add a key to the set."""
         self._recent.add(_leading_digits(key))
         if len(self._recent) >= RECENT:
             recent = np.fromiter(self._recent, np.uint64, len(self._recent))

@@ -1,7 +1,8 @@
 """Writes and reads the manifest of a sweep, which has one row per clip.
 
-While a sweep runs, each row is a small file. At the end, the rows are written to a Parquet table.
-The table is assembled column by column, since rows of Python objects need ten times as much memory.
+While a sweep runs, each row is stored in a small file. At the end of the sweep, the rows are
+written to a Parquet table. The table is assembled column by column, because rows of Python objects
+would need ten times as much memory.
 """
 
 from __future__ import annotations
@@ -22,15 +23,16 @@ from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import FAILED, Row
 
 MANIFEST = "manifest.parquet"
-"""Name of the table's file."""
+"""Name of the file that contains the table."""
 BATCH = 2048
 """Number of rows that are read before they are converted to columns."""
 FOLDERS = [f"rows/{digit:x}" for digit in range(16)]
-"""Folders of the row files: one per first digit of the keys, so that each stays small."""
+"""Folders of the row files. There is one folder per first digit of the keys, so that each folder
+stays small."""
 
 
 def keys_in(storage: Storage) -> Iterator[str]:
-    """Yield the keys of all clips that the next run does not repeat.
+    """Yield the keys of all clips that the next run need not make again.
 
     The keys are read from the names of the row files.
     """
@@ -38,7 +40,7 @@ def keys_in(storage: Storage) -> Iterator[str]:
 
 
 def sweep_rows(storage: Storage) -> None:
-    """Remove partly written files of killed processes from the sweep's folder and row folders."""
+    """Remove files that killed processes wrote only partly, from the sweep's and row folders."""
     for folder in ("", *FOLDERS):
         storage.sweep(folder)
 
@@ -53,7 +55,7 @@ def refuse_missing_tables() -> None:
 
 
 def flat(row: Row) -> Row:
-    """Flatten a row: each value in `set` and each time in `seconds` becomes a column."""
+    """Flatten a row, so that each value in `set` and each time in `seconds` becomes a column."""
     plain = {key: value for key, value in row.items() if key not in ("set", "seconds")}
     set_ = {f"set.{path}": _cell(value) for path, value in row.get("set", {}).items()}
     seconds = {f"seconds.{stage}": value for stage, value in row.get("seconds", {}).items()}
@@ -61,10 +63,10 @@ def flat(row: Row) -> Row:
 
 
 def write_manifest(storage: Storage) -> int:
-    """Write the table of all clips, in the order of their indices; return the number of clips.
+    """Write the table of all clips, in the order of the clips' indices, and return their number.
 
-    A clip may have several rows, for example because its picture or the code has changed since its
-    first run. The table then contains only the newest row of the clip.
+    A clip may have several rows, for example if its picture or the code has changed since its first
+    run. In this case, the table contains only the newest row of the clip.
     """
     arrow, parquet = _arrow()
     tables = list(_tables(storage, arrow))
@@ -82,23 +84,26 @@ def read_manifest(storage: Storage) -> list[Row]:
     """Read the rows of the table.
 
     Raises:
-        InputError: There is no table.
+        InputError: The folder does not contain a table.
     """
     table = _read(storage)
     if table is None:
-        limit = "it contains no results of a sweep."
+        limit = "the folder contains no results of a sweep."
         raise InputError(
-            "folder", storage.address, limit, "Give the folder that a sweep wrote (its --out)."
+            "folder",
+            storage.address,
+            limit,
+            "Give the folder to which a sweep wrote its results (its --out).",
         )
     return table.to_pylist()
 
 
 def _tables(storage: Storage, arrow: Any) -> Iterator[Any]:
-    """Yield tables that together contain all rows; valid rows of the existing table are reused."""
+    """Yield tables that together contain all rows; valid rows of the existing table are kept."""
     known = Seen()
     if (table := _read(storage)) is not None:
         there, rows = Seen(keys_in(storage)), table.select(["key", "status"]).to_pylist()
-        # A clip that failed earlier may have been made since then.
+        # A clip that failed earlier may have succeeded since then.
         table = table.filter([r["status"] != "failed" and r["key"] in there for r in rows])
         known = Seen(table["key"].to_pylist())
         yield table
@@ -109,7 +114,7 @@ def _tables(storage: Storage, arrow: Any) -> Iterator[Any]:
 
 
 def _alike(tables: list[Any], arrow: Any) -> list[Any]:
-    """Convert a column to text in all tables if it is text in some of the tables."""
+    """Convert a column to text in all tables if any table has text in this column."""
     kinds: dict[str, set[bool]] = {}
     for field in (field for table in tables for field in table.schema):
         if field.type != arrow.null():
@@ -123,7 +128,7 @@ def _alike(tables: list[Any], arrow: Any) -> list[Any]:
 
 
 def _last(table: Any) -> Any:
-    """Return the index of the newest row of each requested clip, in the order of the clips."""
+    """Return the index of the newest row of each requested clip, in the order of the requests."""
     asked = table["asked"].to_numpy().astype("S")
     order = np.lexsort((table["written"].to_numpy(), asked))
     newest = np.append(asked[order][1:] != asked[order][:-1], True)
@@ -137,12 +142,12 @@ def _names(storage: Storage) -> Iterator[str]:
 
 
 def _key(name: str) -> str:
-    """Return the key of a clip from the name of its row file."""
+    """Return the key of a clip, which is part of the name of its row file."""
     return PurePosixPath(name).name.partition(".")[0]
 
 
 def _read(storage: Storage) -> Any:
-    """Read the existing table; return None if there is none."""
+    """Read the existing table; return None if there is no table."""
     try:
         written = storage.read(MANIFEST)
     except FileNotFoundError:
@@ -157,7 +162,7 @@ def _cell(value: object) -> object:
 
 
 def _column(values: list[object]) -> list[object]:
-    """Convert the values of a column to one type.
+    """Convert all values of a column to one type.
 
     Mixed integers and floats become floats; other mixed types become text.
     """

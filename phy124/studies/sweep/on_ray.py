@@ -1,8 +1,8 @@
 """Makes clips in this process, or on Ray workers on this machine or on a cluster.
 
-Ray stores data that tasks share, repeats the tasks of workers that die, and recomputes data that is
-lost when a node fails. This process submits only a few tasks per worker at a time, so its memory
-does not grow with the number of clips.
+Ray stores data that several tasks use, repeats tasks whose workers die, and recomputes data that is
+lost when a node fails. This process submits only a few tasks per worker at a time. Its memory
+therefore does not grow with the number of clips.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from phy124.studies.sweep.work import (
 RETRIES = 10
 """Maximum number of times that a task is repeated after its worker dies."""
 AHEAD = 3
-"""Maximum number of submitted tasks per worker."""
+"""Maximum number of tasks per worker that are submitted at a time."""
 BEAT = 0.2
-"""Time between two checks for cancellation [s]."""
+"""Time between two checks whether the sweep is cancelled [s]."""
 SHARED = 64
-"""Maximum number of sources whose Gaussians are kept in memory for further clips."""
+"""Maximum number of sources whose Gaussians are kept in memory for other clips."""
 
 
 def on_ray(
@@ -46,16 +46,16 @@ def on_ray(
     """Make clips with Ray, and yield the row of each clip as soon as the clip is finished.
 
     Args:
-        orders: The clips to make; they are read as workers become free.
-        beat: Called several times per second; may raise Cancelled.
-        address: Address of a cluster; None: workers on this machine.
-        workers: Number of workers on this machine; None: one per core.
+        orders: The clips to make; each is read from the iterator when a worker becomes free.
+        beat: Function that is called several times per second; it may raise Cancelled.
+        address: Address of a cluster; if None, workers are started on this machine.
+        workers: Number of workers on this machine; if None, one worker per core.
 
     Raises:
         InputError: Ray is not installed, no cluster answers at the address, or the cluster lacks a
             GPU.
-        Cancelled: `beat` raised it.
-        OSError: No space is left in the storage.
+        Cancelled: The function `beat` raised it.
+        OSError: The storage is full.
     """
     ray = _ray(address, workers)
     try:
@@ -65,7 +65,7 @@ def on_ray(
 
 
 class _Tasks:
-    """Submits tasks to Ray, and collects their rows."""
+    """Submits tasks to Ray, and collects the rows that they return."""
 
     def __init__(self, ray: Any, beat: Callable[[], None]) -> None:
         self.ray, self.beat = ray, beat
@@ -89,23 +89,27 @@ class _Tasks:
                 self.ray.cancel(task, force=True)
 
     def _most(self) -> int:
-        """Return how many tasks may be submitted at a time, for the current number of CPUs."""
+        """Return how many tasks may be submitted at a time, given the current number of CPUs."""
         return AHEAD * max(1, int(self.ray.cluster_resources().get("CPU", 1)))
 
     def _reserve(self, order: Order) -> dict[str, float]:
-        """Return the resources to reserve for a task.
+        """Return the resources that Ray reserves for a task.
 
-        The memory is capped at the largest node's memory; otherwise the task would wait forever.
+        The reserved memory is at most that of the largest node, because the task would otherwise
+        wait forever.
         """
         nodes = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         if order.needs.gpus and not any(node.get("GPU") for node in nodes):
             limit = "no node of the cluster has a GPU."
-            raise InputError("device", order.device, limit, "Use --device cpu.")
+            raise InputError("device", order.device, limit, "Use --device cpu instead.")
         most = max((node.get("memory", 0.0) for node in nodes), default=0.0)
         return {"memory": int(min(order.needs.memory, most)), "num_gpus": order.needs.gpus}
 
     def _source(self, order: Order) -> Any:
-        """Return the task that makes the Gaussians of a clip; clips of one source share it."""
+        """Return the task that makes the Gaussians of a clip.
+
+        Clips with the same source share it.
+        """
         key = order.source
         if key not in self.sources:
             self.sources[key] = self.make.options(**self._reserve(order)).remote(order)
@@ -128,11 +132,11 @@ class _Tasks:
                 raise error.cause from None
             return write_failed(order, failure(error.cause).sentence)
         except self.ray.exceptions.RayError as error:
-            return write_failed(order, f"its workers died {RETRIES + 1} times: {error}")
+            return write_failed(order, f"the worker of this clip died {RETRIES + 1} times: {error}")
 
 
 def _ray(address: str | None, workers: int | None) -> Any:
-    """Connect to a Ray cluster, or start workers on this machine if the address is None.
+    """Connect to a Ray cluster; if the address is None, start workers on this machine.
 
     Raises:
         InputError: Ray is not installed, or no cluster answers at the address.
@@ -152,17 +156,17 @@ def _ray(address: str | None, workers: int | None) -> Any:
             ray.init(address=address, **quiet)
     except (ConnectionError, RuntimeError, ValueError) as error:
         limit = f"no cluster answers there ({error})."
-        remedy = "Start one with `ray start --head`, or leave --ray out."
+        remedy = "Start a cluster with `ray start --head`, or remove --ray."
         raise InputError("ray", address, limit, remedy) from error
     return ray
 
 
 def _mute(ray: Any) -> None:
-    """Stop Ray from printing messages about dead workers, which Ray also writes to its logs.
+    """Stop Ray from printing messages about dead workers; these are also written to Ray's logs.
 
     Ray prints these messages to standard output even with `log_to_driver=False`. The messages would
-    corrupt JSON that phy124 prints to standard output. A version of Ray without this
-    private attribute still prints the messages.
+    corrupt the JSON that phy124 prints to standard output. If a version of Ray lacks this private
+    attribute, the messages are still printed.
     """
     worker: Any = getattr(getattr(ray, "_private", None), "worker", None)
     if hasattr(worker, "_worker_logs_enabled"):
@@ -174,11 +178,11 @@ def in_turn(orders: Iterable[Order], *, beat: Callable[[], None]) -> Iterator[Ro
 
     Args:
         orders: The clips to make.
-        beat: Called at each progress of a clip; may raise Cancelled.
+        beat: Function that is called whenever a clip makes progress; it may raise Cancelled.
 
     Raises:
-        OSError: No space is left in the storage.
-        Cancelled: `beat` raised it.
+        OSError: The storage is full.
+        Cancelled: The function `beat` raised it.
     """
 
     def progress(stage: str, done: int, total: int) -> None:
@@ -192,7 +196,7 @@ def in_turn(orders: Iterable[Order], *, beat: Callable[[], None]) -> Iterator[Ro
                 last = order.source, make_gaussians(order)
             yield make_row(order, last[1], progress)
         except Exception as error:
-            # A failed clip does not stop the others.
+            # If a clip fails, the other clips are still made.
             if isinstance(error, Cancelled) or stops_all(error):
                 raise
             yield write_failed(order, failure(error).sentence)

@@ -1,4 +1,4 @@
-"""Plans a sweep: the settings of a clip are computed from its index, so no settings are stored."""
+"""Plans a sweep; the settings of a clip are computed from its index, so they need not be stored."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from phy124.studies.sweep.declaration import Axis, Counted, Listed, Sweep
 from phy124.studies.sweep.storage import list_matching
 
 BLOCK = 1024
-"""Number of samples that are computed at once; must be a power of two."""
+"""Number of samples that are computed at once; it must be a power of two."""
 MOST = 100_000_000
 """Maximum number of clips of one sweep."""
 FEWEST_BITS = 30
@@ -26,13 +26,13 @@ FEWEST_BITS = 30
 
 @dataclass(frozen=True)
 class Item:
-    """A clip of a sweep, by its index and settings."""
+    """A clip of a sweep, described by its index and settings."""
 
     index: int
     picture: str
     generator: str
     changes: dict[str, Any]
-    """Dotted path in the scene -> value."""
+    """Values that the clip changes in the scene: dotted path -> value."""
 
 
 class Plan:
@@ -43,10 +43,10 @@ class Plan:
 
         Raises:
             InputError: A picture or the scene does not exist, there are too many clips, or an axis
-                is a distribution but the number of samples is not set.
+                is a distribution although the number of samples is not set.
         """
         self.sweep = sweep
-        # Record wrenches, because the manifest contains the largest force on a wall.
+        # Wrenches are recorded, because the manifest contains the largest force on a wall.
         self.scene = Scene.named(sweep.scene).model_copy(update={"wrenches": True})
         pictures = [path for pattern in sweep.pictures for path in list_matching(pattern)]
         self.axes: dict[str, Axis] = {
@@ -58,8 +58,11 @@ class Plan:
         self._refuse_endless()
         self._length = sweep.samples or prod(axis.count for axis in self._counted)
         if self._length > MOST:
-            limit = f"all combinations are {self._length:,} clips, but the limit is {MOST:,}."
-            raise InputError("sweep", sweep.scene, limit, "Set samples, or shorten a range.")
+            limit = (
+                f"all combinations are {self._length:,} clips, but at most {MOST:,} clips are "
+                "allowed."
+            )
+            raise InputError("sweep", sweep.scene, limit, "Set samples, or use fewer values.")
         self._block: tuple[int, NDArray[np.float64]] = (-1, np.empty((0, 0)))
 
     def __len__(self) -> int:
@@ -77,7 +80,10 @@ class Plan:
         return (self.item(index) for index in range(len(self)))
 
     def item(self, index: int) -> Item:
-        """Return the clip with an index; in all combinations, the last axis varies fastest."""
+        """Return the clip at an index.
+
+        Clips enumerate all combinations of the axes, the last axis varying fastest.
+        """
         if self.sweep.samples is None:
             places = np.unravel_index(index, [axis.count for axis in self._counted])
             pairs = zip(self._counted, places, strict=True)
@@ -92,7 +98,7 @@ class Plan:
         """Return the scene of a clip.
 
         Raises:
-            InputError: The values of the clip are invalid.
+            InputError: The values of the clip are not valid in the scene.
         """
         return self.scene.replaced(item.changes)
 
@@ -106,7 +112,7 @@ class Plan:
         return range(part - 1, len(self), parts)
 
     def _refuse_endless(self) -> None:
-        """Refuse distributions if all combinations of the axes are requested."""
+        """Refuse axes that are distributions if all combinations of values are requested."""
         for name, axis in self.axes.items():
             if self.sweep.samples is None and not isinstance(axis, Counted):
                 limit = "a distribution has no finite number of combinations."
@@ -115,11 +121,14 @@ class Plan:
 
     @cached_property
     def _shift(self) -> NDArray[np.float64]:
-        """Random shift added to all samples, modulo 1; the samples stay evenly distributed."""
+        """Random shift that is added to all samples, modulo 1.
+
+        The samples remain evenly distributed.
+        """
         return np.random.default_rng(self.sweep.seed).random(len(self.axes))
 
     def _point(self, index: int) -> NDArray[np.float64]:
-        """Return a sample in the unit cube: a Sobol point, shifted by an amount from the seed."""
+        """Return a sample in the unit cube: a Sobol point plus a shift derived from the seed."""
         number, place = divmod(index, BLOCK)
         if self._block[0] != number:
             from scipy.stats.qmc import Sobol

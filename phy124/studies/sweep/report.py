@@ -1,4 +1,4 @@
-"""Makes the report of a sweep: a table for the terminal, and an HTML page with thumbnails."""
+"""Makes the report of a sweep as a table for the terminal, and as an HTML page with thumbnails."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import Row
 
 PAGE = "report.html"
-"""Name of the page's file."""
+"""File name of the HTML page."""
 SHOWN = 600
-"""Maximum number of evenly spaced clips whose thumbnails the page shows."""
+"""Maximum number of clips whose thumbnails the page shows; they are evenly spaced."""
 BARS = 12
 """Number of bars in a histogram."""
 MEASURES = (
@@ -43,7 +43,7 @@ figcaption { font-size: 11px; overflow-wrap: anywhere; }
 
 
 def format_lines(storage: Storage) -> list[str]:
-    """Format the report as lines of text for the terminal.
+    """Return the report as lines of text for the terminal.
 
     Raises:
         InputError: The folder contains no results of a sweep.
@@ -66,7 +66,7 @@ def format_lines(storage: Storage) -> list[str]:
 
 
 def write_page(storage: Storage) -> str:
-    """Write the page, and return its address.
+    """Write the HTML page, and return its address.
 
     Raises:
         InputError: The folder contains no results of a sweep.
@@ -95,12 +95,12 @@ def _count(rows: Iterable[Row]) -> str:
 
 
 def _values(rows: Iterable[Row], name: str) -> Any:
-    """Return the numbers in a column, without missing values."""
+    """Return the numbers in a column of the table, without missing values."""
     return np.array([row[name] for row in rows if row.get(name) is not None], dtype=float)
 
 
 def _by_axis(rows: list[Row]) -> Iterator[tuple[str, dict[str, list[Row]]]]:
-    """Group the clips by their value on each axis that has 2 to 20 different values."""
+    """Group the clips by their value, for each axis that has 2 to 20 different values."""
     columns = [name for name in rows[0] if name.startswith("set.")] if rows else []
     for name in ("picture", "generator", *columns):
         groups: defaultdict[str, list[Row]] = defaultdict(list)
@@ -148,7 +148,7 @@ def _refusals(reasons: Counter[str]) -> str:
 
 
 def _sheet(storage: Storage, rows: list[Row]) -> str:
-    """Return thumbnails of the clips as HTML, with the values that differ between clips."""
+    """Return HTML with thumbnails of the clips, and with the values that differ between clips."""
     chosen = rows if len(rows) <= SHOWN else [rows[i * len(rows) // SHOWN] for i in range(SHOWN)]
     columns = [name for name in rows[0] if name.startswith("set.")] if rows else []
     differ = [name for name in columns if len({str(row.get(name)) for row in rows}) > 1]
@@ -165,5 +165,5 @@ def _sheet(storage: Storage, rows: list[Row]) -> str:
 
 
 def _format(value: object) -> str:
-    """Format a value, a float with at most six significant digits."""
+    """Format a value; floats have at most six significant digits."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)

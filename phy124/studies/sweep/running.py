@@ -27,12 +27,13 @@ FULL = (
 
 @dataclass
 class Counts:
-    """Numbers of clips in a run of a sweep, by status."""
+    """Numbers of clips in a run of a sweep, counted by their status."""
 
     here: int = 0
-    """Number of clips that exist from an earlier run or equal another clip of this run."""
+    """Number of clips that exist from an earlier run, or that are equal to another clip of this
+    run."""
     ended: Counter[str] = field(default_factory=Counter)
-    """Status -> number of clips that this run has finished with this status."""
+    """Number of clips that this run has finished, by status."""
     left: float | None = None
     """Estimated time until all clips are finished [s]; None while it is unknown."""
 
@@ -58,24 +59,26 @@ def run(
     Args:
         plan: The clips of the sweep.
         out: Folder of the results, or its fsspec address.
-        ray: Address of a Ray cluster; None: this machine.
-        workers: Number of worker processes on this machine; None: one per core; 0: all clips are
-            made in this process.
-        shard: Number of the shard to make, from 1, and number of shards.
-        device: Warp device of the workers.
-        progress: Called with ("clips", finished clips, all clips); may raise Cancelled.
-        counts: Updated during the run and returned; None: new counts.
+        ray: Address of a Ray cluster; None stands for this machine.
+        workers: Number of worker processes on this machine. If None, there is one per core; if 0,
+            all clips are made in this process.
+        shard: Number of the shard to make, counted from 1; and total number of shards.
+        device: Warp device on which the workers compute.
+        progress: Function that is called with ("clips", finished clips, all clips); it may raise
+            Cancelled.
+        counts: Object that is updated during the run and returned; if None, a new object is
+            created.
 
     Raises:
-        InputError: The folder is unusable, Ray is missing, or the shard does not exist.
-        OSError: No space is left in the storage; finished clips and frames are kept.
+        InputError: The folder is unusable, Ray is not installed, or the shard does not exist.
+        OSError: The storage is full; finished clips and frames are kept.
     """
     part, parts = shard
     if not 1 <= part <= parts:
         raise InputError(
             "shard",
             f"{part}/{parts}",
-            "there is no such shard.",
+            "this shard does not exist.",
             "Give, for example, 3/8 for the third of eight shards.",
         )
     storage, counts = Storage(out), counts or Counts()
@@ -101,7 +104,7 @@ def run(
             beat()
         write_manifest(storage)
     except BaseException as error:
-        with suppress(OSError):  # the next run writes the manifest from the rows
+        with suppress(OSError):  # the next run writes the manifest from the row files
             write_manifest(storage)
         if isinstance(error, OSError) and stops_all(error):
             raise OSError(error.errno, FULL.format(out)) from error
@@ -112,7 +115,7 @@ def run(
 def _orders(
     plan: Plan, numbers: Iterable[int], storage: Storage, counts: Counts, device: str
 ) -> Iterator[Order]:
-    """Yield the clips to make; write the rows of clips whose settings are invalid."""
+    """Yield the clips to make; for clips with invalid settings, write a row instead."""
     done, gpu_memory = Seen(keys_in(storage)), memory_of_gpu(device)
     for index in numbers:
         item = plan.item(index)
@@ -145,7 +148,7 @@ def _orders(
 
 
 def _refuse(storage: Storage, counts: Counts, item: Item, sentence: str) -> None:
-    """Write the row of a clip whose settings are invalid, under the key of the request."""
+    """Write the row of a clip with invalid settings, under the key of the request."""
     key = key_of_request(item.picture, item.generator, item.changes)
     write_row(storage, key, item, {"status": "refused", "sentence": sentence})
     counts.ended["refused"] += 1

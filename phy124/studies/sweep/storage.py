@@ -16,37 +16,38 @@ from phy124.runtime.installation import install_command
 
 
 class Filling(NamedTuple):
-    """A local folder for files that are moved to the storage later."""
+    """A local folder for new files, which are later moved to the storage."""
 
     place: Path
     """The local folder."""
     store: Callable[[], int]
-    """Moves the files in the local folder to the storage, and returns their size [bytes]."""
+    """Function that moves the files in the local folder to the storage, and returns their size
+    [bytes]."""
 
 
 class Storage:
-    """Reads and writes files below a folder, by name. Files are written atomically."""
+    """Reads and writes files by their names relative to a folder. Files are written atomically."""
 
     def __init__(self, address: str) -> None:
-        """Open the file system of a folder, which need not exist yet.
+        """Open the file system that contains a folder; the folder need not exist yet.
 
         Raises:
-            InputError: No installed package supports this type of address.
+            InputError: The package for this type of address is not installed.
         """
         self.address = str(address).rstrip("/") or "/"
         self._files, self._root = _open(self.address)
 
     @property
     def here(self) -> Path | None:
-        """The folder if it is on this machine; otherwise None."""
+        """Path of the folder if it is on this machine; otherwise None."""
         return Path(self._root) if "file" in _names(self._files) else None
 
     def place(self, name: str) -> str:
-        """Return the address of a file."""
+        """Return the address of a file in the storage."""
         return f"{self.address}/{name}"
 
     def names(self, folder: str) -> list[str]:
-        """Return the sorted names of all files below a folder."""
+        """Return the sorted names of all files in a folder and its subfolders."""
         self._files.invalidate_cache()
         start = len(self._root) + 1
         paths = self._files.find(f"{self._root}/{folder}")
@@ -56,7 +57,7 @@ class Storage:
         """Read the content of a file.
 
         Raises:
-            FileNotFoundError: There is no such file.
+            FileNotFoundError: The file does not exist.
         """
         return self._files.cat_file(f"{self._root}/{name}")
 
@@ -72,7 +73,7 @@ class Storage:
 
     @contextmanager
     def filling(self, folder: str) -> Iterator[Filling]:
-        """Provide a local folder; its files can be moved to the storage at any time.
+        """Provide a local folder, whose files can be moved to the storage at any time.
 
         Args:
             folder: Name of the folder in the storage.
@@ -96,19 +97,22 @@ class Storage:
         return size
 
     def sweep(self, folder: str) -> None:
-        """Remove partly written files of killed processes from a folder on this machine."""
+        """Remove files that killed processes wrote only partly, from a folder on this machine."""
         if self.here is not None:
             sweep_parts(self.here / folder)
 
     @contextmanager
     def local(self, name: str) -> Iterator[Path]:
-        """Provide a file of the storage as a local file; a downloaded copy is removed later."""
+        """Provide a file of the storage as a local file.
+
+        If it is downloaded, the copy is removed later.
+        """
         with fetch(self.place(name)) as path:
             yield path
 
 
 def _deliver(place: Path) -> int:
-    """Move staged files to their final local folder; return their size [bytes]."""
+    """Move files to their final local folder, and return their size [bytes]."""
     size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
     deliver(place)
     return size
@@ -116,7 +120,7 @@ def _deliver(place: Path) -> int:
 
 @contextmanager
 def fetch(address: str) -> Iterator[Path]:
-    """Provide the file at an address as a local file; a downloaded copy is removed afterwards.
+    """Provide the file at an address as a local file; a downloaded copy is later removed.
 
     Raises:
         InputError: The file cannot be downloaded.
@@ -130,8 +134,8 @@ def fetch(address: str) -> Iterator[Path]:
         try:
             files.get_file(path, str(target))
         except (OSError, ValueError) as error:
-            limit = f"it cannot be fetched ({error})."
-            raise InputError("picture", address, limit, "Check the address.") from error
+            limit = f"it cannot be downloaded ({error})."
+            raise InputError("picture", address, limit, "Check the address of the file.") from error
         yield target
 
 
@@ -148,26 +152,33 @@ def list_matching(pattern: str) -> list[str]:
     """Return the sorted addresses of all files that match a path or pattern.
 
     Raises:
-        InputError: No file matches, or the folder cannot be read.
+        InputError: No file matches the pattern, or the folder cannot be read.
     """
     files, path = _open(pattern)
     try:
         matches = sorted(str(match) for match in files.glob(path) if not files.isdir(match))
     except OSError as error:
         limit = f"its folder cannot be read ({error})."
-        raise InputError("pictures", pattern, limit, "Check the address and its keys.") from error
+        raise InputError(
+            "pictures", pattern, limit, "Check the address and its access keys."
+        ) from error
     if not matches:
-        raise InputError("pictures", pattern, "there is no such file.", "Give paths or a pattern.")
+        raise InputError(
+            "pictures",
+            pattern,
+            "there is no such file.",
+            "Give paths of existing files, or a pattern.",
+        )
     if "file" not in _names(files):
         return [*map(files.unstrip_protocol, matches)]
     return matches if os.path.isabs(pattern) else [*map(os.path.relpath, matches)]
 
 
 def _open(address: str) -> tuple[Any, str]:
-    """Return the file system of an address, and the path in this file system.
+    """Return the file system of an address, and the path within this file system.
 
     Raises:
-        InputError: No installed package supports this type of address.
+        InputError: The package for this type of address is not installed.
     """
     import fsspec
     from fsspec.core import url_to_fs
@@ -183,6 +194,6 @@ def _open(address: str) -> tuple[Any, str]:
 
 
 def _names(files: Any) -> tuple[str, ...]:
-    """Return all names of a file system's protocol."""
+    """Return all names under which the protocol of a file system is known."""
     names = files.protocol
     return (names,) if isinstance(names, str) else tuple(names)

@@ -1,4 +1,4 @@
-"""Makes one clip of a sweep, in any worker process; the clip's row is written last."""
+"""Makes one clip of a sweep in a worker process, and writes the clip's row last."""
 
 from __future__ import annotations
 
@@ -36,33 +36,35 @@ from phy124.studies.sweep.plan import Item
 from phy124.studies.sweep.storage import Filling, Storage, fetch
 
 PROCESS = 4e8
-"""Memory of an idle worker [bytes]: Python, NumPy, and Warp with its kernels."""
+"""Memory that a worker needs while idle [bytes], for Python, NumPy, and Warp with its kernels."""
 CONTEXT = 6e8
-"""GPU memory of CUDA per process [bytes]."""
+"""GPU memory that CUDA itself needs per process [bytes]."""
 UNSURE = 2.0
-"""Safety factor on memory; it is unknown how much of its bounding cube an object fills."""
+"""Safety factor on memory, because it is unknown what fraction of its bounding cube an object
+fills."""
 STEP = 1 << 28
-"""Unit of reserved memory [bytes]; the amount is rounded up, so similar tasks reserve the same."""
+"""Unit in which memory is reserved [bytes]; amounts are rounded up, so similar tasks reserve the
+same amount."""
 SHARERS = 8
-"""Maximum number of tasks per GPU; more tasks would wait for each other."""
+"""Maximum number of tasks per GPU; with more tasks, they would wait for each other."""
 
 
 class Needs(NamedTuple):
-    """Resources to reserve for a task."""
+    """Resources that are reserved for a task."""
 
     memory: int
-    """Main memory [bytes]."""
+    """Size of the main memory [bytes]."""
     gpus: float
-    """Fraction of a GPU."""
+    """Fraction of a GPU that the task uses."""
 
 
 def needs_of(scene: Scene, gaussians: int | None, gpu_memory: float | None) -> Needs:
-    """Estimate the resources for a scene's clip, before its Gaussians exist.
+    """Estimate the resources that the clip of a scene needs, before its Gaussians exist.
 
     Args:
         scene: The scene.
         gaussians: Maximum number of Gaussians; None: no limit.
-        gpu_memory: Memory of a GPU [bytes]; None: the task runs on a CPU.
+        gpu_memory: Memory of a GPU [bytes]; None if the task runs on a CPU.
     """
     count = min(gaussians or GAUSSIANS, GAUSSIANS)
     particles, nodes = count_particles(scene, count), count_nodes(scene)
@@ -72,7 +74,7 @@ def needs_of(scene: Scene, gaussians: int | None, gpu_memory: float | None) -> N
 
 
 def memory_of_gpu(device: str) -> float | None:
-    """Return the memory of a GPU on this machine [bytes]; None for a CPU.
+    """Return the memory of a GPU on this machine [bytes]; None if the device is a CPU.
 
     All nodes of a cluster are assumed to have the same GPU.
     """
@@ -84,7 +86,7 @@ def memory_of_gpu(device: str) -> float | None:
 
 
 def _part(state: float, gpu_memory: float) -> float:
-    """Return the fraction of a GPU per task, 1 / (number of tasks whose memory fits)."""
+    """Return the fraction of a GPU for a task: 1 / (number of tasks whose memory fits on it)."""
     fit = int(gpu_memory // (CONTEXT + UNSURE * state))
     return 1.0 / max(1, min(SHARERS, fit))
 
@@ -92,7 +94,7 @@ def _part(state: float, gpu_memory: float) -> float:
 Row = dict[str, Any]
 """A row of the manifest: the data of one clip."""
 FAILED = ".failed.json"
-"""Ending of the row file of a failed clip; the next run repeats only such clips."""
+"""Ending of the name of a failed clip's row file; the next run makes only such clips again."""
 THUMBNAIL = 96
 """Width and height of a clip's thumbnail in the report [pixels]."""
 
@@ -107,7 +109,7 @@ class Order:
     generator: str
     changes: dict[str, Any]
     scene: dict[str, Any]
-    """The whole scene, as plain data."""
+    """The complete scene as plain data."""
     gaussians: int | None
     films: bool
     out: str
@@ -119,32 +121,34 @@ class Order:
     def read(self) -> bool:
         """Whether the Gaussians depend on the scene.
 
-        The Gaussians depend on the scene if they are read from files, or if the scene has further
-        objects.
+        This is the case if the Gaussians are read from files, or if the scene has further objects.
         """
         of_files = not (needs_image(self.picture) and needs_image(self.generator))
         return of_files or bool(self.scene.get("objects"))
 
     @property
     def source(self) -> tuple[Any, ...]:
-        """All inputs that determine the Gaussians; clips with equal sources share Gaussians."""
+        """All inputs that determine the Gaussians.
+
+        Clips with equal inputs share their Gaussians.
+        """
         scene = self.key if self.read else self.scene.get("seed", 0)
         return self.picture, self.generator, self.gaussians, self.device, scene
 
 
 class Made(NamedTuple):
-    """The Gaussians of a source, or the reason why they could not be made."""
+    """The Gaussians that were made from a source, or the reason why they could not be made."""
 
     gaussians: Gaussians | None
     crop: Crop | None
     scene: dict[str, Any] | None
-    """The scene for these Gaussians as plain data; None: the scene of the order."""
+    """The scene for these Gaussians as plain data; None stands for the scene of the order."""
     seconds: float
     refusal: str | None = None
 
 
 def make_gaussians(order: Order) -> Made:
-    """Make the Gaussians of an order, which all clips of the same source share."""
+    """Make the Gaussians for an order; all clips with the same source share them."""
     start()
     begun = time.perf_counter()
     scene = Scene.from_data(order.scene)
@@ -170,7 +174,7 @@ def make_static(
 
     Args:
         address: Address of the picture or file.
-        generator: Name of the generator, for a picture.
+        generator: Name of the generator, used if the address is that of a picture.
         scene: The scene.
         context: Device of the generator, progress and stopwatch.
         **options: Options of `make_object`.
@@ -189,12 +193,12 @@ def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
     Args:
         order: The clip to make.
         source: The clip's Gaussians.
-        progress: Called during the clip; may raise Cancelled.
+        progress: Function that is called while the clip is made; it may raise Cancelled.
 
     Raises:
         OSError: The operating system reports an error, such as a full disk.
-        Cancelled: `progress` raised it. If the storage is on this machine, the next run continues
-            the clip.
+        Cancelled: The function `progress` raised it. If the storage is on this machine, the next
+            run continues this clip.
     """
     start()
     storage = Storage(order.out)
@@ -209,7 +213,9 @@ def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
 
 
 def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Row:
-    """Write the row of a clip, and return the row. A clip whose row is written counts as finished.
+    """Write the row of a clip, and return the row.
+
+    A clip counts as finished once its row is written.
 
     Args:
         storage: The sweep's folder.
@@ -233,11 +239,11 @@ def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Ro
 
 
 def write_failed(order: Order, sentence: str) -> Row:
-    """Write the row of a clip that failed; the next run repeats the clip.
+    """Write the row of a clip that failed; the next run makes this clip again.
 
     Args:
-        order: The clip.
-        sentence: Reason for the failure.
+        order: The order for the clip.
+        sentence: Reason why the clip failed.
     """
     first, *_ = sentence.strip().splitlines() or ["no reason given"]
     result = {"status": "failed", "sentence": first}
@@ -245,7 +251,7 @@ def write_failed(order: Order, sentence: str) -> Row:
 
 
 def stops_all(error: BaseException) -> bool:
-    """Return whether an error prevents storing any clip, because no space is left."""
+    """Return whether an error prevents all clips from being stored, because no space is left."""
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -280,12 +286,12 @@ def _make_clip(order: Order, source: Made, storage: Storage, context: RunContext
 def _simulate(
     source: Made, scene: Scene, folder: Path | None, context: RunContext
 ) -> tuple[Clip, Recording]:
-    """Simulate a clip; a run that was killed is continued.
+    """Simulate a clip; if an earlier run of the clip was killed, continue that run.
 
     Args:
         source: The Gaussians.
         scene: The scene.
-        folder: The clip's folder if it is on this machine; otherwise None.
+        folder: The clip's folder if the folder is on this machine; otherwise None.
         context: Device, threads, progress and stopwatch.
     """
     assert source.gaussians is not None and source.crop is not None
@@ -305,17 +311,17 @@ def _simulate(
 def _store(
     clip: Clip, scene: Scene, order: Order, filling: Filling, context: RunContext
 ) -> tuple[dict[str, Any], int]:
-    """Store a clip, then its videos; return the report and the size of all files [bytes].
+    """Store a clip and then its videos; return the report and the total size of the files [bytes].
 
     Args:
         clip: The clip.
         scene: The clip's scene.
-        order: The task.
+        order: The order for the clip.
         filling: The clip's folder.
         context: Device, threads, progress and stopwatch.
     """
     watch = context.watch
-    # Omit durations: they differ from run to run, but equal orders must give equal files.
+    # Durations are removed: they differ from run to run, but equal orders must give equal files.
     report = {k: v for k, v in clip.report.items() if k != "substep_stages"}
     report |= view_report(clip, scene.view) if order.films else {}
     report["promise"] = asdict(promise(scene, None, report))
@@ -333,7 +339,7 @@ def _store(
 
 
 def _numbers(report: dict[str, Any]) -> Row:
-    """Return the columns of the manifest that come from a clip's report."""
+    """Return the columns of the manifest whose values come from a clip's report."""
     walls = report.get("walls") or {}
     forces = [wall["largest_force"] for wall in walls.values()]
     return {
@@ -348,7 +354,7 @@ def _numbers(report: dict[str, Any]) -> Row:
 
 
 def thumbnail(clip: Clip, scene: Scene) -> bytes:
-    """Return a thumbnail of a clip's middle frame, as WebP."""
+    """Return a thumbnail of a clip's middle frame as a WebP image."""
     view = scene.view.model_copy(update={"size": (THUMBNAIL, THUMBNAIL)})
     middle = len(clip) // 2
     camera = cameras(clip, view, "front")[middle]

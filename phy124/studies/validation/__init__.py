@@ -1,1 +1,1 @@
-"""Tests the solver: comparisons with experiments and known solutions, and difficult cases."""
+"""Tests the solver by comparison with experiments and known solutions, and in difficult cases."""

@@ -1,4 +1,4 @@
-"""Builds the bodies of validation problems: particles, symmetry planes, solvers and averages."""
+"""Builds the bodies and solvers of validation problems, and averages over their particles."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def lattice(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0,
     """Return the positions of particles [P,3], m, at the centres of cubes that fill a box.
 
     Args:
-        counts: Number of particles along each axis [3].
-        spacing: Edge of the cubes [m].
+        counts: Number of cubes along each axis [3].
+        spacing: Edge length of the cubes [m].
         corner: Lowest corner of the box [m].
     """
     lines = [(np.arange(count) + 0.5) * spacing for count in counts]
@@ -40,7 +40,7 @@ def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 
 
     Args:
         per_axis: Number of particles along each axis.
-        size: Edge of the cube [m].
+        size: Edge length of the cube [m].
         middle: Centre of the cube [m].
     """
     return lattice((per_axis,) * 3, size / per_axis, [at - size / 2 for at in middle])
@@ -49,7 +49,7 @@ def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 
 def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
     """Return the positions [P,3], m, and volumes [P], m^3, of particles that fill a ball.
 
-    The particles lie on concentric shells, which makes the ball's surface smooth.
+    The particles lie on concentric shells, so that the ball's surface is smooth.
 
     Args:
         radius: Radius of the ball [m].
@@ -68,7 +68,7 @@ def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
 
 
 def surface_of_ball(count: int = 300, radius: float = 0.5) -> Gaussians:
-    """Return flat Gaussians on a sphere, with a colour that depends on the direction.
+    """Return flat Gaussians on a sphere, whose colours depend on the direction from the centre.
 
     Args:
         count: Number of Gaussians.
@@ -96,7 +96,7 @@ def make_solver(
     C: NDArray[Any] | None = None,
     **options: Any,
 ) -> Solver:
-    """Create a solver for particles.
+    """Create a solver for a set of particles.
 
     Args:
         x: Positions [P,3], m.
@@ -118,15 +118,15 @@ def fill_solid(
     voxel: float,
     parts: int = 6,
 ) -> Solid:
-    """Return the solid inside a surface, with the filled fraction of each voxel at the surface.
+    """Return the solid inside a surface; voxels at the surface have the fraction that is filled.
 
     Args:
-        distance: Returns the signed distance of points [...,3] from the surface [m]; negative
-            inside.
+        distance: Function that returns the signed distance of points [...,3] from the surface [m];
+            it is negative inside.
         lower: Lowest corner of a box around the body [m].
         upper: Highest corner of the box [m].
-        voxel: Side of a voxel [m].
-        parts: Number of parts of a voxel along each axis that are sampled at the surface.
+        voxel: Edge length of a voxel [m].
+        parts: Number of samples along each axis of a voxel at the surface.
     """
     first = np.floor(np.asarray(lower) / voxel + 1e-9).astype(np.int64)
     count = np.ceil(np.asarray(upper) / voxel - 1e-9).astype(np.int64) - first
@@ -144,13 +144,13 @@ def fill_solid(
 def make_lattice_solver(
     solid: Solid, dx: float, material: Material, *, v: Sequence[float] | None = None, **options: Any
 ) -> LatticeSolver:
-    """Create a solver for a solid on its lattice at rest.
+    """Create a solver for a solid that starts undeformed on its lattice.
 
     Args:
         solid: The body.
-        dx: Side of a cell [m].
-        material: Its material.
-        v: Velocity of the body at the start [3], m/s; None: at rest.
+        dx: Edge length of a cell [m].
+        material: Material of the body.
+        v: Velocity of the body at the start [3], m/s; if None, the body starts at rest.
         **options: Options of `Model.of` and of `LatticeSolver`.
     """
     of_model = {name: options.pop(name) for name in MODEL_OPTIONS & options.keys()}
@@ -164,11 +164,11 @@ def make_lattice_solver(
 
 
 FAR = 1e3
-"""Position of a distant plane [m]; all grid nodes are inside the wall behind it."""
+"""Position of a distant plane [m]; all grid nodes are inside the wall that the plane bounds."""
 
 
 def sheet(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
-    """Return the positions [P,3], m, of a single layer of particles normal to y.
+    """Return the positions [P,3], m, of particles in a single layer that is normal to y.
 
     Args:
         counts: Number of particles along x and z [2].
@@ -180,9 +180,9 @@ def sheet(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0
 
 
 def plane() -> HalfSpace:
-    """Return a wall that contains all nodes and prevents motion along y (plane strain).
+    """Return a wall that contains all grid nodes and prevents motion along y (plane strain).
 
-    A sheet of particles then represents a body of any width along y.
+    With this wall, a sheet of particles represents a body of any width along y.
     """
     return HalfSpace(point=(0, FAR, 0), normal=(0, 1.0, 0), contact="slip")
 
@@ -190,17 +190,17 @@ def plane() -> HalfSpace:
 def mirrors(*axes: int) -> list[HalfSpace]:
     """Return symmetry planes through the origin, each normal to one of the axes.
 
-    The body must lie on the positive side of the planes.
+    The body must lie on the positive side of each plane.
     """
     return [HalfSpace(normal=tuple(np.eye(3)[axis].tolist()), contact="slip") for axis in axes]
 
 
 def connected_end(x: NDArray[Any], gap: float) -> float:
-    """Return the largest coordinate before the first gap between neighbours [m].
+    """Return the largest coordinate before the first gap between neighbouring particles [m].
 
     Args:
         x: Coordinates of particles along an axis [P], m.
-        gap: Width of a gap [m].
+        gap: Smallest distance between neighbours that counts as a gap [m].
     """
     x = np.sort(x.astype(float))
     gaps = np.flatnonzero(np.diff(x) > gap)
@@ -208,12 +208,12 @@ def connected_end(x: NDArray[Any], gap: float) -> float:
 
 
 def mean_along(solver: Solver | LatticeSolver, of: str, axis: Sequence[float]) -> float:
-    """Return the mass-weighted mean of the component of `x` or `v` along an axis.
+    """Return the mass-weighted mean of a component of `x` or `v` over all particles.
 
     Args:
         solver: The solver.
-        of: Name of the vector in the state, "x" or "v".
-        axis: Direction of the component [3].
+        of: Name of the vector in the solver's state, "x" or "v".
+        axis: Unit vector in the direction of the component [3].
     """
     mass = solver.model.mass.numpy().astype(float)
     values = getattr(solver.state, of).numpy().astype(float) @ np.array(axis, float)
