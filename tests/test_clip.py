@@ -105,7 +105,7 @@ def test_missing_or_unfitting_tensors_are_refused(tmp_path, clip):
     names = ("means", "quats", "scales", "opacities", "sh", "times")
     tensors = {name: getattr(clip, name) for name in names}
     save_file({**tensors, "quats": tensors["quats"][:2].copy()}, path, metadata)
-    with pytest.raises(InputError, match="its tensors have inconsistent shapes"):
+    with pytest.raises(InputError, match="the shapes of its tensors are inconsistent"):
         Clip.load(path)
 
 

@@ -114,7 +114,7 @@ def test_harmonics_of_degree_4_are_left_out(tmp_path):
         np.testing.assert_allclose(
             result.gaussians.sh[0, 1:, channel], np.arange(15) + 24 * channel
         )
-    assert result.notes == ("Harmonics of degree 4 are left out.",)
+    assert result.notes == ("Harmonics of degree 4 are ignored.",)
 
 
 def test_unknown_columns_are_named_once(tmp_path):

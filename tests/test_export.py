@@ -86,9 +86,9 @@ def test_refusals(tmp_path, clip):
     (tmp_path / "file").touch()
     for place, words in (
         ("full", "not empty"),
-        ("missing/out", "cannot be made"),
+        ("missing/out", "cannot be created"),
         ("missing/out.zip", "no file can be written"),
-        ("file", "cannot be made"),
+        ("file", "cannot be created"),
     ):
         with pytest.raises(InputError, match=words):
             write_ply_sequence(tmp_path / place, clip)
@@ -169,7 +169,7 @@ def test_usd_of_one_frame(pxr, tmp_path, clip):
 def test_usd_refusals(pxr, tmp_path, clip):
     with pytest.raises(InputError, match=r"\.usdc, \.usda or \.usd"):
         write_usd(tmp_path / "a.ply", clip)
-    with pytest.raises(InputError, match="folder that exists"):
+    with pytest.raises(InputError, match="existing folder"):
         write_usd(tmp_path / "missing" / "a.usdc", clip)
 
     def stop(stage, done, total):

@@ -225,7 +225,7 @@ def test_invalid_ranges_of_a_path(text):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("", "Begin it with time,id,x,y,z or time,id,u,v"),
+        ("", "The first line must begin with time,id,x,y,z or time,id,u,v"),
         ("time,id,x,y\n0,a,1,2\n", "its first line is 'time,id,x,y'"),
         ("time,id,x,y,z\n", "no rows"),
         ("time,id,x,y,z\n0,a,1,2,nan\n", r"row 1 \(0,a,1,2,nan\)"),

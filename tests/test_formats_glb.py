@@ -132,9 +132,9 @@ SPLATS = "meshes/0/primitives/0/extensions/KHR_gaussian_splatting"
         ("scene", 7, "no number 7"),
         ("buffers/0/uri", "a.bin", "in another file"),
         ("bufferViews/0/byteOffset", 1 << 60, "cut short"),
-        ("meshes", 3, "malformed: a value is of the wrong type"),
+        ("meshes", 3, "malformed: a value has the wrong type"),
         ("scene", "x", "malformed: its scenes have no number x"),
-        ("asset", 3, "malformed: a value is of the wrong type"),
+        ("asset", 3, "malformed: a value has the wrong type"),
         ("meshes/0/primitives/0/attributes/KHR_gaussian_splatting:SCALE", None, "no KHR.*SCALE"),
     ],
 )

@@ -33,7 +33,7 @@ CASES = {
     "a bag": (["metadata.yaml", "a_0.mcap"], "a recording", "ros2 bag play"),
     "a bag being written": (["a_0.mcap"], "a recording", "bridge info"),
     "a run": (["clip.safetensors"], "folder of a run", "Give {}/clip.safetensors"),
-    "others": ([], "it is a folder", "Give a file in this folder"),
+    "others": ([], "it is a folder", "Give a file from this folder"),
 }
 
 

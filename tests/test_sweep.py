@@ -107,7 +107,7 @@ def test_samples_fill_all_axes_evenly_and_follow_the_seed(balls):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"set": {"a": {"uniform": [2, 1]}}}, r"set\.a = .*2 is above 1"),
+        ({"set": {"a": {"uniform": [2, 1]}}}, r"set\.a = .*2 is larger than 1"),
         ({"set": {"material.nu": {"uniform": [0, 0.4]}}}, "Set samples"),
         ({"set": {"a": []}}, "the axis has no values"),
         ({"set": {"a": {"numbers": [1]}}}, "the axis has no values. Give one of choice"),

@@ -106,7 +106,7 @@ def test_a_wrong_picture_stops_the_renderer_too(tmp_path, three_gaussians):
     frames = [Frame(i, 0.0, three_gaussians) for i in range(50)]
     cameras = [Camera.orbit(0, 0, 1.5, 32 if i < 4 else 34) for i in range(50)]
     images = render_frames(frames, cameras, device="cpu")
-    with pytest.raises(ValueError, match=r"\(34, 34, 3\), wanted uint8 \(32, 32\)"):
+    with pytest.raises(ValueError, match=r"\(34, 34, 3\), must be uint8 \(32, 32\)"):
         write_mp4(tmp_path / "a.mp4", images, fps=24)
     assert not any(t.name.startswith("render") for t in threading.enumerate())
     assert not list(tmp_path.iterdir())
@@ -128,7 +128,7 @@ def test_pictures_are_taken_one_by_one(tmp_path, monkeypatch):
 @pytest.mark.parametrize("write", [write_mp4, write_animation])
 def test_refusals(tmp_path, write):
     name = "a.mp4" if write is write_mp4 else "a.webp"
-    with pytest.raises(InputError, match="folder that exists"):
+    with pytest.raises(InputError, match="existing folder"):
         write(tmp_path / "missing" / name, [plain(0)], fps=24)
     (tmp_path / f"folder{name}").mkdir()
     with pytest.raises(InputError, match="name of a folder"):
@@ -139,7 +139,7 @@ def test_refusals(tmp_path, write):
     with pytest.raises(InputError, match="at least one frame"):
         write(tmp_path / name, iter([]), fps=24)
     for wrong in (plain(0).astype(np.float32), plain(0)[..., :2], plain(0)[..., 0]):
-        with pytest.raises(ValueError, match="wanted uint8"):
+        with pytest.raises(ValueError, match="must be uint8"):
             write(tmp_path / name, [wrong], fps=24)
     assert [p.name for p in tmp_path.iterdir()] == [f"folder{name}"]
 

@@ -1,8 +1,8 @@
 """Converts the axes of a file to those of phy124, and rotates Gaussians.
 
-The world of phy124 is z up with the object facing +x (docs/reference/conventions.md). If `rotate`
-is set, it is applied to the file first. After that rotation, `up` and `front`, or the file's
-dialect, say which directions of the file point up and to the front.
+In the world of phy124, z is up and the object faces +x (docs/reference/conventions.md). If `rotate`
+is set, this rotation is applied to the file first. The arguments `up` and `front`, or the file's
+dialect, then state which directions of the rotated file point up and to the front.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ DIALECTS = {
 TRELLIS rotates its z-up world to y down when it saves; SAM 3D Objects saves z up.
 """
 FRONTS = {"y": "z", "-y": "-z", "z": "x", "-z": "-x", "x": "y", "-x": "-y"}
-"""Front direction that is assumed for each up direction when only the up direction is known."""
+"""Front direction that is assumed for each up direction if only the up direction is known."""
 ACROSS = 0.02
-"""Smallest sine of the angle between the front and up directions."""
+"""Smallest allowed sine of the angle between the front and up directions."""
 
 
 def orientation(
@@ -47,14 +47,14 @@ def orientation(
 
     Args:
         up: Direction that points up: "x", "-y", ..., or three numbers such as "0.1,-1,0.2".
-        front: Direction that the object faces; only its horizontal component is used; default: the
-            entry of `FRONTS` for `up`.
+        front: Direction that the object faces, of which only the horizontal component is used;
+            default: the entry of `FRONTS` for `up`.
         dialect: Key of `DIALECTS`, used if `up` is None; default: 3dgs.
-        rotate: Rotation applied to the file first: angles about x, y and z [degrees], applied in
-            this order about fixed axes, or a quaternion w,x,y,z.
+        rotate: Rotation that is applied to the file first: angles about the fixed axes x, y and z
+            [degrees], applied in this order, or a quaternion w,x,y,z.
 
     Raises:
-        InputError: If an argument cannot be read, or `front` is parallel to `up`.
+        InputError: If an argument cannot be parsed, or `front` is parallel to `up`.
     """
     if up is None:
         dialect = dialect or "3dgs"
@@ -77,7 +77,7 @@ def parse_direction(field: str, text: str) -> NDArray[np.float64]:
     """Return the unit vector of an axis name, such as "-y", or of three numbers.
 
     Raises:
-        InputError: If the text is neither of them, or the vector is zero.
+        InputError: If the text is neither an axis name nor three numbers, or the vector is zero.
     """
     if text in FRONTS:
         vector = np.zeros(3)
@@ -120,17 +120,18 @@ def euler(degrees: Sequence[float] | NDArray) -> NDArray[np.float64]:
 
 
 def upright(normal: NDArray) -> NDArray[np.float64]:
-    """Return the smallest rotation [3,3] that turns a unit vector to +z."""
+    """Return the smallest rotation [3,3] that maps a unit vector to +z."""
     x, y, z = np.asarray(normal, np.float64).tolist()
     if z < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
-    # Rodrigues' formula about the axis normal x z: its length is the sine, z is the cosine.
+    # This is Rodrigues' formula about the axis normal x z: the axis's length is the sine of the
+    # angle, and z is the cosine.
     cross = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
     return np.eye(3) + cross + cross @ cross / (1 + z)
 
 
 def parse_numbers(text: str, count: int) -> NDArray[np.float64] | None:
-    """Read `count` finite numbers separated by commas or spaces; None for any other text."""
+    """Read `count` finite numbers separated by commas or spaces; return None for any other text."""
     try:
         values = np.array(text.replace(",", " ").split(), np.float64)
     except ValueError:
@@ -141,9 +142,9 @@ def parse_numbers(text: str, count: int) -> NDArray[np.float64] | None:
 def rotate_gaussians(gaussians: Gaussians, rotation: NDArray[np.float64]) -> Gaussians:
     """Rotate the centres, shapes and colours of Gaussians about the origin by `rotation [3,3]`.
 
-    If the rotation is a signed permutation of the axes, the quaternions' vector parts and the
-    scales are permuted like the centres. Rotating by a signed permutation is exact; only harmonics
-    above degree 0 are rounded.
+    If the rotation only permutes the axes and changes signs, the quaternions' vector parts and the
+    scales are permuted in the same way as the centres. Such a rotation is exact, except that
+    harmonics above degree 0 are rounded.
     """
     if not np.array_equal(np.abs(rotation), np.abs(rotation).round()):
         means = gaussians.means.astype(np.float64) @ rotation.T
@@ -166,13 +167,14 @@ def _rotate_colours(sh: NDArray, rotation: NDArray[np.float64]) -> NDArray:
     count = sh.shape[1]
     if count == 1:
         return sh
-    # Rotate each unit harmonic once: the results are the rows of the matrix for all Gaussians.
+    # Rotate each unit harmonic once: the results are the rows of a matrix that applies to all
+    # Gaussians.
     unit = np.repeat(np.eye(count, dtype=np.float32)[:, :, None], 3, axis=2)
     matrix = rotate_sh(unit, np.repeat(quaternions(rotation[None]), count, axis=0))[:, :, 0]
     return np.einsum("kj,nkc->njc", matrix, sh, optimize=True)
 
 
 def _usual_front(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the front direction that is assumed when a given coordinate axis is nearest to up."""
+    """Return the front direction that is assumed if a coordinate axis is nearest to up."""
     nearest = max(FRONTS, key=lambda axis: float(parse_direction("up", axis) @ z))
     return parse_direction("front", FRONTS[nearest])

@@ -1,6 +1,6 @@
-"""Clip: the Gaussians of every frame (the 4D representation), saved as one safetensors file.
+"""Defines a clip, which is the Gaussians of every frame, and stores it as one safetensors file.
 
-All later steps (videos, players, ROS bags, measurements) need only a clip.
+All later steps, such as videos, players, ROS bags and measurements, need only a clip.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from phy124.motion.recorded import Computed, Motion, frames_of, make_arrays
 
 FORMAT = "phy124-clip"
 VERSION, MOTION = "1", "2"
-"""Format versions: version 1 stores the values of every frame, version 2 stores a motion from which
+"""Format versions. Version 1 stores the values of every frame; version 2 stores a motion from which
 the values are computed."""
 SPARE = " " * 8192
-"""Spare space in the header, so that a longer report can replace the first one."""
+"""Unused space in the header, so that a longer report can replace the first report."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
 OPTIONAL = ("rotations", "velocities", "contacts")
 DESCRIBED = ("means", "quats", "scales", "rotations", "opacities", "sh", "object_id")
-"""Arrays that a clip's file may store as a motion, from which they are then computed."""
+"""Arrays that a clip's file may store as a motion, from which the arrays are then computed."""
 WALLS = "wrenches"
 OBJECT = "object_id"
 MADE = "Give a clip.safetensors made by `phy124 generate`."
@@ -43,45 +43,49 @@ MADE = "Give a clip.safetensors made by `phy124 generate`."
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """N Gaussians at T times; opacities and unrotated colours are constant in time."""
+    """N Gaussians at T times.
+
+    Opacities are constant in time, and so are colours before rotation.
+    """
 
     means: Array
     """Centres [T,N,3], m."""
     quats: Array
-    """Orientations [T,N,4], unit wxyz, continuous in sign over time."""
+    """Orientations [T,N,4], unit quaternions wxyz, whose signs are continuous over time."""
     scales: Array
     """Standard deviations [T,N,3], m."""
     opacities: Array
     """Opacities [N], 0..1."""
     sh: Array
-    """Spherical-harmonic colours at rest [N,K,3]."""
+    """Colours at rest as spherical-harmonic coefficients [N,K,3]."""
     times: NDArray[np.float64]
     """Times of the frames [T], s."""
     rotations: Array | None = None
     """Rotations of the material relative to its state at rest [T,N,4], wxyz, from the polar
-    decomposition of F; present only if `sh` has a degree > 0."""
+    decomposition of F. They are present only if `sh` has a degree > 0."""
     velocities: Array | None = None
-    """Velocities of the centres [T,N,3], m/s, if the scene requested them."""
+    """Velocities of the centres [T,N,3], m/s; present only if the scene requested them."""
     scene: dict[str, Any] = field(default_factory=dict)
-    """The resolved Scene as plain data."""
+    """The scene with all its values, as plain data."""
     report: dict[str, Any] = field(default_factory=dict)
     """The report of the run; its entry `complete` is False if the run stopped early."""
     contacts: Array | None = None
-    """Mean force [newton] of the walls on each Gaussian since the previous frame [T,N,3], if the
-    scene requested it."""
+    """Mean force [newton] that the walls exert on each Gaussian since the previous frame [T,N,3];
+    present only if the scene requested it."""
     wrenches: NDArray[np.float64] | None = None
     """Mean wrench that the object exerts on each of W walls since the previous frame [T,W,2,3]: the
-    force [N], and the torque about the object's centre of mass [N m]; None unless requested."""
+    force [N], and the torque about the object's centre of mass [N m]. None unless the scene
+    requested it."""
     walls: tuple[str, ...] = ()
     """Names of the walls [W]."""
     object_id: NDArray[np.int32] | None = None
-    """Index of the object to which each Gaussian belongs [N]; None if there is one object."""
+    """Index of the object to which each Gaussian belongs [N]; None if there is only one object."""
     objects: tuple[str, ...] = ()
     """Names of the objects, if there is more than one."""
     motion: Motion | None = None
-    """A motion from which the Gaussians can be computed; the clip's file stores it in place of
-    their values. None if the file stores the values, or if an array that the motion describes was
-    replaced."""
+    """A motion from which the Gaussians can be computed; the clip's file stores the motion in place
+    of their values. None if the file stores the values, or if an array that the motion describes
+    has been replaced."""
 
     def __post_init__(self) -> None:
         if self.motion is not None:
@@ -104,19 +108,19 @@ class Clip:
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value is not None and value.shape != shape:
-                raise ValueError(f"{name} has shape {value.shape}, wanted {shape}")
+                raise ValueError(f"{name} has shape {value.shape}, but must have shape {shape}")
         if self.sh.ndim != 3 or self.sh.shape[::2] != (n, 3):
-            raise ValueError(f"sh has shape {self.sh.shape}, wanted ({n}, K, 3)")
+            raise ValueError(f"sh has shape {self.sh.shape}, but must have shape ({n}, K, 3)")
 
     def __len__(self) -> int:
         return len(self.times)
 
     @classmethod
     def from_frames(cls, frames: list[Frame], rotations: Array | None = None) -> Clip:
-        """Stack frames of the same Gaussians.
+        """Combine frames of the same Gaussians into a clip.
 
         Raises:
-            ValueError: If there are no frames.
+            ValueError: If the list of frames is empty.
         """
         first = frames[0].gaussians
 
@@ -146,7 +150,7 @@ class Clip:
 
     @property
     def object_mask(self) -> NDArray[np.bool_]:
-        """Mask [N]: True for Gaussians of the object, False for surroundings, such as a floor."""
+        """Mask [N]: True for Gaussians of the object, False for surroundings such as a floor."""
         mask = np.ones(len(self.opacities), bool)
         for part in self.scene.get("parts", []):
             if part.get("surroundings"):
@@ -155,7 +159,7 @@ class Clip:
 
     @property
     def surface(self) -> Clip:
-        """The clip without its grains, whose number depends on the accuracy setting."""
+        """The clip without its grains; the number of grains depends on the accuracy setting."""
         grains = self.report.get("grains", 0)
         if not grains:
             return self
@@ -170,9 +174,10 @@ class Clip:
         return replace(self, **each, report={**self.report, "grains": 0})
 
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
-        """Return one frame; its colours are rotated with the material.
+        """Return one frame, in which the colours are rotated with the material.
 
-        If `velocities` is set and the clip has no velocities, they are computed as in `velocity`.
+        If `velocities` is set and the clip has no velocities, they are computed as described at
+        `velocity`.
         """
         sh = self.sh
         if self.rotations is not None and sh.shape[1] > 1:
@@ -187,7 +192,7 @@ class Clip:
         return Frame(index, float(self.times[index]), gaussians, v, forces, walls)
 
     def frames(self, *, velocities: bool = False) -> Iterator[Frame]:
-        """Yield all frames in order; a memory-mapped clip is read one frame at a time."""
+        """Yield all frames in order; if the clip is memory-mapped, one frame is read at a time."""
         return (self.frame(index, velocities=velocities) for index in range(len(self)))
 
     def rows_of(self, chosen: NDArray) -> Iterator[tuple[Array, Array, Array]]:
@@ -208,10 +213,9 @@ class Clip:
     def velocity(self, index: int) -> Array | None:
         """Return the velocities of the centres at a frame [N,3], m/s; None for a single frame.
 
-        The result is the simulated velocities if the clip has them (`velocities = true` in its
-        scene). Without simulated velocities, the result is the difference quotient of the adjacent
-        frames, (x_after - x_before) / (t_after - t_before), which is one-sided at the first and
-        last frame.
+        If the clip has simulated velocities (`velocities = true` in its scene), they are returned.
+        Otherwise, the result is the difference quotient of the adjacent frames, (x_after -
+        x_before) / (t_after - t_before). At the first and last frame, the quotient is one-sided.
         """
         if self.velocities is not None:
             return self.velocities[index]
@@ -222,7 +226,7 @@ class Clip:
         return (self.means[after] - self.means[before]) / seconds
 
     def flaws(self) -> list[str]:
-        """Return one sentence for each frame in which Gaussians have NaN or infinite values."""
+        """Return a sentence for each frame in which Gaussians have NaN or infinite values."""
         sentences = []
         for index in range(len(self)):
             arrays = (self.means[index], self.quats[index], self.scales[index])
@@ -236,8 +240,9 @@ class Clip:
         return sentences
 
     def with_motion(self, motion: Motion) -> Clip:
-        """Return a copy of the clip whose file stores a motion in place of the arrays that the
-        motion describes.
+        """Return a copy of the clip whose file stores a motion.
+
+        The file then has no arrays that the motion describes.
         """
         return replace(self, motion=replace(motion, describes=self._arrays_of_motion()))
 
@@ -246,7 +251,7 @@ class Clip:
         return tuple(getattr(self, name) for name in DESCRIBED)
 
     def with_report(self, report: dict[str, Any]) -> Clip:
-        """Return a copy of the clip with the report replaced."""
+        """Return a copy of the clip with another report."""
         return replace(self, report=report)
 
     def tensors(self, left_out: Collection[str] = ()) -> dict[str, NDArray]:
@@ -257,7 +262,7 @@ class Clip:
         return {name: np.ascontiguousarray(getattr(self, name)) for name in kept}
 
     def metadata(self) -> dict[str, str]:
-        """Return the metadata texts of the clip's file: scene, report, wall and object names."""
+        """Return the texts in the metadata of the file: scene, report, wall and object names."""
         texts = {
             "format": FORMAT,
             "version": VERSION,
@@ -268,11 +273,11 @@ class Clip:
         return {**texts, "objects": json.dumps(self.objects)} if self.objects else texts
 
     def pack(self) -> Packed | None:
-        """Return the packed motion; None if the clip stores the values of every frame."""
+        """Return the packed motion; None if the clip's file stores the values of every frame."""
         return None if self.motion is None else pack(self.motion)
 
     def save(self, path: str | os.PathLike[str], packed: Packed | None = None) -> None:
-        """Write the clip to one safetensors file, which appears whole or not at all.
+        """Write the clip to one safetensors file; the file appears only when it is complete.
 
         Args:
             path: The file.
@@ -300,7 +305,7 @@ class Clip:
         """Open a saved clip; the arrays stay on disk until they are read.
 
         Raises:
-            InputError: If the file is missing, cut short, or not a clip of a known version.
+            InputError: If the file is missing or cut short, or is not a clip of a known version.
         """
         metadata = _read_metadata(Path(path))
         arrays, motion = _map_tensors(Path(path)), None
@@ -309,7 +314,7 @@ class Clip:
                 motion = unpack(arrays, json.loads(metadata["motion"]), np.array(arrays["times"]))
                 arrays |= make_arrays(frames_of(motion))
             except (ValueError, KeyError, IndexError, TypeError, ZstdError) as error:
-                raise _refusal(path, f"its motion is damaged ({error!r}).") from error
+                raise _refusal(path, f"the motion in the file is damaged ({error!r}).") from error
             still = motion.shown
             static = {"opacities": still.opacities, "sh": still.sh, OBJECT: still.object_id}
             arrays |= {name: array for name, array in static.items() if array is not None}
@@ -323,17 +328,21 @@ class Clip:
             walls = tuple(json.loads(metadata.get("walls", "[]")))
             objects = tuple(json.loads(metadata.get("objects", "[]")))
         except (ValueError, TypeError) as error:
-            raise _refusal(path, f"its scene or report is damaged ({error}).") from error
+            raise _refusal(
+                path, f"the scene or the report in the file is damaged ({error})."
+            ) from error
         try:
             texts = {"scene": scene, "report": report, "walls": walls, "objects": objects}
             clip = cls(**known, **texts)
             return clip if motion is None else clip.with_motion(motion)
         except (ValueError, IndexError) as error:
-            raise _refusal(path, f"its tensors have inconsistent shapes ({error}).") from error
+            raise _refusal(
+                path, f"the shapes of its tensors are inconsistent ({error})."
+            ) from error
 
 
 def stack_arrays(rows: Sequence[NDArray]) -> NDArray:
-    """Stack arrays of the same shape; nothing is copied if they are adjacent in memory."""
+    """Stack arrays of the same shape; if the arrays are adjacent in memory, nothing is copied."""
     first = rows[0]
     owner, start, step = _owner(first), first.ctypes.data, first.nbytes
     follow = (
@@ -354,11 +363,10 @@ def _owner(array: NDArray) -> Any:
 
 
 def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Return the number of frames and the number of Gaussians of a saved clip, from its file's
-    header.
+    """Return the numbers of frames and Gaussians of a saved clip, which are read from the header.
 
     Raises:
-        InputError: If the file is missing, cut short, or not a clip of a known version.
+        InputError: If the file is missing or cut short, or is not a clip of a known version.
     """
     _read_metadata(Path(path))
     with safe_open(path, framework="np") as file:
@@ -373,10 +381,10 @@ def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
 
 
 def read_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the scene of a saved clip as plain data, from its file's header.
+    """Return the scene of a saved clip as plain data, which is read from the file's header.
 
     Raises:
-        InputError: If the file is missing, cut short, or not a clip of a known version.
+        InputError: If the file is missing or cut short, or is not a clip of a known version.
     """
     return json.loads(_read_metadata(Path(path))["scene"])
 
@@ -406,8 +414,9 @@ def _read_metadata(path: Path) -> dict[str, str]:
 
 
 def restate(path: Path, clip: Clip) -> bool:
-    """Replace the report in a clip's file; return False if the new report does not fit into the
-    header.
+    """Replace the report in a clip's file.
+
+    Return False if the new report is too long for the header.
 
     Raises:
         OSError: If the file cannot be written.
@@ -419,22 +428,21 @@ def restate(path: Path, clip: Clip) -> bool:
 
 
 def _write_metadata(path: Path, metadata: Mapping[str, str]) -> bool:
-    """Write the metadata of a safetensors file in a fixed order, so that equal clips have equal
-    files.
-    """
+    """Write the metadata of a safetensors file in a fixed order: equal clips get equal files."""
     with open(path, "r+b") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))
         header["__metadata__"] = dict(sorted(metadata.items()))
         text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
-        if len(text) <= length:  # pad with spaces to the old length: the tensors must not move
+        # pad with spaces to the old length, because the tensors must not move
+        if len(text) <= length:
             file.seek(8)
             file.write(text.ljust(length))
     return len(text) <= length
 
 
 def _map_tensors(path: Path) -> dict[str, NDArray]:
-    """Memory-map each tensor; safetensors has already validated the header."""
+    """Memory-map each tensor; safetensors has already checked the header."""
     with open(path, "rb") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))
@@ -464,7 +472,7 @@ def save_tensors(
     try:
         whole = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
         path.touch()
-        mode = path.stat().st_mode  # safetensors makes files that only their owner can read
+        mode = path.stat().st_mode  # safetensors makes files that only the owner can read
         save_file(whole, path, dict(metadata or {}))
         path.chmod(mode)
     except SafetensorError as error:

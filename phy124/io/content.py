@@ -1,4 +1,4 @@
-"""Defines the content of a file of Gaussians, and the checks that all readers share."""
+"""Defines what is read from a file of Gaussians, and the checks that all readers use."""
 
 from __future__ import annotations
 
@@ -21,57 +21,62 @@ from phy124.runtime.memory import MEMORY_FRACTION, free_memory
 MAX_GAUSSIANS = 50_000_000
 """Largest number of Gaussians in a file; larger files are refused before they are read."""
 READING = 250
-"""Memory of a Gaussian of degree 0 while a binary file is read [bytes]."""
+"""Memory that a Gaussian of degree 0 needs while a binary file is read [bytes]."""
 RUNNING = 600
-"""Memory of a Gaussian in a run, from reading to films [bytes]; measured in
+"""Memory that a Gaussian needs in a run, from reading the file to films [bytes]; measured in
 docs/results/scale.md."""
 MOST_KEPT = 5_000_000
 """Largest value of --gaussians."""
 DENSEST = 100
-"""Largest ratio of unpacked to compressed size. Files of real objects reach 10, zip bombs 1000."""
+"""Largest allowed ratio of unpacked to compressed size. The ratio of files of real objects reaches
+10, that of zip bombs 1000."""
 SMALL = 1 << 22
-"""Unpacked size up to which a file may exceed the ratio `DENSEST` [bytes], as small objects of one
-colour may."""
+"""A file may exceed the ratio `DENSEST` if its unpacked size is at most this [bytes], because small
+objects of one colour compress well."""
 OBJECT = "object_id"
-"""Name of the column with the index of the object to which a Gaussian belongs."""
+"""Name of the column that states to which object a Gaussian belongs."""
 LARGEST_SH = SH_COEFFICIENTS[-1]
-"""Largest number of harmonics kept per colour; harmonics of degree 4 are left out."""
-DEGREE_4 = "Harmonics of degree 4 are left out."
+"""Largest number of harmonics per colour that is kept; harmonics of degree 4 are dropped."""
+DEGREE_4 = "Harmonics of degree 4 are ignored."
 MOST_ID = 1e6
-"""Largest object number. Larger numbers are clipped to it, because float32 resolves them badly."""
+"""Largest number of an object. Larger numbers are clipped to this value, because float32 cannot
+resolve them."""
 Y_DOWN = ("-y", "-z")
 """Up and front directions in files of 3DGS and related programs."""
 Y_UP = ("y", "z")
 """Up and front directions in glTF and SPZ files, where y is up."""
 AGAIN = "Copy or download the file again."
 _kept: ContextVar[float] = ContextVar("kept", default=0)
-"""Largest number of Gaussians of a file that a run keeps; 0 if the file is only read."""
+"""Largest number of Gaussians of a file that a run keeps; 0 if the file is only read and not
+run."""
 
 
 class Content(NamedTuple):
-    """The Gaussians and properties that were read from a file."""
+    """The Gaussians of a file, and properties of the file."""
 
     gaussians: Gaussians
     """The Gaussians. A reader returns them in the axes of the file."""
     dropped: int = 0
-    """Number of Gaussians left out because a value was NaN or infinite."""
+    """Number of Gaussians that were dropped because a value was NaN or infinite."""
     axes: tuple[str, str | None] = Y_DOWN
-    """Up and front directions of the file; if front is None, `axes.FRONTS` gives it."""
+    """Up and front directions of the file; if the front is None, `axes.FRONTS` states it."""
     antialiased: bool = False
-    """Whether the Gaussians were trained with Mip-Splatting's filter, and so must be drawn with
+    """Whether the Gaussians were trained with Mip-Splatting's filter, and so must be rendered with
     it."""
     notes: tuple[str, ...] = ()
     """Sentences about columns that are ignored or read in an unusual way."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Origin of the coordinates of `gaussians`, in the file's axes. It is nonzero only if the
-    positions in the file are so far from 0 that float32 could not resolve them."""
+    """Origin of the coordinates of `gaussians`, in the file's axes. The origin is nonzero only if
+    the positions in the file are so far from 0 that float32 could not resolve them."""
     step: float = 0.0
-    """Smallest distance that the file's number format resolves; 0 if this is negligible."""
+    """Smallest distance that the number format of the file can represent; 0 if this distance is
+    negligible."""
 
     @property
     def in_place(self) -> Content:
-        """The content with absolute positions, if float32 can resolve them; else the unchanged
-        content.
+        """The content with absolute positions if float32 can resolve them.
+
+        Otherwise the unchanged content.
         """
         means = move_back(self.gaussians.means, np.array(self.origin)) if any(self.origin) else None
         if means is None:
@@ -80,10 +85,10 @@ class Content(NamedTuple):
         return self._replace(gaussians=moved, origin=(0.0, 0.0, 0.0))
 
     def remarks(self, chosen: Gaussians | None = None) -> list[str]:
-        """Return the notes on the file, and a warning if its positions have too little precision.
+        """Return the notes on the file, and a warning if the precision of its positions is too low.
 
         Args:
-            chosen: The Gaussians that are used; None: all.
+            chosen: The Gaussians that are used; None stands for all Gaussians.
         """
         means = (self.gaussians if chosen is None else chosen).means
         coarse = describe_coarseness(means, self.step)
@@ -91,23 +96,23 @@ class Content(NamedTuple):
 
 
 def refusal(kind: str, path: Path, limit: str, remedy: str = AGAIN) -> InputError:
-    """Return the error that reports an unusable file.
+    """Return the error that says why a file is unusable.
 
     Args:
         kind: Name of the format, such as "SPZ".
         path: The file.
-        limit: A clause that says what is wrong; its first letter may be lower-case.
-        remedy: A sentence that says how to correct it.
+        limit: A clause that states what is wrong; its first letter may be lower-case.
+        remedy: A sentence that states how to correct the file.
     """
     return InputError(f"{kind} file", path, limit[0].upper() + limit[1:], remedy)
 
 
 class Malformed(ValueError):
-    """Raised for a file that contradicts its format; the text is a clause that says how."""
+    """Raised if a file contradicts its format; the text is a clause that states how."""
 
 
 def name_fault(error: Exception) -> str:
-    """Return a clause that says what is wrong with a file, without the wording of Python.
+    """Return a clause that states what is wrong with a file, without using Python's wording.
 
     Args:
         error: The exception that the file caused in a reader.
@@ -116,11 +121,11 @@ def name_fault(error: Exception) -> str:
         return str(error)
     if isinstance(error, KeyError):
         return f'"{str(error.args[0])[:80]}" is missing'
-    return "a value is of the wrong type or size"
+    return "a value has the wrong type or size"
 
 
 def check_opens(kind: str, path: Path) -> None:
-    """Refuse a file that cannot be opened.
+    """Raise an error if a file cannot be opened.
 
     Raises:
         InputError: If the file cannot be opened.
@@ -143,7 +148,7 @@ def read_whole_file(kind: str, path: Path) -> bytes:
 
 
 def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
-    """Refuse an impossible number of Gaussians before memory is allocated for them.
+    """Refuse an impossible number of Gaussians, before memory is allocated for them.
 
     Args:
         kind: Name of the format.
@@ -153,25 +158,30 @@ def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
         size: Size of the file [bytes].
 
     Raises:
-        InputError: If `count` is below 1, above the limit, or too large for the file's size or
+        InputError: If `count` is below 1, above the limit, or too large for the size of the file or
             for the free memory.
     """
     if count < 1:
         raise refusal(
-            kind, path, "it holds no Gaussians.", "Export the file again, with Gaussians."
+            kind,
+            path,
+            "it contains no Gaussians.",
+            "Export the file again, including its Gaussians.",
         )
     check_size(kind, path, count)
     if count * row > SMALL + DENSEST * size:
-        limit = f"its header states {count:,} Gaussians, more than {size:,} bytes can hold."
+        limit = (
+            f"its header states {count:,} Gaussians, which is more than {size:,} bytes can hold."
+        )
         raise refusal(kind, path, limit)
 
 
 @contextmanager
 def for_run(most: float = math.inf) -> Iterator[None]:
-    """Read files, within this context, for a run that keeps at most `most` Gaussians.
+    """Within this context, read files for a run that keeps at most `most` Gaussians.
 
-    A file that would make the run exceed the memory is then refused before it is read. Inner
-    contexts can only lower the number.
+    A file is then refused before it is read if the run would need more memory than is available.
+    Nested contexts can only reduce the number.
     """
     token = _kept.set(min(most, _kept.get() or math.inf))
     try:
@@ -181,18 +191,19 @@ def for_run(most: float = math.inf) -> Iterator[None]:
 
 
 def check_size(kind: str, path: Path, count: int, *, more: float = 0.0) -> None:
-    """Refuse more Gaussians than a file may have, or more than fit into the free memory.
+    """Refuse more Gaussians than a file may contain, or than fit into the free memory.
 
     Args:
         kind: Name of the format.
         path: The file.
         count: Number of Gaussians that the file's header states.
-        more: Memory in addition to `READING` for each Gaussian while the file is read [bytes].
+        more: Memory that each Gaussian needs in addition to `READING` while the file is read
+            [bytes].
 
     Raises:
-        InputError: If there are too many.
+        InputError: If there are too many Gaussians.
     """
-    remedy = "Reduce it in a splat editor, for example SuperSplat."
+    remedy = "Reduce the number of Gaussians in a splat editor, for example SuperSplat."
     if count > MAX_GAUSSIANS:
         limit = f"its header states {count:,} Gaussians; the limit is {MAX_GAUSSIANS:,}."
         raise refusal(kind, path, limit, remedy)
@@ -216,9 +227,9 @@ def check_size(kind: str, path: Path, count: int, *, more: float = 0.0) -> None:
 
 
 def drop_non_finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:
-    """Return the Gaussians of all rows with finite values, and the number of dropped rows.
+    """Return the Gaussians of all rows whose values are finite, and the number of dropped rows.
 
-    Quaternions are normalised; quaternions of length 0 become the identity.
+    Quaternions are normalised; a quaternion of length 0 becomes the identity.
     """
     good = np.ones(len(raw["means"]), bool)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -230,7 +241,7 @@ def drop_non_finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:
 
 
 def normalise_quats(quats: NDArray) -> NDArray[np.float32]:
-    """Normalise quaternions [N,4]; quaternions of length 0 become the identity."""
+    """Normalise quaternions [N,4]; a quaternion of length 0 becomes the identity."""
     units = np.empty(quats.shape, np.float32)
     for start in range(0, len(quats), BLOCK):
         some = quats[start : start + BLOCK]
@@ -252,18 +263,18 @@ def content_of(
     notes: Iterable[str] = (),
     step: float | None = None,
 ) -> Content:
-    """Build the content of a file from its activated columns (lengths, opacities in 0..1).
+    """Build the content of a file from decoded columns (lengths, opacities in 0..1).
 
     Args:
         kind: Name of the format.
         path: The file.
-        raw: Columns by the field names of `Gaussians`. `means` has the file's full precision;
-            `object_id` may be NaN or negative.
+        raw: Columns, whose names are the field names of `Gaussians`. `means` has the file's full
+            precision; `object_id` may be NaN or negative.
         axes: Up and front directions of the file.
-        antialiased: Whether the file asks for Mip-Splatting's filter.
+        antialiased: Whether the file requests Mip-Splatting's filter.
         notes: Sentences about the file.
-        step: Smallest distance that the file resolves; None: derive it from the centres, see
-            `step_of`.
+        step: Smallest distance that the file can represent; if None, it is derived from the centres
+            by `step_of`.
 
     Raises:
         InputError: If no Gaussian has finite values.
@@ -271,13 +282,13 @@ def content_of(
     step = step_of(raw["means"]) if step is None else step
     means, origin = centre_means(raw["means"])
     ids, remarks = assign_objects(raw.get(OBJECT), means)
-    with np.errstate(over="ignore", invalid="ignore"):  # values beyond float32 become infinite
+    with np.errstate(over="ignore", invalid="ignore"):  # values that exceed float32 become infinite
         names = raw.keys() - {"means", OBJECT}
         others = {name: raw[name].astype(np.float32, copy=False) for name in names}
     gaussians, dropped = drop_non_finite({"means": means, **others, **ids})
     if not len(gaussians):
         limit = "none of its Gaussians has finite values."
-        raise refusal(kind, path, limit, "Export it once more.")
+        raise refusal(kind, path, limit, "Export the file again.")
     x, y, z = origin.tolist()
     return Content(gaussians, dropped, axes, antialiased, (*notes, *remarks), (x, y, z), step)
 
@@ -285,10 +296,9 @@ def content_of(
 def assign_objects(
     ids: NDArray | None, means: NDArray[np.float32]
 ) -> tuple[dict[str, NDArray[np.int32]], list[str]]:
-    """Return the object index of each Gaussian if the file assigns objects, and notes about the
-    indices.
+    """Return the object index of each Gaussian if the file assigns objects, and notes about them.
 
-    A Gaussian without an object is assigned to the object of its nearest neighbour with an object.
+    A Gaussian without an object is assigned to the object of the nearest Gaussian that has one.
 
     Args:
         ids: Object numbers [N] in the file; NaN or negative numbers mean "no object".
@@ -315,24 +325,28 @@ def assign_objects(
 
 FAR = 4
 """Ratio of the distance from the origin to the object's size. Beyond this ratio, float32 would be
-too coarse, so centres in double precision are stored relative to a separate origin."""
+too coarse. The centres are then stored relative to a separate origin, which has double
+precision."""
 FINE = 20_000
-"""Number of float32 steps across an object below which the centres get a separate origin."""
+"""If an object spans fewer float32 increments than this, its centres are stored relative to a
+separate origin."""
 COARSE = 4000
-"""Number of steps across an object below which a note calls the file's positions too coarse."""
+"""If an object spans fewer increments of the file's positions than this, a note says that the
+positions are too coarse."""
 ENOUGH = 100_000
-"""Approximate number of centres that are sampled."""
+"""Approximate number of centres in the sample from which position and size are estimated."""
 LARGEST = 1e38
-"""Largest coordinate that is used, about the largest value of float32."""
+"""Largest coordinate that is used, which is about the largest value of float32."""
 ENDS = (1, 99)
-"""Percentiles of the coordinates between which an object extends; single outliers are ignored."""
+"""Percentiles of the coordinates that count as the ends of an object, so that single outliers are
+ignored."""
 
 
 def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return centres [N,3] relative to an origin [3], and the origin.
+    """Return centres [N,3] relative to an origin [3], and this origin.
 
     The origin is 0 unless the centres are so far away that float32 could not resolve the object.
-    For example, Earth-centred captures lie 4,600 km or more from 0; float32 has 24 bits, so its
+    For example, Earth-centred captures lie 4,600 km or more from 0. Since float32 has 24 bits, its
     values are half a metre apart at that distance. The origin is subtracted in double precision.
     """
     middle, extent = _middle(means)
@@ -341,7 +355,7 @@ def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float6
         blurred |= FAR * extent < np.abs(middle).max()
     origin = np.zeros(3)
     if blurred and extent > 0:
-        # Round to a multiple of a power of two: centres given in float32 then stay exact.
+        # Round to a multiple of a power of two, because centres that were float32 then stay exact.
         normalise_quats = 2.0 ** np.ceil(np.log2(extent))
         origin = np.rint(middle / normalise_quats) * normalise_quats
     with np.errstate(over="ignore", invalid="ignore"):
@@ -361,8 +375,9 @@ def move_back(
 
 
 def step_of(means: NDArray) -> float:
-    """Return the spacing of float32 numbers at the centres [N,3]; 0 for centres in double
-    precision.
+    """Return the spacing of float32 numbers at centres [N,3].
+
+    0 if the centres have double precision.
     """
     some = _some(means)
     if not len(some) or not np.array_equal(some, some.astype(np.float32)):
@@ -371,8 +386,7 @@ def step_of(means: NDArray) -> float:
 
 
 def describe_coarseness(means: NDArray, step: float) -> str | None:
-    """Return a sentence if the file's positions are too coarse for its object; otherwise return
-    None.
+    """Return a sentence if the positions in a file are too coarse for its object; otherwise None.
 
     Args:
         means: Centres [N,3], relative to any origin.
@@ -383,9 +397,9 @@ def describe_coarseness(means: NDArray, step: float) -> str | None:
         return None
     across = max(round(extent / step), 1)
     return (
-        f"The file stores positions in steps of {step:.2g}. With about {across:,} steps across "
-        "the object, the steps are too coarse. Export the scene in double precision, or "
-        "nearer to the origin."
+        f"The file stores positions in increments of {step:.2g}. With only about {across:,} "
+        "increments across the object, the positions are too coarse. Export the scene in double "
+        "precision, or nearer to the origin."
     )
 
 
@@ -395,7 +409,7 @@ def spacing(place: NDArray) -> float:
 
 
 def _middle(means: NDArray) -> tuple[NDArray[np.float64], float]:
-    """Return the median centre of an object [3], and the length of its longest side."""
+    """Return the median of an object's centres [3], and the length of the object's longest side."""
     some = _some(means)
     if not len(some):
         return np.zeros(3), 0.0
@@ -404,7 +418,7 @@ def _middle(means: NDArray) -> tuple[NDArray[np.float64], float]:
 
 
 def _some(means: NDArray) -> NDArray[np.float64]:
-    """Sample centres evenly from the whole file, without those that overflow float32."""
-    with np.errstate(invalid="ignore"):  # of signalling NaN
+    """Sample centres evenly from the whole file, except for centres that overflow float32."""
+    with np.errstate(invalid="ignore"):  # signalling NaN raises a warning
         some = means[:: max(1, len(means) // ENOUGH)].astype(np.float64)
     return some[(np.abs(some) < LARGEST).all(axis=1)]

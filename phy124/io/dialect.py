@@ -1,8 +1,9 @@
-"""Guesses which program wrote a PLY file from its columns and positions; the program determines the
-axes.
+"""Guesses from columns and positions which program wrote a PLY file.
 
-Few programs name themselves in their files. The guess therefore relies on the known output of each
-program (docs/guide/plugins.md). The guess is reported to the user, and applied only if the user
+The program determines the axes.
+
+Few programs state their name in their files. The guess therefore relies on the known output of each
+program (docs/guide/plugins.md). The guess is reported to the user, and is applied only if the user
 agrees.
 """
 
@@ -21,25 +22,26 @@ from phy124.io.ply import CENTRE, DC, QUATS, SCALES, VERTICAL
 from phy124.io.plyheader import Header, read_header
 
 ENOUGH, BLOCKS = 10_000, 20
-"""Number of rows that are sampled, and number of blocks of adjacent rows, which are spread over the
-file."""
+"""Number of rows in the sample, and number of blocks of adjacent rows from which it is taken; the
+blocks are spread over the file."""
 LGM = (*CENTRE, *DC, "opacity", *SCALES, *QUATS)
-"""Columns of a file that LGM wrote, in order."""
+"""Columns of a file that LGM wrote, in the order of the file."""
 SIGNED = ("phy124", "SuperSplat")
-"""Programs that state their name in a comment and use the usual axes."""
+"""Programs that state their name in a comment of the file and use the usual axes."""
 UNIT = 1e-3
-"""Largest deviation of a unit quaternion's length from 1."""
+"""Largest difference from 1 of the length of a unit quaternion."""
 
 
 class Axes(NamedTuple):
-    """Up and front directions of a file."""
+    """Up and front directions of a file, and how they are known."""
 
     up: str
     front: str
     said: bool
-    """True if the file or its format defines the directions; False if they are guessed."""
+    """True if the file or its format states the directions; False if they are guessed."""
     program: str | None = None
-    """The program that probably wrote the file, and the reason; None for the usual layout."""
+    """The program that probably wrote the file, and the reason for this guess; None if the file has
+    the usual layout."""
 
 
 def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
@@ -47,7 +49,7 @@ def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
 
     Args:
         path: The file.
-        axes: The axes that the file's reader assumed.
+        axes: The axes that the reader of the file assumed.
 
     Raises:
         InputError: If the file is missing or its format is not supported.
@@ -64,7 +66,7 @@ def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
 
 
 def _names_its_axes(header: Header) -> bool:
-    """Whether a comment states the up axis; a "y" without a sign does not count."""
+    """Whether a comment states the up axis; a "y" without a sign does not count as a statement."""
     matches = filter(None, map(VERTICAL.fullmatch, header.comments))
     return _is_signed(header) or any(match[1].lower() != "y" for match in matches)
 
@@ -74,7 +76,7 @@ def _is_signed(header: Header) -> bool:
 
 
 def likely_dialect(path: Path) -> tuple[str, str] | None:
-    """Return the likely dialect of a file, and the reason; None for the usual dialect.
+    """Return the likely dialect of a file, and the reason; None if the dialect is the usual one.
 
     Raises:
         InputError: If the file is missing or its header is invalid.
@@ -96,7 +98,10 @@ def likely_dialect(path: Path) -> tuple[str, str] | None:
 
 
 def _some_rows(path: Path, header: Header) -> NDArray:
-    """Sample rows from the whole file as a structured array; rows of a short file may repeat."""
+    """Sample rows from the whole file as a structured array.
+
+    If the file is short, rows may repeat.
+    """
     each = min(header.count, ENOUGH // BLOCKS)
     firsts = np.linspace(0, header.count - each, BLOCKS).astype(int).tolist()
     places = [header.start + first * header.row.itemsize for first in firsts]
@@ -104,7 +109,7 @@ def _some_rows(path: Path, header: Header) -> NDArray:
 
 
 def _reach(rows: NDArray) -> float:
-    """Return the largest absolute coordinate of the points."""
+    """Return the largest absolute coordinate of points."""
     return max((float(np.abs(rows[axis]).max()) for axis in "xyz"), default=np.inf)
 
 

@@ -1,8 +1,8 @@
-"""Writes output files atomically: a file appears whole or not at all, and replaces an older file.
+"""Writes output files atomically: a complete file appears, and replaces an older file.
 
-An output path may be a link, which is followed, or a device or pipe, which is written into. The
-operating system releases the lock of a process when the process ends, for whatever reason. A
-temporary file without a lock is therefore a leftover of a killed process.
+An output path may be a link, which is followed, or a device or pipe, into which the output is
+written. When a process ends for any reason, the operating system releases its locks. A temporary
+file without a lock was therefore left by a killed process.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LOCKS_AVAILABLE = fcntl is not None
 
 
 def lock(path: Path, *, wait: bool = False) -> int | None:
-    """Lock a file or folder; return None if it is locked already or there is no `flock`."""
+    """Lock a file or folder; return None if it is already locked or the system has no `flock`."""
     if fcntl is None:
         return None
     with suppress(OSError):
@@ -50,7 +50,7 @@ def unlock(held: int | None) -> None:
 
 @contextmanager
 def locking(path: Path) -> Iterator[None]:
-    """Hold a lock during the block, waiting until other processes have released it."""
+    """Hold a lock during the block; first wait until other processes have released the lock."""
     held = lock(path, wait=True)
     try:
         yield
@@ -59,21 +59,20 @@ def locking(path: Path) -> Iterator[None]:
 
 
 DESCRIPTORS = ("/dev/fd/", "/proc/", "/dev/stdout", "/dev/stderr")
-"""Beginnings of paths that name an open file descriptor of any kind."""
+"""Prefixes of paths that name an open file descriptor of any kind."""
 PARTS = ".*-????????.part*"
-"""Pattern of the names of files that are still being written."""
+"""Pattern that matches the names of files that are still being written."""
 LONGEST = 40
-"""Largest number of characters of a file's name that are repeated in the name of its temporary
-file."""
+"""Number of characters of a file's name that are used in the name of its temporary file."""
 
 
 def is_stream(path: Path) -> bool:
     """Return whether a path is a device, a pipe or an open file.
 
-    A device, a pipe or an open file is written into, while an ordinary file is replaced.
+    Output is written into a device, a pipe or an open file, while an ordinary file is replaced.
 
     Raises:
-        OSError: If the path is a folder, a disk, a socket, or a link to itself.
+        OSError: If the path is a folder, a disk, a socket, or a link that refers to itself.
     """
     try:
         mode = os.stat(path).st_mode
@@ -89,29 +88,30 @@ def is_stream(path: Path) -> bool:
 def create_temporary(path: Path) -> Path:
     """Create an empty temporary file, which `move_to` moves to `path` when it is complete.
 
-    The temporary file's name has the extension of `path`, which some writers need. The temporary
-    file is in the folder of the file to which `path` resolves, or in the system's temporary folder
-    if `path` is a stream.
+    The temporary file's name has the same extension as `path`, because some writers need the
+    extension. The temporary file is in the folder of the file to which `path` resolves. If `path`
+    is a device or pipe, the temporary file is in the system's temporary folder.
 
     Raises:
-        OSError: If no file can be written there.
+        OSError: If no file can be written in that folder.
     """
     folder = Path(tempfile.gettempdir()) if is_stream(path) else resolve_links(path).parent
     ending = path.suffix if len(path.suffix) <= LONGEST else ""
     name = f".{path.stem[:LONGEST]}-{secrets.token_hex(4)}.part{ending}"
-    # The system applies the umask. A process could read the umask only by changing it for a moment.
+    # The operating system applies the umask. A process can read the umask only by changing it for a
+    # moment.
     os.close(os.open(folder / name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     return folder / name
 
 
 def move_to(source: Path, path: Path) -> None:
-    """Move a finished file or folder to a path, and replace any file or folder there.
+    """Move a finished file or folder to a path, where it replaces any file or folder.
 
-    Links are followed; devices and pipes are written into. If the path is on another file system,
-    the content is copied.
+    Links are followed; if the path is a device or a pipe, the content is written into it. If the
+    path is on another file system, the content is copied.
 
     Raises:
-        OSError: If no file can be written there.
+        OSError: If no file can be written to the path.
     """
     if source.is_dir():
         shutil.rmtree(resolve_links(path), ignore_errors=True)
@@ -129,7 +129,7 @@ def move_to(source: Path, path: Path) -> None:
 
 
 def resolve_links(path: Path) -> Path:
-    """Return the absolute path with all links resolved."""
+    """Return the absolute path after all links are resolved."""
     return Path(os.path.realpath(path))
 
 
@@ -149,15 +149,15 @@ def _copy(source: Path, path: Path) -> None:
 
 PathLike = str | os.PathLike[str]
 MAKING = ".making-"
-"""Prefix of the names of folders that are still being filled."""
+"""Prefix of the names of folders that are not yet complete."""
 
 
 @contextmanager
 def staging(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
     """Provide a temporary folder whose files are moved into `out` if the block succeeds.
 
-    If the block fails, the folders created for `out` are removed, unless another process has put
-    files into them. Leftovers of killed processes in `out` are removed, too.
+    If the block fails, the folders that were created for `out` are removed, unless another process
+    has put files into them. Files that killed processes left in `out` are also removed.
 
     Args:
         out: The folder to fill.
@@ -166,7 +166,7 @@ def staging(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
     Raises:
         InputError: If `out` is a file or cannot be written.
         OSError: If the disk is full.
-        Incomplete: If the block failed and some files were kept.
+        Incomplete: If the block failed but some files were kept.
     """
     out, missing = Path(out), []
     try:
@@ -197,9 +197,7 @@ def staging(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
 
 
 def deliver(folder: Path) -> list[str]:
-    """Move the complete files of a `staging` folder to its output folder, and return their
-    names.
-    """
+    """Move the complete files of a `staging` folder to its output folder; return the file names."""
     out, names = folder.parent, sorted(path.name for path in folder.glob("[!.]*"))
     for name in names:
         move_to(folder / name, out / name)
@@ -207,7 +205,7 @@ def deliver(folder: Path) -> list[str]:
 
 
 def write_whole(path: PathLike, text: str) -> None:
-    """Write a text file, which appears whole or not at all.
+    """Write a text file, which appears only when it is complete.
 
     Raises:
         InputError: If the folder is missing or the file cannot be created.
@@ -218,7 +216,7 @@ def write_whole(path: PathLike, text: str) -> None:
 
 
 def _sweep(out: Path) -> None:
-    """Remove temporary folders and files that ended processes left in an output folder."""
+    """Remove temporary folders and files that killed processes left in an output folder."""
     for folder in out.glob(f"{MAKING}*"):
         held = lock(folder)
         if held is not None:
@@ -228,7 +226,7 @@ def _sweep(out: Path) -> None:
 
 
 def sweep_parts(folder: Path) -> None:
-    """Remove temporary files that ended processes left in a folder."""
+    """Remove temporary files that killed processes left in a folder."""
     for path in folder.glob(PARTS):
         held = lock(path)
         if held is not None:
@@ -237,7 +235,7 @@ def sweep_parts(folder: Path) -> None:
 
 
 def writable(folder: Path) -> bool:
-    """Whether files can be written into a folder, which may have to be created first."""
+    """Whether files can be written into a folder; the folder may have to be created first."""
     for path in (folder, *folder.parents):
         if os.path.lexists(path):
             return path.is_dir() and os.access(path, os.W_OK | os.X_OK)
@@ -245,16 +243,14 @@ def writable(folder: Path) -> bool:
 
 
 def _remove_empty(folders: list[Path]) -> None:
-    """Remove empty folders, innermost first; stop at the first that is not empty."""
+    """Remove empty folders, innermost first; stop at the first folder that is not empty."""
     with suppress(OSError):
         for folder in folders:
             folder.rmdir()
 
 
 def refuse_unwritable(path: PathLike) -> None:
-    """Raise InputError if `replacing` cannot write to this path; an existing file is left
-    unchanged.
-    """
+    """Raise InputError if `replacing` cannot write to a path; an existing file is not changed."""
     _create(Path(path)).unlink()
 
 
@@ -271,7 +267,7 @@ def _create(path: Path) -> Path:
         if error.errno in SHORT_CODES:
             raise
         limit = f"no file can be written to this path ({error.strerror})."
-        remedy = "Give a file name in a folder that exists and that you may write to."
+        remedy = "Give a file name in an existing folder to which you may write."
         raise InputError("output", path, limit, remedy) from error
 
 
@@ -279,9 +275,10 @@ def _create(path: Path) -> Path:
 def replacing(path: PathLike) -> Iterator[Path]:
     """Provide a temporary file for writing, which replaces `path` if the block succeeds.
 
-    If `path` is a link, the file to which it resolves is replaced; a device or a pipe is written
-    into. The file gets the permissions of a new file. If the block ends early for any reason,
-    including an interrupt, the temporary file is removed and an older file at `path` is unchanged.
+    If `path` is a link, the file to which it resolves is replaced. If it is a device or a pipe, the
+    content is written into it. The file gets the permissions that new files have. If the block ends
+    early for any reason, including an interrupt, the temporary file is removed. An older file at
+    `path` is then unchanged.
 
     Raises:
         InputError: If the folder is missing or the file cannot be written.

@@ -1,9 +1,10 @@
-"""Writes a clip file during its run: each frame is written as soon as it is computed.
+"""Writes the file of a clip during the run: each frame is written as soon as it is computed.
 
-If a run is killed, its finished frames are in the file. At the end of a run, `finish` writes the
-header, which makes the file a valid clip without copying it. The returned frames are memory-mapped
-views of the file and take no further memory. The finished clip is a hard link to the file, created
-before the original name is removed. A paused run therefore always has its frames on disk.
+If a run is killed, the file contains the finished frames. At the end of a run, `finish` writes the
+header. The file is then a valid clip and need not be copied. The returned frames are memory-mapped
+views of the file, so they take no further memory. The finished clip is a hard link to the file,
+which is created before the original name is removed. The frames of a paused run are therefore
+always on disk.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ SPARE = 1 << 14
 CODES = {"F32": "<f4", "F64": "<f8", "I32": "<i4"}
 """NumPy types by their names in safetensors files."""
 SHAPES = ("means", "quats", "scales")
-"""Arrays of the Gaussians that change over time."""
+"""Arrays that describe the changing shapes of the Gaussians."""
 MOVING = {
     "times",
     *SHAPES,
@@ -42,11 +43,11 @@ MOVING = {
     "carried_x",
     "carried_F",
 }
-"""Arrays that have one row per frame."""
+"""Arrays of a clip that have one row per frame."""
 
 
 class Tensor(NamedTuple):
-    """Type, shape and position of one array in the clip's file."""
+    """Type, shape and position of an array in the clip's file."""
 
     code: str
     shape: tuple[int, ...]
@@ -60,11 +61,11 @@ class Tensor(NamedTuple):
 
 
 class Unlike(ValueError):
-    """Raised if the arrays of a frame or clip differ from those of the file in type or shape."""
+    """Raised if arrays of a frame or clip differ in type or shape from the arrays of the file."""
 
 
 class Growing:
-    """A clip file whose frames are written one after the other."""
+    """A clip file to which one frame after the other is written."""
 
     def __init__(self, path: Path, tensors: Mapping[str, Tensor]) -> None:
         """Open or create the file, and lock it.
@@ -95,20 +96,20 @@ class Growing:
             for name, array in self.tensors.items()
             if array.size
         }
-        """Memory-mapped arrays by name; the rows of frames that are not yet written are zero."""
+        """Memory-mapped arrays by name; rows for frames that are not yet written are zero."""
 
     @classmethod
     def like(
         cls, path: Path, frame: Frame, count: int, *, rotation: NDArray | None, header: int
     ) -> Growing:
-        """Create a clip file for frames that have the same arrays as its first frame.
+        """Create a clip file for frames whose arrays have the same shapes as in the first frame.
 
         Args:
             path: The file.
             frame: The first frame.
-            count: Number of frames.
+            count: Number of frames that the clip will have.
             rotation: Rotations of the material in the first frame, if the clip has them.
-            header: Upper bound of the header's size [bytes].
+            header: Upper bound on the header's size [bytes].
 
         Raises:
             Unlike: If the frame has an array of a type that clips do not support.
@@ -129,10 +130,10 @@ class Growing:
         return cls(path, tensors)
 
     def put(self, frame: Frame, rotation: NDArray | None = None) -> tuple[Frame, NDArray | None]:
-        """Write a frame; return the frame and its rotations as memory-mapped views of the file.
+        """Write a frame; return it and its rotations as memory-mapped views of the file.
 
         Raises:
-            Unlike: If its arrays differ from those of the first frame.
+            Unlike: If the arrays of the frame differ from those of the first frame.
             OSError: If the file cannot be written.
         """
         index, arrays = frame.index, _arrays_of(frame, rotation)
@@ -154,7 +155,7 @@ class Growing:
         return kept, self._row("rotations", index)
 
     def finish(self, clip: Clip, path: Path) -> bool:
-        """Complete the file and link it as `path`; return False if the clip has other arrays.
+        """Complete the file and link it as `path`; return False if the clip has different arrays.
 
         Raises:
             OSError: If the disk is full or the file system has no hard links.
@@ -172,7 +173,9 @@ class Growing:
         return True
 
     def complete(self, clip: Clip) -> bool:
-        """Write the static arrays and the header; return False if the header is too large.
+        """Write the static arrays and the header.
+
+        Return False if the header is too large for its space.
 
         Raises:
             OSError: If the file cannot be written.
@@ -196,7 +199,7 @@ class Growing:
         return True
 
     def place(self) -> dict[str, Any]:
-        """Return, as plain data, the description that `there` needs to reopen the file."""
+        """Return plain data that describes the file, with which `there` can reopen the file."""
         return {"file": self.path.name, "tensors": self.tensors}
 
     @classmethod
@@ -210,19 +213,19 @@ class Growing:
         tensors = {n: Tensor(c, tuple(s), o) for n, (c, s, o) in place["tensors"].items()}
         end = max(tensor.offset + tensor.size for tensor in tensors.values())
         if not path.is_file() or path.stat().st_size != end:
-            limit = f"its frames, {path.name}, are missing or cut short."
+            limit = f"the file with its frames, {path.name}, is missing or cut short."
             raise InputError("paused run", folder, limit, "Start the run again, without --resume.")
         return cls(path, tensors)
 
     def close(self) -> None:
-        """Close the file and release its lock; its mapped arrays stay readable."""
+        """Close the file and release its lock; its memory-mapped arrays can still be read."""
         files.unlock(self._held)
         if self._file >= 0:
             os.close(self._file)
         self._held, self._file = None, -1
 
     def remove(self) -> None:
-        """Remove the file; its mapped arrays stay readable."""
+        """Remove the file; its memory-mapped arrays can still be read."""
         self.close()
         with suppress(OSError):
             self.path.unlink(missing_ok=True)
@@ -235,7 +238,7 @@ class Growing:
         return np.asarray(self.arrays[name][index]) if name in self.arrays else None
 
     def _header(self, clip: Clip, first: int) -> bytes:
-        """Return a safetensors header for tensors that begin at byte `first`."""
+        """Return a safetensors header for tensors whose data begin at byte `first`."""
         entries = {
             name: {
                 "dtype": tensor.code,
@@ -249,7 +252,7 @@ class Growing:
         return json.dumps(text, ensure_ascii=False, separators=(",", ":")).encode()
 
     def _write(self, array: NDArray, offset: int) -> None:
-        """Write a whole array at an offset [bytes], repeating partial writes."""
+        """Write a whole array at an offset [bytes]; partial writes are continued."""
         left = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
         while len(left):
             done = os.pwrite(self._file, left.data, offset)
@@ -283,7 +286,7 @@ def write_frames_clip(path: Path, clip: Clip, progress: Progress = silent) -> No
 
 
 def _arrays_of(frame: Frame, rotation: NDArray | None) -> dict[str, NDArray]:
-    """Return the arrays of a frame, by their names in a clip."""
+    """Return the arrays of a frame; the keys are the arrays' names in a clip."""
     wrenches = None if frame.wrenches is None else stack_wrenches([frame])[0]
     arrays = {
         "times": np.array(frame.time, np.float64),

@@ -1,10 +1,10 @@
-"""Writes a clip as one HTML file, and packs a clip for the browser player.
+"""Writes a clip as one HTML file, and packs clips for the player in the browser.
 
-The HTML file contains a P4D file (phy124/io/formats/lattice4d.py), or a pack if the motion of a
-lattice does not describe the shapes of the Gaussians, as in fluids. A pack is the gzip of: header
-length (uint32, little-endian), header (JSON), then the arrays below.
-Arrays are planar (component after component). Arrays that change over time, marked with T, hold
-differences between frames modulo the range of their type, which gzip compresses much better:
+The HTML file contains a P4D file (phy124/io/formats/lattice4d.py). If the motion of a lattice does
+not describe the shapes of the Gaussians, as in fluids, it contains a pack instead. A pack is the
+gzip of: header length (uint32, little-endian), header (JSON), then the arrays below. Arrays are
+planar (component after component). Arrays that change over time, marked with T, hold differences
+between frames modulo the range of their type, which gzip compresses much better:
 
     colour    [N,4]     uint8    red, green, blue, opacity; harmonics of degree 0 only
     rest      [N,3]     float32  scales at rest, m
@@ -15,7 +15,8 @@ differences between frames modulo the range of their type, which gzip compresses
     shade     [T,C,C]   uint8    shadow on the floor, if the header's stage has one
     hue       [T,4,N]   uint8    colour and opacity of each frame, if the header has `hues`
 
-This takes 14 bytes per Gaussian and frame before gzip. Centres are exact to 1/65535 of the box.
+Before gzip, this takes 14 bytes per Gaussian and frame. Centres are exact to 1/65535 of the size of
+the bounding box.
 """
 
 from __future__ import annotations
@@ -42,22 +43,22 @@ from phy124.io.formats import lattice4d
 from phy124.io.formats.lattice4d import measure, measure_speeds
 
 VIEWER = Path(__file__).with_name("viewer")
-"""Folder of the player's scripts; the web page serves the same scripts."""
+"""Folder that contains the player's scripts; the web page serves the same scripts."""
 SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "stage.js", "shine.js", "player.js")
 READER = "p4d.mjs"
 STYLE = "player.css"
 LICENCE = "vendor/LICENSE-playcanvas.txt"
 GZIP = 31
-"""zlib's number for the largest window, with a gzip header."""
+"""zlib's window parameter for the largest window with a gzip header."""
 BLOCK = 3 << 20
 """Number of bytes that are read and written at a time; a multiple of 3, as base64 requires."""
 LOOSE = 0.5
-"""Largest error of the Gaussians' shapes at which the page contains a P4D file."""
+"""Largest error of the Gaussians' shapes with which a P4D file is used."""
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
 """A stage as plain data, and its shadow maps [T,C,C]; made by phy124/rendering/stage/build.py."""
 Glossy = dict[str, Any]
-"""Plain data that lists the reflective Gaussians and their reflectance. If there are liquids, it
-also has `hues` [T,N,4] uint8, the colours and opacities of all frames
+"""Plain data that lists the reflective Gaussians and how much they reflect. If there are liquids,
+the data also has `hues` [T,N,4] uint8, the colours and opacities of all frames
 (phy124/rendering/shine.py)."""
 
 
@@ -73,10 +74,11 @@ def pack(
 
     Args:
         clip: The clip to pack.
-        camera: The initial view; its image size is ignored.
+        camera: The camera for the initial view; its image size is ignored.
         background: Colour behind the Gaussians [3], 0..1.
-        stage: The stage to draw in place of the background.
-        shine: The reflective Gaussians, if the clip's Gaussians were shaped for reflections.
+        stage: The stage that is drawn in place of the background.
+        shine: The reflective Gaussians, if the shapes of the clip's Gaussians were changed for
+            reflections.
 
     Raises:
         InputError: If the clip is empty.
@@ -99,7 +101,8 @@ def pack(
 def _write_arrays(file: IO[bytes], clip: Clip, head: dict[str, Any]) -> None:
     """Append the arrays of the Gaussians to a file, frame by frame.
 
-    A clip may be larger than the memory, so each frame is written at its known places in the file.
+    A clip may be larger than the memory, so each frame is written separately, at known positions in
+    the file.
     """
     rest = np.maximum(clip.scales[0], 1e-9)
     file.write(_colours(clip).tobytes() + rest.astype("<f4").tobytes())
@@ -125,7 +128,7 @@ def _write_arrays(file: IO[bytes], clip: Clip, head: dict[str, Any]) -> None:
 
 
 def _compress(file: IO[bytes]) -> bytes:
-    """Return the gzip of a whole file."""
+    """Return the gzip-compressed bytes of a whole file."""
     packer, parts = zlib.compressobj(4, wbits=GZIP), []
     file.seek(0)
     while block := file.read(BLOCK):
@@ -151,12 +154,13 @@ def write_html(
     Args:
         path: Path of the HTML file.
         clip: The clip to show.
-        camera: The initial view; its image size is ignored.
+        camera: The camera for the initial view; its image size is ignored.
         title: Title of the page.
         background: Colour behind the Gaussians [3], 0..1.
-        stage: The stage to draw in place of the background.
-        shine: The reflective Gaussians, if the clip's Gaussians were shaped for reflections.
-        viewer: Folder of the player's scripts.
+        stage: The stage that is drawn in place of the background.
+        shine: The reflective Gaussians, if the shapes of the clip's Gaussians were changed for
+            reflections.
+        viewer: Folder that contains the player's scripts.
 
     Raises:
         InputError: If the clip is empty, the player is not installed or the file cannot be written.
@@ -188,9 +192,7 @@ def _pack_smallest(
     stage: Staged | None,
     shine: Glossy | None,
 ) -> bytes:
-    """Return all Gaussians as a P4D file, or as a pack if the P4D file would be inexact or
-    larger.
-    """
+    """Return all Gaussians as a P4D file, or as a pack if P4D would be larger or inexact."""
     packed = pack(clip, camera, background=background, stage=stage, shine=shine)
     finite = all(np.isfinite(means).all() for means in clip.means)
     if not finite or (shine and "hues" in shine):
@@ -209,7 +211,7 @@ def _describe(
     stage: Staged | None,
     shine: Glossy | None,
 ) -> dict[str, Any]:
-    """Return the player's initial settings for a clip, as plain data."""
+    """Return the initial settings of the player for a clip, as plain data."""
     shown: dict[str, Any] = {"background": list(background), "view": _view(camera)}
     shown |= {} if stage is None else {"stage": stage[0]}
     until = (clip.report.get("error") or {}).get("until")
@@ -261,7 +263,7 @@ def _asset(path: Path) -> str:
 
 
 def _view(camera: Camera) -> dict[str, Any]:
-    """Return the orbit of a camera around its target: angles in degrees, radius in m."""
+    """Return the orbit of a camera around its target: angles in degrees and radius in m."""
     away = np.subtract(camera.eye, camera.target)
     radius = float(np.linalg.norm(away))
     return {
@@ -279,7 +281,7 @@ def _colours(clip: Clip) -> NDArray[np.uint8]:
 
 
 def _centres(means: NDArray, low: NDArray, high: NDArray) -> NDArray[np.uint16]:
-    """Quantise positions in the box to 16 bits."""
+    """Quantise positions in the bounding box to 16 bits."""
     return np.rint((means - low) / np.maximum(high - low, 1e-12) * 65535).astype("<u2")
 
 

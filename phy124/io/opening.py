@@ -1,4 +1,4 @@
-"""Explains why a path cannot be opened: a missing file, a folder, a pipe, or no permission."""
+"""Explains why a path cannot be opened, for example because the file is missing or not readable."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ RECORDED = (
     "`python -m bridge info {}` describes it, and `ros2 bag play {}` plays it.",
 )
 NOT_ALONE = "meta.json"
-"""Message about a file that cannot be used without the other files of its folder."""
+"""Message about a file that can be used only together with the other files of its folder."""
 IN_FOLDERS = {
     NOT_ALONE: (
         "it is a folder with the files of an unpacked SOG.",
         "Zip its files: `cd {} && zip -0 ../packed.sog *`, and give packed.sog.",
     ),
     "metadata.yaml": RECORDED,
-    "clip.safetensors": ("it is the folder of a run.", "Give {}/clip.safetensors."),
+    "clip.safetensors": ("it is the folder of a run, not a file.", "Give {}/clip.safetensors."),
 }
-"""Name of a file that identifies a folder -> description of the folder, and the remedy."""
+"""Name of a file by which a type of folder is recognised -> description of this type, and the
+remedy."""
 RECORDING = b"\x89MCAP"
-"""First bytes of an MCAP file, a recording of messages as written by the bridge."""
+"""First bytes of an MCAP file, which is a recording of messages that the bridge writes."""
 PAGE = (
     "it is a web page, not the file itself.",
-    "Download it again, from the link to the file itself.",
+    "Download the file again, from the link to the file itself.",
 )
 STAND_INS = {
     b"version https://git-lfs": (
@@ -36,20 +37,20 @@ STAND_INS = {
     b"<!doctype html": PAGE,
     b"<html": PAGE,
 }
-"""Beginnings, in lower case, of texts that are often saved by mistake in place of a file."""
+"""First bytes, in lower case, of texts that are often saved by mistake in place of a file."""
 HEAD = max(map(len, STAND_INS))
-"""Number of leading bytes that are examined."""
+"""Number of bytes at the start of a file that are examined."""
 
 
 def obstacle(path: PathLike) -> tuple[str, str] | None:
-    """Return why a file cannot be read, and the remedy; return None if it can be opened."""
+    """Return the reason why a file cannot be read, and the remedy; None if it can be opened."""
     path = Path(path)
     try:
         mode = path.stat().st_mode
         if stat.S_ISDIR(mode):
             return _of_folder(path)
         if not stat.S_ISREG(mode):
-            return "it is a pipe or a device, not a file.", "Save it as a file first."
+            return "it is a pipe or a device, not a file.", "Save its content as a file first."
         if path.name == NOT_ALONE:
             return _of_folder(path.parent)
         with open(path, "rb") as file:
@@ -67,19 +68,19 @@ def obstacle(path: PathLike) -> tuple[str, str] | None:
 
 
 def stand_in(head: bytes) -> tuple[str, str] | None:
-    """Recognise a text saved in place of a file; return its description and the remedy."""
+    """Recognise a text that was saved in place of a file; return its description and the remedy."""
     head = head[:HEAD].lower()
     return next((words for sign, words in STAND_INS.items() if head.startswith(sign)), None)
 
 
 def _of_folder(path: Path) -> tuple[str, str]:
-    """Return the kind of a folder in place of a file, and the remedy: the file to use instead."""
+    """Describe a folder that was passed in place of a file, and return the file to use instead."""
     for name, words in IN_FOLDERS.items():
         if (path / name).is_file():
             return _about(path, *words)
     if any(path.glob("*.mcap")):
         return _about(path, *RECORDED)
-    return "it is a folder.", "Give a file in this folder."
+    return "it is a folder.", "Give a file from this folder."
 
 
 def _about(path: Path, limit: str, remedy: str) -> tuple[str, str]:

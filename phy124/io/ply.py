@@ -1,14 +1,15 @@
 """Reads and writes 3DGS PLY files, which store log scales and opacity logits.
 
-The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `vertex` whose
-properties are found by name. Colours are spherical harmonics, with all red `f_rest` first, then
-green, then blue. The axes of such PLY files are x right, y down, z into the image; the axes of
-phy124 are z up with the object facing +x (docs/reference/conventions.md). The axes are converted on
-reading and writing. The conversion is a signed permutation and therefore exact: a round trip
-preserves all values bit for bit, except for the rounding of log and logit.
+The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `vertex`, whose
+properties are identified by their names. Colours are spherical harmonics; the coefficients `f_rest`
+are first all red, then all green, then all blue. In such PLY files, the axes are x right, y down, z
+into the image. In phy124, z is up and the object faces +x (docs/reference/conventions.md). The axes
+are converted when a file is read or written. The conversion only permutes the axes and changes
+signs, so it is exact. Writing and reading a file therefore preserves all values bit for bit, except
+for the rounding of log and logit.
 
-If a column of another training program changes the Gaussians, the change is applied. Unknown
-columns are named in a note, since they may change the Gaussians, too.
+If a column that another training program writes changes the Gaussians, the change is applied. A
+note names unknown columns, because they might also change the Gaussians.
 
     program                           columns                     treatment
     Mip-Splatting, GOF, RaDe-GS       filter_3D                   filter applied: wider and fainter
@@ -47,10 +48,10 @@ from phy124.io.files import replacing
 from phy124.io.plyheader import Header, read_header, refusal
 
 BLOCK = 1 << 16
-"""Number of Gaussians that are written at a time."""
+"""Number of Gaussians that are written at once."""
 PLAIN, WIDER, TEXT = 68, 3, 70
-"""Size of a row of degree 0 [bytes]. Memory [bytes] that reading a file needs per further byte of a
-row, and per value of an ascii row."""
+"""Size of a row of degree 0 [bytes]. Memory [bytes] that is needed for reading, per further byte of
+a row and per value of an ascii row."""
 FILTER = "filter_3D"
 """Column with the standard deviation of Mip-Splatting's filter, in the file's unit of length
 (Yu et al. 2023, eq. 7)."""
@@ -61,13 +62,14 @@ SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 SPLATS = (*SCALES, *QUATS, "opacity")
 KNOWN = {*CENTRE, *DC, *RGB, *SPLATS, OBJECT, FILTER, "nx", "ny", "nz"}
-"""Columns without a note: columns that are read, that repeat others (red, green, blue), or that are
-not needed (normals)."""
+"""Columns for which there is no note, because they are read, repeat others (red, green, blue), or
+are not needed (normals)."""
 ANCHORS = ("f_anchor_feat_0", "f_offset_0")
 FLAT = 0.01
 """Thickness of a Gaussian without scale_2, relative to its shorter side."""
 MOST_NAMED = 12
-"""Largest number of unknown columns that a note names; a group of numbered columns counts once."""
+"""Largest number of unknown columns that a note names; numbered columns with the same name count
+once."""
 COEFFICIENTS = (*SH_COEFFICIENTS, 25)
 """Numbers of spherical-harmonic coefficients of degree 0 to 4."""
 STANDARD = "Export the file in the standard 3DGS layout."
@@ -75,7 +77,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 def check_names(path: Path, header: Header) -> None:
-    """Refuse a PLY that lacks the columns of Gaussians.
+    """Refuse a PLY file that lacks the columns that Gaussians need.
 
     Raises:
         InputError: If the file has no rows, lacks a column, or has a layout that is not supported.
@@ -85,13 +87,15 @@ def check_names(path: Path, header: Header) -> None:
         limit = "it is compressed by SuperSplat, not a plain PLY."
         raise refusal(path, limit, f"Run `phy124 convert {path.name} plain.ply`.")
     if not header.count:
-        raise refusal(path, "it holds no Gaussians.", "Export the file again, with Gaussians.")
+        raise refusal(
+            path, "it contains no Gaussians.", "Export the file again, including its Gaussians."
+        )
     if not names & set(SPLATS):
         limit = "it is a plain point cloud or mesh: it has no scales, rotations and opacities."
         remedy = "Give a Gaussian splatting PLY, as LGM, TRELLIS or a 3DGS training write it."
         raise refusal(path, limit, remedy)
     if names & set(ANCHORS):
-        limit = "it holds anchors of Scaffold-GS, from which a network makes the Gaussians."
+        limit = "it contains anchors of Scaffold-GS, from which a network makes the Gaussians."
         raise refusal(path, limit, "Export the Gaussians of a view with that program.")
     wanted = (*CENTRE, "scale_0", *QUATS, "opacity")
     missing = [name for name in wanted if name not in names]
@@ -103,11 +107,12 @@ def check_names(path: Path, header: Header) -> None:
 
 
 def read_columns(path: Path, table: NDArray[Any]) -> tuple[Columns, list[str]]:
-    """Return the activated columns by the field names of `Gaussians`, and notes about them.
+    """Return the decoded columns by the field names of `Gaussians`, and notes about the columns.
 
     Args:
         path: The file.
-        table: The rows of element `vertex`, whose column names `check_names` has accepted.
+        table: The rows of element `vertex`; `check_names` must have accepted the names of their
+            columns.
 
     Raises:
         InputError: If the number of harmonics belongs to no degree from 0 to 4.
@@ -134,7 +139,7 @@ def read_columns(path: Path, table: NDArray[Any]) -> tuple[Columns, list[str]]:
 def _group(
     table: NDArray[Any], names: tuple[str, ...], kind: type[np.floating] = np.float32
 ) -> NDArray[Any]:
-    """Copy columns to an array [N,len(names)]; doubles beyond float32 become infinite."""
+    """Copy columns to an array [N,len(names)]; doubles that exceed float32 become infinite."""
     out = np.empty((len(table), len(names)), kind)
     with np.errstate(over="ignore", invalid="ignore"):
         for i, name in enumerate(names):
@@ -158,18 +163,18 @@ def _activate(table: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.floa
     if len(sides) == 2:
         flat = FLAT * scales.min(axis=1, keepdims=True)
         scales = np.concatenate([scales, flat], axis=1)
-        notes.append("Its Gaussians are flat, as those of 2DGS: it has no scale_2.")
+        notes.append("Its Gaussians are flat, like those of 2DGS, because it has no scale_2.")
     if len(sides) == 1:
         scales = np.repeat(scales, 3, axis=1)
-        notes.append("Its Gaussians are round: it has no scale_1 and scale_2.")
+        notes.append("Its Gaussians are round, because it has no scale_1 and scale_2.")
     return scales, opacities, notes
 
 
 def _are_activated(scales: NDArray[np.float64], opacities: NDArray[np.float64]) -> bool:
     """Whether a file stores lengths and opacities instead of the usual logarithms and logits.
 
-    Scales alone cannot decide whether they are logarithms: in a capture in millimetres, all
-    logarithms may be positive.
+    The scales alone cannot show whether they are logarithms. For example, in a capture in
+    millimetres, all logarithms may be positive.
     """
     sound = np.isfinite(scales).all(axis=1) & np.isfinite(opacities)
     scales, opacities = scales[sound], opacities[sound]
@@ -182,7 +187,8 @@ def _apply_filter(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Convolve each Gaussian with an isotropic Gaussian, as the renderer of Mip-Splatting does.
 
-    Variances add up; opacities are multiplied by sqrt(det before / det after) of the covariances.
+    The variances are added. The opacities are multiplied by sqrt(det before / det after) of the
+    covariances.
     """
     with np.errstate(all="ignore"):
         before = np.square(scales)
@@ -193,14 +199,16 @@ def _apply_filter(
 
 
 def _harmonics(path: Path, table: NDArray[Any]) -> tuple[NDArray[np.float32], list[str]]:
-    """Return colours [N,K,3] up to degree 3, and notes about the colours."""
+    """Return colours [N,K,3] up to degree 3, and notes for the user about the colours."""
     names = table.dtype.names or ()
     first = _group(table, DC) if set(DC) <= set(names) else _first_of_rgb(table)
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest not in [3 * (k - 1) for k in COEFFICIENTS] or any(
         f"f_rest_{i}" not in names for i in range(rest)
     ):
-        limit = f"it has {rest} f_rest values; harmonics of degree 0 to 4 have 0, 9, 24, 45 or 72."
+        limit = (
+            f"it has {rest} f_rest values, but harmonics of degree 0 to 4 have 0, 9, 24, 45 or 72."
+        )
         raise refusal(path, limit, STANDARD)
     each = rest // 3
     kept = min(each, LARGEST_SH - 1)
@@ -215,13 +223,14 @@ def _first_of_rgb(table: NDArray[Any]) -> NDArray[np.float64]:
     """Convert plain colours (bytes, or fractions in float columns) to harmonics of degree 0."""
     rgb = _group(table, RGB, np.float64)
     kind = table.dtype["red"]
-    # All columns of an ascii file are read as float64: values above 1 show that they are bytes.
+    # All columns of an ascii file are read as float64, so values above 1 show that the colours are
+    # bytes.
     most = np.iinfo(kind).max if kind.kind in "ui" else 255.0 if (rgb > 1).any() else 1.0
     return (rgb / most - 0.5) / SH_C0
 
 
 def describe_unread(names: Iterable[str]) -> list[str]:
-    """Return a note that names the columns that are not read, if there are any."""
+    """Return a note that names the columns that are ignored, if there are any."""
     shown: list[str] = []
     for _, group in groupby(map(_printable, names), lambda name: name.rstrip("0123456789")):
         alike = list(group)
@@ -237,18 +246,19 @@ def _printable(name: str) -> str:
 
 
 SCALE_FLOOR = 1e-12
-"""Smallest scale that is written [m]: the scale 0 of a flat Gaussian has no logarithm."""
+"""Smallest scale that is written [m], because the scale 0 of a flat Gaussian has no logarithm."""
 OPACITY_MARGIN = 1e-7
-"""Opacities stay this far from 0 and 1, whose logits are infinite."""
+"""Smallest distance of written opacities from 0 and 1, because the logits of 0 and 1 are
+infinite."""
 COMMENT = "phy124: x right, y down, z into the picture; the world's (x, y, z) is (-z, x, -y) here"
 VERTICAL = re.compile(r"vertical axis:\s*(-?[xyz])\s*", re.IGNORECASE)
-"""Pattern of the comment with which Nerfstudio and Brush name the vertical axis."""
+"""Pattern of the comment in which Nerfstudio and Brush state the vertical axis."""
 MIP = ("SplatRenderMode: mip", "antialiased 1")
 """Comments with which Brush and Postshot mark files that were trained with Mip-Splatting's
 filter."""
 NOT_MIP = ("SplatRenderMode: default", "antialiased 0")
 NO_NUMBER = re.compile(rb"[-+]?(nan\([^)]*\)|1\.#\w+)", re.IGNORECASE)
-"""How programs on Windows write NaN and infinity: -nan(ind), 1.#QNAN, -1.#INF00."""
+"""Texts that Windows programs write for NaN and infinity: -nan(ind), 1.#QNAN, -1.#INF00."""
 
 
 class Ply(NamedTuple):
@@ -256,9 +266,10 @@ class Ply(NamedTuple):
 
     gaussians: Gaussians
     """The Gaussians in the axes of phy124, in the file's unit of length (assumed to be the metre).
-    If they are so far from the origin that float32 could not resolve them, they are moved to it."""
+    If they are so far from the origin that float32 could not resolve them, they are moved to the
+    origin."""
     dropped: int
-    """Number of rows left out because a value was NaN or infinite."""
+    """Number of rows that were dropped because a value was NaN or infinite."""
 
 
 def read_ply(
@@ -273,12 +284,14 @@ def read_ply(
     Args:
         path: The file.
         up: Direction in the file that points up, in the notation of `phy124.io.axes.orientation`.
-        front: Direction in the file in which the object faces.
-        dialect: The program that wrote the file, used if `up` is None. If both are None, the axes
-            are those of the file's comment about its vertical axis, else the usual axes.
+        front: Direction in the file that the object faces.
+        dialect: The program that wrote the file, used if `up` is None. If `up` and `dialect` are
+            None, the axes follow from the file's comment about its vertical axis if there is one;
+            otherwise the usual axes are assumed.
 
     Raises:
-        InputError: If the file is missing, cut short, not a PLY, or contains no Gaussians.
+        InputError: If the file is missing or cut short, is not a PLY file, or contains no
+            Gaussians.
     """
     rotation = None if up is None and dialect is None else orientation(up, front, dialect)
     content = read(Path(path)).in_place
@@ -291,7 +304,8 @@ def read(path: Path) -> Content:
     """Read the Gaussians of a PLY file in the file's axes.
 
     Raises:
-        InputError: If the file is missing, cut short, not a PLY, or contains no Gaussians.
+        InputError: If the file is missing or cut short, is not a PLY file, or contains no
+            Gaussians.
     """
     header = read_header(path)
     check_names(path, header)
@@ -306,7 +320,8 @@ def read_comments(comments: tuple[str, ...]) -> tuple[tuple[str, str | None], bo
     antialiased = False
     for text in comments:
         if match := VERTICAL.fullmatch(text):
-            # Brush writes y for any up axis: a bare y does not say whether +y or -y is up.
+            # Brush writes y for any up axis, so y without a sign does not show whether +y or -y is
+            # up.
             axes = Y_DOWN if match[1].lower() in ("y", "-y") else (match[1].lower(), None)
         antialiased |= text in MIP
     return axes, antialiased
@@ -315,7 +330,10 @@ def read_comments(comments: tuple[str, ...]) -> tuple[tuple[str, str | None], bo
 def write_ply(
     path: str | os.PathLike[str], gaussians: Gaussians, *, antialiased: bool = False
 ) -> None:
-    """Write Gaussians in the Inria layout (binary little-endian float32), atomically."""
+    """Write Gaussians in the Inria layout (binary little-endian float32).
+
+    The file is replaced atomically.
+    """
     with replacing(path) as temporary, open(temporary, "wb") as file:
         for start in range(0, max(len(gaussians), 1), BLOCK):
             some = gaussians.select(slice(start, start + BLOCK))
@@ -326,15 +344,13 @@ def write_ply(
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a PLY file; the Gaussians must have axes x right, y down."""
+    """Return the bytes of a PLY file; the axes of the Gaussians must be x right, y down."""
     table = raw_table(gaussians)
     return _header(table, len(table), antialiased=antialiased) + table.tobytes()
 
 
 def _header(table: NDArray[Any], count: int, *, antialiased: bool) -> bytes:
-    """Return the header of a PLY file with a given number of rows that have the columns of a
-    table.
-    """
+    """Return the header of a PLY file whose rows have the columns of a table."""
     names = table.dtype.names or ()
     tags = [COMMENT, "Vertical axis: -y", *(MIP if antialiased else NOT_MIP)]
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {tag}" for tag in tags)]
@@ -346,7 +362,7 @@ def read_rows(path: Path) -> NDArray[Any]:
     """Read the rows of element `vertex` of any PLY file as a structured array.
 
     Raises:
-        InputError: If the file is missing, is not a PLY, is too large or cut short.
+        InputError: If the file is missing, too large or cut short, or is not a PLY file.
     """
     return _rows(path, read_header(path))
 
@@ -356,7 +372,8 @@ def _rows(path: Path, header: Header) -> NDArray[Any]:
         check_size("PLY", path, header.count, more=TEXT * len(header.row.names or ()))
         return _read_ascii(path, header)
     available = max(path.stat().st_size - header.start, 0) // header.row.itemsize
-    if available < header.count <= MAX_GAUSSIANS:  # before the memory for missing rows
+    # checked before memory for missing rows is allocated
+    if available < header.count <= MAX_GAUSSIANS:
         raise _cut_short(path, available, header.count)
     check_size("PLY", path, header.count, more=WIDER * max(header.row.itemsize - PLAIN, 0))
     rows = np.fromfile(path, header.row, header.count, offset=header.start)
@@ -376,7 +393,9 @@ def _read_ascii(path: Path, header: Header) -> NDArray[Any]:
     try:
         values = np.array(text.split(), dtype=np.float64)
     except ValueError as error:
-        raise refusal(path, f"it has an unreadable number ({error}).", "Export again.") from error
+        raise refusal(
+            path, f"it contains a number that cannot be parsed ({error}).", "Export the file again."
+        ) from error
     rows = len(values) // len(names)
     if rows < header.count:
         raise _cut_short(path, rows, header.count)
@@ -389,7 +408,7 @@ def _read_ascii(path: Path, header: Header) -> NDArray[Any]:
 
 
 def _cut_short(path: Path, rows: int, wanted: int) -> InputError:
-    limit = f"it is cut short: {rows:,} of {wanted:,} Gaussians are present."
+    limit = f"it is cut short: only {rows:,} of {wanted:,} Gaussians are present."
     return refusal(path, limit, "Copy or download the file again.")
 
 

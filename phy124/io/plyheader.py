@@ -14,17 +14,17 @@ from phy124.errors import InputError
 from phy124.io import content
 
 MAX_BYTES = 65536
-"""Size of the longest header that is accepted [bytes]; a usual header has about 1500 bytes."""
+"""Size of the longest header that is accepted [bytes]; headers usually have about 1500 bytes."""
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
     "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
-"""NumPy types by the old and new PLY names of number types."""
+"""NumPy types by PLY's old and new names of number types."""
 ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 MOST_DIGITS = 30
-"""Largest number of digits in a row count."""
+"""Largest number of digits that the number of rows may have."""
 LINE_ENDS = rb"\r\n|\n|\r"
 """Byte sequences that end a line; `str.splitlines` is not used because it also splits elsewhere."""
 SPLATS = "Keep the file unchanged: `phy124 convert`, `phy124 simulate` and other commands read it."
@@ -33,7 +33,7 @@ CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give
 
 @dataclass(frozen=True)
 class Element:
-    """Name, number, data type and position of the rows of one PLY element."""
+    """Name of a PLY element, and number, data type and position of its rows."""
 
     name: str
     count: int
@@ -45,7 +45,7 @@ class Element:
 
 @dataclass(frozen=True)
 class Header:
-    """Position and data type of the rows of element `vertex`, and the other elements."""
+    """Position and data type of the rows of element `vertex`, and the elements before it."""
 
     ascii: bool
     count: int
@@ -57,9 +57,9 @@ class Header:
     skip_lines: int
     """Number of lines of other elements before `vertex` (ascii)."""
     elements: tuple[Element, ...]
-    """The elements before the first element that has list properties."""
+    """The elements that come before the first element with list properties."""
     comments: tuple[str, ...] = ()
-    """Comments, such as those of the program that wrote the file."""
+    """The comments in the header, such as those of the program that wrote the file."""
 
 
 @dataclass
@@ -74,7 +74,7 @@ def read_header(path: Path) -> Header:
     """Parse the header of a PLY file.
 
     Raises:
-        InputError: If the file is missing, is not a PLY, or its header is invalid.
+        InputError: If the file is missing, is not a PLY file, or has an invalid header.
     """
     lines, start = _header_lines(path)
     words = [line for line in lines if line and line[0] not in ("comment", "obj_info")]
@@ -111,12 +111,15 @@ def read_header(path: Path) -> Header:
 
 
 def refusal(path: Path, limit: str, remedy: str) -> InputError:
-    """Return the error for an unusable PLY file; `limit` starts with a lower-case letter."""
+    """Return the error for an unusable PLY file.
+
+    The text `limit` starts with a lower-case letter.
+    """
     return content.refusal("PLY", path, limit, remedy)
 
 
 def _header_lines(path: Path) -> tuple[list[list[str]], int]:
-    """Return the words of each line of the header, and the header's length [bytes]."""
+    """Return the words of each line of the header, and the length of the header [bytes]."""
     content.check_opens("PLY", path)
     with open(path, "rb") as file:
         head = file.read(MAX_BYTES)
@@ -127,7 +130,7 @@ def _header_lines(path: Path) -> tuple[list[list[str]], int]:
     if head[:4] not in (b"ply\n", b"ply\r"):
         raise refusal(path, "it is not a PLY file: it does not begin with `ply`.", CONVERT)
     lines, start = [], 0
-    # If lines end in \r alone, a \n after the last line is the first byte of the data.
+    # If lines end in \r alone, a \n after the last line belongs to the data as its first byte.
     ends = LINE_ENDS if head[3:5] == b"\r\n" or head[3:4] == b"\n" else b"\r"
     for end in re.finditer(ends, head):
         words = head[start : end.start()].split()

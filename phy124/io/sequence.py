@@ -1,7 +1,7 @@
 """Writes a sequence of files, one per frame, into a folder or a zip archive.
 
 SuperSplat plays files whose names differ only by a running number (`name_0001.ply`, ...) if they
-are dropped into its window together; Brush plays a zip of PLY files. The function that writes a
+are dropped into its window together. Brush plays a zip of PLY files. The function that writes a
 single file also converts the axes.
 """
 
@@ -35,9 +35,9 @@ def write_ply_sequence(
     Args:
         path: A new or empty folder, or a name ending in .zip.
         clip: The clip whose frames are written.
-        name: Prefix of the file names.
-        frames: The clip's frames as they are drawn; None: as they moved.
-        progress: Called as progress("export", frames done, total frames).
+        name: Text with which all file names begin.
+        frames: The frames as they are rendered; if None, the clip's own frames.
+        progress: Function that is called as progress("export", frames done, total frames).
     """
     return write_sequence(
         path, clip, write_ply, ".ply", name=name, frames=frames, progress=progress
@@ -56,20 +56,20 @@ def write_sequence(
 ) -> list[str]:
     """Write one file per frame, numbered from 1, and return the file names.
 
-    The folder or archive appears whole or not at all.
+    The folder or archive appears only when it is complete.
 
     Args:
-        path: A new or empty folder, or a name that ends in .zip for an archive. The archive is
-            stored without compression, since these files hardly shrink.
+        path: A new or empty folder, or a name that ends in .zip for an archive. The archive is not
+            compressed, because these files hardly become smaller.
         clip: The clip whose frames are written.
         write: Function that writes the Gaussians of one frame to a path.
-        suffix: Extension of the file names, with its dot.
-        name: Prefix of the file names.
-        frames: The clip's frames as they are drawn; None: as they moved.
-        progress: Called as progress("export", frames done, total frames).
+        suffix: Extension of the file names, including the dot.
+        name: Text with which all file names begin.
+        frames: The frames as they are rendered; if None, the clip's own frames.
+        progress: Function that is called as progress("export", frames done, total frames).
 
     Raises:
-        InputError: If the clip is empty, the name is not usable or a file cannot be written.
+        InputError: If the clip is empty, the name is not usable, or a file cannot be written.
     """
     path = resolve_links(Path(path))
     if not len(clip):
@@ -80,7 +80,7 @@ def write_sequence(
         )
 
     def write_numbered(folder: Path) -> Iterator[Path]:
-        # All numbers have the same number of digits, since players sort the names as text.
+        # All numbers have the same number of digits, because players sort the names as text.
         digits = max(4, len(str(len(clip))))
         for done, frame in enumerate(clip.frames() if frames is None else frames, 1):
             file = folder / f"{name}_{done:0{digits}}{suffix}"
@@ -109,14 +109,14 @@ def _new_folder(path: Path) -> Iterator[Path]:
     """Provide a temporary folder that becomes `path` if the block succeeds."""
     try:
         if path.exists() and any(path.iterdir()):
-            # A player would mix frames left from an older sequence with the new frames.
+            # A player would show files of an older sequence together with the new frames.
             raise FileExistsError(0, "the folder exists and is not empty")
         scratch = tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent)
     except OSError as error:
         if error.errno in SHORT_CODES:
             raise
-        limit = f"the folder cannot be made ({error.strerror})."
-        remedy = "Give a new name in a folder that exists and that you may write to."
+        limit = f"the folder cannot be created ({error.strerror})."
+        remedy = "Give a new name in an existing folder to which you may write."
         raise InputError("output", path, limit, remedy) from error
     with scratch:
         folder = Path(scratch.name) / "frames"

@@ -1,10 +1,12 @@
-"""Writes videos: H.264 in MP4 for players, VP9 in WebM and ProRes 4444 in MOV for editing with
-transparency, GIF or animated WebP for chats, and PNGs for film tools.
+"""Writes videos in several formats.
 
-Frames are streamed into the encoder while they are rendered. MP4s are yuv420p. Frames are converted
-to ITU-R BT.709 limited range and tagged as such: without tags, players assume BT.709 only for HD
-video, not for smaller video. The index is at the front of the file, so that a browser can start
-playback before it has downloaded the whole file.
+Players show H.264 in MP4, and film tools read PNG files. VP9 in WebM and ProRes 4444 in MOV may be
+transparent, for editing; GIF and animated WebP are for chats.
+
+Frames are streamed into the encoder while they are rendered. MP4 files have the pixel format
+yuv420p. Frames are converted to ITU-R BT.709 with limited range, and the file states this in its
+tags. Without tags, players assume BT.709 for HD video but not for smaller video. The index is at
+the front of the file, so that a browser can start playback before it has downloaded the whole file.
 """
 
 from __future__ import annotations
@@ -33,15 +35,16 @@ from phy124.io.files import replacing
 Picture = NDArray[np.uint8]
 FPS_RANGE = (0.1, 240.0)
 STUCK = 120.0
-"""Time after which an encoder that accepts no frame, or does not finish, is killed [s]."""
+"""Time after which an encoder is killed if it accepts no frame or does not finish [s]."""
 ENCODER = ("-preset", "veryfast", "-crf", "18", "-movflags", "+faststart", "-f", "mp4")
-"""CRF 18 is visually lossless; slower presets save few bytes here."""
+"""With CRF 18, losses are not visible; slower presets would make the files only slightly
+smaller."""
 BT709 = (
     "scale=in_range=full:out_range=limited:out_color_matrix=bt709"
     ":flags=accurate_rnd+full_chroma_int,"
     "setparams=range=limited:color_primaries=bt709:color_trc=bt709:colorspace=bt709"
 )
-"""Filters that convert RGB to limited-range BT.709 and tag the video accordingly."""
+"""Filters that convert RGB to BT.709 with limited range, and state this in the video's tags."""
 CODEC = ("-vf", BT709, "-c:v", "libx264", "-pix_fmt", "yuv420p")
 VP9 = "-c:v libvpx-vp9 -crf 20 -b:v 0 -deadline good -cpu-used 5 -auto-alt-ref 0 -f webm"
 PRORES = "-c:v prores_ks -profile:v 4444 -vendor apl0 -f mov"
@@ -49,16 +52,19 @@ FILMS = {
     ".webm": ({3: "yuv420p", 4: "yuva420p"}, VP9),
     ".mov": ({3: "yuv444p10le", 4: "yuva444p10le"}, PRORES),
 }
-"""Ending of a film that may be transparent -> pixel format by number of channels, and encoder."""
+"""File name extension of a film that may be transparent -> encoder, and pixel format for each
+number of channels."""
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
-"""Smallest alpha at which a pixel of a GIF is drawn; GIF has no partly transparent pixels."""
+"""Smallest alpha of the pixels of a GIF that are drawn; GIF cannot store half-transparent
+pixels."""
 SMALLEST = 16
-"""Smallest width or height to which an animation is reduced so that its file is small enough."""
+"""Smallest width or height to which an animation is reduced to limit the size of its file."""
 CLEAR = 255
-"""Index of the transparent colour of a GIF."""
+"""Index of the transparent colour in a GIF."""
 PNG_EFFORT = 3
-"""PNG compression level, 0 to 9; higher levels take twice as long and save a few per cent."""
+"""Compression level of PNG files, 0 to 9; higher levels take twice as long and save a few per
+cent."""
 
 
 def refuse_missing_encoder() -> None:
@@ -77,7 +83,7 @@ def refuse_missing_encoder() -> None:
 
 
 def encoder_problem() -> str:
-    """Return the reason why the encoder does not work; an empty text if it works."""
+    """Return the reason why the encoder does not work, or an empty text if it works."""
     try:
         return _problem_of(imageio_ffmpeg.get_ffmpeg_exe())
     except RuntimeError as error:
@@ -100,32 +106,34 @@ def _problem_of(program: str) -> str:
 
 
 def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
-    """Write frames [H,W,3] uint8 as one MP4, and return their number.
+    """Write frames [H,W,3] uint8 as an MP4 file, and return the number of frames.
 
-    H.264 needs an even width and height: if the width or height is odd, the last column or row is
-    repeated. The file appears whole or not at all. If `frames` is a generator, it is closed in any
-    case.
+    H.264 needs an even width and height. If the width or height is odd, the last column or row is
+    repeated. The file appears only when it is complete. If `frames` is a generator, it is always
+    closed.
 
     Raises:
         InputError: If there are no frames, `fps` is out of range, the file cannot be written, or
             the encoder did not finish.
-        ValueError: If a frame is not uint8 [H,W,3] or differs in size from the first frame.
+        ValueError: If a frame is not uint8 [H,W,3], or its size differs from that of the first
+            frame.
     """
     return _write_film(path, frames, fps, (3,))
 
 
 def write_film(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
-    """Write frames as a film that may be transparent, and return their number.
+    """Write frames as a film that may be transparent, and return the number of frames.
 
     Args:
-        path: Ends in .webm (VP9) or .mov (ProRes 4444). It appears whole or not at all.
+        path: Name of the file, which ends in .webm (VP9) or .mov (ProRes 4444). The file appears
+            only when it is complete.
         frames: RGB or RGBA frames, uint8 [H,W,3] or [H,W,4] with straight alpha; a generator is
-            closed in any case. Odd sizes are padded as by `write_mp4`.
-        fps: Frames per second.
+            always closed. Odd sizes are padded in the same way as by `write_mp4`.
+        fps: Number of frames per second.
 
     Raises:
-        InputError: As `write_mp4`.
-        ValueError: If a frame has another type or size than the first one.
+        InputError: For the reasons listed at `write_mp4`.
+        ValueError: If the type or size of a frame differs from that of the first frame.
     """
     return _write_film(path, frames, fps, (3, 4))
 
@@ -133,7 +141,7 @@ def write_film(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: 
 def _write_film(
     path: str | os.PathLike[str], frames: Iterable[Picture], fps: float, channels: tuple[int, ...]
 ) -> int:
-    """Encode frames by ffmpeg; the ending of the path determines the encoder."""
+    """Encode frames with ffmpeg; the file name extension determines the encoder."""
     with _closing(frames), replacing(path) as temporary:
         _check_rate(fps)
         first, pictures = _peek(frames, channels)
@@ -154,23 +162,25 @@ def write_animation(
     fps: float,
     most: float | None = None,
 ) -> int:
-    """Write frames [H,W,3 or 4] uint8 as an endless .gif or .webp, and return their number.
+    """Write frames (uint8, [H,W,3 or 4]) as a looping .gif or .webp; return the number of frames.
 
-    Times are multiples of 1 ms in WebP and of 10 ms in GIF. Each frame ends at the multiple nearest
-    to its exact time, so that rounding errors do not add up. GIF has 256 colours per frame and no
-    half-transparent pixels; prefer WebP. All frames are kept in memory until the last frame has
-    arrived.
+    Times are stored as multiples of 1 ms in WebP, and of 10 ms in GIF. The end of each frame is
+    rounded to the nearest multiple, so that rounding errors do not add up. WebP is better than GIF,
+    which has only 256 colours per frame and no half-transparent pixels. All frames are kept in
+    memory until the last frame has been received.
 
     Args:
-        path: The file, which appears whole or not at all.
-        frames: The frames; a generator is closed in any case.
-        fps: Frames per second.
-        most: Largest size of the file [bytes]; pictures are reduced until it fits.
+        path: The file, which appears only when it is complete.
+        frames: The frames; a generator is always closed.
+        fps: Number of frames per second.
+        most: Largest allowed size of the file [bytes]; the frames are reduced in size until the
+            file is small enough.
 
     Raises:
-        InputError: If the name ends in neither .gif nor .webp, there are no frames, `fps` is out
+        InputError: If the name ends neither in .gif nor in .webp, there are no frames, `fps` is out
             of range, or the file cannot be written.
-        ValueError: If a frame is not uint8 [H,W,3 or 4] or differs in size from the first frame.
+        ValueError: If a frame is not uint8 [H,W,3 or 4], or its size differs from that of the first
+            frame.
     """
     kind = ANIMATIONS.get(Path(path).suffix.lower())
     if kind is None:
@@ -201,7 +211,7 @@ def write_animation(
             if scale <= smallest:
                 width, height = shown[0].size
                 limit = f"{len(images)} pictures of {width} x {height} take {written / 1e6:g} MB."
-                remedy = "Give at least that, or film fewer frames."
+                remedy = "Allow at least this size, or film fewer frames."
                 raise InputError("megabytes", most / 1e6, limit, remedy)
             scale = max(scale * min((most / written) ** 0.5, 0.95), smallest)
             side = [round(scale * length) for length in images[0].size]
@@ -211,14 +221,15 @@ def write_animation(
 def write_pictures(
     folder: str | os.PathLike[str], frames: Iterable[Picture], *, name: str = "frame"
 ) -> int:
-    """Write frames [H,W,3 or 4] uint8 as PNGs numbered from 1, and return their number.
+    """Write frames (uint8, [H,W,3 or 4]) as numbered PNG files, and return the number of frames.
 
-    The PNGs are written into an existing folder as `name_0001.png` and so on, a numbering that film
-    tools read.
+    The files are written into an existing folder as `name_0001.png` and so on. Film tools can read
+    this numbering.
 
     Raises:
         InputError: If there are no frames or a file cannot be written.
-        ValueError: If a frame is not uint8 [H,W,3 or 4] or differs in size from the first frame.
+        ValueError: If a frame is not uint8 [H,W,3 or 4], or its size differs from that of the first
+            frame.
     """
     count = 0
     with _closing(frames):
@@ -229,7 +240,7 @@ def write_pictures(
 
 
 def _gif_frame(picture: Picture) -> Image.Image:
-    """Convert a frame for a GIF; a frame with alpha gets 255 colours and a transparent colour."""
+    """Convert a frame for a GIF; if it has alpha, it gets 255 colours and a transparent colour."""
     if picture.shape[2] == 3:
         return Image.fromarray(picture)
     image = Image.fromarray(picture[..., :3]).quantize(CLEAR)
@@ -240,9 +251,10 @@ def _gif_frame(picture: Picture) -> Image.Image:
 def _encode(
     temporary: Path, path: object, pictures: Iterator[Picture], fps: float, codec: list[str]
 ) -> int:
-    """Stream the frames into ffmpeg, and wait until ffmpeg ends, even if an error occurs.
+    """Send the frames to ffmpeg, and wait until ffmpeg has ended, even if an error occurs.
 
-    imageio's writer is not used because it reports neither ffmpeg's exit code nor its messages.
+    imageio's writer is not used, because it returns neither the exit code nor the messages of
+    ffmpeg.
     """
     first = next(pictures)
     height, width, channels = first.shape
@@ -270,28 +282,26 @@ def _encode(
 
 
 def list_source_options(width: int, height: int, rate: Fraction, channels: int = 3) -> list[str]:
-    """Return the options that make ffmpeg read raw frames from its standard input, silently.
+    """Return the options with which ffmpeg reads raw frames from standard input, without printing.
 
     Args:
         width: Width of the frames, pixels.
         height: Height of the frames, pixels.
         rate: Frames per second.
-        channels: 3 for RGB, 4 for RGBA.
+        channels: Number of colour channels: 3 for RGB, 4 for RGBA.
     """
     kind = "rgba" if channels == 4 else "rgb24"
     return f"-v error -f rawvideo -pix_fmt {kind} -s {width}x{height} -r {rate} -i -".split()
 
 
 def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
-    """Send all frames to the encoder, wait until it ends, and return the number of accepted
-    frames.
-    """
+    """Send all frames to the encoder, wait until it ends, and return how many it accepted."""
     sent = 0
     for picture in pictures:
         try:
             with _ended_if_stuck(encoder):
                 _pipe(encoder).write(np.ascontiguousarray(picture).data)
-        except OSError:  # the encoder has stopped; its exit code and messages give the reason
+        except OSError:  # the encoder has stopped; its exit code and its messages show why
             break
         sent += 1
     with _ended_if_stuck(encoder):
@@ -314,7 +324,7 @@ def _ended_if_stuck(encoder: subprocess.Popen[bytes]) -> Iterator[None]:
 
 
 def _pipe(encoder: subprocess.Popen[bytes]) -> IO[bytes]:
-    assert encoder.stdin is not None  # it was started with a pipe
+    assert encoder.stdin is not None  # the encoder was started with a pipe
     return encoder.stdin
 
 
@@ -324,13 +334,13 @@ def _encoder_error(path: object, sent: int, message: str) -> Exception:
         return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     message = " ".join(message.split())
     limit = f"the video encoder stopped after {sent} pictures: {message[:300]}."
-    remedy = "The disk may be full: make room or choose another folder."
+    remedy = "The disk may be full: delete some files or choose another folder."
     return InputError("output", path, limit, remedy)
 
 
 @contextmanager
 def _closing(frames: Iterable[Picture]) -> Iterator[None]:
-    """Close a generator of frames after the block, so that its threads end, too."""
+    """Close a generator of frames after the block, so that its threads also end."""
     try:
         yield
     finally:
@@ -341,7 +351,7 @@ def _closing(frames: Iterable[Picture]) -> Iterator[None]:
 def _peek(
     frames: Iterable[Picture], channels: tuple[int, ...] = (3,)
 ) -> tuple[Picture, Iterator[Picture]]:
-    """Return the first frame, and an iterator over all frames that checks each frame."""
+    """Return the first frame, and an iterator that yields and checks all frames."""
     pictures = iter(frames)
     first = next(pictures, None)
     if first is None:
@@ -356,19 +366,20 @@ def _check_picture(picture: Picture, shape: tuple[int, ...], channels: tuple[int
     if picture.dtype != np.uint8 or not fits:
         wanted = " or ".join(map(str, channels))
         raise ValueError(
-            f"a picture is {picture.dtype} {picture.shape}, wanted uint8 {shape[:2]} x {wanted}"
+            f"a picture is {picture.dtype} {picture.shape}, but must be uint8 {shape[:2]} x "
+            f"{wanted}"
         )
     return picture
 
 
 def _check_rate(fps: float) -> None:
     low, high = FPS_RANGE
-    if not low <= fps <= high:  # also refuses NaN
-        limit = f"a video shows {low:g} to {high:g} frames per second."
+    if not low <= fps <= high:  # this also refuses NaN
+        limit = f"the frame rate of a video must be from {low:g} to {high:g} frames per second."
         raise InputError("fps", fps, limit, "Choose 24.")
 
 
 def _durations(count: int, fps: float, unit: int) -> list[int]:
-    """Return the duration of each frame [ms], a multiple of `unit`."""
+    """Return the duration of each frame [ms], which is a multiple of `unit`."""
     ends = np.rint(np.arange(count + 1) * 1000 / fps / unit).astype(int) * unit
     return np.diff(ends).tolist()

@@ -1,10 +1,10 @@
 """Declares the formats in which files of Gaussians are read or written.
 
-`FORMATS` declares each format of phy124 once; the command line and the web page list its entries.
-To add a format for single frames, write a module with `read(path) -> Content` and
-`encode(gaussians, *, antialiased) -> bytes`, both in the axes of the file, and a table of the
-layout in its docstring; then add a `Format` to `FORMATS`. A package registers its own `Format`
-with an entry point in the group `phy124.formats` (docs/guide/extending-files.md).
+`FORMATS` declares each format of phy124 once; the command line and the web page list the formats
+from it. To add a format for single frames, write a module with `read(path) -> Content` and
+`encode(gaussians, *, antialiased) -> bytes`, which both use the axes of the file, and describe the
+layout in a table in its docstring. Then add a `Format` to `FORMATS`. A package registers its own
+`Format` with an entry point in the group `phy124.formats` (docs/guide/extending-files.md).
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ from phy124.schema.plugins import list_plugins, load_plugin
 
 
 class Encoder(Protocol):
-    """Encodes Gaussians, in the axes of the file, as the bytes of a file."""
+    """Encodes Gaussians, which are in the axes of the file, as the bytes of a file."""
 
     def __call__(self, gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-        """Return the bytes of the file."""
+        """Return the bytes of the encoded file."""
         ...
 
 
@@ -53,47 +53,49 @@ class ClipWriter(Protocol):
     """Writes all frames of a clip into one file."""
 
     def __call__(self, path: Path, clip: Clip, *, progress: Progress = silent) -> None:
-        """Write a clip, whose axes are those of phy124."""
+        """Write a clip that is in the axes of phy124."""
         ...
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format of files of Gaussians, with its reader and writers."""
+    """A format for files of Gaussians, with its reader and its writers."""
 
     name: str
     """Name of the format in commands."""
     title: str
     suffix: str
     holds: str
-    """Properties of a Gaussian that a file contains, and their precision."""
+    """Properties of the Gaussians that a file stores, and the precision of these properties."""
     opens_in: str
     """Programs that read the format."""
     bytes_each: float
-    """Bytes per frame and Gaussian of degree 0, measured with the example picture of a duck."""
+    """Number of bytes per frame and Gaussian of degree 0, measured with the example picture of a
+    duck."""
     bytes_fixed: float = 0.0
-    """Further bytes per frame, independent of the number of Gaussians."""
+    """Number of further bytes per frame, which does not depend on the number of Gaussians."""
     degree: int = 3
     """Highest degree of the spherical harmonics."""
     objects: str = ""
-    """Name of the field with the object index of each Gaussian; empty if there is no such field."""
+    """Name of the field that stores the object index of each Gaussian; empty if there is no such
+    field."""
     axes: tuple[str, str] = Y_DOWN
-    """Up and front directions of the format."""
+    """Up and front directions that the format prescribes."""
     read: Callable[[Path], Content] | None = None
     encode: Encoder | None = None
     write_clip: ClipWriter | None = None
-    """Writes all frames into one file; None if a file holds only one frame."""
+    """Function that writes all frames into one file; None if a file can store only one frame."""
     package: str | None = None
-    """Package, other than phy124, that must be installed to write the format."""
+    """Package that must be installed to write the format; None if phy124 itself suffices."""
     signs: tuple[bytes, ...] = ()
-    """Possible first bytes of a file; empty if only the file name's extension identifies the
-    format."""
+    """First bytes that a file may have; empty if a file can be identified only by its name's
+    extension."""
     other_suffixes: tuple[str, ...] = ()
-    """Further file name extensions with which the format can be written."""
+    """Further file name extensions that are allowed for this format."""
 
     @property
     def installed(self) -> bool:
-        """Whether the package needed to write the format is installed."""
+        """Whether the package that is needed to write the format is installed."""
         return self.package is None or find_spec(self.package) is not None
 
     @property
@@ -102,7 +104,7 @@ class Format:
         return self.encode is not None or self.write_clip is not None
 
     def write(self, path: Path, gaussians: Gaussians, *, antialiased: bool = False) -> None:
-        """Write one frame to a file, which appears whole or not at all."""
+        """Write one frame to a file, which appears only when it is complete."""
         if self.encode is None:
             assert self.write_clip is not None, f"{self.name} is not written"
             return self.write_clip(path, Clip.from_frames([Frame(0, 0.0, gaussians)]))
@@ -216,20 +218,22 @@ FORMATS = {
         ),
     )
 }  # fmt: skip
-"""Formats by name. Of the formats that share a suffix, the first is used for writing."""
+"""All formats of phy124 by name. If several formats have the same suffix, the first of them is used
+for writing."""
 MESH_ENDINGS = (".gltf", ".obj", ".stl")
-"""Extensions of files that can only be meshes. Files in .glb and .ply may be meshes or
-Gaussians."""
+"""Extensions of files that can only be meshes. Files with the extension .glb or .ply may contain
+meshes or Gaussians."""
 GZIP = b"\x1f\x8b\x08"
 """First bytes of a file compressed with gzip."""
 HEAD = 4096
-"""Number of leading bytes that are examined to recognise a format."""
+"""Number of bytes at the start of a file that are examined to recognise its format."""
 
 
 def formats() -> dict[str, Format]:
-    """Return all formats by name: those of phy124, then those registered by other packages.
+    """Return all formats by name: first those of phy124, then those that other packages registered.
 
-    A registered format is left out if it fails to load or its name is that of a format of phy124.
+    A registered format is skipped if it fails to load, or if phy124 has a format with the same
+    name.
     """
     known = dict(FORMATS)
     for name in list_plugins("formats"):
@@ -241,7 +245,7 @@ def formats() -> dict[str, Format]:
 
 
 def object_endings() -> tuple[str, ...]:
-    """Return the file name extensions of all files of Gaussians and meshes that can be read."""
+    """Return the file name extensions of all readable files of Gaussians and meshes."""
     return (*endings(), *MESH_ENDINGS)
 
 
@@ -267,16 +271,18 @@ def read_gaussians(
 
     Args:
         path: The file.
-        up: Direction in the file that points up; default: stated by the file or its format.
-        front: Direction in the file in which the object faces.
+        up: Direction in the file that points up; default: the direction that the file or its format
+            states.
+        front: Direction in the file that the object faces.
         dialect: The program that wrote a PLY file, used if `up` is None.
-        rotate: Rotation applied first, in the notation of `phy124.io.axes.orientation`.
+        rotate: Rotation that is applied first, in the notation of `phy124.io.axes.orientation`.
 
     Raises:
-        InputError: If the file is missing, damaged or of an unknown format, or the options
+        InputError: If the file is missing, damaged or of an unknown format, or if the options
             contradict each other.
     """
-    orientation(up, front if up else None, dialect, rotate)  # refuses bad options before reading
+    # raise an error for bad options before the file is read
+    orientation(up, front if up else None, dialect, rotate)
     content = read_as_is(path).in_place
     rotation = rotation_of(content, up, front, dialect, rotate)
     x, y, z = (rotation @ content.origin).tolist()
@@ -285,7 +291,7 @@ def read_gaussians(
 
 
 def read_as_is(path: str | os.PathLike[str]) -> Content:
-    """Read a file of Gaussians, keeping the axes of the file.
+    """Read a file of Gaussians without converting the axes of the file.
 
     Raises:
         InputError: If the file is missing, damaged or of an unknown format.
@@ -304,9 +310,9 @@ def rotation_of(
     Args:
         content: Content of the file.
         up: Direction that points up, if the user chose it.
-        front: Direction in which the object faces, if the user chose it.
+        front: Direction that the object faces, if the user chose it.
         dialect: The program that wrote the file, if the user chose it.
-        rotate: Rotation applied first, if the user chose it.
+        rotate: Rotation that is applied first, if the user chose one.
 
     Raises:
         InputError: If the options contradict each other.
@@ -323,12 +329,12 @@ def write_gaussians(
     *,
     antialiased: bool = False,
 ) -> Format:
-    """Write Gaussians, whose axes are those of phy124, and return the format.
+    """Write Gaussians that are in the axes of phy124, and return the format of the file.
 
     Args:
-        path: The file, which appears whole or not at all.
+        path: The file, which appears only when it is complete.
         gaussians: The Gaussians to write.
-        format: Name in `FORMATS`; default: the format of the path's extension.
+        format: Name of the format in `FORMATS`; default: the format with the path's extension.
         antialiased: Whether the Gaussians were trained with Mip-Splatting's filter.
 
     Raises:
@@ -346,12 +352,12 @@ def find_written_format(
     """Return the format with a given name, or the format for the extension of a path.
 
     Args:
-        path: File to write.
-        name: Name of the format; None: the extension of the path determines it.
-        others: Further names that the caller accepts, which an error lists, too.
+        path: The file that will be written.
+        name: Name of the format; if None, the extension of the path determines the format.
+        others: Further names that the caller accepts, which an error message also lists.
 
     Raises:
-        InputError: If there is no such format, or it can only be read.
+        InputError: If the format does not exist, or can only be read.
     """
     written = written_formats()
     if name is None:
@@ -360,8 +366,8 @@ def find_written_format(
             if ending in (chosen.suffix, *chosen.other_suffixes):
                 return chosen
         known = ", ".join(dict.fromkeys(f.suffix for f in written.values()))
-        limit = "phy124 writes no format with this file ending."
-        raise InputError("output", path, limit, f"Use one of the endings {known}.")
+        limit = "phy124 cannot write a format with this file name extension."
+        raise InputError("output", path, limit, f"Use one of the extensions {known}.")
     if name not in written:
         load_plugin("formats", name)  # raises an error that describes a broken plug-in
         raise InputError(
@@ -371,7 +377,7 @@ def find_written_format(
 
 
 def recognise(path: Path) -> Format:
-    """Return the format of a file from its first bytes or, for `.splat`, from its rows.
+    """Recognise the format of a file by its first bytes or, for `.splat`, by its rows.
 
     Raises:
         InputError: If the file is missing or its format cannot be read.
@@ -391,30 +397,28 @@ def recognise(path: Path) -> Format:
         return signed
     if head.startswith(GZIP):
         limit = "It is compressed by gzip, but is not an SPZ file."
-        raise InputError("file", path, limit, "Unpack the file with gunzip, and give the result.")
+        raise InputError(
+            "file", path, limit, "Unpack the file with gunzip, and give the unpacked file."
+        )
     # The file is damaged or has no signature; the reader for its extension reports any damage.
     for chosen in known.values():
         if chosen.read and chosen.suffix == path.suffix.lower():
             return chosen
     if splat.likely(path):
         return FORMATS["splat"]
-    limit = "It is not a file of Gaussians in a format that phy124 reads."
+    limit = "It is not a file of Gaussians in a format that phy124 can read."
     remedy = f"Give one of {', '.join(endings())}; splat-transform converts .ksplat and others."
     raise InputError("file", path, limit, remedy)
 
 
 def _match_signature(known: Iterable[Format], head: bytes, ending: str) -> Format | None:
-    """Return the format whose first bytes match a file's; the extension decides among several
-    formats.
-    """
+    """Return the format whose first bytes match a file's; the extension decides among several."""
     signed = [f for f in known if f.signs and head.startswith(f.signs)]
     return next((f for f in signed if f.suffix == ending), signed[0] if signed else None)
 
 
 def is_file_of_gaussians(name: str | os.PathLike[str]) -> bool:
-    """Whether a file contains Gaussians or a mesh, judged by its extension, or otherwise by its
-    content.
-    """
+    """Whether a file contains Gaussians or a mesh, judged by its extension, else by its content."""
     path = Path(name)
     if path.suffix.lower() in object_endings():
         return True
@@ -439,9 +443,9 @@ def write_frames(
         path: A new or empty folder, or a name ending in .zip.
         clip: The clip whose frames are written.
         chosen: The format of the files.
-        name: Prefix of the file names.
-        frames: The clip's frames as they are drawn; None: as they moved.
-        progress: Called as progress("export", frames done, total frames).
+        name: Text with which all file names begin.
+        frames: The frames as they are rendered; if None, the clip's own frames.
+        progress: Function that is called as progress("export", frames done, total frames).
     """
     return write_sequence(
         path, clip, chosen.write, chosen.suffix, name=name, frames=frames, progress=progress
