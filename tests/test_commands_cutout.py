@@ -35,7 +35,7 @@ def test_a_mask_says_where_the_object_is(dark, tmp_path, capsys):
     cut = np.asarray(Image.open(tmp_path / "o/cutout.png"))[..., 3]
     np.testing.assert_array_equal(cut, np.asarray(Image.open(mask)))
     assert main(["generate", str(DUCK), *QUICK, "--mask", mask, "--out", str(tmp_path / "p")]) == 2
-    assert "mask = 120 x 120 pixels: It does not have the size of" in capsys.readouterr().err
+    assert "mask = 120 x 120 pixels: Its size differs from that of" in capsys.readouterr().err
     assert list(tmp_path.glob("p/*")) == []
 
 
@@ -134,7 +134,7 @@ def test_ignored_parts_of_a_picture_are_noted(tmp_path, capsys):
     assert main(["cutout", str(tmp_path / "a.png"), "--out", str(tmp_path / "b.png")]) == 0
     said = capsys.readouterr()
     assert "note: The picture's colour profile cannot be used" in said.err
-    assert "note: Nothing in the picture is opaque" in said.err
+    assert "note: No part of the picture is opaque" in said.err
     assert "cut out by the picture's own transparency" in said.out
 
 

@@ -255,7 +255,7 @@ def test_masks_that_do_not_fit_are_refused(tmp_path):
     (tmp_path / "text.png").write_text("I am a text and no picture")
     with pytest.raises(InputError, match=r"mask = .* It is not a PNG, .* PPM or HEIC picture"):
         cut_out(path, mask=tmp_path / "text.png")
-    with pytest.raises(InputError, match=r"foreground = grabcut: A mask already shows"):
+    with pytest.raises(InputError, match=r"foreground = grabcut: A mask already determines"):
         cut_out(path, "grabcut", mask=saved(tmp_path, grey, "mask.png"))
 
 
@@ -300,7 +300,10 @@ def test_object_colours_in_the_background_are_doubted(monkeypatch, beside, doubt
     result = foreground(picture, "grabcut")
     assert (result.alike > 0.1) == doubted
     assert (
-        any("of the cut-out's surroundings has the cut-out's colours" in w for w in result.warnings)
+        any(
+            "of the cut-out's surroundings has the same colours as the cut-out" in w
+            for w in result.warnings
+        )
         == doubted
     )
     # Of what a person gave, colours tell nothing.
@@ -364,7 +367,7 @@ def test_first_frame_of_an_animation_is_used_and_noted(tmp_path, name, monkeypat
 def test_an_animation_that_begins_empty_says_so(tmp_path):
     empty = Image.new("RGB", (120, 120), "white")
     path = saved(tmp_path, empty, "a.webp", save_all=True, append_images=[disc()[0]])
-    with pytest.raises(InputError, match=r"Only the first of its 2 frames is examined"):
+    with pytest.raises(InputError, match=r"Only the first of the picture's 2 frames is examined"):
         cut_out(path)
 
 

@@ -137,7 +137,7 @@ def test_auto_uses_what_is_present(folder):
 
 
 def test_missing_weights_name_the_command(folder):
-    with pytest.raises(InputError, match="weights fetch moge2`, or leave the option out"):
+    with pytest.raises(InputError, match="weights fetch moge2`, or remove the option"):
         DepthMap(depth="moge2").bind(relief, "relief")
 
 

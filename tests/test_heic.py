@@ -67,7 +67,9 @@ def _endless(*_: object) -> None:
 
 def test_missing_package_is_named(monkeypatch):
     monkeypatch.setattr(codecs, "can_read_heic", lambda: False)
-    with pytest.raises(InputError, match=r"package pi-heif can read\. Install it \(.*pip install"):
+    with pytest.raises(
+        InputError, match=r"requires the package pi-heif\. Install it \(.*pip install"
+    ):
         open_image(PHONE)
 
 

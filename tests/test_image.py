@@ -134,7 +134,7 @@ def test_recenter_centres_and_leaves_the_border():
     rows, columns = np.nonzero(result[..., 3])
     assert result.shape == (100, 100, 4)
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (10, 89, 30, 69)
-    with pytest.raises(InputError, match="no object to centre"):
+    with pytest.raises(InputError, match="no object that could be centred"):
         recenter(values, np.zeros((100, 60)))
 
 

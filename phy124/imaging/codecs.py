@@ -1,4 +1,4 @@
-"""Opens PNG, TIFF and HEIC without unneeded metadata, whose damage would make Pillow fail.
+"""Opens PNG, TIFF and HEIC files; skips metadata, since Pillow fails if metadata is damaged.
 
 HEIC, the format of many phones, is decoded by libheif (package pi-heif).
 """
@@ -15,11 +15,11 @@ from PIL import Image
 from PIL.TiffImagePlugin import TiffImageFile
 
 TIFF_BEGINNINGS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-"""First bytes of a TIFF."""
+"""First bytes that a TIFF file may have."""
 PNG_START = 8
-"""Number of bytes of a PNG before its first chunk."""
+"""Number of bytes before the first chunk of a PNG file."""
 CHUNK_FRAME = 12
-"""Number of bytes of a PNG chunk in addition to its content: length, kind and checksum."""
+"""Number of bytes that a PNG chunk has besides its content: length, kind and checksum."""
 TRANSPARENCY = b"tRNS"
 """The only optional chunk that changes the pixels."""
 USEFUL = (b"iCCP", b"eXIf", b"acTL", b"fcTL")
@@ -27,15 +27,17 @@ USEFUL = (b"iCCP", b"eXIf", b"acTL", b"fcTL")
 
 
 def strip_png(data: bytes) -> bytes:
-    """Return a PNG reduced to the chunks of its pixels and those in `USEFUL`.
+    """Return a PNG file with only the chunks that contain its pixels and the chunks in `USEFUL`.
 
-    Pillow checks every chunk and refuses an image if any chunk is damaged, even an unused one.
+    Pillow checks every chunk, and refuses an image if any chunk is damaged, even if the chunk is
+    not used.
     """
     kept, place = [data[:PNG_START]], PNG_START
     while place < len(data):
         end = place + CHUNK_FRAME + int.from_bytes(data[place : place + 4], "big")
         kind, chunk = data[place + 4 : place + 8], data[place:end]
-        if kind == TRANSPARENCY or not kind[:1].islower():  # a capital: mandatory chunk
+        # the capital letter marks a mandatory chunk
+        if kind == TRANSPARENCY or not kind[:1].islower():
             kept.append(chunk)
         elif kind in USEFUL:
             kept += [chunk[:-4], struct.pack(">I", zlib.crc32(chunk[4:-4]))]
@@ -44,17 +46,20 @@ def strip_png(data: bytes) -> bytes:
 
 
 class PlainTiff(TiffImageFile):
-    """A TIFF in its stored orientation; Pillow would rotate it and fail if its EXIF is damaged."""
+    """A TIFF image in its stored orientation.
+
+    Pillow would rotate it, and fail if EXIF is damaged.
+    """
 
     def load_end(self) -> None:
-        """Do nothing after decoding, where Pillow would rotate the image."""
+        """Do nothing after decoding; Pillow would rotate the image here."""
 
 
 def open_tiff(data: bytes) -> TiffImageFile:
-    """Open the first image of a TIFF without decoding it."""
+    """Open the first image of a TIFF file without decoding it."""
     picture = PlainTiff(io.BytesIO(data))
     with suppress(Exception):  # damaged EXIF raises exceptions of many types
-        picture.getexif()  # Pillow caches EXIF now, since the file is closed after decoding
+        picture.getexif()  # Pillow must read EXIF now, because the file is closed after decoding
     return picture
 
 
@@ -64,10 +69,10 @@ def can_read_heic() -> bool:
 
 
 def open_heic(data: bytes) -> Image.Image:
-    """Open a HEIC image in the orientation of its container; libheif ignores EXIF's orientation.
+    """Open a HEIC image in the orientation of its container; EXIF's orientation is ignored.
 
     Raises:
-        Exception: An exception of any type, if the file is damaged.
+        Exception: An exception of any type if the file is damaged.
     """
     import pi_heif
 

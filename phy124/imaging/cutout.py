@@ -1,4 +1,4 @@
-"""Segments the object of an image, and warns if the result is implausible."""
+"""Segments the object of an image, and warns if the segmentation is implausible."""
 
 from __future__ import annotations
 
@@ -36,12 +36,13 @@ Alpha = NDArray[np.uint8]
 MINIMUM, MAXIMUM = 0.003, 0.97
 """Smallest and largest fraction of the image that an object may cover."""
 TINY, MUCH = 0.02, 0.85
-"""Fractions of the image below and above which the segmentation probably missed the object."""
+"""Fractions of the image. If the object covers less than the first or more than the second, the
+segmentation probably missed it."""
 SIDES = 3
-"""From this number of touched image edges on, a cut-out is suspicious; a table in the foreground
-touches three."""
+"""A cut-out is suspicious if it touches at least this number of image edges; a table in the
+foreground touches three."""
 PIECES = 4
-"""From this number of separate pieces on, a cut-out is suspicious."""
+"""A cut-out is suspicious if it consists of at least this number of separate pieces."""
 UNSEEN = 0.12
 """A cut-out is suspicious if more than this fraction of its outline lies where the image has no
 edge; correct cut-outs have 0.05."""
@@ -49,9 +50,9 @@ ALIKE = 0.1
 """A cut-out is suspicious if more than this fraction of its surroundings has the object's colours;
 correct cut-outs have 0.09."""
 UNDECIDED = 0.02
-"""A network's cut-out is suspicious if its half-transparent area away from the outline, divided by
-the object's area, is more than this."""
-FAINT = "Nothing in the picture is opaque; its most opaque part is treated as opaque."
+"""A network's cut-out is suspicious if the ratio of the half-transparent area away from the outline
+to the object's area is more than this."""
+FAINT = "No part of the picture is opaque; its most opaque part is treated as opaque."
 REMEDY = (
     "Use a picture that shows one whole object on a plain background, give a mask (white where "
     "the object is), or save the cut-out object as PNG with transparency."
@@ -60,46 +61,49 @@ LATE = f"Try again when the machine is less busy. {REMEDY}"
 
 
 class Method(NamedTuple):
-    """A segmentation method."""
+    """A method that segments the object of an image."""
 
     applies: Callable[[Image.Image], bool]
-    """Whether "auto" may choose this method for an image."""
+    """Function that says whether "auto" may choose this method for an image."""
     find: Callable[[Image.Image, isolated.Deadline], Alpha]
-    """Computes the alpha [H,W]; third-party native code runs in `phy124.runtime.isolated`."""
+    """Function that computes the alpha [H,W]; third-party native code runs in
+    `phy124.runtime.isolated`."""
     title: str = ""
     """Name of the method in messages."""
 
 
 @dataclass(frozen=True)
 class Cutout:
-    """An image whose alpha channel segments the object, with measures of its plausibility."""
+    """An image whose alpha channel segments the object, with measures of plausibility."""
 
     picture: Image.Image
-    """The image, RGBA with straight (not premultiplied) alpha."""
+    """The image in mode RGBA, with straight (not premultiplied) alpha."""
     method: str
-    """Key of `METHODS`; "mask" if a mask was used; "brush" if a person corrected the result."""
+    """Name of the method in `METHODS`; "mask" if a mask was used; "brush" if a person corrected the
+    result."""
     coverage: float
     """Fraction of the image that the object covers."""
     pieces: int
-    """Number of connected pieces of the object."""
+    """Number of connected pieces of which the object consists."""
     touches: tuple[str, ...]
-    """Image edges that the object reaches or nearly reaches: left, top, right, bottom."""
+    """Names of the image edges that the object reaches or nearly reaches: left, top, right,
+    bottom."""
     unseen: float
-    """Fraction of the outline at which the image has no edge."""
+    """Fraction of the outline along which the image has no edge."""
     alike: float
-    """Fraction of the surrounding pixels with a colour that is more common in the object."""
+    """Fraction of the surrounding pixels whose colour is more common in the object."""
     undecided: float = 0.0
-    """Half-transparent area away from the outline, relative to the object's area."""
+    """Ratio of the half-transparent area away from the outline to the object's area."""
     frames: int = 1
-    """Number of frames if the file is an animation; only the first frame was used."""
+    """Number of frames if the file is an animation, of which only the first frame was used."""
     objects: int = 1
-    """Number of separate objects in the image; only the largest is segmented."""
+    """Number of separate objects in the image, of which only the largest is segmented."""
     touching: bool = False
     """Whether the cut-out seems to contain two objects that touch."""
     file: Path | None = None
     """File of the image, if there is one."""
     notes: tuple[str, ...] = ()
-    """Sentences about what was ignored or assumed in the file."""
+    """Sentences that state what was ignored or assumed in the file."""
 
     @property
     def title(self) -> str:
@@ -108,27 +112,27 @@ class Cutout:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences with reasons to doubt that the cut-out is the intended object."""
+        """Sentences with reasons why the cut-out may not be the intended object."""
         return (*self._doubt_choice(), *self._doubt_size(), *self._doubt_outline())
 
     def _doubt_choice(self) -> Iterator[str]:
-        """Yield warnings that a different object may be intended."""
+        """Yield warnings that the user may have intended a different object."""
         if self.frames > 1:
             yield f"The picture is an animation of {self.frames} frames; the first is used."
         if self.objects > 1:
             yield f"The picture has {self.objects} separate objects; the largest is taken."
         if self.touching:
-            yield "These may be two objects that touch; if so, pick the intended object."
+            yield "These may be two objects that touch; if so, pick the object that you want."
         if self.pieces >= PIECES:
             yield f"The cut-out is in {self.pieces} pieces."
 
     def _doubt_size(self) -> Iterator[str]:
-        """Yield warnings of an implausible size or position."""
+        """Yield warnings that the size or position of the object is implausible."""
         # Persons are often cropped, and networks rarely confuse a table with the object.
         if len(self.touches) >= SIDES and self.method not in ("alpha", *NETWORKS):
             yield (
                 f"The cut-out touches {len(self.touches)} edges of the picture "
-                f"({', '.join(self.touches)}): background may have been taken for the object."
+                f"({', '.join(self.touches)}): it may include background."
             )
         if self.coverage < TINY:
             yield f"The cut-out is tiny: {self.coverage:.1%} of the picture."
@@ -136,13 +140,11 @@ class Cutout:
             yield f"The cut-out covers nearly the whole picture ({self.coverage:.0%})."
 
     def _doubt_outline(self) -> Iterator[str]:
-        """Yield warnings if the outline probably misses the object's edge."""
+        """Yield warnings that the outline probably does not follow the object's edge."""
         if self.method in ("alpha", "mask", "brush"):
             return
         if self.unseen > UNSEEN:
-            yield (
-                f"{self.unseen:.0%} of the cut-out's outline runs where the picture has no edge."
-            )
+            yield f"{self.unseen:.0%} of the cut-out's outline runs where the picture has no edge."
         if self.undecided > UNDECIDED and self.method in NETWORKS:
             yield (
                 f"{self.undecided:.0%} of the cut-out is half transparent away from its outline: "
@@ -150,8 +152,9 @@ class Cutout:
             )
         if self.alike > ALIKE:
             yield (
-                f"{self.alike:.0%} of the cut-out's surroundings has the cut-out's colours: "
-                "part of the object may be missing, or part of the background included."
+                f"{self.alike:.0%} of the cut-out's surroundings has the same colours as the "
+                "cut-out: a part of the object may be missing, or a part of the background "
+                "included."
             )
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -165,7 +168,7 @@ class Cutout:
         return written.getvalue()
 
     def data(self) -> dict[str, Any]:
-        """Return all fields, except the pixels and the file, as plain data."""
+        """Return all fields, except for the pixels and the file, as plain data."""
         return {
             "method": self.method,
             "coverage": round(self.coverage, 4),
@@ -195,14 +198,14 @@ def cut_out(
 
     Args:
         picture: Path of the image.
-        method: Key of `METHODS`, or "auto" for the first that applies.
-        mask: Path of a mask that replaces the method; see `foreground`.
-        pick: A point on the intended object, if there are several; see `foreground`.
+        method: Name of a method in `METHODS`, or "auto" for the first method that is applicable.
+        mask: Path of a mask that is used instead of the method; see `foreground`.
+        pick: A point on the object that the user wants, if there are several; see `foreground`.
         field: Name of the image in error messages.
-        deadline: Time limit of the segmentation, and how to cancel it.
+        deadline: Time limit of the segmentation, and the means to cancel it.
 
     Raises:
-        InputError: If a file cannot be used, or as `foreground` does.
+        InputError: If a file cannot be used, or for the reasons listed at `foreground`.
     """
     image = open_image(picture, field=field, deadline=deadline)
     painted = None if mask is None else open_mask(mask)
@@ -222,15 +225,15 @@ def foreground(
 
     Args:
         image: An image in any mode.
-        method: Key of `METHODS`, or "auto" for the first that applies.
-        mask: A mask of the same size that replaces the method: white on the object or, if it has
-            transparency, opaque on the object.
-        pick: A point on the intended object: right and down, as fractions of the image's width and
-            height. None: the largest object.
-        deadline: Time limit of the segmentation, and how to cancel it.
+        method: Name of a method in `METHODS`, or "auto" for the first method that is applicable.
+        mask: A mask of the same size that is used instead of the method. It is white on the object
+            or, if the mask has transparency, opaque on the object.
+        pick: A point on the object that the user wants: right and down, as fractions of the image's
+            width and height. If None, the largest object is segmented.
+        deadline: Time limit of the segmentation, and the means to cancel it.
 
     Raises:
-        InputError: If the method is unknown, exceeds its time, or selects nothing or nearly
+        InputError: If the method is unknown, takes too long, or selects nothing or nearly
             everything; if there is no object at `pick`; if the mask has a different size; or if
             both a mask and a method are set.
     """
@@ -259,20 +262,20 @@ def foreground(
 
 
 def clean_edge(image: Image.Image, alpha: Alpha) -> Image.Image:
-    """Apply an alpha [H,W] and remove background colours from the soft edge; return RGBA."""
+    """Apply an alpha [H,W], and remove background colours from the soft edge; return RGBA."""
     cut = Image.fromarray(decontaminate(np.asarray(image.convert("RGB")), alpha))
     cut.putalpha(Image.fromarray(alpha))
     return cut
 
 
 def title_of(method: str) -> str:
-    """Return the name by which messages call a method; "mask" and "brush" have names, too."""
+    """Return the name of a method in messages; the inputs "mask" and "brush" also have names."""
     known = METHODS[method].title if method in METHODS else PAINTED.get(method)
     return known or method
 
 
 def examine(picture: Image.Image, method: str, frames: int = 1, objects: int = 1) -> Cutout:
-    """Measure how plausible a cut-out is.
+    """Measure how plausible the cut-out of an object is.
 
     Args:
         picture: RGBA image whose alpha segments the object.
@@ -297,7 +300,7 @@ def examine(picture: Image.Image, method: str, frames: int = 1, objects: int = 1
 
 
 def _search(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alpha:
-    """Compute the alpha [H,W] by a method; transparent pixels of the image stay transparent."""
+    """Compute the alpha [H,W] by a method; transparent pixels of the image remain transparent."""
     try:
         alpha = METHODS[method].find(_flatten(image, method), deadline)
     except isolated.Unfinished as error:
@@ -309,7 +312,7 @@ def _search(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alp
 def _pick_object(
     image: Image.Image, alpha: Alpha, method: str, pick: Point, deadline: isolated.Deadline
 ) -> Alpha:
-    """Select the object at a point; if there is no object, segment a region around the point."""
+    """Select the object at a point; if there is none, segment a region around the point."""
     picked = select_object(alpha, pick)
     if picked is None and method not in TAKEN_WHOLE:
         picked = search_around(image, pick, lambda part: _search(part, method, deadline))
@@ -336,27 +339,29 @@ def _choose_method(image: Image.Image, method: str) -> str:
         return next(name for name, way in METHODS.items() if way.applies(image))
     if method not in METHODS:
         known = ", ".join(["auto", *METHODS])
-        raise InputError("foreground", method, "It is not known.", f"Choose one of {known}.")
+        raise InputError(
+            "foreground", method, "This method is not known.", f"Choose one of {known}."
+        )
     return method
 
 
 def _flatten(image: Image.Image, method: str) -> Image.Image:
-    """Composite the image over white, except for the method "alpha"."""
+    """Composite the image over white, unless the method is "alpha"."""
     if method == "alpha":
         return image
     return Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
 
 
 def _apply_mask(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
-    """Return the alpha [H,W] of a mask; transparent pixels of the image stay transparent."""
+    """Return the alpha [H,W] of a mask; transparent pixels of the image remain transparent."""
     if method not in ("auto", "mask"):
-        limit = "A mask already shows where the object is."
+        limit = "A mask already determines the object."
         raise InputError("foreground", method, limit, "Give either a mask or a point.")
     if mask.size != image.size:
         (width, height), (w, h) = original_size(image), original_size(mask)
-        limit = f"It does not have the size of the picture, {width} x {height} pixels."
+        limit = f"Its size differs from that of the picture, {width} x {height} pixels."
         raise InputError(
-            "mask", f"{w} x {h} pixels", limit, "Paint the mask over the picture itself."
+            "mask", f"{w} x {h} pixels", limit, "Paint the mask on a copy of the picture."
         )
     mask = make_solid(mask)
     painted = mask.getchannel("A") if has_alpha(mask) else mask.convert("L")
@@ -374,16 +379,16 @@ def _check_fraction(alpha: Alpha, method: str, frames: int) -> None:
         )
     limit = f"No object was found in the picture by {method}."
     if fraction > MAXIMUM:
-        limit = f"Nearly the whole picture ({fraction:.0%}) was taken for the object by {method}."
+        limit = f"Nearly the whole picture ({fraction:.0%}) was selected as the object by {method}."
     if frames > 1:
-        limit += f" Only the first of its {frames} frames is examined."
+        limit += f" Only the first of the picture's {frames} frames is examined."
     raise InputError("foreground", method, limit, REMEDY)
 
 
 def _keep_alpha(image: Image.Image, deadline: isolated.Deadline) -> Alpha:
     del deadline
     if not has_alpha(image):
-        limit = "The picture has no transparency that separates an object."
+        limit = "The picture has no transparency from which an object could be separated."
         remedy = 'Choose "auto", or save the cut-out object as PNG.'
         raise InputError("foreground", "alpha", limit, remedy)
     return np.asarray(image.getchannel("A"))
@@ -410,10 +415,10 @@ METHODS: dict[str, Method] = {
     "u2netp": Method(_applies_always, u2net.find_alpha_small, "the small U2-Net"),
     "grabcut": Method(_applies_always, _grabcut, "GrabCut"),
 }
-"""Segmentation methods by name, best first."""
+"""Segmentation methods by name, in the order of preference."""
 NETWORKS = (*salient.NETWORKS, "u2net", "u2netp")
 """Methods that are neural networks."""
 TAKEN_WHOLE = ("alpha", "mask")
-"""Methods whose result keeps all its pieces, because a person made it."""
+"""Methods whose result is used with all its pieces, because a person made it."""
 PAINTED = {"mask": "the mask", "brush": "brush strokes"}
-"""Names, in messages, of the inputs that a person paints."""
+"""Names of the inputs that a person paints, for use in messages."""

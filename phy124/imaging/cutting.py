@@ -18,22 +18,22 @@ class Cutting(Section):
 
     foreground: str = Field(
         default="auto",
-        description=f"Method that cuts the object out: auto, {', '.join(METHODS)}.",
+        description=f"Method that segments the object: auto, {', '.join(METHODS)}.",
     )
     mask: Path | None = Field(
         default=None,
-        description="Mask of the same size as the picture, white where the object "
-        "is; it replaces the automatic cut-out.",
+        description="Mask of the same size as the picture, which is white where the object is; "
+        "it is used instead of the automatic cut-out.",
     )
     pick: str | None = Field(
         default=None,
-        description="If the picture shows several objects, a point on the object to "
-        "cut out: X,Y as fractions of width and height.",
+        description="A point on the object to cut out, if the picture shows several objects: X,Y "
+        "as fractions of width and height.",
     )
 
     @property
     def point(self) -> Point | None:
-        """The picked point, as fractions of width and height; None if nothing is picked.
+        """The point that was picked, as fractions of width and height; None if no point was picked.
 
         Raises:
             InputError: If `pick` is not two numbers.
@@ -51,5 +51,5 @@ class Cutting(Section):
         return x, y
 
     def arguments(self) -> dict[str, Any]:
-        """Return the options as keyword arguments of `phy124.pipeline.make_gaussians`."""
+        """Return the options as keyword arguments for `phy124.pipeline.make_gaussians`."""
         return {"method": self.foreground, "mask": self.mask, "pick": self.point}

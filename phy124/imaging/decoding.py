@@ -1,8 +1,9 @@
-"""Decodes the bytes of an image; `image.py` runs this module in a separate process.
+"""Decodes images from bytes; `image.py` runs this module in a separate process.
 
-Pillow and libheif are native code that reads untrusted data. A crash, an endless loop or a large
-allocation must affect only the image that is being decoded. Of the metadata, only the orientation
-and the colour profile are read; damage in other metadata has no effect.
+Pillow and libheif are native code, which here reads data that is not trusted. If decoding crashes,
+never ends or allocates much memory, only the image that is being decoded must be affected. The only
+metadata that is read are the orientation and the colour profile, so damage in other metadata has no
+effect.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ from phy124.imaging.header import KINDS, SEGMENT, Size, read_kind, read_size
 from phy124.imaging.profile import convert_to_srgb
 
 MAX_PIXELS = 50_000_000
-"""Largest number of pixels; it is checked in the header, before decoding."""
+"""Largest allowed number of pixels, which is checked in the header before decoding."""
 ANIMATED = ("PNG", "WEBP", "GIF", "AVIF")
-"""Formats in which further images are frames of an animation, not thumbnails or pages."""
+"""Formats in which the images after the first are frames of an animation, not thumbnails or
+pages."""
 MAX_SCANS = 100
-"""Largest number of scans in a JPEG. Usual files have 1 to 10; a file of 8 MB can have 190,000,
-each of which takes 18 ms to decode."""
+"""Largest allowed number of scans in a JPEG file. Usual files have 1 to 10 scans. A file of 8 MB
+can have 190,000 scans, each of which takes 18 ms to decode."""
 SCAN, END = b"\xda", b"\xd9"
 SIXTEEN = ("I;16", "I;16B", "I;16L", "I;16N", "I")
 """Modes of 16-bit grey images, whose values Pillow would clip instead of scaling them."""
@@ -38,10 +40,10 @@ TURNS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""EXIF orientation -> transposition that makes the image upright."""
+"""EXIF orientation -> transposition that turns the image upright."""
 TEXT = 64 << 20
-"""Largest size of a text or profile in a PNG after decompression [bytes]."""
-COPY = "Copy or export it again."
+"""Largest size of a decompressed text or profile in a PNG file [bytes]."""
+COPY = "Copy or export the file again."
 BAD_PROFILE = "The picture's colour profile cannot be used; its colours may be slightly wrong."
 """Note about an unusable profile."""
 TOO_LARGE = (
@@ -51,41 +53,41 @@ TOO_LARGE = (
 
 
 class Unusable(Exception):
-    """Raised for an unusable image; its arguments are limit and remedy, as in `InputError`."""
+    """Raised if an image is unusable; the arguments are limit and remedy, as in `InputError`."""
 
 
 class Purpose(NamedTuple):
-    """Requirements on an image that depend on its use."""
+    """Requirements on an image, which depend on how it will be used."""
 
     formats: tuple[str, ...]
     """Accepted formats, by Pillow's names; HEIC is always accepted."""
     minimum: int
     """Smallest allowed width and height [pixels]."""
     colours: bool = True
-    """Whether the values are colours, so that the colour profile applies to them."""
+    """Whether the values are colours, to which the colour profile is applied."""
     deep: bool = False
-    """Whether all grey levels are kept; the result then has mode F or L, not RGBA."""
+    """Whether all grey levels are kept; the result then has mode F or L instead of RGBA."""
 
 
 class Decoded(NamedTuple):
-    """A decoded image, upright and reduced in size."""
+    """A decoded image that is upright and reduced in size."""
 
     picture: Image.Image
     size: Size
     """Width and height of the upright image before it was reduced [pixels]."""
     frames: int = 1
-    """Number of frames if the file is an animation; only the first frame was decoded."""
+    """Number of frames if the file is an animation, of which only the first frame was decoded."""
     notes: tuple[str, ...] = ()
-    """Sentences about what was ignored."""
+    """Sentences that state what was ignored in the file."""
 
 
 def decode(data: bytes, purpose: Purpose, longest: int) -> Decoded:
     """Decode the first image of a file.
 
     Args:
-        data: The file's bytes.
+        data: The bytes of the file.
         purpose: Requirements on the image.
-        longest: Longest side of the result [pixels]; larger images are reduced.
+        longest: Longest side of the result [pixels]; larger images are reduced to it.
 
     Raises:
         Unusable: If the image cannot be decoded, or is too large or too small.
@@ -101,7 +103,7 @@ def decode(data: bytes, purpose: Purpose, longest: int) -> Decoded:
         raise
     except UnidentifiedImageError:
         raise explain_unidentified(data, purpose.formats) from None
-    except Exception as error:  # Pillow and its libraries raise exceptions of many types
+    except Exception as error:  # Pillow and its libraries raise exceptions of many types.
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise Unusable(f"The file is broken or cut short ({reason}).", COPY) from None
 
@@ -116,7 +118,7 @@ def check_size(size: Size, minimum: int) -> None:
     if width * height > MAX_PIXELS:
         raise Unusable(*TOO_LARGE)
     if min(width, height) < minimum:
-        limit = f"It has {width} x {height} pixels; each side needs at least {minimum}."
+        limit = f"It has {width} x {height} pixels, but each side must have at least {minimum}."
         raise Unusable(limit, "Use a larger picture.")
 
 
@@ -136,13 +138,13 @@ def _join_names(formats: tuple[str, ...]) -> str:
 
 
 def turn_upright(opened: Image.Image) -> Image.Image:
-    """Make a decoded image upright, according to its EXIF orientation."""
+    """Turn a decoded image upright, according to its EXIF orientation."""
     turn = TURNS.get(_read_orientation(opened))
     return opened if turn is None else opened.transpose(turn)
 
 
 def _prepare_pillow() -> None:
-    """Replace Pillow's limits in this process by the stricter limits of this module."""
+    """In this process, replace the limits of Pillow by the stricter limits of this module."""
     from PIL import PngImagePlugin
 
     Image.MAX_IMAGE_PIXELS = None
@@ -151,21 +153,21 @@ def _prepare_pillow() -> None:
 
 
 def _orientation_alone(self: Image.Exif, offset: int = 8) -> bytes:
-    """Return EXIF that contains only the orientation.
+    """Return EXIF data that contains only the orientation.
 
-    Pillow's AVIF reader serialises EXIF, which fails for tags of an unusual type.
+    Pillow's AVIF reader serialises EXIF, and fails if a tag has an unusual type.
     """
     entry = struct.pack("<HHHII", 1, ORIENTATION, 3, 1, _orientation_of(self))
     return b"Exif\0\0II*\0" + struct.pack("<I", offset) + entry + bytes(4)
 
 
 def _open(data: bytes, formats: tuple[str, ...]) -> Image.Image:
-    """Open the image; only HEIC is decoded at once."""
+    """Open the image; only HEIC images are decoded immediately."""
     kind = read_kind(data)
     if kind == "HEIC":
         return _open_heic(data)
     if kind == "JPEG":
-        # Image.open would also read the additional images that phones append to a JPEG.
+        # Image.open would also read the additional images that phones append to a JPEG file.
         _check_scans(data)
         return JpegImageFile(io.BytesIO(data))
     if kind == "PNG":
@@ -208,10 +210,10 @@ def _finish(opened: Image.Image, purpose: Purpose, longest: int) -> Decoded:
 
 
 def _read_orientation(opened: Image.Image) -> int:
-    """Return the EXIF orientation, 1 to 8; 1 (as stored) if it is damaged or absent."""
+    """Return the EXIF orientation, 1 to 8; if it is damaged or absent, 1 (as stored)."""
     try:
         return _orientation_of(opened.getexif())
-    except Exception:  # damaged EXIF raises exceptions of many types, but the pixels are intact
+    except Exception:  # damaged EXIF raises exceptions of many types although the pixels are intact
         return 1
 
 
@@ -238,7 +240,10 @@ def _to_8_bits(picture: Image.Image) -> Image.Image:
 
 
 def _scale_16_bits(picture: Image.Image) -> Image.Image:
-    """Convert a 16-bit grey image to 8 bits; a grey level marked transparent stays transparent."""
+    """Convert a 16-bit grey image to 8 bits.
+
+    A grey level that is marked as transparent remains so.
+    """
     import numpy as np
 
     deep, clear = np.asarray(picture), picture.info.get("transparency")
@@ -260,7 +265,7 @@ def _scale_floats(picture: Image.Image) -> Image.Image:
 
 
 def _grey_levels(picture: Image.Image) -> Image.Image:
-    """Return an image with all grey levels: mode F for 16-bit and float images, else L."""
+    """Return an image with all its grey levels: mode F for 16-bit and float images, otherwise L."""
     import numpy as np
 
     if picture.mode in (*SIXTEEN, "F"):
@@ -269,14 +274,14 @@ def _grey_levels(picture: Image.Image) -> Image.Image:
 
 
 def _read_profile(opened: Image.Image) -> bytes | None:
-    """Return the colour profile: empty if it is cut short, None if the file has none."""
+    """Return the colour profile; it is empty if it is cut short, and None if the file has none."""
     return (opened.info["icc_profile"] or b"") if "icc_profile" in opened.info else None
 
 
 def _convert_colours(
     picture: Image.Image, profile: bytes | None
 ) -> tuple[Image.Image, tuple[str, ...]]:
-    """Convert an image to sRGB, mode RGBA; also return notes about its profile."""
+    """Convert an image to sRGB, mode RGBA; also return notes about its colour profile."""
     notes = ()
     if profile is not None:
         try:

@@ -1,8 +1,8 @@
-"""Estimates the depth of an object's front by trained networks: MoGe-2 and Depth Anything V2.
+"""Estimates the depth of an object's front with trained networks: MoGe-2 and Depth Anything V2.
 
 Wang et al. 2025, "MoGe-2: Accurate Monocular Geometry with Metric Scale and Sharp Details"; Yang et
-al. 2024, "Depth Anything V2". The networks see the object with its surroundings. Scale and offset
-of the result are arbitrary, since `relief` sets both.
+al. 2024, "Depth Anything V2". The networks receive an image of the object with its surroundings.
+The scale and the offset of the depth are arbitrary, because `relief` sets both.
 """
 
 from __future__ import annotations
@@ -23,37 +23,39 @@ from phy124.weights.store import is_complete, require
 
 Map = NDArray[np.float32]
 MARGIN = 0.25
-"""Width of the surroundings that a network sees, relative to the object's longest side."""
+"""Width of the surroundings that are included in a network's input, relative to the object's
+longest side."""
 PATCH = 14
 """Side of the networks' image patches [pixels]."""
 SIDE = 518
-"""Shortest side of the image that a network sees [pixels]; 37 patches."""
+"""Length of the shortest side of a network's input [pixels]; this is 37 patches."""
 LONGEST = 2 * SIDE
-"""Largest side of the image that a network sees; longer images are shrunk."""
+"""Largest length of a side of a network's input; larger images are reduced."""
 TOKENS = 1800
 """Number of patches that MoGe-2 uses; its authors suggest 1200 to 3600."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Mean and standard deviation of ImageNet's colours."""
+"""Mean and standard deviation of the colours in ImageNet."""
 DETAIL = 256
 """Longest side of the grid on which depth and normals are combined [pixels]."""
 TRUST = 0.02
-"""Weight of the network's depth, relative to the weight of the slopes from its normals. Features
-larger than 1/sqrt(TRUST) pixels follow the depth, smaller ones the normals."""
+"""Weight of the network's depth, relative to the weight of the slopes that follow from the
+network's normals. Features larger than 1/sqrt(TRUST) pixels follow the depth, and smaller features
+follow the normals."""
 STEEPEST = 4.0
 """Largest slope that is derived from a normal."""
 
 
 def depth_anything(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
-    """Estimate depth [H,W] by Depth Anything V2; larger is nearer.
+    """Estimate the depth [H,W] with Depth Anything V2; larger values are nearer.
 
     Args:
         rgb: The image [H,W,3].
-        solid: The object's mask [H,W]; unused, since the network has one output.
+        solid: Mask of the object [H,W]; it is not used, because the network has only one output.
         path: The ONNX file.
     """
     del solid
     (depth,) = OnnxNetwork(path, ["pixel_values"], ["predicted_depth"])(prepare_patches(rgb))
-    # The original program aligns the centres of the corner pixels.
+    # As in the original program, the centres of the corner pixels are aligned.
     rows, columns = (
         np.linspace(0, known - 1, wanted, dtype=np.float32)
         for known, wanted in zip(depth[0].shape, rgb.shape[:2], strict=True)
@@ -63,10 +65,10 @@ def depth_anything(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path)
 
 
 def prepare_patches(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Resize an image [H,W,3] to whole patches, and normalise it; return [1,3,h,w].
+    """Resize an image [H,W,3] to whole patches and normalise it; return [1,3,h,w].
 
-    The shortest side becomes `SIDE`, as in the original program, unless the longest side would
-    exceed `LONGEST`.
+    The shortest side is resized to `SIDE`, as in the original program, unless the longest side
+    would then exceed `LONGEST`.
     """
     height, width = rgb.shape[:2]
     scale = min(SIDE / min(height, width), LONGEST / max(height, width))
@@ -77,14 +79,14 @@ def prepare_patches(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def whole_patches(length: float) -> int:
-    """Round a length to the nearest multiple of `PATCH`, but not below `PATCH` [pixels]."""
+    """Round a length to the nearest multiple of `PATCH`, which is at least `PATCH` [pixels]."""
     return max(PATCH, round(length / PATCH) * PATCH)
 
 
 def moge2(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
-    """Estimate depth [H,W] by MoGe-2, with the detail of its normals; larger is nearer.
+    """Estimate the depth [H,W] with MoGe-2 and detail from its normals; larger values are nearer.
 
-    MoGe-2's points have an unknown offset along the view, which does not matter here.
+    The points of MoGe-2 have an unknown offset along the view direction, which has no effect here.
 
     Args:
         rgb: The image [H,W,3].
@@ -105,7 +107,7 @@ def moge2(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
 
 
 def add_detail(points: Map, normals: Map, inside: NDArray[np.bool_]) -> Map:
-    """Combine points [H,W,3] and normals [H,W,3] to a depth map [H,W]; larger is nearer.
+    """Combine points [H,W,3] and normals [H,W,3] into a depth map [H,W]; larger values are nearer.
 
     The depth z minimises |grad z - slopes of the normals|^2 + TRUST |z - depth of the points|^2
     within the object (screened Poisson equation; Nehab et al. 2005). Axes are x right, y down, z
@@ -125,7 +127,7 @@ def add_detail(points: Map, normals: Map, inside: NDArray[np.bool_]) -> Map:
 
 
 def _slopes(points: Map, normals: Map, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return dz per pixel to the right and down [2,H,W], from the normals."""
+    """Return the change of z per pixel to the right and down [2,H,W], computed from the normals."""
     both = mask[:, 1:] & mask[:, :-1]
     steps = np.diff(points[..., 0], axis=1)[both]
     pitch = float(np.median(np.abs(steps))) if steps.size else 0.0
@@ -165,18 +167,21 @@ def _fuse(
 
 @dataclass(frozen=True)
 class DepthNetwork:
-    """Estimates the depth of a cut-out's front by a trained network."""
+    """Estimates the depth of the object's front with a trained network."""
 
     name: str
-    """Key of `NETWORKS`, which is also the name of the weights."""
+    """Name of the network in `NETWORKS`, which is also the name of its weights."""
     optional: bool = False
-    """Whether the network was chosen by "auto", so that another input may replace it."""
+    """Whether the network was chosen by "auto"; if so, another input may replace it."""
 
     def __call__(self, image_rgba: NDArray[np.uint8]) -> Map:
-        """Return the depth [H,W] of an image [H,W,4] with a mask as alpha; larger is nearer.
+        """Return the depth [H,W] of an image [H,W,4] whose alpha is a mask.
+
+        Larger values are nearer.
 
         Raises:
-            InputError: If weights or onnxruntime are missing, or the file is another network's.
+            InputError: If the weights or onnxruntime are missing, or the file belongs to another
+                network.
         """
         (path,) = require(self.name).values()
         rgb, solid = image_rgba[..., :3], image_rgba[..., 3] > 127
@@ -191,7 +196,7 @@ class DepthNetwork:
 
 
 def _surroundings(solid: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Return top, left, bottom and right of the object with its surroundings [pixels]."""
+    """Return top, left, bottom and right of a box around the object and surroundings [pixels]."""
     rows, columns = np.nonzero(solid.any(axis=1))[0], np.nonzero(solid.any(axis=0))[0]
     height, width = solid.shape
     if not len(rows):
@@ -207,11 +212,12 @@ def _surroundings(solid: NDArray[np.bool_]) -> tuple[int, int, int, int]:
 
 Estimate = Callable[[NDArray[np.uint8], NDArray[np.bool_], Path], Map]
 NETWORKS: dict[str, Estimate] = {"moge2": moge2, "depth-anything": depth_anything}
-"""Functions that estimate depth, by the name of the network and of its weights, best first."""
+"""Functions that estimate depth, by the name of the network and its weights, in the order of
+preference."""
 
 
 def choose_network() -> DepthNetwork | None:
-    """Return the first network whose weights and onnxruntime exist, or None."""
+    """Return the first network whose weights and onnxruntime are present; None if there is none."""
     if find_spec("onnxruntime") is None:
         return None
     return next((DepthNetwork(n, optional=True) for n in NETWORKS if is_complete(n)), None)

@@ -1,8 +1,8 @@
-"""Segments the object of a photograph by GrabCut (Rother et al. 2004), without trained weights.
+"""Segments the object of a photograph with GrabCut (Rother et al. 2004), without trained weights.
 
-The initial labels combine the colour difference from the image border with the distance from the
-centre. After GrabCut, stray pieces are removed, pinholes are closed, and the mask's edge is
-softened along the edges of the image.
+The initial labels depend on the colour difference from the image border and on the distance from
+the centre. After GrabCut, small separate pieces are removed, small holes are closed, and the mask's
+edge is softened along the edges of the image.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ COLOURS = 6
 KEEP = 0.12
 """Smallest area of a piece that is kept, relative to the largest piece."""
 PINHOLE = 0.004
-"""Largest area of a hole that is closed, relative to the object; larger ones, such as the hole of a
-handle, stay open."""
+"""Largest area of a hole that is closed, relative to the object's area; larger holes, such as that
+of a handle, remain open."""
 SOFTNESS = 4
 """Radius of the guided filter that softens the edge [pixels]."""
 HINT_REACH = 0.06
@@ -33,13 +33,16 @@ longest side."""
 
 
 def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Segment the object of an image [H,W,3]; return its alpha [H,W]. It is deterministic."""
+    """Segment the object of an image [H,W,3]; return its alpha [H,W].
+
+    The result is deterministic.
+    """
     height, width = rgb.shape[:2]
     small = shrink(rgb)
     if is_blank(rgb):
         # OpenCV's graph cut does not terminate on some images of a single colour.
         return np.zeros((height, width), np.uint8)
-    # Both k-means and GrabCut use OpenCV's random number generator.
+    # Both k-means and GrabCut use the random number generator of OpenCV.
     cv2.setRNGSeed(0)
     smooth = cv2.bilateralFilter(small, 5, 30, 3)
     masks = [_clean_mask(_run_grabcut(smooth, labels)) for labels in _initial_labels(small)]
@@ -50,11 +53,15 @@ def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _run_grabcut(rgb: NDArray, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Run GrabCut from labels [H,W]; return a 0/1 mask [H,W], all 0 if the labels are all alike."""
+    """Run GrabCut from labels [H,W].
+
+    Return a 0/1 mask [H,W], which is 0 if all labels are equal.
+    """
     if not (labels & 1).any() or (labels & 1).all():
         return np.zeros_like(labels)
     models = np.zeros((1, 65)), np.zeros((1, 65))
-    whole = (0, 0, rgb.shape[1], rgb.shape[0])  # ignored when GrabCut starts from labels
+    # this argument is ignored if GrabCut starts from labels
+    whole = (0, 0, rgb.shape[1], rgb.shape[0])
     labels, _, _ = cv2.grabCut(  # pyright: ignore[reportAssignmentType]
         rgb, labels, whole, models[0], models[1], ROUNDS, cv2.GC_INIT_WITH_MASK
     )
@@ -62,7 +69,7 @@ def _run_grabcut(rgb: NDArray, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _initial_labels(rgb: NDArray) -> list[NDArray[np.uint8]]:
-    """Return three initial label maps [H,W], each with a guess of the object on background."""
+    """Return three initial label maps [H,W], each of which is a guess where the object is."""
     height, width = rgb.shape[:2]
     ring = max(1, round(RING * min(height, width)))
     border = np.ones((height, width), bool)
@@ -85,7 +92,7 @@ def _label(guess: NDArray[np.bool_], border: NDArray[np.bool_]) -> NDArray[np.ui
 
 
 def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
-    """Score a mask by image edges on its outline, its solidity, and its border contact."""
+    """Rate a mask by image edges along its outline, its solidity, and contact with the border."""
     fraction = float(mask.mean())
     if not 0.01 < fraction < 0.9:
         return 0.0
@@ -101,9 +108,9 @@ def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
 
 
 def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
-    """Return the distance (CIE Lab) of colours from the border's colours [H,W], scaled to 0..1."""
+    """Return how far colours are from the border's colours in CIE Lab [H,W], scaled to 0..1."""
     lab = to_lab(rgb)
-    # Lightness has less weight, since shadows change the lightness of the background.
+    # Lightness has less weight, because shadows change the lightness of the background.
     lab[..., 0] *= 0.6
     samples = lab[border]
     count = min(COLOURS, len(samples))
@@ -116,14 +123,14 @@ def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
 
 
 def _centrality(height: int, width: int) -> Field:
-    """Return weights [H,W]: 1 at the centre, about one third at the sides."""
+    """Return weights [H,W] that are 1 at the centre and about one third at the sides."""
     y, x = np.mgrid[:height, :width].astype(np.float32)
     square = ((2 * x + 1) / width - 1) ** 2 + ((2 * y + 1) / height - 1) ** 2
     return np.exp(-square)
 
 
 def _clean_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Keep the largest pieces of a 0/1 mask [H,W], and close pinholes."""
+    """Keep the largest pieces of a 0/1 mask [H,W], and close small holes."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
@@ -137,7 +144,7 @@ def _clean_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _soften_edge(mask: Field, rgb: NDArray) -> Field:
-    """Fit the edge of a mask to the edges of the image (guided filter, He et al. 2013)."""
+    """Fit the edge of a mask to the edges of the image with a guided filter (He et al. 2013)."""
     window = (2 * SOFTNESS + 1,) * 2
     guide = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
 
@@ -147,7 +154,8 @@ def _soften_edge(mask: Field, rgb: NDArray) -> Field:
     m, g = mean(mask), mean(guide)
     slope = (mean(mask * guide) - m * g) / (mean(guide * guide) - g * g + 1e-3)
     soft = mean(slope) * guide + mean(m - slope * g)
-    # Away from the edge, the mask is kept: the filter would leave ghosts there.
+    # Away from the edge, the mask is not filtered, because the filter would leave faint traces
+    # there.
     core = cv2.erode(mask, np.ones((5, 5), np.uint8))
     near = cv2.dilate(mask, np.ones((5, 5), np.uint8))
     sharp = np.clip((soft - 0.5) * 2 + 0.5, 0, 1)
@@ -157,7 +165,7 @@ def _soften_edge(mask: Field, rgb: NDArray) -> Field:
 def apply_marks(
     rgb: NDArray[np.uint8], alpha: NDArray[np.uint8], marks: NDArray
 ) -> NDArray[np.uint8]:
-    """Correct an alpha [H,W] near marks [H,W]: 1 marks background, 2 marks the object."""
+    """Correct an alpha [H,W] near marks [H,W], where 1 marks background and 2 marks the object."""
     height, width = rgb.shape[:2]
     small = shrink(rgb)
     if is_blank(rgb):

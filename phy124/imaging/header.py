@@ -1,7 +1,6 @@
 """Reads the format and the size of an image from its header, without decoding it.
 
-The reader is plain Python with bounded loops, and is therefore safe for untrusted files in any
-process.
+The code is plain Python with bounded loops, so it can safely read untrusted files in any process.
 """
 
 from __future__ import annotations
@@ -10,33 +9,34 @@ import re
 import struct
 
 KINDS = ("PNG", "JPEG", "WEBP", "AVIF", "HEIC")
-"""Recognised formats, by Pillow's names except HEIC."""
+"""Formats that are recognised, by Pillow's names except for HEIC."""
 HEVC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs")
 """File-type brands of HEIC, the format of many phones."""
 AV1 = (b"avif", b"avis")
 """File-type brands of AVIF."""
 GENERAL = (b"mif1", b"msf1")
-"""Brands that both HEIC and AVIF use; the compatible brands that follow in the file decide between
-the two."""
+"""Brands that both HEIC and AVIF files may have; the compatible brands that follow in the file show
+which of the two it is."""
 MOST_BRANDS = 64
 HEAD = 16 + 4 * MOST_BRANDS
-"""Number of leading bytes that suffice to recognise the format."""
+"""Number of bytes at the start of a file from which its format can be recognised."""
 MOST_SEGMENTS = 100_000
-"""Largest number of JPEG segments that are read to find the size; photographs have up to a few
+"""Largest number of JPEG segments that are searched for the size; photographs have up to a few
 hundred."""
 SEGMENT = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
-"""Start of a JPEG segment; 00 and D0 to D7 belong to the image data. Further FF bytes may precede a
-segment, but the pattern must not include them, because FF+ would be matched again from each FF."""
+"""Pattern of the start of a JPEG segment; 00 and D0 to D7 belong to the image data. Further FF
+bytes may precede a segment. The pattern must not include them, because FF+ would be matched again
+from each FF."""
 SIZES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
 """Markers of the JPEG segments that contain the size."""
 EXTENT = re.compile(rb"ispe\0{4}(.{8})", re.DOTALL)
-"""Width and height of an image in HEIC and AVIF."""
+"""Pattern of the width and height of an image in HEIC and AVIF files."""
 Size = tuple[int, int]
-"""Width and height [pixels]."""
+"""Width and height of an image [pixels]."""
 
 
 def read_kind(data: bytes) -> str | None:
-    """Return the format of an image, one of `KINDS`, or None."""
+    """Return the format of an image, which is one of `KINDS`; None if it is not recognised."""
     if data[:8] == b"\x89PNG\r\n\x1a\n":
         return "PNG"
     if data[:3] == b"\xff\xd8\xff":
@@ -47,7 +47,7 @@ def read_kind(data: bytes) -> str | None:
 
 
 def _read_brand(data: bytes) -> str | None:
-    """Return HEIC or AVIF, according to the file-type brands; None for videos."""
+    """Return HEIC or AVIF, depending on the file-type brands; None if the file is a video."""
     major, end = data[8:12], min(int.from_bytes(data[:4], "big"), HEAD)
     others = [data[place : place + 4] for place in range(16, end, 4)]
     if major in AV1 or (major in GENERAL and any(brand in AV1 for brand in others)):
@@ -56,7 +56,7 @@ def _read_brand(data: bytes) -> str | None:
 
 
 def read_size(data: bytes) -> Size:
-    """Return width and height from the header; if there are several images, those of the largest.
+    """Return width and height from the header; if there are several images, the largest counts.
 
     Raises:
         ValueError: If the format is unknown, or the header contains no size.
@@ -67,7 +67,7 @@ def read_size(data: bytes) -> Size:
     except (LookupError, struct.error):
         size = None
     if size is None:
-        raise ValueError("its header states no size")
+        raise ValueError("the header does not state the size")
     return size
 
 

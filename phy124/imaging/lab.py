@@ -1,7 +1,8 @@
 """Converts colours to CIE Lab 1976, in which distances approximate perceived differences.
 
-OpenCV's conversion would first spend 0.07 s on filling tables, longer than all other work on an
-image that is already segmented. OpenCV is therefore used only for the matrix product.
+OpenCV's own conversion would first spend 0.07 s on filling tables. This is longer than all other
+work on an image that is already segmented. OpenCV is therefore used only to compute the matrix
+product.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from numpy.typing import NDArray
 WHITE = np.array([0.950456, 1.0, 1.088754], np.float32)
 """X, Y and Z of the white point D65."""
 LINEAR = 0.008856
-"""Fraction of white below which lightness is proportional to the light."""
+"""Fraction of white below which lightness is proportional to the linear light."""
 
 
 def to_lab(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return L, a and b [H,W,3] of sRGB colours [H,W,3] by IEC 61966-2-1 and CIE 15."""
+    """Convert sRGB colours [H,W,3] to L, a and b [H,W,3], following IEC 61966-2-1 and CIE 15."""
     xyz = cv2.cvtColor(LIGHT[rgb], cv2.COLOR_RGB2XYZ) / WHITE
     root = np.where(xyz > LINEAR, np.cbrt(xyz), np.float32(7.787) * xyz + np.float32(16 / 116))
     x, y, z = np.moveaxis(root, 2, 0)
@@ -25,11 +26,11 @@ def to_lab(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _linear_light() -> NDArray[np.float32]:
-    """Return the linear light of each byte value [256], 0..1."""
+    """Return the linear light 0..1 that each byte value stands for [256]."""
     value = np.arange(256) / 255
     curved = ((value + 0.055) / 1.055) ** 2.4
     return np.where(value <= 0.04045, value / 12.92, curved).astype(np.float32)
 
 
 LIGHT = _linear_light()
-"""Linear light of each byte value [256], 0..1."""
+"""Linear light 0..1 that each byte value stands for [256]."""

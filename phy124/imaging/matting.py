@@ -1,4 +1,4 @@
-"""Refines the edge of a cut-out, and removes the background's colours from it."""
+"""Refines the edge of a cut-out, and removes the colours of the background from the edge."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float32]
 SIDE = 640
-"""Longest side at which edges are fitted [pixels]; the fit is applied at full resolution."""
+"""Longest side at which the edge is fitted [pixels]; the fit is then applied at full resolution."""
 REACH = 5
 """Radius of the window in which alpha is fitted to the colours, in pixels at `SIDE`."""
 SMOOTH = 1e-4
-"""Regularisation: variance of colours (0..1) below which an edge is ignored."""
+"""Regularisation: an edge is ignored if the variance of its colours (0..1) is below this."""
 DECIDED, SHARP = 2.0, 1.5
-"""Factors by which the contrast around 1/2 is raised, in the coarse mask and in the fitted
-alpha."""
+"""Factors by which the contrast around 1/2 is increased, first in the coarse mask and then in the
+fitted alpha."""
 OPAQUE = 243
-"""Alpha, 0..255, from which a pixel counts as free of background colour."""
+"""Smallest alpha, 0..255, of pixels that are assumed to contain no background colour."""
 INSET = 1.0
 """An opaque pixel's colour is trusted if no pixel within this distance has an alpha below `OPAQUE`
 [pixels at `SIDE`]."""
@@ -27,7 +27,8 @@ def fit_edge(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
     """Fit a coarse mask to the edges of an image; return the alpha [H,W].
 
     The method is a guided filter: within each window, alpha is a linear function of the colours
-    (He, Sun, Tang 2013). The coefficients are computed on the reduced image (He, Sun 2015).
+    (He, Sun, Tang 2013). The coefficients of this function are computed on the reduced image (He,
+    Sun 2015).
 
     Args:
         rgb: The image [H,W,3].
@@ -73,14 +74,15 @@ def _raise_contrast(values: Field, factor: float) -> Field:
 
 
 def decontaminate(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Remove the background's contribution from the colours of a soft edge; return [H,W,3].
+    """Remove the contribution of the background from the colours of a soft edge; return [H,W,3].
 
-    Half-transparent pixels get the colour of the nearest opaque pixel slightly inside the object.
-    Where the object is too thin to have such inner pixels, the colours on its centre line are used.
+    Half-transparent pixels get the colour of the nearest opaque pixel that is slightly inside the
+    object. Where the object is too thin to have such pixels, the colours on its centre line are
+    used.
 
     Args:
         rgb: The image [H,W,3].
-        alpha: Its alpha [H,W].
+        alpha: Alpha of the image [H,W].
     """
     soft = (alpha > 0) & (alpha < OPAQUE)
     trusted = _find_trusted(alpha)
@@ -96,7 +98,7 @@ def decontaminate(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[n
 
 
 def _find_trusted(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return the mask [H,W] of pixels whose colours belong to the object alone."""
+    """Return the mask [H,W] of pixels whose colours contain no background."""
     inset = max(INSET, INSET * max(alpha.shape) / SIDE)
     core = _depth(alpha >= OPAQUE) > inset
     depth = _depth(alpha > 127)
@@ -105,7 +107,7 @@ def _find_trusted(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _depth(inside: NDArray[np.bool_]) -> Field:
-    """Return the distance from each pixel to the nearest pixel outside [H,W]."""
+    """Return the distance from each pixel to the nearest pixel outside the object [H,W]."""
     return np.asarray(cv2.distanceTransform(_mask(inside), cv2.DIST_L2, 5), np.float32)
 
 

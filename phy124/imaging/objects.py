@@ -1,4 +1,4 @@
-"""Selects one of several objects in an image: the largest, or the object at a point."""
+"""Selects one of several objects in an image: the largest object, or the object at a point."""
 
 from __future__ import annotations
 
@@ -14,18 +14,21 @@ from phy124.imaging.silhouette import find_touched_edges
 
 Alpha = NDArray[np.uint8]
 Point = tuple[float, float]
-"""A point in an image: right and down, as fractions of its width and height."""
+"""A point in an image: coordinates to the right and down, as fractions of the image's width and
+height."""
 Box = tuple[int, int, int, int]
-"""Left, top, right and bottom of a box [pixels]."""
+"""Left, top, right and bottom edge of a box [pixels]."""
 GAP = 0.01
-"""Largest gap between pieces of the same object, relative to the longest side of the image."""
+"""Largest gap between pieces that belong to the same object, relative to the longest side of the
+image."""
 COUNTED = 0.05
-"""Smallest area of an object that is counted, relative to the largest object."""
+"""Smallest area of an object that counts, relative to the area of the largest object."""
 NEAR = 0.02
-"""Largest distance of a point from the object that it selects, relative to the object's longest
+"""Largest distance between a point and the object that it selects, relative to the object's longest
 side."""
 WINDOWS = (0.7, 0.45, 0.3)
-"""Sides of the windows around a point that are segmented, relative to the image's longest side."""
+"""Sides of the windows around a point in which an object is searched, relative to the image's
+longest side."""
 MINIMUM = 0.02
 """Smallest fraction of a window that an object must cover."""
 
@@ -40,7 +43,7 @@ class Objects(NamedTuple):
 
     @classmethod
     def of(cls, alpha: Alpha) -> Objects:
-        """Separate the objects of an alpha [H,W] that is opaque somewhere."""
+        """Separate the objects of an alpha [H,W], which must be opaque somewhere."""
         solid = alpha > 127
         reach = 2 * max(1, round(GAP * max(alpha.shape) / 2)) + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
@@ -53,7 +56,7 @@ class Objects(NamedTuple):
 
     @property
     def number(self) -> int:
-        """Number of objects with at least the fraction `COUNTED` of the largest area."""
+        """Number of objects whose area is at least the fraction `COUNTED` of the largest area."""
         return int((self.areas >= COUNTED * self.areas.max()).sum())
 
 
@@ -66,7 +69,7 @@ def keep_largest(alpha: Alpha) -> tuple[Alpha, int]:
 
 
 def select_object(alpha: Alpha, point: Point) -> Alpha | None:
-    """Return the alpha [H,W] of the object at a point; None if there is none."""
+    """Return the alpha [H,W] of the object at a point; None if there is no object at the point."""
     solid = (alpha > 127).astype(np.uint8)
     away = cv2.distanceTransform(1 - solid, cv2.DIST_L2, 5)
     place = pixel_at(point, (alpha.shape[1], alpha.shape[0]))
@@ -79,11 +82,10 @@ def select_object(alpha: Alpha, point: Point) -> Alpha | None:
 def search_around(
     image: Image.Image, point: Point, find: Callable[[Image.Image], Alpha]
 ) -> Alpha | None:
-    """Search for an object that the segmentation of the whole image misses; return its alpha or
-    None.
+    """Search for an object that was missed in the whole image; return its alpha, or None.
 
-    Windows around the point are segmented. The result is the object that touches the fewest edges
-    of its window, as an alpha [H,W] of the whole image.
+    Windows of several sizes around the point are segmented. The result is the object that touches
+    the fewest edges of its window; its alpha [H,W] covers the whole image.
 
     Args:
         image: The image.
@@ -118,6 +120,6 @@ def _windows_around(size: tuple[int, int], point: Point) -> Iterator[Box]:
 
 
 def pixel_at(point: Point, size: tuple[int, int]) -> tuple[int, int]:
-    """Return the row and column of a point in an image of this width and height."""
+    """Return the row and column of a point in an image of a given width and height."""
     column, row = (min(int(f * n), n - 1) for f, n in zip(point, size, strict=True))
     return row, column

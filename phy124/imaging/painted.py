@@ -1,4 +1,4 @@
-"""Samples, at points of the object, a grey image that was painted over the object's image."""
+"""Samples a grey image, which was painted over the object's image, at points of the object."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ WHOLE: Crop = (0.0, 0.0, 1.0, 1.0)
 def sample_brightness(
     x: NDArray, path: Path, crop: Crop = WHOLE, *, field: str
 ) -> NDArray[np.float64]:
-    """Return the brightness [P] of an image at points seen from the front: 0 black, 1 white.
+    """Return the brightness [P] of an image at points seen from the front: 0 is black, 1 is white.
 
     Args:
         x: Points at rest [P,3], m; the object is upright and faces +x.
-        path: The image; colours are converted to grey.
-        crop: Position of the object in the image.
+        path: The image; its colours are converted to grey.
+        crop: Position of the object within the image.
         field: Name of the image in error messages.
 
     Raises:
@@ -42,7 +42,7 @@ def sample_brightness(
 
 
 def crop_of(cutout: Image.Image) -> Crop:
-    """Return the position of the object in its image, an RGBA cut-out."""
+    """Return the position of the object within its image, which is an RGBA cut-out."""
     opaque = np.asarray(cutout.getchannel("A")) > 127
     rows, columns = np.flatnonzero(opaque.any(axis=1)), np.flatnonzero(opaque.any(axis=0))
     if not len(rows):

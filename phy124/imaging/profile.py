@@ -1,6 +1,7 @@
-"""Converts images to sRGB by their ICC colour profiles.
+"""Converts images to sRGB according to their ICC colour profiles.
 
-Phones use Display P3, cameras Adobe RGB, and print shops CMYK or grey with dot gain.
+For example, phones use Display P3, cameras use Adobe RGB, and print shops use CMYK or grey with dot
+gain.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ READ = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
 
 
 def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:
-    """Convert an image to sRGB, mode RGBA; its alpha is unchanged.
+    """Convert an image to sRGB, mode RGBA; the alpha of the image is unchanged.
 
     Args:
         picture: The image, in mode RGBA, LA, L or CMYK.
@@ -27,12 +28,14 @@ def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:
         ValueError: If the profile is damaged, or does not apply to the image's mode.
     """
     try:
-        from PIL import ImageCms  # missing in some builds of Pillow
+        from PIL import ImageCms  # some builds of Pillow lack this module
 
         source: Any = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         space = source.profile.xcolor_space
         if picture.mode not in DESCRIBED[space]:
-            raise ValueError(f"it describes {space}, the picture is {picture.mode}")
+            raise ValueError(
+                f"the profile describes {space}, but the mode of the picture is {picture.mode}"
+            )
         srgb, mode = ImageCms.createProfile("sRGB"), READ[space]
         transform = ImageCms.buildTransform(source, srgb, mode, "RGB")
         result = ImageCms.applyTransform(picture.convert(mode), transform)

@@ -1,8 +1,8 @@
-"""Segments the salient object by trained networks from ONNX files: BiRefNet-lite and IS-Net.
+"""Segments the salient object with trained networks from ONNX files: BiRefNet-lite and IS-Net.
 
 Zheng et al. 2024, "Bilateral Reference for High-Resolution Dichotomous Image Segmentation"; Qin et
-al. 2022, "Highly Accurate Dichotomous Image Segmentation". The masks of these networks have the
-network's resolution and soft edges, so they are not fitted to the image again.
+al. 2022, "Highly Accurate Dichotomous Image Segmentation". The masks of these networks already have
+the network's full resolution and soft edges, so they are not fitted to the image again.
 """
 
 from __future__ import annotations
@@ -35,27 +35,28 @@ class Salient:
     """A network that maps an image to a mask of its salient object."""
 
     weights: str
-    """Name of its set of weights."""
+    """Name of the set of weights that the network uses."""
     size: int
-    """Width and height of its input [pixels]."""
+    """Width and height of the network's input [pixels]."""
     resize: Callable[[Pixels, int], Pixels]
-    """Resampling of the image [H,W,3] to [size,size,3]."""
+    """Function that resamples an image [H,W,3] to [size,size,3]."""
     mean: tuple[float, float, float]
     std: tuple[float, float, float]
-    """Mean and standard deviation that normalise the colours in 0..1."""
+    """Mean and standard deviation with which colours in 0..1 are normalised."""
     finish: Callable[[Mask, tuple[int, int]], Mask]
-    """Maps the output [size,size], and (W, H), to the probability of the object [H,W], 0..1."""
+    """Function that maps the network's output [size,size], and (W, H), to the probability of the
+    object [H,W], 0..1."""
     title: str
     """Name of the network in messages."""
 
 
 def resize_smoothly(rgb: Pixels, size: int) -> Pixels:
-    """Resize to a square with a bilinear filter that widens when it shrinks the image."""
+    """Resize to a square with a bilinear filter, which is wider if the image is reduced."""
     return np.asarray(Image.fromarray(rgb).resize((size, size), Image.Resampling.BILINEAR))
 
 
 def resize_sharply(rgb: Pixels, size: int) -> Pixels:
-    """Resize to a square by bilinear interpolation of adjacent pixels; round values down."""
+    """Resize to a square by bilinear interpolation of adjacent pixels; values are rounded down."""
     fine = cv2.resize(rgb.astype(np.float32), (size, size), interpolation=cv2.INTER_LINEAR)
     return np.floor(np.asarray(fine) + 1e-3).astype(np.uint8)
 
@@ -66,7 +67,10 @@ def finish_logits(logits: Mask, size: tuple[int, int]) -> Mask:
 
 
 def finish_stretched(values: Mask, size: tuple[int, int]) -> Mask:
-    """Resize, then scale to 0..1. If all values are equal, nothing is salient: return zeros."""
+    """Resize the output, then scale it to 0..1.
+
+    If all values are equal, no object is salient, and zeros are returned.
+    """
     values = _resize(values, size)
     low, high = float(values.min()), float(values.max())
     return (values - low) / (high - low) if high > low else np.zeros_like(values)
@@ -77,7 +81,7 @@ def _resize(values: Mask, size: tuple[int, int]) -> Mask:
 
 
 IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
-"""Mean and standard deviation of ImageNet's colours."""
+"""Mean and standard deviation of the colours in ImageNet."""
 CENTRED = ((0.5, 0.5, 0.5), (1.0, 1.0, 1.0))
 NETWORKS: dict[str, Salient] = {
     "birefnet": Salient(
@@ -93,11 +97,11 @@ NETWORKS: dict[str, Salient] = {
     ),
     "isnet": Salient("isnet", 1024, resize_sharply, *CENTRED, finish_stretched, "IS-Net"),
 }
-"""Networks by the name of their segmentation method."""
+"""Networks, by the name of the segmentation method that uses them."""
 
 
 def is_available(name: str, image: Image.Image | None = None) -> bool:
-    """Whether the weights of a network and onnxruntime exist, and enough memory is free."""
+    """Whether the weights of a network and onnxruntime are present, and enough memory is free."""
     del image
     weights = NETWORKS[name].weights
     complete = find_spec("onnxruntime") is not None and is_complete(weights)
@@ -107,10 +111,11 @@ def is_available(name: str, image: Image.Image | None = None) -> bool:
 def find_alpha(
     name: str, image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
 ) -> Pixels:
-    """Segment the salient object of an image by a network; return its alpha [H,W].
+    """Segment the salient object of an image with a network; return the alpha [H,W] of the object.
 
     Raises:
-        InputError: If weights or onnxruntime are missing, or the file is another network's.
+        InputError: If the weights or onnxruntime are missing, or the file belongs to another
+            network.
     """
     (path,) = require(NETWORKS[name].weights).values()
     rgb = np.asarray(image.convert("RGB"))
@@ -119,7 +124,8 @@ def find_alpha(
 
 def _find_alpha(name: str, rgb: Pixels, path: Path) -> Pixels:
     if is_blank(rgb):
-        return np.zeros(rgb.shape[:2], np.uint8)  # a network reports an object in any image
+        # a network reports an object in every image, even in a blank one
+        return np.zeros(rgb.shape[:2], np.uint8)
     return find_mask(rgb, NETWORKS[name], OnnxNetwork(path))
 
 

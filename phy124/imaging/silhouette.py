@@ -1,4 +1,4 @@
-"""Measures the plausibility of a mask: pieces, touched edges, outline, shared colours."""
+"""Measures how plausible a mask is, by its pieces, touched image edges, outline and colours."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from phy124.imaging.lab import to_lab
 
 Solid = NDArray[np.bool_]
 SMALLEST_PIECE = 0.01
-"""Smallest area of a piece that is counted, as a fraction of the object."""
+"""Smallest area of a piece that is counted, as a fraction of the object's area."""
 NEAR = 0.035
-"""Distance at which an image edge still counts as touched, relative to the image's shorter side;
-GrabCut keeps 0.03 clear."""
+"""Largest distance at which an image edge counts as touched, relative to the image's shorter side;
+GrabCut leaves 0.03 free."""
 REACH = 0.02
-"""An image edge counts as touched if at least this fraction of it is near the object."""
+"""An image edge counts as touched if at least this fraction of the edge is near the object."""
 SIDE = 320
 """Longest side at which the outline is examined [pixels]."""
 FAINT = 2.0
 """Smallest colour gradient that counts as an edge, in CIE Lab units per pixel."""
 WIDE, FITTED = 2.0, 640
-"""Half the width of a soft edge [pixels] in an image whose longest side is `FITTED`; in larger
-images, the width grows in proportion."""
+"""Half the width of a soft edge [pixels] in an image whose longest side is `FITTED`. In larger
+images, the width increases in proportion."""
 HALF = 25
-"""Smallest difference of a half-transparent pixel's alpha from both 0 and 255."""
+"""A pixel counts as half transparent if its alpha differs from both 0 and 255 by at least this."""
 AROUND = 0.125
 """Width of the surroundings of an object, relative to the object's longest side."""
 BINS = (12, 24, 24)
@@ -34,11 +34,11 @@ BINS = (12, 24, 24)
 SIMILAR, ONE = cv2.getGaussianKernel(7, 0.7), np.ones(1)
 """Kernel that smooths a histogram along one axis, and the identity kernel."""
 MINIMUM, EXTENT = np.array([0, -100, -100]), np.array([100, 200, 200])
-"""Smallest values of L, a and b, and the ranges that the bins cover."""
+"""Smallest values of L, a and b in the bins, and the ranges that the bins cover."""
 
 
 def count_pieces(solid: Solid) -> int:
-    """Count the connected pieces with at least the fraction `SMALLEST_PIECE` of the area."""
+    """Count the connected pieces with at least the fraction `SMALLEST_PIECE` of the total area."""
     _, _, stats, _ = cv2.connectedComponentsWithStats(solid.astype(np.uint8), connectivity=8)
     return int((stats[1:, cv2.CC_STAT_AREA] >= SMALLEST_PIECE * solid.sum()).sum())
 
@@ -56,7 +56,7 @@ def find_touched_edges(solid: Solid) -> tuple[str, ...]:
 
 
 def measure_unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Return the fraction of the outline at which the image [H,W,3] has no edge."""
+    """Return the fraction of the outline along which the image [H,W,3] has no edge."""
     lab, inside = _reduce(rgb, solid)
     across, down = (cv2.Sobel(lab, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1)))
     change = np.sqrt((across**2 + down**2).sum(axis=2))
@@ -67,7 +67,7 @@ def measure_unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
 
 
 def measure_alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Return the fraction of surrounding pixels whose colour is more common in the object."""
+    """Return the fraction of surrounding pixels whose colour is more common inside the object."""
     lab, inside = _reduce(rgb, solid)
     away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
     around = ~inside & (away <= AROUND * max(inside.shape))
@@ -80,10 +80,10 @@ def measure_alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
 
 
 def measure_undecided(alpha: NDArray[np.uint8]) -> float:
-    """Return the half-transparent area away from the outline, divided by the object's area.
+    """Return the ratio of the half-transparent area away from the outline to the object's area.
 
-    Half transparency is usual within a few pixels of the outline of an alpha [H,W]. Half
-    transparency farther away shows that the network was undecided.
+    Within a few pixels of the outline of an alpha [H,W], half transparency is usual. Half
+    transparency farther away from the outline shows that the network was undecided.
     """
     inside = (alpha > 127).astype(np.uint8)
     reach = WIDE * max(1.0, max(alpha.shape) / FITTED)
@@ -93,10 +93,10 @@ def measure_undecided(alpha: NDArray[np.uint8]) -> float:
 
 
 def _colour_fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
-    """Return the smoothed histogram of the pixels' colour bins; the histogram's sum is 1."""
+    """Return the smoothed histogram of the pixels' colour bins, normalised to a sum of 1."""
     common = np.bincount(kinds, minlength=math.prod(BINS)) / len(kinds)
     for bins in BINS:
-        # Smooth along the first axis, which then becomes the last.
+        # Smooth along the first axis, and make it the last axis.
         rows = np.ascontiguousarray(common.reshape(bins, -1).T)
         smooth = cv2.sepFilter2D(rows, -1, SIMILAR, ONE, borderType=cv2.BORDER_CONSTANT)
         common = np.asarray(smooth, np.float64).ravel()
@@ -104,7 +104,7 @@ def _colour_fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
 
 
 def _reduce(rgb: NDArray[np.uint8], solid: Solid) -> tuple[NDArray[np.float32], Solid]:
-    """Return smoothed CIE Lab colours [h,w,3] and the object's mask [h,w], at reduced size."""
+    """Return smoothed CIE Lab colours [h,w,3] and the object's mask [h,w], both at reduced size."""
     scale = min(1.0, SIDE / max(solid.shape))
     size = max(3, round(solid.shape[1] * scale)), max(3, round(solid.shape[0] * scale))
     small = cv2.resize(np.ascontiguousarray(rgb), size, interpolation=cv2.INTER_AREA)

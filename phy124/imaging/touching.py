@@ -1,9 +1,9 @@
-"""Splits two touching objects where the silhouette has a neck and the colours change.
+"""Splits two objects that touch, where the silhouette has a neck and the colours change.
 
-A narrow neck alone is no sign of two objects (a head sits on a neck), and neither is a change of
-colour alone (trousers and a shirt). A split requires a neck and a change of colour, and each part
-must be large. The sail of a boat is wrongly split off; docs/lab/cutouts.md lists how often splits
-are wrong.
+A narrow neck alone does not show that there are two objects, since a head also sits on a neck. A
+change of colour alone does not show it either, since trousers and a shirt also differ. A split
+therefore requires both a neck and a change of colour, and each part must be large. For example, the
+sail of a boat is wrongly split off; docs/lab/cutouts.md lists how often splits are wrong.
 """
 
 from __future__ import annotations
@@ -19,34 +19,38 @@ from phy124.imaging.lab import to_lab
 Alpha = NDArray[np.uint8]
 Solid = NDArray[np.bool_]
 SIDE = 200
-"""Longest side to which the image is reduced for the examination [pixels]."""
+"""Longest side to which the image is reduced before necks are searched [pixels]."""
 NECK = 0.4
-"""Largest width of a neck, relative to the thinner part."""
+"""Largest width of a neck, relative to the width of the thinner part."""
 UNLIKE = 0.8
-"""Two parts are separate objects if their colour histograms differ in at least this fraction."""
+"""Two parts count as separate objects if at least this fraction of their colour histograms
+differs."""
 MOST = 4
 """Largest number of objects into which a cut-out is split."""
 SMALLEST = 0.25
-"""Smallest area of the smaller part, as a fraction of both."""
+"""Smallest area of the smaller part, as a fraction of the area of both parts."""
 BINS = np.array([6, 16, 16])
 """Numbers of histogram bins for L, a and b."""
 LOW, RANGE = np.array([0, -100, -100]), np.array([100, 200, 200])
-"""Smallest values of L, a and b, and the ranges that the bins cover."""
+"""Smallest values of L, a and b in the bins, and the ranges that the bins cover."""
 
 
 class Neck(NamedTuple):
     """The narrowest place of a silhouette between two parts."""
 
     width: float
-    """Width relative to the thinner part."""
+    """Width of the neck relative to the width of the thinner part."""
     first: Solid
-    """Mask of the first part's core [h,w]; the neck lies between the cores."""
+    """Mask of the first part's core [h,w]; the neck lies between the two cores."""
     second: Solid
     """Mask of the second part's core [h,w]."""
 
 
 def select_part(rgb: NDArray[np.uint8], alpha: Alpha, place: tuple[int, int]) -> Alpha:
-    """Return the alpha [H,W] of the object at a row and column, without objects that touch it."""
+    """Return the alpha [H,W] of the object at a row and column.
+
+    Other objects that touch it are excluded.
+    """
     for _ in range(MOST - 1):
         parts = split_touching(rgb, alpha)
         if parts is None:
@@ -56,11 +60,13 @@ def select_part(rgb: NDArray[np.uint8], alpha: Alpha, place: tuple[int, int]) ->
 
 
 def split_touching(rgb: NDArray[np.uint8], alpha: Alpha) -> tuple[Solid, Solid] | None:
-    """Split touching objects: return masks [H,W] of two parts, or None for a single object.
+    """Split touching objects, and return masks [H,W] of two parts.
+
+    None if there is a single object.
 
     Args:
         rgb: The image [H,W,3].
-        alpha: Alpha of one connected cut-out [H,W].
+        alpha: Alpha of one connected piece of a cut-out [H,W].
     """
     rows, columns = np.nonzero(alpha > 127)
     if not len(rows):
@@ -83,7 +89,10 @@ def split_touching(rgb: NDArray[np.uint8], alpha: Alpha) -> tuple[Solid, Solid] 
 
 
 def _find_neck(solid: Solid) -> Neck | None:
-    """Return the narrowest neck of a silhouette [h,w] with a large part on either side, or None."""
+    """Return the narrowest neck of a silhouette [h,w] between two large parts.
+
+    None if there is none.
+    """
     depth = cv2.distanceTransform(np.pad(solid, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
     best = None
     for level in np.arange(1.0, float(depth.max())):

@@ -1,4 +1,4 @@
-"""Examines an image's alpha: whether it separates an object, and whether it is faint throughout."""
+"""Examines whether an image's alpha separates an object, and whether it is faint everywhere."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import numpy as np
 from PIL import Image
 
 REAL = 0.005
-"""Smallest fraction of opaque pixels, and of transparent pixels, in a meaningful alpha."""
+"""Smallest fraction of opaque pixels, and of transparent pixels, in an alpha that separates an
+object."""
 FAINTEST = 8
-"""An image counts as half transparent throughout only if its largest alpha (0 to 255) is at least
-this."""
+"""An image can count as half transparent everywhere only if its largest alpha (0 to 255) is at
+least this."""
 
 
 def has_alpha(image: Image.Image) -> bool:
@@ -19,12 +20,12 @@ def has_alpha(image: Image.Image) -> bool:
 
 
 def is_faint(image: Image.Image) -> bool:
-    """Whether the image shows something, but no pixel is opaque."""
+    """Whether the image shows something although no pixel is opaque."""
     return FAINTEST <= _most_opaque(image) < 128
 
 
 def make_solid(image: Image.Image) -> Image.Image:
-    """Convert an image to RGBA, and scale a faint alpha so that its largest value is opaque."""
+    """Convert an image to RGBA, and scale a faint alpha so that its maximum becomes opaque."""
     solid = image.convert("RGBA")
     if is_faint(solid):
         most = _most_opaque(solid)
@@ -33,6 +34,6 @@ def make_solid(image: Image.Image) -> Image.Image:
 
 
 def _most_opaque(image: Image.Image) -> int:
-    """Return the largest alpha, 0..255, ignoring areas smaller than the fraction `REAL`."""
+    """Return the largest alpha, 0..255; areas smaller than the fraction `REAL` are ignored."""
     alpha = np.asarray(image.convert("RGBA").getchannel("A"))
     return int(np.quantile(alpha, 1 - REAL, method="lower"))

@@ -1,4 +1,4 @@
-"""Measures the quality of a clip: CLIP-T as in the paper, and figures that need no trained weights.
+"""Measures the quality of a clip: CLIP-T as in the paper, and measures without trained weights.
 
 `evaluate` takes a clip and its rendered frames. `phy124 evaluate` renders the frames and prints a
 table of the measures.
@@ -31,15 +31,16 @@ __all__ = [
 
 @dataclass(frozen=True)
 class ViewFigures:
-    """Measures of the video of one view."""
+    """Measures of a video that shows one view of the clip."""
 
     view: str
     cosine: float | None
-    """CLIP-T as the mean cosine of consecutive frames; None without a CLIP model."""
+    """CLIP-T, computed as the mean cosine of consecutive frames; None if there is no CLIP model."""
     distance: float | None
-    """CLIP-T as the mean distance of consecutive frames (4DGen); None without a CLIP model."""
+    """CLIP-T, computed as the mean distance of consecutive frames (4DGen); None if there is no CLIP
+    model."""
     motion: float
-    """Mean change of a colour value from one frame to the next [%]; see `pictures.motion`."""
+    """Mean change of a colour value between consecutive frames [%]; see `pictures.motion`."""
     flicker: float
     """Oscillation of the mean colour of the frames [%]; see `pictures.flicker`."""
 
@@ -52,18 +53,18 @@ class Evaluation:
     physics: Physics
     frames: int
     clip_model: str | None
-    """Name of the CLIP model that computed CLIP-T; None without a model."""
+    """Name of the CLIP model with which CLIP-T was computed; None if there is no model."""
     order: str | None
-    """Order of the colour channels in the CLIP model's input; None without a model."""
+    """Order of the colour channels in the CLIP model's input; None if there is no model."""
     missing: str | None = None
     """Reason why CLIP-T was not computed."""
 
     def data(self) -> dict[str, Any]:
-        """Return plain data for evaluation.json."""
+        """Return the measures as plain data for evaluation.json."""
         return {**asdict(self), "formulas": similarity.FORMULAS}
 
     def table(self) -> str:
-        """Return a table of all measures, with the CLIP model and the formulas of CLIP-T."""
+        """Return a table of all measures, with the CLIP model and the formulas for CLIP-T."""
         lines = [
             f"{'view':<8}{'CLIP-T cos':>12}{'CLIP-T dist':>13}{'motion %':>10}{'flicker %':>11}"
         ]
@@ -94,13 +95,13 @@ def evaluate(
     model: similarity.ClipModel | None = None,
     missing: str | None = None,
 ) -> Evaluation:
-    """Measure a clip and its videos.
+    """Measure the quality of a clip and its videos.
 
     Args:
         clip: The clip.
         videos: Name of a view -> its frames [T,H,W,3].
-        model: CLIP model for CLIP-T; None: CLIP-T is not computed.
-        missing: Reason why there is no model, for the table.
+        model: CLIP model for CLIP-T; if None, CLIP-T is not computed.
+        missing: Reason why there is no model, which the table shows.
     """
     views = []
     for name, video in videos.items():

@@ -14,21 +14,21 @@ from phy124.io.clip import Clip
 from phy124.metrics.pictures import psnr, ssim
 
 SAME_OBJECT = 0.1
-"""RMS distance of two objects at rest, in object sizes, above which they count as different
-objects."""
+"""Two objects count as different if their RMS distance at rest, relative to the object's size, is
+above this."""
 SAME_TIME = 1e-6
-"""Largest time difference at which two frames count as simultaneous [s]."""
+"""Two frames count as simultaneous if their times differ by at most this [s]."""
 
 
 @dataclass(frozen=True)
 class Likeness:
-    """Similarity of two clips' videos of one view."""
+    """Similarity of the videos of two clips, for one view."""
 
     view: str
     psnr: float | None
-    """PSNR of the whole videos [dB]; None if they are equal."""
+    """PSNR of the whole videos [dB]; None if the videos are equal."""
     ssim: float
-    """Mean SSIM over the frames, -1 to 1."""
+    """Mean over the frames of the structural similarity (SSIM), -1 to 1."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class Comparison:
     size: float
     """Longest side of the first clip's object at rest [m]."""
     position_rms: float
-    """RMS distance over all Gaussians and frames, in object sizes."""
+    """RMS distance over all Gaussians and frames, relative to the object's size."""
     position_max: float
-    """Largest distance of any Gaussian in any frame, in object sizes."""
+    """Largest distance of any Gaussian in any frame, relative to the object's size."""
     worst_frame: int
-    """Index of the frame with the largest RMS distance, from 0."""
+    """Index of the frame with the largest RMS distance; the first frame has index 0."""
     colour_rms: float
     """RMS difference of the Gaussians' colour channels, 0 to 1."""
     colour_max: float
@@ -71,12 +71,12 @@ class Comparison:
 
 
 def compare(a: Clip, b: Clip, views: tuple[Likeness, ...] = ()) -> Comparison:
-    """Compare clip `b` with clip `a`, ignoring grains.
+    """Compare clip `b` with clip `a`; grains are ignored.
 
     Args:
-        a: The reference.
+        a: The clip that serves as the reference.
         b: The other clip.
-        views: Similarity of the two clips' videos, if measured.
+        views: Similarity of the videos of the two clips, if it was measured.
 
     Raises:
         InputError: The clips do not show the same object at the same times.
@@ -114,19 +114,19 @@ def check_comparable(a: Clip, b: Clip) -> None:
     first, second = len(a.opacities), len(b.opacities)
     if first != second:
         raise _refusal(
-            f"they have {first:,} and {second:,} Gaussians.",
+            f"the clips have {first:,} and {second:,} Gaussians.",
             "Make both clips from one picture or .ply file, with the same generator and seed.",
         )
     if len(a) != len(b):
         raise _refusal(
-            f"they have {len(a)} and {len(b)} frames.",
+            f"the clips have {len(a)} and {len(b)} frames.",
             f"Simulate one of the clips again with --frames {len(a)} or --frames {len(b)}.",
         )
     late = float(np.abs(a.times - b.times).max())
     if late > SAME_TIME:
         raise _refusal(
-            f"their frames are up to {late:.3g} s apart in time.",
-            "Simulate one of the clips again with the other's time.fps.",
+            f"the frames of the clips are up to {late:.3g} s apart in time.",
+            "Simulate one of the clips again with the time.fps of the other.",
         )
     apart = math.sqrt(
         _squared_distances(_centre(a, a.object_mask), _centre(b, a.object_mask)).mean()
@@ -140,7 +140,7 @@ def check_comparable(a: Clip, b: Clip) -> None:
 
 @dataclass
 class Pictures:
-    """Accumulates the differences of two clips frame by frame; no frame is stored."""
+    """Accumulates the differences between two clips frame by frame, without storing frames."""
 
     errors: list[float] = field(default_factory=list)
     similarities: list[float] = field(default_factory=list)
@@ -151,7 +151,7 @@ class Pictures:
         self.similarities.append(ssim(a, b))
 
     def likeness(self, view: str) -> Likeness:
-        """Return the similarity over all added frames."""
+        """Return the similarity of the two clips over all frames that were added."""
         error = float(np.mean(self.errors))
         decibel = None if error == 0 else -10 * math.log10(error)
         return Likeness(view, decibel, float(np.mean(self.similarities)))

@@ -1,4 +1,4 @@
-"""Physical measures of a clip, from the motion of its Gaussians, without trained weights."""
+"""Measures the physics of a clip from the motion of its Gaussians, without trained weights."""
 
 from __future__ import annotations
 
@@ -12,32 +12,40 @@ from phy124.io.clip import Clip
 
 @dataclass(frozen=True)
 class Physics:
-    """Physical measures of a clip. A measure is None if the clip lacks the data for it."""
+    """Physical measures of a clip.
+
+    A measure is None if the clip does not contain the data that it needs.
+    """
 
     mass: float | None
-    """Mass of the particles [kg]. It is constant, since MPM conserves mass by construction."""
+    """Mass of the particles [kg]. The mass is constant, because MPM conserves mass by
+    construction."""
     volume_lowest: float
-    """Smallest total volume of the Gaussians over time, relative to the first frame."""
+    """Smallest total volume of the Gaussians over time, relative to their volume in the first
+    frame."""
     volume_highest: float
-    """Largest total volume of the Gaussians over time, relative to the first frame."""
+    """Largest total volume of the Gaussians over time, relative to their volume in the first
+    frame."""
     momentum_residual: float | None
-    """Mean difference between the velocity of the centre and the rate at which the centre's
-    position changes.
+    """Mean difference between the velocity of the object's centre and the rate at which the
+    centre's position changes.
 
-    It is the mean over frames of |dx/dt - (v before + v after) / 2|, divided by the mean speed. x
-    and v are means over all Gaussians. If all velocities are zero, the mean is not divided [m/s].
-    The residual is larger than zero if the path curves between two frames, as in a collision, and
-    larger still if the velocities do not match the motion. None without velocities.
+    The residual is the mean over frames of |dx/dt - (v before + v after) / 2|, divided by the mean
+    speed. x and v are means over all Gaussians. If all velocities are zero, the mean is not divided
+    [m/s]. The residual is larger than zero if the path of the centre curves between two frames, as
+    in a collision. It is larger still if the velocities do not match the motion. The residual is
+    None if the clip has no velocities.
     """
     travelled: float
-    """Length of the centre's path, in object sizes; 0 for a frozen clip."""
+    """Length of the path of the object's centre, relative to the object's size; 0 for a frozen
+    clip."""
     finite: bool
-    """True if all positions, rotations and scales of all frames are finite."""
+    """Whether all positions, rotations and scales are finite in all frames."""
 
 
 def measure_physics(clip: Clip) -> Physics:
-    """Measure the physics of a clip, with equal weights for all Gaussians."""
-    # Frame by frame: a clip may be larger than the memory.
+    """Measure the physics of a clip; all Gaussians have equal weights."""
+    # Read frame by frame, because a clip may be larger than the memory.
     volumes, centres, finite = [], [], True
     for index in range(len(clip)):
         arrays = clip.means[index], clip.quats[index], clip.scales[index]
@@ -69,11 +77,11 @@ def _momentum_residual(clip: Clip, centres: NDArray[np.float64]) -> float | None
 
 
 def centre_paths_differ(a: Clip, b: Clip) -> float:
-    """Return the relative difference between the paths of two clips' centres.
+    """Return the relative difference between the paths of the centres of two clips.
 
-    The difference is the largest distance between the centres' displacements at equal times,
-    divided by the largest displacement of either centre. A small difference means that objects from
-    two generators move in the same way.
+    This is the largest distance between the displacements of the two centres at equal times,
+    divided by the largest displacement of either centre. If the difference is small, the objects
+    from two generators move in the same way.
 
     Raises:
         ValueError: The clips have different numbers of frames.

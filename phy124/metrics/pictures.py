@@ -1,4 +1,4 @@
-"""Measures of images and videos that need no trained weights."""
+"""Measures images and videos without trained weights."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 Video = NDArray
 """Frames of a video [T,H,W,3], uint8 or float in 0..1."""
 SIGMA = 1.5
-"""Standard deviation of SSIM's Gaussian window [pixels]."""
+"""Standard deviation of the Gaussian window that SSIM uses [pixels]."""
 REACH = 5
-"""Half width of SSIM's window [pixels]; the window has 11 x 11 pixels."""
+"""Half width of the window that SSIM uses [pixels]; the window has 11 x 11 pixels."""
 K1, K2 = 0.01, 0.03
 
 
@@ -23,7 +23,10 @@ def to_unit(images: NDArray) -> NDArray[np.float64]:
 
 
 def psnr(a: NDArray, b: NDArray) -> float:
-    """Return the peak signal-to-noise ratio [dB] of two images; infinite if they are equal."""
+    """Return the peak signal-to-noise ratio of two images [dB].
+
+    Infinite if the images are equal.
+    """
     error = float(np.mean((to_unit(a) - to_unit(b)) ** 2))
     return math.inf if error == 0 else -10 * math.log10(error)
 
@@ -31,8 +34,9 @@ def psnr(a: NDArray, b: NDArray) -> float:
 def ssim(a: NDArray, b: NDArray) -> float:
     """Return the structural similarity of two images [H,W,C], -1 to 1.
 
-    The index is that of Wang et al. 2004, "Image Quality Assessment", with a Gaussian window of 11
-    x 11 pixels. The result is the mean over the channels and over all windows inside the image.
+    The index is defined by Wang et al. 2004, "Image Quality Assessment", with a Gaussian window of
+    11 x 11 pixels. The result is the mean over the channels, and over all windows that lie inside
+    the image.
     """
     import cv2
 
@@ -50,11 +54,10 @@ def ssim(a: NDArray, b: NDArray) -> float:
 
 
 def motion(video: Video) -> float:
-    """Return the mean change of a colour value from one frame to the next, in per cent of its
-    range.
+    """Return the mean change of a colour value between consecutive frames, in % of its range.
 
-    A frozen video has zero motion and a perfect CLIP-T, so CLIP-T is meaningless without this
-    value.
+    A frozen video has a perfect CLIP-T, so CLIP-T is meaningless without this value, which is then
+    zero.
     """
     video = to_unit(video)
     return 100 * float(np.abs(np.diff(video, axis=0)).mean()) if len(video) > 1 else 0.0
@@ -64,9 +67,9 @@ def flicker(video: Video) -> float:
     """Return the oscillation of the frames' mean colour, in per cent of the colour range.
 
     Flicker is half the mean absolute second difference in time of each channel's mean over the
-    frame. Flicker is 0 if the mean changes at a constant rate, and 100 if frames alternate between
-    black and white. The mean hardly changes when an object only moves, so flicker does not measure
-    motion.
+    frame. Flicker is 0 if the mean changes at a constant rate, and 100 if the frames alternate
+    between black and white. If an object only moves, the mean hardly changes, so flicker does not
+    measure motion.
     """
     colours = to_unit(video).mean(axis=(1, 2))
     return 50 * float(np.abs(np.diff(colours, n=2, axis=0)).mean()) if len(colours) > 2 else 0.0

@@ -1,10 +1,10 @@
-"""CLIP-T: similarity of the CLIP embeddings of consecutive frames, by the two published formulas.
+"""CLIP-T: the similarity of the CLIP embeddings of consecutive frames, by two published formulas.
 
-The paper names neither the CLIP model nor the formula. The paper's values (about 0.99, higher is
-better) are assumed to be the mean cosine of consecutive frames, as in Gen-1 (Esser et al. 2023).
-4DGen (Yin et al. 2023, section 4.3) uses half the squared angle instead (about 0.01, lower is
-better). The two formulas of CLIP-T measure only how little consecutive frames differ: a frozen
-video has the best value.
+The paper states neither the CLIP model nor the formula that it uses. The paper's values (about
+0.99, higher is better) are assumed to be the mean cosine of consecutive frames, as in Gen-1 (Esser
+et al. 2023). 4DGen (Yin et al. 2023, section 4.3) uses half the squared angle instead (about 0.01,
+lower is better). Both formulas of CLIP-T measure only how little consecutive frames differ. A
+frozen video therefore has the best value.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from phy124.runtime.installation import install_command
 from phy124.weights.store import require
 
 MODEL = "laion/CLIP-ViT-B-32-laion2B-s34B-b79K"
-"""Name of the CLIP model that 4DGen uses; the paper that phy124 follows does not name its model."""
+"""Name of the CLIP model that 4DGen uses; the paper that phy124 follows does not state its
+model."""
 FORMULAS = {
     "cosine": "mean cosine of consecutive frames, higher is better",
     "distance": "4DGen: mean of 2 arcsin(|a - b| / 2)^2 of consecutive frames, lower is better",
@@ -32,7 +33,7 @@ FORMULAS = {
 MEAN = (0.48145466, 0.4578275, 0.40821073)
 STD = (0.26862954, 0.26130258, 0.27577711)
 Order = Literal["rgb", "bgr"]
-"""Channel order of CLIP's input. CLIP was trained on RGB; 4DGen uses BGR."""
+"""Order of the colour channels in CLIP's input. CLIP was trained on RGB; 4DGen uses BGR."""
 
 
 def cosine(embeddings: NDArray) -> float:
@@ -46,15 +47,13 @@ def distance(embeddings: NDArray) -> float:
 
 
 def cosine_pairs(embeddings: NDArray) -> NDArray[np.float64]:
-    """Return the cosines [T-1] of consecutive rows."""
+    """Return the cosines of consecutive rows [T-1]."""
     e = _normalise(embeddings)
     return (e[1:] * e[:-1]).sum(axis=1)
 
 
 def distance_pairs(embeddings: NDArray) -> NDArray[np.float64]:
-    """Return half the squared angles [T-1] of consecutive rows; small angles are computed
-    precisely, too.
-    """
+    """Return half the squared angles of consecutive rows [T-1]; small angles are also precise."""
     e = _normalise(embeddings)
     chord = np.linalg.norm(e[1:] - e[:-1], axis=1)
     return 2 * np.arcsin(np.clip(chord / 2, 0, 1)) ** 2
@@ -63,20 +62,22 @@ def distance_pairs(embeddings: NDArray) -> NDArray[np.float64]:
 def _normalise(embeddings: NDArray) -> NDArray[np.float64]:
     e = np.asarray(embeddings, dtype=np.float64)
     if e.ndim != 2 or len(e) < 2:
-        raise ValueError(f"embeddings have shape {e.shape}, but must be [T,D] with T of at least 2")
+        raise ValueError(
+            f"embeddings must have shape [T,D] with T of at least 2, but have shape {e.shape}"
+        )
     return e / np.linalg.norm(e, axis=1, keepdims=True)
 
 
 class ClipModel:
-    """Encodes images as CLIP embeddings."""
+    """A CLIP model, which encodes images as embeddings."""
 
     def __init__(self, model: str = MODEL, *, device: str = "cpu", order: Order = "rgb") -> None:
-        """Load a CLIP model from this machine.
+        """Load a CLIP model that is stored on this machine.
 
         Args:
-            model: A folder, or the name of a model on huggingface.co that was downloaded before.
-            device: Torch device.
-            order: Channel order of the model's input.
+            model: A folder, or the name of a model on huggingface.co that has been downloaded.
+            device: Device on which torch runs the model.
+            order: Order of the colour channels in the model's input.
 
         Raises:
             InputError: The model is missing or is not a CLIP model, or the package transformers is
@@ -88,8 +89,9 @@ class ClipModel:
         self._size = int(self._network.config.image_size)
 
     def __call__(self, images: Iterable[NDArray]) -> NDArray[np.float64]:
-        """Return the embeddings [T,D] of images [H,W,3] (uint8, or float in 0..1), one image at a
-        time.
+        """Return the embeddings [T,D] of images [H,W,3] (uint8, or float in 0..1).
+
+        The images are processed one by one.
         """
         import torch
 
@@ -103,9 +105,10 @@ class ClipModel:
 
 
 def _pixels(image: NDArray, size: int, order: Order) -> NDArray[np.float32]:
-    """Return CLIP's input [3,S,S] for an image.
+    """Return the input [3,S,S] of CLIP for an image.
 
-    The shorter side is resized to S (bicubic), the centre is cropped, and colours are normalised.
+    The shorter side of the image is resized to S (bicubic), the centre is cropped, and the colours
+    are normalised.
     """
     picture = Image.fromarray((to_unit(image) * 255 + 0.5).astype(np.uint8))
     scale = size / min(picture.size)

@@ -1,1 +1,1 @@
-"""Locates, checks and downloads files of trained weights, and loads them into networks."""
+"""Finds, checks and downloads files of trained weights, and loads them into networks."""

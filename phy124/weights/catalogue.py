@@ -1,6 +1,6 @@
 """Lists the public files of trained weights, with their licences and checksums.
 
-No weights with non-commercial terms are listed.
+Weights whose terms forbid commercial use are not listed.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ OPENRAIL = "anywhere, also commercially, except for the harmful uses that its li
 
 @dataclass(frozen=True)
 class WeightFile:
-    """A public file in a repository on huggingface.co."""
+    """A public weight file in a repository on huggingface.co."""
 
     repo: str
     path: str
-    """Path inside the repository."""
+    """Path of the file inside the repository."""
     licence: str
     size: int | None = None
-    """Size in bytes; None if it is unknown."""
+    """Size of the file in bytes; None if the size is unknown."""
     sha256: str | None = None
-    """Checksum; None: `fetch` compares with the checksum that the server states."""
+    """Published checksum of the file; if None, `fetch` uses the checksum that the server states."""
     shipped: bool = False
-    """Whether this package contains the file."""
+    """Whether the file is a part of the package phy124."""
 
     @property
     def command(self) -> str:
@@ -33,8 +33,8 @@ class WeightFile:
 
     @property
     def expected(self) -> str:
-        """Expected size and checksum, as text."""
-        size = "size not known" if self.size is None else f"{self.size:,} bytes"
+        """Expected size and checksum of the file, as text."""
+        size = "size unknown" if self.size is None else f"{self.size:,} bytes"
         return f"{size}, sha256 {self.sha256 or 'not known'}"
 
 
@@ -46,7 +46,8 @@ _IMAGEDREAM = "ashawkey/imagedream-ipmv-diffusers"
 _TRIPOSR_Q8 = "cgb/triposr-onnx-webgpu"
 _ZERO123_REPO = "bennyguo/zero123-xl-diffusers"
 KNOWN: dict[str, tuple[WeightFile, ...]] = {
-    # A mirror with byte-identical files of github.com/danielgatis/rembg/releases/tag/v0.0.0.
+    # This mirror has the same files, byte for byte, as
+    # github.com/danielgatis/rembg/releases/tag/v0.0.0.
     "u2net": (
         WeightFile(
             _MIRROR,
@@ -141,26 +142,26 @@ KNOWN: dict[str, tuple[WeightFile, ...]] = {
         WeightFile("onnx-community/depth-anything-v2-small", "onnx/model.onnx", "Apache-2.0"),
     ),
 }
-"""Sets of files, by the name of the network that needs them."""
+"""Sets of weight files, by the name of the network that needs them."""
 
 
 @dataclass(frozen=True)
 class About:
-    """Purpose of a set of weights."""
+    """Description of what a set of weights is used for."""
 
     brings: str
-    """What phy124 does with it."""
+    """What phy124 uses the weights for."""
     megabytes: int
-    """Approximate size of the download."""
+    """Approximate size of the download [MB]."""
     extra: str | None = None
-    """Optional extra of phy124 that runs it."""
+    """Optional extra of phy124 that is needed to run the network."""
     use: str = ANYWHERE
-    """Where the weights may be used."""
+    """Statement of where the licence allows the weights to be used."""
     memory: float = 0.0
-    """Measured memory of a process that runs the network [bytes]; 0: not measured."""
+    """Measured memory of a process that runs the network [bytes]; 0 if it was not measured."""
     work: float = 0.0
-    """Measured work for one picture: the number of operations of float32 matrix products that take
-    the same time on the same cores; 0: not measured."""
+    """Measured work for one picture, stated as the number of operations of float32 matrix products
+    that take the same time on the same cores; 0 if it was not measured."""
 
 
 ABOUT: dict[str, About] = {
@@ -224,4 +225,4 @@ ABOUT: dict[str, About] = {
     "zero123": About("guides --generator dreamgaussian", 3400, "dreamgaussian"),
     "clip": About("the measures of similarity of `phy124 evaluate`", 605, "eval"),
 }
-"""Description of each set, in the order in which it is listed."""
+"""Description of each set of weights, in the order in which the sets are listed."""

@@ -1,6 +1,7 @@
-"""Reads network weights safely, and loads them strictly: missing or extra tensors are an error.
+"""Reads network weights safely, and checks that no tensor is missing or superfluous.
 
-Only safetensors and `torch.load(weights_only=True)` are used; neither executes code from the file.
+The weights are read only with safetensors and `torch.load(weights_only=True)`, which do not execute
+code from the file.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ if TYPE_CHECKING:
 
 StateDict = Mapping[str, "Tensor"]
 SHOWN = 3
-"""Largest number of differing tensors that an error message names."""
+"""Largest number of differing tensors that an error message lists."""
 
 
 def read_tensors(path: str | os.PathLike[str]) -> dict[str, Tensor]:
     """Read all tensors of a .safetensors, .pth, .pt, .ckpt or .bin file to the CPU.
 
     Raises:
-        InputError: If the file is missing, cut short, or not a file of tensors.
+        InputError: If the file is missing or cut short, or does not contain tensors.
     """
     path = Path(path)
     if hindrance := obstacle(path):
@@ -75,23 +76,24 @@ def _refusal(path: Path, error: Exception) -> InputError:
 
 
 def strip_prefix(tensors: StateDict, prefix: str) -> dict[str, Tensor]:
-    """Remove `prefix` from the names, and drop tensors whose names lack it; if all lack it, return
-    all tensors.
+    """Remove `prefix` from the names, and drop tensors whose names do not start with it.
+
+    If no name starts with it, return all tensors.
     """
     found = {k[len(prefix) :]: v for k, v in tensors.items() if k.startswith(prefix)}
     return found or dict(tensors)
 
 
 def fill(module: nn.Module, tensors: StateDict, name: str) -> None:
-    """Load tensors into `module`, which may be on the meta device; names and shapes must agree.
+    """Load tensors into `module`, which may be on the meta device; names and shapes must be equal.
 
     Args:
-        module: The network.
-        tensors: Tensors by the names of the network's state dict.
+        module: The network that receives the tensors.
+        tensors: Tensors by their names in the network's state dict.
         name: Name of the network in messages.
 
     Raises:
-        InputError: If tensors are missing, unknown or of a wrong shape; the message names up to
+        InputError: If tensors are missing, unknown or of a wrong shape; the message lists up to
             `SHOWN` tensors of each kind.
     """
     wanted = {k: tuple(v.shape) for k, v in module.state_dict().items()}
@@ -99,7 +101,7 @@ def fill(module: nn.Module, tensors: StateDict, name: str) -> None:
     missing = [k for k in wanted if k not in shapes_in_file]
     extra = [k for k in shapes_in_file if k not in wanted]
     shapes = [
-        f"{k} is {list(shapes_in_file[k])}, wanted {list(wanted[k])}"
+        f"{k} has shape {list(shapes_in_file[k])}, but must have shape {list(wanted[k])}"
         for k in wanted
         if k in shapes_in_file and shapes_in_file[k] != wanted[k]
     ]

@@ -1,7 +1,8 @@
 """Runs ONNX networks with onnxruntime on the CPU, and predicts how long they take.
 
-Callers may name the inputs and outputs that they need. A file of another network, which lacks the
-named inputs or outputs, is then refused before it runs. Nothing is downloaded.
+Callers may state the names of the inputs and outputs that they need. If a file lacks these inputs
+or outputs because it belongs to another network, it is refused before it runs. This module
+downloads nothing.
 """
 
 from __future__ import annotations
@@ -25,21 +26,24 @@ if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 SIDE = 1024
-"""Side of the matrices whose product measures this machine's speed."""
+"""Side of the square matrices whose product measures the speed of this machine."""
 
 
 class OnnxNetwork:
-    """An ONNX network in float32 on the CPU.
+    """An ONNX network that runs in float32 on the CPU.
 
     Args:
-        path: The .onnx file; a file of external data must be in the same folder.
-        inputs: Names of its inputs, in the order in which they are passed; None: its own order.
+        path: The .onnx file; if it refers to a file of external data, that file must be in the same
+            folder.
+        inputs: Names of the network's inputs, in the order in which they are passed; if None, the
+            order of the file.
         outputs: Names of the outputs that are returned; None: the first output.
-        folds: Whether onnxruntime computes constants when it opens the file. For 8-bit weights this
-            takes memory, since it unpacks them to float32.
+        folds: Whether onnxruntime computes constant expressions when it opens the file. If the
+            weights have 8 bits, this takes memory, because they are unpacked to float32.
 
     Raises:
-        InputError: If onnxruntime is not installed, or the file is unreadable or another network.
+        InputError: If onnxruntime is not installed, or the file is unreadable or belongs to another
+            network.
     """
 
     def __init__(
@@ -65,15 +69,15 @@ class OnnxNetwork:
             raise InputError("weights", self.path, limit, remedy)
 
     def __call__(self, *arrays: NDArray[Any]) -> list[NDArray[np.float32]]:
-        """Run the network on arrays in the order of its inputs; return its outputs.
+        """Run the network on arrays, which are in the order of its inputs; return its outputs.
 
         Raises:
-            InputError: If the shapes do not fit the network.
+            InputError: If the shapes of the arrays do not fit the network.
         """
         feeds: Mapping[str, NDArray[Any]] = dict(zip(self.inputs, arrays, strict=True))
         try:
             return [np.asarray(out) for out in self.session.run(self.outputs, feeds)]
-        except Exception as error:  # onnxruntime's errors share no other base
+        except Exception as error:  # onnxruntime's errors have no other common base class
             limit = f"it does not accept these inputs ({str(error).splitlines()[0]})."
             remedy = "Choose the file that belongs to this network (`phy124 weights` lists them)."
             raise InputError("weights", self.path, limit, remedy) from error
@@ -94,7 +98,8 @@ def _open(path: Path, folds: bool) -> InferenceSession:
         remedy = f"Run `{install_command('onnx')}`."
         raise InputError("weights", path, limit, remedy) from error
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3  # errors are raised; warnings about the graph are not useful
+    # only errors are shown, because warnings about the graph are not useful
+    options.log_severity_level = 3
     options.enable_mem_pattern = False
     options.intra_op_num_threads = physical_cores()
     try:
@@ -104,7 +109,7 @@ def _open(path: Path, folds: bool) -> InferenceSession:
             providers=["CPUExecutionProvider"],
             disabled_optimizers=None if folds else ["ConstantFolding"],
         )
-    except Exception as error:  # onnxruntime's errors share no other base
+    except Exception as error:  # onnxruntime's errors have no other common base class
         raise InputError(
             "weights",
             path,
@@ -114,14 +119,14 @@ def _open(path: Path, folds: bool) -> InferenceSession:
 
 
 def predict_seconds(about: About) -> float | None:
-    """Predict the time for one picture under the current load [s]; None if it is not known."""
+    """Predict how long one picture takes under the current load [s]; None if this is unknown."""
     return about.work / multiply_rate() if about.work else None
 
 
 def multiply_rate() -> float:
-    """Measure the floating-point operations per second of products of float32 matrices.
+    """Measure how many operations per second are reached in products of float32 matrices.
 
-    The measurement takes a fraction of a second, and includes the current load of the machine.
+    The measurement takes a fraction of a second, and depends on the current load of the machine.
     """
     a = np.ones((SIDE, SIDE), np.float32)
     np.matmul(a, a)

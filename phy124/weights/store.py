@@ -1,8 +1,8 @@
-"""Locates, checks and downloads files of trained weights.
+"""Finds, checks and downloads files of trained weights.
 
 Nothing is downloaded unless `fetch` is called. Files are searched in this order: in the folder that
-the user states (`--weights`), in the folder PHY124_WEIGHTS, in the Hugging Face cache, and in this
-package, if it contains the file.
+the user states (`--weights`), in the folder PHY124_WEIGHTS, in the Hugging Face cache, and in the
+package phy124 itself.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ from phy124.runtime.installation import install_command
 from phy124.weights.catalogue import ABOUT, KNOWN, WeightFile
 
 Verdict = Literal["match", "differs", "unknown", "unchecked", "missing"]
-"""Result of checking a file's size and sha256; "unknown" if no sha256 is published."""
+"""Result of comparing a file's size and sha256 with the published values; "unknown" if no sha256 is
+published."""
 BLOCK = 1 << 22
-"""Number of bytes hashed at a time."""
+"""Number of bytes that are hashed at once."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +34,11 @@ class WeightStatus:
     """State of a weight file on this machine."""
 
     weights: str
-    """Name of the set, as in `phy124 weights fetch NAME`."""
+    """Name of the set of weights, as in `phy124 weights fetch NAME`."""
     file: WeightFile
     found: Path | None
     looked: tuple[Path, ...]
-    """Paths that were searched, in order."""
+    """Paths at which the file was searched, in order."""
     size: int | None
     """Size of the file on disk [bytes]."""
     verdict: Verdict
@@ -48,7 +49,7 @@ _named: ContextVar[str | os.PathLike[str] | None] = ContextVar("_named", default
 
 @contextmanager
 def search_first(folder: str | os.PathLike[str] | None) -> Iterator[None]:
-    """Within this context, search `folder` (the user's `--weights`) before other places."""
+    """Within this context, search `folder` (the user's `--weights`) before all other folders."""
     token = _named.set(folder)
     try:
         yield
@@ -57,16 +58,16 @@ def search_first(folder: str | os.PathLike[str] | None) -> Iterator[None]:
 
 
 def hub_cache() -> Path:
-    """Return the folder of the Hugging Face cache, according to its environment variables."""
+    """Return the folder of the Hugging Face cache, which depends on environment variables."""
     home = os.environ.get("HF_HOME", "~/.cache/huggingface")
     return Path(os.path.expanduser(os.environ.get("HF_HUB_CACHE", os.path.join(home, "hub"))))
 
 
 def list_places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
-    """Yield the paths at which `file` may be, in order of preference.
+    """Yield the paths at which `file` may be stored, in the order of preference.
 
-    In a plain folder, both `NAME` and `REPOSITORY/PATH` are searched: one folder can then hold
-    several repositories with equal file names.
+    In a plain folder, both `NAME` and `REPOSITORY/PATH` are searched. One folder can thus contain
+    several repositories whose files have the same names.
     """
     for root in (folder or _named.get(), os.environ.get("PHY124_WEIGHTS")):
         if root:
@@ -82,37 +83,38 @@ def list_places(file: WeightFile, folder: str | os.PathLike[str] | None = None) 
 
 
 def find(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Path | None:
-    """Return the first path at which `file` exists, or None."""
+    """Return the first path at which `file` exists; None if it does not exist."""
     return next((p for p in list_places(file, folder) if p.is_file()), None)
 
 
 def is_complete(name: str, folder: str | os.PathLike[str] | None = None) -> bool:
-    """Whether all files of a set are present."""
+    """Whether all files of a set of weights are present."""
     return all(find(file, folder) for file in list_files(name))
 
 
 def list_files(name: str) -> tuple[WeightFile, ...]:
-    """Return the files of a set.
+    """Return the files of a set of weights.
 
     Raises:
-        InputError: If there is no set of that name.
+        InputError: If there is no set of weights with this name.
     """
     if name not in KNOWN:
         raise InputError(
             "weights",
             name,
-            "there is no such set of weights.",
+            "there is no set of weights with this name.",
             f"Choose one of {', '.join(KNOWN)}.",
         )
     return KNOWN[name]
 
 
 def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str, Path]:
-    """Return the path of each file of a set, by the file's name in the repository.
+    """Return the path of each file of a set, by the name of the file in its repository.
 
     Raises:
-        InputError: If a file is missing or does not have the published size. The message states the
-            expected file, the command to fetch it, and a generator that needs no weights.
+        InputError: If a file is missing, or its size differs from the published size. The message
+            states the expected file, the command that downloads it, and a generator that needs no
+            weights.
     """
     paths = {}
     for file in list_files(name):
@@ -132,10 +134,10 @@ def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str
 
 
 def _alternative(name: str) -> str:
-    """Return the remedy for a missing set of weights, as the end of a sentence."""
+    """Return the remedy for a missing set of weights, which messages append to a sentence."""
     about = ABOUT.get(name)
     if about is not None and ("--foreground" in about.brings or "--depth" in about.brings):
-        return "leave the option out"
+        return "remove the option"
     return "use the generator `relief`, which needs no weights"
 
 
@@ -150,7 +152,7 @@ def _wrong(name: str, path: Path, what: str, file: WeightFile) -> InputError:
 
 
 def compute_sha256(path: str | os.PathLike[str]) -> str:
-    """Return the hexadecimal sha256 of a file; a missing file is treated as empty."""
+    """Return the sha256 of a file in hexadecimal digits; a missing file is treated as empty."""
     digest = hashlib.sha256()
     if Path(path).is_file():
         with open(path, "rb") as file:
@@ -164,7 +166,8 @@ def check_all(
 ) -> list[WeightStatus]:
     """Return the state of every known file, for `phy124 doctor`.
 
-    With `check`, the checksum of each present file is computed (about 1 s per gigabyte).
+    If `check` is true, the checksum of each file that is present is computed (about 1 s per
+    gigabyte).
     """
     return [
         _status(name, file, folder, check=check) for name, files in KNOWN.items() for file in files
@@ -199,18 +202,20 @@ def fetch(
     progress: Progress = silent,
     endpoint: str | None = None,
 ) -> list[Path]:
-    """Download a set with huggingface_hub, and check it; interrupted downloads are resumed.
+    """Download a set of weights with huggingface_hub and check it; resume interrupted downloads.
 
     Args:
-        name: Name of the set.
-        folder: Target folder; None: PHY124_WEIGHTS, or else the Hugging Face cache.
-        progress: Callback as described in `phy124.progress`; huggingface_hub also draws bars.
-        endpoint: Address of the server, if it is not huggingface.co.
+        name: Name of the set of weights.
+        folder: Folder for the files; if None, PHY124_WEIGHTS if it is set, otherwise the Hugging
+            Face cache.
+        progress: Callback as described in `phy124.progress`; huggingface_hub also draws progress
+            bars.
+        endpoint: Address of the server, if the server is not huggingface.co.
 
     Raises:
-        InputError: If the name is unknown, huggingface_hub is missing, nothing can be written to
-            the folder, the server cannot be reached, or a file differs from the published file
-            (and is then deleted).
+        InputError: If the name is unknown, huggingface_hub is not installed, the folder is not
+            writable, the server cannot be reached, or a file differs from the published file. A
+            file that differs is deleted.
     """
     files = list_files(name)
     target = folder or _named.get() or os.environ.get("PHY124_WEIGHTS")
@@ -231,7 +236,7 @@ def _fetch(name: str, file: WeightFile, folder: Path | None, endpoint: str | Non
     wanted, size = file.sha256 or stated, path.stat().st_size
     sha256 = compute_sha256(path)
     if (wanted is not None and sha256 != wanted) or file.size not in (None, size):
-        # In the cache, the path is a link to the content: both must be deleted.
+        # In the cache, the path is a link to the content, so both must be deleted.
         path.resolve().unlink()
         path.unlink(missing_ok=True)
         raise _wrong(name, path, f"it has {size:,} bytes and sha256 {sha256}", file)
@@ -241,7 +246,7 @@ def _fetch(name: str, file: WeightFile, folder: Path | None, endpoint: str | Non
 def _download(
     file: WeightFile, folder: Path | None, endpoint: str | None
 ) -> tuple[Path, str | None]:
-    """Return the path of the downloaded file, and the sha256 that the server states, if any."""
+    """Return the path of the downloaded file, and the sha256 if the server states it."""
     try:
         from huggingface_hub import get_hf_file_metadata, hf_hub_download, hf_hub_url
         from huggingface_hub.utils import HfHubHTTPError
@@ -253,8 +258,8 @@ def _download(
             f"Run `{install_command('onnx')}`.",
         ) from error
     target = None if folder is None else folder / file.repo.rpartition("/")[2]
-    # The library's HTTP client depends on its release; the bases of HfHubHTTPError include the
-    # error type of this client.
+    # The base classes of HfHubHTTPError include the error type of the library's HTTP client, which
+    # differs between releases.
     failures = cast("tuple[type[Exception], ...]", (OSError, *HfHubHTTPError.__bases__))
     try:
         url = hf_hub_url(file.repo, file.path, endpoint=endpoint)
@@ -264,7 +269,7 @@ def _download(
         raise InputError(
             "weights",
             f"{file.repo}/{file.path}",
-            f"it could not be fetched ({type(error).__name__}: {str(error).splitlines()[0]}).",
+            f"it could not be downloaded ({type(error).__name__}: {str(error).splitlines()[0]}).",
             "Check the network and repeat the command; the downloaded "
             f"part is kept. By hand: {file.command}",
         ) from error

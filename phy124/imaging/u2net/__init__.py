@@ -1,8 +1,8 @@
-"""Segments the salient object by U2-Net; images are processed as its authors or rembg do it.
+"""Segments the salient object with U2-Net; images are processed as by its authors or by rembg.
 
-Qin et al. 2020. The small network is part of this package (phy124/weights/u2netp.onnx). The full
-network is a file that must be downloaded: an .onnx file, which OpenCV runs like the small network,
-or a .pth file, which phy124's torch module runs.
+Source: Qin et al. 2020. The small network is part of this package (phy124/weights/u2netp.onnx). The
+file of the full network must be downloaded. It is either an .onnx file, which OpenCV runs like the
+small network, or a .pth file, which phy124's torch module runs.
 """
 
 from __future__ import annotations
@@ -29,20 +29,21 @@ SIZE = 320
 """Width and height of the network's input [pixels]."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 CLOSER, AROUND = 1.4, 0.15
-"""An object is segmented again if it and its surroundings can be enlarged by at least the first
-factor. The second number is the width of the surroundings, relative to the object's longest
+"""An object is segmented again if the object and its surroundings can be enlarged by at least the
+first factor. The second number is the width of these surroundings, relative to the object's longest
 side."""
 AGREED = 0.85
-"""The mask of the repeated segmentation is used if it overlaps with the first by at least this
-(IoU)."""
+"""The mask of the repeated segmentation is used if its overlap (IoU) with the first mask is at
+least this."""
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """Function from a normalised image [1,3,320,320] to the saliency [1,1,320,320] in 0..1."""
 Style = Literal["rembg", "original"]
-"""Resampling as in rembg (Lanczos, the default) or as by the authors (bilinear)."""
+"""How images are resampled: as in rembg (Lanczos, the default) or as by the authors of U2-Net
+(bilinear)."""
 
 
 def weights_file(folder: str | os.PathLike[str] | None = None) -> Path | None:
-    """Return the file of the full network (.onnx is preferred to .pth), or None."""
+    """Return the file of the full network, preferring .onnx to .pth; None if there is no file."""
     (onnx,) = KNOWN["u2net"]
     pth = WeightFile(onnx.repo, "u2net.pth", onnx.licence)
     return find(onnx, folder) or find(pth, folder)
@@ -58,19 +59,21 @@ def is_available(image: Image.Image | None = None) -> bool:
 def find_alpha(
     image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
 ) -> NDArray[np.uint8]:
-    """Segment the salient object of an image by the full network; return its alpha [H,W].
+    """Segment the salient object of an image with the full network; return its alpha [H,W].
 
     Raises:
-        InputError: If the weight file is missing, or is a .pth file and torch is not installed.
+        InputError: If the weight file is missing, or if it is a .pth file and torch is not
+            installed.
     """
-    # `require` raises an error with the searched places and the command to fetch the file.
+    # `require` raises an error that lists the paths that were searched and the command that
+    # downloads the file.
     return _run_isolated(image, weights_file() or require("u2net")["u2net.onnx"], deadline)
 
 
 def find_alpha_small(
     image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
 ) -> NDArray[np.uint8]:
-    """Segment the salient object of an image by the small network; return its alpha [H,W]."""
+    """Segment the salient object of an image with the small network; return its alpha [H,W]."""
     return _run_isolated(image, require("u2netp")["u2netp.onnx"], deadline)
 
 
@@ -96,14 +99,14 @@ def saliency(rgb: NDArray[np.uint8], network: Network) -> NDArray[np.float32]:
 def look_closer(
     rgb: NDArray[np.uint8], coarse: NDArray[np.float32], network: Network
 ) -> NDArray[np.float32]:
-    """Segment a small object again in its surroundings, where thin parts cover more pixels.
+    """Segment a small object again in a section of the image, where thin parts have more pixels.
 
-    The second result replaces the first if both agree (IoU of at least `AGREED`).
+    The second result replaces the first if the two agree (their IoU is at least `AGREED`).
 
     Args:
         rgb: The image [H,W,3].
         coarse: Probability of the object in the whole image [320,320].
-        network: The network.
+        network: The network that computes the saliency.
 
     Returns:
         Probability of the object, [320,320] or [H,W].
@@ -134,7 +137,8 @@ def load(path: str | os.PathLike[str]) -> Network:
     """Load a network from a .onnx, .pth or .safetensors file.
 
     Raises:
-        InputError: If the file is unreadable, is not a U2-Net, or needs torch, which is missing.
+        InputError: If the file is unreadable, does not contain a U2-Net, or needs torch and torch
+            is not installed.
     """
     path = Path(path)
     try:
@@ -157,15 +161,16 @@ def foreground(
 
 
 def prepare_rembg(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Resample `rgb [H,W,3]` as rembg does: [1,3,320,320], Lanczos, normalised by the maximum."""
+    """Resample `rgb [H,W,3]` as rembg does to [1,3,320,320]: Lanczos, normalised by the maximum."""
     small = Image.fromarray(rgb).resize((SIZE, SIZE), Image.Resampling.LANCZOS)
     return _normalise(np.asarray(small, dtype=np.float64))
 
 
 def prepare_original(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Resample an image as the authors do: [1,3,320,320], blurred, then bilinear.
+    """Resample an image as the authors do to [1,3,320,320]: blurred, then bilinear.
 
-    Values outside the image are taken as black, which slightly darkens the pixels at its edges.
+    Values outside the image are assumed to be black, which slightly darkens the pixels at the image
+    edges.
     """
     from scipy.ndimage import gaussian_filter, zoom
 
@@ -183,12 +188,12 @@ def _normalise(image: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def finish_rembg(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return the mask [H,W] of a network's output [1,1,320,320]; `size` is (W, H)."""
+    """Return the mask [H,W] that a network's output [1,1,320,320] stands for; `size` is (W, H)."""
     return _stretch_mask(d0, size, Image.Resampling.LANCZOS)
 
 
 def finish_original(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return the mask [H,W] as `finish_rembg` does, with the authors' bilinear resampling."""
+    """Return the mask [H,W] like `finish_rembg`, but with the authors' bilinear resampling."""
     return _stretch_mask(d0, size, Image.Resampling.BILINEAR)
 
 
@@ -197,7 +202,7 @@ def _stretch_mask(
 ) -> NDArray[np.uint8]:
     d0 = d0[0, 0]
     low, high = float(d0.min()), float(d0.max())
-    # A constant output means that nothing is salient; the original programs divide by zero.
+    # A constant output means that no object is salient; the original programs would divide by zero.
     unit = (d0 - low) / (high - low) if high > low else np.zeros_like(d0)
     small = Image.fromarray((np.clip(unit, 0, 1) * 255).astype(np.uint8))
     return np.asarray(small.resize(size, resampling))
@@ -212,8 +217,8 @@ STYLES = {
 def multiply_mask(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Multiply all channels of `image [H,W,3 or 4]` by the mask, as rembg does; return [H,W,4].
 
-    LGM's program receives such images and multiplies colours by alpha again, which darkens soft
-    edges.
+    LGM's program receives such images, and multiplies the colours by alpha once more. This darkens
+    soft edges.
     """
     picture = Image.fromarray(image).convert("RGBA")
     clear = Image.new("RGBA", picture.size, 0)
@@ -222,7 +227,8 @@ def multiply_mask(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[
 
 def _load_onnx(path: Path) -> Network:
     try:
-        # Passed as bytes: OpenCV cannot open every file name that the system allows.
+        # The file is passed as bytes, because OpenCV cannot open every file name that the system
+        # allows.
         network = cv2.dnn.readNetFromONNX(np.frombuffer(path.read_bytes(), np.uint8))
         first = network.getUnconnectedOutLayersNames()[0]
     except (cv2.error, OSError, IndexError) as error:

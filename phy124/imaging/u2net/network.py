@@ -1,7 +1,7 @@
-"""U2-Net: a U-Net for salient objects in which every stage is itself a small U-Net.
+"""Defines U2-Net, a U-Net for salient objects in which every stage is itself a small U-Net.
 
-Qin et al. 2020, "U^2-Net: Going Deeper with Nested U-Structure for Salient Object Detection".
-Submodules have the names of the public .pth files.
+Source: Qin et al. 2020, "U^2-Net: Going Deeper with Nested U-Structure for Salient Object
+Detection". The submodules have the same names as in the public .pth files.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ def _resize_like(x: Tensor, like: Tensor) -> Tensor:
 
 
 class ResidualU(nn.Module):
-    """Residual U-block RSU-L: `levels` convolutions down and one fewer up, plus a shortcut.
+    """Residual U-block RSU-L, with `levels` convolutions down, one fewer up, and a shortcut.
 
-    With `dilated` (RSU-4F), the resolution stays constant; dilations 1, 2, 4, 8 widen the receptive
-    field in place of pooling.
+    With `dilated` (RSU-4F), the resolution is constant. Instead of pooling, dilations of 1, 2, 4
+    and 8 widen the receptive field.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class ResidualU(nn.Module):
         whole = self.rebnconvin(x)
         x, skips = whole, []
         for i in range(1, self.levels + 1):
-            # The last level has the resolution of the level before it.
+            # The last level has the same resolution as the level before it.
             pooled = not self.dilated and 1 < i < self.levels
             x = self.get_submodule(f"rebnconv{i}")(_pool(x) if pooled else x)
             skips.append(x)
@@ -79,12 +79,12 @@ class ResidualU(nn.Module):
 
 @dataclass(frozen=True)
 class Widths:
-    """Numbers of channels (inputs, middle, outputs) of each stage."""
+    """Numbers of channels of each stage: inputs, middle, outputs."""
 
     down: tuple[tuple[int, int, int], ...]
-    """Channels of stages 1 to 6."""
+    """Numbers of channels of stages 1 to 6."""
     up: tuple[tuple[int, int, int], ...]
-    """Channels of stages 5d to 1d."""
+    """Numbers of channels of stages 5d to 1d."""
 
 
 WIDTHS = {
@@ -108,7 +108,7 @@ LEVELS = (7, 6, 5, 4, 4, 4)
 class U2Net(nn.Module):
     """Maps normalised images [B,3,H,W] to saliency maps (d0, ..., d6), each [B,1,H,W] in 0..1.
 
-    d0 is the result; d1 to d6 are the side outputs, which are fused to d0.
+    d0 is the result of the network; d1 to d6 are the side outputs from which d0 is fused.
     """
 
     def __init__(self, widths: Widths) -> None:
@@ -143,9 +143,9 @@ class U2Net(nn.Module):
 
 
 def load(tensors: StateDict) -> U2Net:
-    """Build the network to which the tensors belong (U2-Net or U2-NetP), and load them strictly.
+    """Build the network to which the tensors belong (U2-Net or U2-NetP), and load the tensors.
 
-    Missing or extra tensors are an error.
+    An error is raised if tensors are missing or superfluous.
 
     Raises:
         InputError: If the tensors fit neither network.
