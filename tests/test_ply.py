@@ -257,8 +257,8 @@ REFUSED = {
     "no turns": (header(NAMES[:10]) + bytes(999), "it.ply", "has no rot_0, rot_1"),
     "anchors": (header([*NAMES, "f_offset_0"]) + bytes(999), "it.ply", "anchors of Scaffold-GS"),
     "packed": (header(["packed_position", "packed_scale"]), "it.ply", "by SuperSplat.*convert"),
-    "cut rows": (header() + bytes(100), "it.ply", "cut short: 1 of 2"),
-    "cut ascii": (header(encoding="ascii") + b"1 2 3", "it.ply", "cut short: 0 of 2"),
+    "cut rows": (header() + bytes(100), "it.ply", "cut short: only 1 of 2"),
+    "cut ascii": (header(encoding="ascii") + b"1 2 3", "it.ply", "cut short: only 0 of 2"),
     "words": (header(encoding="ascii") + b"one " * 28, "it.ply", "cannot be parsed"),
     "ragged": (header(encoding="ascii") + b"1 " * 29, "it.ply", "one value per property"),
     "cut header": (header()[:-20], "it.ply", "cut short within its header"),
@@ -296,7 +296,7 @@ def test_a_file_that_shrinks_while_it_is_read_is_cut_short(tmp_path, monkeypatch
         return read_whole(file, *arguments, **options)
 
     monkeypatch.setattr(np, "fromfile", shrunk)
-    with pytest.raises(InputError, match="cut short: 1 of 2"):
+    with pytest.raises(InputError, match="cut short: only 1 of 2"):
         read_ply(path)
 
 

@@ -106,7 +106,7 @@ def test_a_wrong_picture_stops_the_renderer_too(tmp_path, three_gaussians):
     frames = [Frame(i, 0.0, three_gaussians) for i in range(50)]
     cameras = [Camera.orbit(0, 0, 1.5, 32 if i < 4 else 34) for i in range(50)]
     images = render_frames(frames, cameras, device="cpu")
-    with pytest.raises(ValueError, match=r"\(34, 34, 3\), must be uint8 \(32, 32\)"):
+    with pytest.raises(ValueError, match=r"\(34, 34, 3\), but must be uint8 \(32, 32\)"):
         write_mp4(tmp_path / "a.mp4", images, fps=24)
     assert not any(t.name.startswith("render") for t in threading.enumerate())
     assert not list(tmp_path.iterdir())
