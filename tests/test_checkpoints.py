@@ -73,8 +73,10 @@ def test_mismatched_tensors_are_named_and_change_nothing(tensors):
         fill(network, other, "the layer")
     said = str(refused.value)
     assert "1 missing (bias)" in said and "5 unknown (more.0, more.1, more.2, ...)" in said
-    assert "weight is [3, 3], wanted [2, 3]" in said
-    with pytest.raises(InputError, match=r"1 other shape \(bias is \[3\], wanted \[2\]\)"):
+    assert "weight has shape [3, 3], but must have shape [2, 3]" in said
+    with pytest.raises(
+        InputError, match=r"1 other shape \(bias has shape \[3\], but must have shape \[2\]\)"
+    ):
         fill(network, {**tensors, "bias": torch.ones(3)}, "the layer")
     assert torch.equal(network.weight, before)
 

@@ -72,10 +72,13 @@ def test_pictures_add_up_to_those_of_the_video(rng):
 @pytest.mark.parametrize(
     ("other", "words"),
     [
-        (flight(AWAY[:4], count=400), "they have 500 and 400 Gaussians. Make both clips from one"),
+        (
+            flight(AWAY[:4], count=400),
+            "the clips have 500 and 400 Gaussians. Make both clips from one",
+        ),
         (
             flight(AWAY[:3]),
-            "they have 4 and 3 frames. Simulate one of the clips again with --frames 4",
+            "the clips have 4 and 3 frames. Simulate one of the clips again with --frames 4",
         ),
         (replace(flight(AWAY[:4]), times=np.arange(4) / 30), "up to 0.025 s apart in time"),
         (

@@ -181,7 +181,7 @@ def test_transparent_pixels_do_not_affect_the_search(monkeypatch):
 def test_a_new_method_is_one_line(monkeypatch):
     everything = Method(lambda _: True, lambda i, _: np.full(i.size[::-1], 255, np.uint8))
     monkeypatch.setattr(cutout, "METHODS", {"all": everything, **METHODS})
-    with pytest.raises(InputError, match=r"whole picture .100%. was taken.*by all"):
+    with pytest.raises(InputError, match=r"whole picture .100%. was selected.*by all"):
         foreground(Image.new("RGB", (64, 64)))
 
 

@@ -281,7 +281,7 @@ def test_avif_is_read_or_refused_by_its_name(tmp_path, monkeypatch):
             assert open_image(tmp_path / "a.avif").size == (64, 64)
         with monkeypatch.context() as without:
             without.setattr(image, "can_read_avif", lambda: False)
-            with pytest.raises(InputError, match=r"AVIF picture, which .*Pillow does not read"):
+            with pytest.raises(InputError, match=r"AVIF picture, which .*Pillow cannot read"):
                 open_image(tmp_path / "a.avif")
 
 
