@@ -1,4 +1,6 @@
-"""Binds Gaussians to the particles that carry them: which particles, and with which weights."""
+"""Binds Gaussians to the particles that carry them: selects these particles and computes their
+weights.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,8 @@ PER_CELL, MOST_CELLS = 2, 256
 a cell of their bounding box, and largest number of cells per axis.
 """
 FARTHEST = 4.0
-"""Beyond this distance, in mean distances of particles, only the nearest particles carry a
-Gaussian, because the grid does not connect material so far apart.
+"""Distance, in mean distances between particles, beyond which only the nearest particle carries a
+Gaussian, because the grid does not connect material that is so far apart.
 """
 
 
@@ -44,7 +46,7 @@ class Binding(NamedTuple):
         return out.astype(np.float32)
 
     def select(self, chosen: NDArray) -> Binding:
-        """Return the binding of some Gaussians."""
+        """Return the binding of only some of the Gaussians."""
         return Binding(
             self.particles[chosen], None if self.weights is None else self.weights[chosen]
         )
@@ -63,8 +65,10 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
 
 
 def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
-    """Return the value of each Gaussian's own or nearest particle [N], from values [P]."""
-    # Equal values, for example of a single material, need no search.
+    """Return, for each Gaussian, the value of its particle or of the nearest particle [N], from
+    values [P].
+    """
+    # If all values are equal, for example for a single material, no search is needed.
     if len(values) and (values == values[0]).all():
         return np.repeat(values[:1], len(gaussians), axis=0)
     particle = _bound_particles(len(gaussians), particles)
@@ -95,10 +99,11 @@ def _carriers_within(
     means: NDArray, x: NDArray, volume: NDArray
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the carriers [N,K] and weights [N,K] of the Gaussians of one object."""
-    # Rounded, so that equal volumes and their mean give the same weights.
+    # The distance is rounded, so that equal volumes and their mean give the same weights.
     index, weights = find_carriers(means, x, float(np.float32(FARTHEST * np.cbrt(volume.mean()))))
     if len(x) < CARRIERS:
-        # Few particles do not determine the motion far from them: use the nearest one alone.
+        # A few particles do not determine the motion far from them, so only the nearest particle is
+        # used.
         weights[:] = np.eye(1, CARRIERS)
     return index, weights
 
@@ -112,7 +117,7 @@ def find_carriers(
     nearest particle that is not chosen. R is at most twice the distance of the farthest chosen
     particle, and at most the larger of `farthest` and twice the distance of the nearest particle
     [m]. The weights vary smoothly over the points, since a particle enters and leaves the chosen
-    set with weight 0. With fewer than K particles, the last weights are 0.
+    set with weight 0. If there are fewer than K particles, the last weights are 0.
     """
     low, high = particles.min(axis=0).astype(np.float64), particles.max(axis=0)
     extent = np.maximum(high - low, 1e-9)

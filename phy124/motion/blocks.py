@@ -21,11 +21,11 @@ class Step(NamedTuple):
 
     kernel: Any
     mine: list[Any]
-    """First arguments: arrays with an entry for each Gaussian; `DEFORMATION` stands for F."""
+    """First arguments: arrays with one entry per Gaussian; `DEFORMATION` stands for F."""
     shared: list[Any]
-    """Next arguments: arrays of which each Gaussian may read any entry."""
+    """Next arguments: arrays in which the thread of a Gaussian may read any entry."""
     out: list[Any]
-    """Last arguments: arrays with an entry for each Gaussian."""
+    """Last arguments: arrays with one entry per Gaussian, which the kernel writes."""
     each: int = 1
     """Number of Gaussians that a thread of the kernel processes."""
 
@@ -59,7 +59,8 @@ class BlockLauncher:
             ]
             for run, F in zip(self._runs, self._deformation, strict=True)
         ]
-        # Recording a launch loads its kernel, which several threads must not do at the same time.
+        # Recording a launch loads its kernel, and several threads must not load kernels at the same
+        # time.
         first, *others = work
         started = [self._others.submit(_launch, items) for items in others] if self._others else []
         _launch(first)

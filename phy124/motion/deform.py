@@ -1,13 +1,15 @@
-"""Moves the Gaussians with the material: a frame follows from particles and Gaussians at rest.
+"""Moves the Gaussians with the material: computes a frame from the particles and the Gaussians at
+rest.
 
-The paper (Phy124, arXiv 2409.07179) computes Sigma_t = F Sigma_0 F^T with the total F; then Sigma =
-Q Lambda Q^T gives the rotation and the scales of the 4D representation. Here the axes are computed
-from A = F R_0 S_0 (Sigma = A A^T), once per frame and in float64, never from an integrated Sigma.
-The factor A preserves thin axes and positive definiteness (`phy124.kernels.deform`).
+The paper (Phy124, arXiv 2409.07179) computes Sigma_t = F Sigma_0 F^T with the total F. The
+decomposition Sigma = Q Lambda Q^T then gives the rotation and the scales of the 4D representation.
+Here the axes are computed from A = F R_0 S_0 (Sigma = A A^T), once per frame and in float64, never
+from an integrated Sigma. The factor A preserves thin axes and positive definiteness
+(`phy124.kernels.deform`).
 
-Orientations are continuous: of all labellings of the axes (24 proper signed permutations), the one
-closest to the previous frame is chosen, with q . q_previous >= 0. Axes of equal length move with
-the material, to within 1e-5 of the covariance.
+Orientations are continuous: the labels of the axes (one of 24 proper signed permutations) are those
+closest to the previous frame, and the sign of q is chosen so that q . q_previous >= 0. Axes of
+equal length move with the material, to within 1e-5 of the covariance.
 """
 
 from __future__ import annotations
@@ -30,11 +32,11 @@ from phy124.motion.blocks import DEFORMATION, BlockLauncher, Step
 class Deformer:
     """Computes the frames of one moving object; call it once per frame, in order of time.
 
-    With the binding `particles`, each Gaussian moves with its own particle. With `lattice`, the
-    nearest particles of the lattice carry the Gaussian: x_g = sum w_i (x_i + F_i (X_g - X_i)) and
-    F_g = sum w_i F_i, with smooth weights w that sum to 1. The interpolation is exact for every
-    affine motion. For fluid and granular materials it is exact only while the arms F_i (X_g - X_i)
-    are at most twice as long as at rest.
+    With the binding `particles`, each Gaussian moves with one particle. With `lattice`, the nearest
+    particles of the lattice carry the Gaussian: x_g = sum w_i (x_i + F_i (X_g - X_i)) and F_g = sum
+    w_i F_i, with smooth weights w that sum to 1. The interpolation is exact for every affine
+    motion. For fluid and granular materials, it is exact only while the vectors F_i (X_g - X_i) are
+    at most twice as long as at rest.
     """
 
     def __init__(
@@ -57,14 +59,15 @@ class Deformer:
             particles: The particles that `make_particles` made from the Gaussians; None: one
                 particle per Gaussian, in order.
             max_stretch: Longest axis allowed, relative to the longest axis at rest, for all
-                Gaussians or for each [N]; for fluid and plastic material, whose F grows without
-                bound. None: no limit.
+                Gaussians or for each Gaussian [N]. It is meant for fluid and plastic material,
+                whose F grows without bound. None: no limit.
             rounds: Mask of the Gaussians that become balls when they are stretched [N], so that
-                fluids show no needles; None: none do.
+                fluids do not look like needles; None: no Gaussians.
             flows: Mask of the Gaussians of fluid or granular material [N], whose F grows without
-                bound; None: none are.
-            holds: Largest stretch of each Gaussian's material [N]. If F is larger, the material is
-                torn, and its Gaussians are drawn with this stretch; None: no limit.
+                bound; None: no Gaussians.
+            holds: Largest stretch of each Gaussian's material [N]. If the stretch of F is larger,
+                the material is torn, and its Gaussians are drawn with the largest stretch. None: no
+                limit.
             binding: Particles that carry each Gaussian, if they are known.
             device: Warp device of the computation.
             threads: Number of CPU threads that process the Gaussians; it does not change the
@@ -90,7 +93,9 @@ class Deformer:
         self._broken = wp.zeros(2, dtype=wp.int32, device=device)
 
         def constant(values: Any, dtype: Any) -> wp.array:
-            """Return an array on the device; if all values are equal, only one block of it."""
+            """Return an array on the device; if all values are equal, the array has the length of
+            one block.
+            """
             values = np.broadcast_to(values, n)
             if n > block and (values.strides == (0,) or (values == values[0]).all()):
                 values = np.repeat(values[:1], block)
@@ -116,7 +121,7 @@ class Deformer:
         quaternion: Any = wp.vec4f
         self._inner = wp.empty(n, dtype=quaternion, device=device)
         self._turned = wp.empty(n if gaussians.sh_degree else 0, dtype=quaternion, device=device)
-        # One frame's axes continue those of the frame before, whose arrays are not changed.
+        # The axes continue those of the previous frame, whose arrays are not changed.
         self._quats = self._quats0
         self.reset()
 
@@ -140,14 +145,15 @@ class Deformer:
 
         Args:
             x: Positions of the particles [P,3], m; a NumPy or Warp array.
-            F: Their total deformation gradients [P,3,3].
+            F: Total deformation gradients of the particles [P,3,3].
             index: Number of the frame.
             time: Time [s].
             velocities: Velocities of the particles [P,3], m/s, if the frame is to include them.
             colours: Whether colours are rotated with the material.
 
         Raises:
-            FloatingPointError: A position or F is not finite; the message says how many.
+            FloatingPointError: A position or F is not finite; the message gives the number of such
+                particles.
             ValueError: The arrays do not match the number of particles.
         """
         x, F = self._upload(x, F)

@@ -1,4 +1,6 @@
-"""Gaussians of inner particles, hidden in the surface until a tear exposes these particles."""
+"""Shows Gaussians of inner particles, which are hidden in the surface until a tear exposes the
+particles.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ HIDDEN = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Exposed:
-    """The G Gaussians of inner particles, and which of them are exposed in each of T frames.
+    """The G Gaussians of inner particles, and the frames, out of T, in which each of them is
+    exposed.
 
     A hidden Gaussian is a small copy of the Gaussian above it; an exposed one is at the position of
     its particle. The E exposures are sorted by Gaussian, then by frame.
@@ -40,20 +43,24 @@ class Exposed:
 
     @cached_property
     def _starts(self) -> NDArray[np.intp]:
-        """Index of each frame's first exposure when sorted; the last entry counts all exposures."""
+        """Index of the first exposure of each frame when sorted by frame; the last entry is the
+        number of exposures.
+        """
         frames = np.arange(self.frame.max(initial=-1) + 2)
         return np.searchsorted(self.frame[self._by_frame], frames)
 
     def show(
         self, row: Mapping[str, Array], index: int, grains: NDArray[np.intp]
     ) -> dict[str, Array]:
-        """Return a frame's arrays with the centres and sizes of these Gaussians in that frame.
+        """Return the arrays of a frame, with the centres and sizes that these Gaussians have in the
+        frame.
 
         Args:
-            row: Arrays of M Gaussians by name; those of a hidden Gaussian are those of the Gaussian
+            row: Arrays of M Gaussians by name; a hidden Gaussian has the values of the Gaussian
                 above it.
             index: Index of the frame.
-            grains: Index among the G Gaussians for each of the M; -1: it is none of them.
+            grains: Index among the G Gaussians for each of the M Gaussians; -1 if it is none of
+                them.
         """
         means, scales = row["means"].copy(), row["scales"].copy()
         rows = np.flatnonzero(grains >= 0)

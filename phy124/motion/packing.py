@@ -1,4 +1,5 @@
-"""Packs a motion into bytes: static arrays without loss, moving arrays rounded to small steps.
+"""Packs a motion into bytes: static arrays without loss, and moving arrays rounded to small
+increments.
 
 Every array is stored as differences, which are split into bytes of equal significance and then
 compressed by Zstandard. Positions and F of particles are rounded to `STEP_X` and `STEP_F`;
@@ -22,9 +23,9 @@ from phy124.motion.recorded import Motion
 from phy124.runtime.memory import release, trim
 
 STEP_X = 2e-5
-"""Largest step to which positions of particles are rounded, relative to the object's size."""
+"""Largest increment to which positions of particles are rounded, relative to the object's size."""
 STEP_F = 2.0**-10
-"""Step to which deformation gradients are rounded."""
+"""Increment to which deformation gradients are rounded."""
 FRAMES = 32
 """Number of frames that are packed together."""
 FAST = 1 << 20
@@ -35,7 +36,7 @@ BITS = 10
 """Number of cells of the Hilbert curve along each axis, as an exponent of two."""
 Tensors = dict[str, NDArray]
 Packed = tuple[Tensors, dict[str, Any]]
-"""Arrays [bytes] by name, and the facts that `unpack` needs to unpack them."""
+"""Packed arrays [bytes] by name, and the data that `unpack` needs to unpack them."""
 STATIC = ("means", "quats", "scales", "opacities", "sh", "object_id")
 EXPOSED = ("above", "grain", "frame", "x")
 """Names of the arrays of `Exposed` besides its Gaussians; in a file, these names begin with
@@ -75,7 +76,7 @@ def pack(motion: Motion) -> Packed:
                     raise OverflowError(f"{name} is too large to be stored in a clip")
                 column[:] = exact[:, order]
             chunks.append(_pack_steps(whole))
-            trim()  # the chunks would keep the gaps between them from being used again
+            trim()  # otherwise the chunks would prevent the gaps between them from being reused
         tensors[f"motion.{name}"], lengths = _join(chunks)
         arrays[name] = {"chunks": lengths}
     facts = {"arrays": arrays, "steps": steps, "frames": len(motion.x)}
@@ -146,7 +147,9 @@ def _take_gaussians(arrays: Tensors, prefix: str = "") -> Gaussians:
 
 
 class Steps:
-    """Rows of a packed array, one per frame; the chunk that was read last stays unpacked."""
+    """Rows of a packed array, one per frame; the chunk of frames that was read last stays unpacked
+    in memory.
+    """
 
     def __init__(
         self,
@@ -158,7 +161,7 @@ class Steps:
         count: int,
         shape: tuple[int, ...],
     ) -> None:
-        """Store the packed bytes and the facts that are needed to unpack them."""
+        """Store the packed bytes and the data that are needed to unpack them."""
         self._data, self._step, self._base, self._order = data, step, base, order
         self._ends = np.cumsum([0, *lengths])
         self._count, self._shape, self._chunk = count, shape, (-1, np.zeros(0))
@@ -220,14 +223,14 @@ def hilbert_order(points: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def _base(name: str, rest: NDArray) -> NDArray[np.float64]:
-    """Return the values of the particles at rest, to which the steps are added."""
+    """Return the values of the particles at rest, to which the rounded differences are added."""
     return rest if name == "x" else np.broadcast_to(np.eye(3).ravel(), (len(rest), 9))
 
 
 def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
     """Return, for each particle, the mean volume of its object's particles [P].
 
-    The binding needs no individual volumes.
+    The binding does not need the volumes of individual particles.
     """
     volume = np.full(len(particles.x), particles.volume.mean() if len(particles.x) else 0.0)
     for body in () if particles.body is None else np.unique(particles.body):
@@ -237,7 +240,7 @@ def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
 
 
 def _pack_steps(steps: NDArray[np.int32]) -> bytes:
-    """Pack integers [K,T,P] as differences: first in time, then along the curve."""
+    """Pack integers [K,T,P] as differences, first in time and then along the Hilbert curve."""
     steps = np.diff(steps, axis=1, prepend=np.int32(0))
     return _compress(_zigzag(np.diff(steps, axis=2, prepend=np.int32(0)), 4))
 
@@ -286,8 +289,8 @@ def _unpack_exact(data: NDArray, facts: Mapping[str, Any]) -> NDArray:
 
 
 def _column_order(name: str, count: int) -> Sequence[int]:
-    """Return the order of columns; the real part of quaternions is last, as it follows from the
-    others.
+    """Return the order of columns; the real part of quaternions is last, because it is computed
+    from the other parts.
     """
     return (1, 2, 3, 0) if name.endswith("quats") and count == 4 else range(count)
 

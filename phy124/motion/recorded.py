@@ -1,8 +1,8 @@
 """Computes the frames of a clip from the motion of the particles that carry its Gaussians.
 
-The shapes of a frame depend on those of the previous frame (`phy124.motion.deform`). Frames are
-therefore computed in order, from the first one or from the nearest stored state, so that each has
-the same bits whenever it is read.
+The shapes of the Gaussians in a frame depend on the shapes in the previous frame
+(`phy124.motion.deform`). Frames are therefore computed in order, from the first frame or from the
+nearest stored state, so that a frame is bit for bit the same whenever it is read.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     from phy124.motion.deform import Deformer
 
 KEPT = 256e6
-"""Size up to which all computed frames of a clip are kept [bytes]."""
+"""Total size [bytes] up to which all computed frames of a clip are kept."""
 NEAR = 4
 """Number of computed frames that are kept if a clip is larger than `KEPT`."""
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 STATES = 16e6
-"""Size of all stored states from which frames can be computed [bytes]."""
+"""Total size [bytes] of all stored states from which frames can be computed."""
 BYTES = 40
-"""Size of a Gaussian in a frame that was computed [bytes]."""
+"""Number of bytes per Gaussian in a computed frame."""
 STATE = 32
-"""Size of a Gaussian in a state [bytes]."""
+"""Number of bytes per Gaussian in a state."""
 MOVING = ("means", "quats", "scales", "rotations")
 """Names of the arrays of a frame that are computed."""
 
@@ -68,7 +68,7 @@ class Motion:
     x: Rows
     """Positions of these particles in each frame [C,3], m."""
     F: Rows
-    """Their deformation gradients in each frame [C,3,3]."""
+    """Deformation gradients of these particles in each frame [C,3,3]."""
     times: NDArray[np.float64]
     """Times of the frames [T], s."""
     on_tracks: tuple[int, ...]
@@ -82,7 +82,7 @@ class Motion:
     binding: Binding | None = None
     """Particles that carry the moving Gaussians, if these particles are known."""
     exposed: Exposed | None = None
-    """Further Gaussians that become visible where the object tears."""
+    """Additional Gaussians that become visible where the object tears."""
     describes: tuple[Any, ...] = ()
     """Arrays of a clip that can be computed from this motion (`phy124.io.clip.DESCRIBED`)."""
 
@@ -121,10 +121,11 @@ class Recorded:
 
         Args:
             motion: The motion.
-            chosen: Indices of the Gaussians of the frames [M]; None: all.
+            chosen: Indices of the Gaussians that the frames contain [M]; None: all Gaussians.
             measure: Called once with the arrays of each frame that is computed.
             threads: Number of CPU threads; None: one per core.
-            frames: Number of frames that the motion will have, if it is still growing.
+            frames: Number of frames that the motion will finally have, if frames are still being
+                added.
         """
         self.motion, self.chosen = motion, chosen
         self._threads, self._expected = threads, frames
@@ -141,7 +142,7 @@ class Recorded:
 
     @property
     def _length(self) -> int:
-        """Number of frames, including those to come."""
+        """Number of frames, including frames that will be added later."""
         return max(len(self), self._expected)
 
     @property
@@ -169,7 +170,7 @@ class Recorded:
                 self._advance()
             row = self._advance()
             self._frames[index] = row
-            # A larger clip is read frame after frame, so its earlier frames would not help.
+            # A larger clip is read frame after frame, so keeping its earlier frames would not help.
             while len(self._frames) > NEAR and BYTES * self.count * self._length > KEPT:
                 self._frames.popitem(last=False)
             return row
@@ -182,7 +183,7 @@ class Recorded:
         return [self._measured[index] for index in sorted(self._measured)]
 
     def rows_of(self, chosen: NDArray) -> Iterator[dict[str, Array]]:
-        """Yield the arrays of chosen Gaussians, frame by frame; nothing is kept."""
+        """Yield the arrays of chosen Gaussians, frame by frame, without keeping any frame."""
         part = Recorded(self.motion, chosen)
         return (part._advance() for _ in range(len(self)))
 
@@ -281,14 +282,14 @@ class Torn:
         return self._last[1]
 
     def rows_of(self, chosen: NDArray) -> Iterator[dict[str, Array]]:
-        """Yield the arrays of chosen Gaussians, frame by frame; nothing is kept."""
+        """Yield the arrays of chosen Gaussians, frame by frame, without keeping any frame."""
         carried, grains = self._split(chosen)
         for index, row in enumerate(self._recorded.rows_of(carried)):
             yield self._exposed.show(row, index, grains)
 
     def _split(self, chosen: NDArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return, for each chosen Gaussian, the carried Gaussian, and its index among the exposed
-        ones or -1.
+        """Return, for each chosen Gaussian, the index of the carried Gaussian, and the index among
+        the exposed Gaussians or -1.
         """
         grains = np.maximum(chosen - self._recorded.count, -1)
         return np.where(grains < 0, chosen, self._exposed.above[grains]), grains
@@ -345,7 +346,7 @@ class Computed(NDArrayOperatorsMixin):
         return getattr(np.asarray(self), name)
 
     def first(self, columns: slice) -> Computed:
-        """Return the part of the Gaussians' array that a slice selects."""
+        """Return the part of the array that a slice of the Gaussians selects."""
         return Computed(self.recorded, self.name, columns=columns)
 
 

@@ -1,7 +1,6 @@
 """Adds to each frame the Gaussians that the solver does not move.
 
-Gaussians that the solver does not move belong to static parts, to objects that follow a track, and
-to rigid solids.
+These Gaussians belong to static parts, to objects that follow a track, and to rigid solids.
 """
 
 from __future__ import annotations
@@ -31,7 +30,9 @@ class Track(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """Adds the other Gaussians to a frame that contains only the moving Gaussians."""
+    """Adds all other Gaussians to a frame that contains only the Gaussians that the solver
+    moves.
+    """
 
     gaussians: Gaussians
     """All N Gaussians at rest."""
@@ -49,7 +50,7 @@ class Scenery:
 
     @property
     def moving(self) -> Gaussians:
-        """The Gaussians at rest that the solver moves, in their order."""
+        """The Gaussians at rest that the solver moves, in their original order."""
         return self.gaussians.select(self.moves) if self.count else self.gaussians
 
     def whole(
@@ -95,7 +96,9 @@ class Scenery:
         return replace(frame, gaussians=gaussians, velocities=velocities, contacts=contacts)
 
     def turns(self, rotations: Array) -> Array:
-        """Return rotations of all Gaussians [N,4] from those of the moving Gaussians."""
+        """Return the rotations of all Gaussians [N,4] from the rotations of the moving
+        Gaussians.
+        """
         if not self.count:
             return rotations
         return self._insert(np.tile(IDENTITY, (len(self.moves), 1)), rotations)

@@ -1,7 +1,7 @@
 """Drops or repairs Gaussians that the simulation cannot use.
 
-Every threshold is relative to the object: a micrometre and a kilometre are treated alike. The rules
-apply in this order:
+Every threshold is relative to the object's size, so an object of a micrometre and one of a
+kilometre are treated in the same way. The rules apply in this order:
 
 - Gaussians with NaN or infinity in any field are dropped.
 - Other invalid values are repaired: a negative scale becomes positive (the covariance is the same),
@@ -10,9 +10,10 @@ apply in this order:
 - Invisible Gaussians (opacity below one step of an 8-bit image, or no extent) are dropped.
 - Gigantic Gaussians (longest axis above `GIGANTIC` times the object's longest side *and* above 20
   times the median longest axis) are dropped.
-- Stray groups are dropped. A group of Gaussians is stray if it is separated from the rest by more
-  than about `GAP` times the longest side (or the usual distance of neighbours, if that is larger),
-  and if it contains less than the fraction `STRAY` of all Gaussians or of their `visible_area`.
+- Stray groups are dropped. A group of Gaussians is stray under two conditions. It is separated from
+  the rest by more than about `GAP` times the longest side (or by more than the usual distance
+  between neighbours, if this is larger), and it contains less than the fraction `STRAY` of all
+  Gaussians or of their `visible_area`.
 """
 
 from __future__ import annotations
@@ -118,7 +119,7 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
 def visible_area(gaussians: Gaussians) -> NDArray[np.float32]:
     """Return the visible area of each Gaussian [N], m^2: opacity times area, up to an upper bound.
 
-    Without the cap, a background of large Gaussians, such as a sky, would outweigh the object.
+    Without the bound, a background of large Gaussians, such as a sky, would outweigh the object.
     """
     cover = gaussians.cover
     return np.minimum(cover, WIDE * np.median(cover))
@@ -127,8 +128,9 @@ def visible_area(gaussians: Gaussians) -> NDArray[np.float32]:
 def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the lower and upper corner [3], m, of all centres +- one standard deviation.
 
-    The outermost 0.1 % of the opacity is excluded at each end of each axis; a few faint Gaussians
-    therefore do not affect the size. Of more than 200,000 Gaussians, an even subset is used.
+    The outermost 0.1 % of the opacity is excluded at each end of each axis, so a few faint
+    Gaussians do not affect the size. If there are more than 200,000 Gaussians, an evenly spaced
+    subset is used.
     """
     every = 1 + len(gaussians) // 200_000
     some = gaussians.select(np.arange(len(gaussians)) % every == 0)
@@ -149,9 +151,9 @@ def size_transform(
     """Return the scale and the offset [3] with which the longest side is `size` m and the centre is
     at x = y = 0.
 
-    With `ground`, the lowest visible point is at z = 0: the lowest point one standard deviation
-    around centres with an opacity of at least 0.1. Without `ground`, the object is centred in z,
-    too.
+    If `ground` is set, the lowest visible point is placed at z = 0. This is the lowest point within
+    one standard deviation of the centres of Gaussians with an opacity of at least 0.1. If `ground`
+    is not set, the object is also centred in z.
 
     Raises:
         InputError: If the size is not positive.
@@ -225,7 +227,7 @@ def _are_gigantic(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Return the mask of Gaussians in stray groups, which are separate and small."""
+    """Return a mask of the Gaussians in stray groups, which are separate and small."""
     if len(gaussians) * STRAY < 1:
         return np.zeros(len(gaussians), bool)
     means = gaussians.means.astype(np.float64)
@@ -254,7 +256,7 @@ def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def weighted_quantile(values: NDArray, weights: NDArray, fraction: float) -> NDArray[np.float64]:
-    """Return the weighted quantile [3] of the columns of `values` [N,3]."""
+    """Return a weighted quantile [3] of each column of `values` [N,3]."""
     weights = weights.astype(np.float64)
     below = fraction * weights.sum()
     return np.array([_weighted_quantile(column, weights, below, fraction) for column in values.T])
@@ -263,7 +265,7 @@ def weighted_quantile(values: NDArray, weights: NDArray, fraction: float) -> NDA
 def _weighted_quantile(values: NDArray, weights: NDArray, below: float, fraction: float) -> float:
     """Return the smallest value at which the cumulative weight exceeds `below`."""
     values = np.ascontiguousarray(values, np.float64)
-    # Sort only the lowest values first; their weight is usually sufficient.
+    # At first, sort only the lowest values; their weight is usually sufficient.
     count = min(len(values), 8 + int(4 * fraction * len(values)))
     for lowest in (np.argpartition(values, count - 1)[:count], np.arange(len(values))):
         order = lowest[np.argsort(values[lowest])]
@@ -280,7 +282,8 @@ def _lowest_height(gaussians: Gaussians) -> float:
     visible = gaussians.opacities >= VISIBLE
     some = gaussians.select(visible) if visible.any() else gaussians
     z = some.means[:, 2].astype(np.float64)
-    # Only Gaussians whose longest axis reaches down to the lowest centre can contain this point.
+    # Only Gaussians whose longest axis reaches down to the lowest centre can contain the lowest
+    # point.
     near = z - some.longest <= z.min()
     axes = rotation_matrices(some.quats[near])[:, 2] * some.scales[near]
     return float((z[near] - np.linalg.norm(axes, axis=1)).min())

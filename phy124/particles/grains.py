@@ -1,7 +1,7 @@
 """Adds grains: small round Gaussians inside materials that fall apart.
 
-The Gaussians of a generator lie on the surface. If sand, snow or foam falls apart, the background
-would be visible between these Gaussians. To hide the background, inner particles get round
+The Gaussians of a generator lie on the surface. When sand, snow or foam falls apart, the background
+would therefore be visible between the Gaussians. To hide the background, inner particles get round
 Gaussians in the colours of the surface above them. Grains do not change the motion.
 """
 
@@ -19,7 +19,9 @@ from phy124.materials import AnyMaterial
 from phy124.particles.seeding import Particles
 
 SIZE = 0.55
-"""Standard deviation of a grain, in particle spacings, with which a lattice of grains is opaque."""
+"""Standard deviation of a grain, in particle spacings, at which a regular lattice of grains is
+opaque.
+"""
 CLEARANCE = 2.5
 """Smallest depth of a grain below the surface at rest, in standard deviations of the grain."""
 NEAREST = 0.5
@@ -41,7 +43,7 @@ def add_grains(
 
     Args:
         gaussians: The object at rest, N Gaussians, m.
-        particles: The simulated particles; those without a Gaussian may get one.
+        particles: The simulated particles; particles that have no Gaussian may get one.
         moves: Mask of the moving Gaussians [N]; `particles.gaussian` counts only these.
         materials: Materials of the particles; grains are added to those with `grains` set.
         spacing: Distance of neighbouring particles, m.
@@ -63,15 +65,15 @@ def add_grains(
 
 
 def leave_room(gaussians: Gaussians, x: NDArray, spacing: float) -> NDArray[np.bool_]:
-    """Return which points are far enough from all Gaussians to hold a grain [P].
+    """Return a mask [P] of the points that are far enough from all Gaussians to hold a grain.
 
     Args:
         gaussians: The object at rest.
         x: Positions of inner particles [P,3], m.
         spacing: Distance of neighbouring particles, m.
     """
-    # A search within a small distance is fast. The nearest Gaussian of a point near the centre of
-    # a ball is not: all Gaussians are about as far away.
+    # A search within a small distance is fast. Finding the nearest Gaussian of a point near the
+    # centre of a ball is slow, because all Gaussians are about equally far away.
     tree = scipy.spatial.KDTree(gaussians.means)
     nearest, _ = tree.query(x, distance_upper_bound=NEAREST * spacing, workers=-1)
     return np.isinf(nearest)
@@ -96,7 +98,7 @@ def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussi
 
     Args:
         gaussians: N Gaussians.
-        amounts: Standard deviation of each Gaussian's brightness, relative to it [N].
+        amounts: Standard deviation of each Gaussian's brightness, relative to the brightness [N].
         seed: Seed of the random numbers.
     """
     noise = np.random.default_rng(seed).standard_normal(len(gaussians))
@@ -109,7 +111,8 @@ def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussi
 def tint(
     gaussians: Gaussians, chosen: NDArray, colour: Sequence[float], shading: float
 ) -> Gaussians:
-    """Give Gaussians the colour of their material, and keep some of the image's light and shade.
+    """Give Gaussians the colour of their material, and keep some of the light and shade in the
+    picture.
 
     Args:
         gaussians: N Gaussians.
@@ -130,9 +133,9 @@ def tint(
 def _round_gaussians(
     gaussians: Gaussians, x: NDArray, above: NDArray, depth: NDArray, spacing: float
 ) -> Gaussians:
-    """Return spheres at x [G,3] with the colours of the Gaussians `above` [G].
+    """Return round Gaussians at x [G,3] with the colours of the Gaussians `above` [G].
 
-    The colours of the spheres do not depend on the view direction.
+    The colours of the round Gaussians do not depend on the view direction.
     """
     sh = np.zeros((len(x), *gaussians.sh.shape[1:]), gaussians.sh.dtype)
     sh[:, 0] = gaussians.sh[above, 0]

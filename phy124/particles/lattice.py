@@ -3,9 +3,9 @@
 The body is divided into cubic cells of side dx, from i dx to (i + 1) dx along each axis. Each cell
 has eight points of equal volume at c +- s1 e1 +- s2 e2 +- s3 e3, where c is the centre of the part
 of the body in the cell, and s^2 and e are the eigenvalues and eigenvectors of its second moments
-per volume. The points have the volume, the centre and the second moments of the part. In a full
-cell, the eight points are the 2 x 2 x 2 Gauss points. Without exact second moments, plates thinner
-than a cell are up to 12 % too stiff.
+per volume. Together, the eight points have the volume, the centre and the second moments of this
+part of the body. In a full cell, the eight points are the 2 x 2 x 2 Gauss points. Without exact
+second moments, plates thinner than a cell are up to 12 % too stiff.
 """
 
 from __future__ import annotations
@@ -22,17 +22,18 @@ from phy124.particles.seeding import MAX_PARTICLES, Particles
 from phy124.particles.solid import Solid
 
 PER_CELL = 8
-"""Number of integration points of a cell."""
+"""Number of integration points in a cell."""
 SMALLEST, FULLEST = 1e-3, 0.1
-"""Smallest filled fraction of a cell that gets integration points; in a body of needles, `FULLEST`
-times the fraction of the fullest cell, if this is less.
+"""Smallest filled fraction of a cell that gets integration points. In a body of needles, the limit
+is `FULLEST` times the filled fraction of the fullest cell, if this is less.
 """
 HAZE = 0.005
 """Filled fraction of a cell below which the cell has no surface points, because it holds only
 single Gaussians around a body."""
 TRACE = 0.1
-"""A voxel that is filled less than this fraction has no surface points if a neighbour is filled at
-least twice as much."""
+"""Filled fraction of a voxel below which the voxel has no surface points if a neighbour is filled
+at least twice as much.
+"""
 SLIVER = 0.15
 """A cell is a sliver if it is filled less than this many times the square of the fraction of the
 fullest cell around it. It is then merged with a neighbour. In rods and plates thinner than a cell,
@@ -43,12 +44,15 @@ AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 APART = 0.5
 """Distance between neighbouring surface points [cells]."""
 ALIGNED = 1e-7
-"""Difference of second moments [cells^2] below which the points are aligned with the lattice."""
+"""Difference of second moments [cells^2] below which they count as equal, so that the points are
+aligned with the lattice.
+"""
 CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
-    """Return the integration points and surface points of a solid whose voxels align with cells.
+    """Return the integration points and surface points of a solid whose voxels are aligned with the
+    cells.
 
     Args:
         solid: The body; its voxels are an integer fraction or an integer multiple of dx wide.
@@ -77,7 +81,9 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
 
 
 def cells_of(points: Particles) -> Particles:
-    """Return one particle for each cell of eight points, so that materials are chosen per cell."""
+    """Return one particle for each cell of eight points, so that a material is chosen for each
+    cell.
+    """
     centre = points.x.reshape(-1, PER_CELL, 3).mean(axis=1)
     return Particles(
         x=centre,
@@ -149,9 +155,10 @@ def _points_of_pieces(
     second = arm[:, :, None] * arm[:, None, :] + spread * side**2
     second = _sums(piece, (fraction[:, None, None] * second).reshape(-1, 9), count)
     second = second.reshape(-1, 3, 3) / filled[:, None, None]
-    # Equal moments have no axes of their own: the points then lie along those of the lattice.
+    # Equal moments define no axes; the points then lie along the axes of the lattice.
     _, axes = np.linalg.eigh(second + np.diag([0.0, 1.0, 2.0]) * ALIGNED * dx**2)
-    # Their signs are arbitrary: the points of all full cells have the same order.
+    # The signs of the axes are arbitrary; they are chosen so that the points of all full cells have
+    # the same order.
     largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
     axes = axes * np.sign(largest)
     squares = np.einsum("cik,cij,cjk->ck", axes, second, axes)
@@ -189,7 +196,9 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
     part = fraction * (solid.voxel / dx) ** 3
     _, cell = _cells(_merge_slivers(place, part))
     clear = outside & (np.bincount(cell, part) >= HAZE)[cell]
-    outside = clear if clear.any() else outside  # A needle fills all its cells that little.
+    outside = (
+        clear if clear.any() else outside
+    )  # A needle fills all of its cells by such a small fraction.
     index, fraction, normal = index[outside], fraction[outside], normal[outside]
     across = solid.voxel * np.abs(normal).sum(axis=1)
     out = normal * ((fraction - 0.5) * across)[:, None]
@@ -204,8 +213,8 @@ def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]
     """Return the cell of each voxel [V,3]; slivers become parts of a neighbouring cell.
 
     The nodes of a sliver are light, so that squeezing it would shorten the substep. As a part of
-    the neighbouring cell, a sliver has that cell's weights, continued beyond the cell, and keeps
-    its own volume and moments.
+    the neighbouring cell, a sliver has the weights of this cell, continued beyond the cell, but
+    keeps its volume and moments.
 
     Args:
         place: Index of each voxel's cell [V,3].

@@ -1,8 +1,8 @@
 """Merges neighbouring Gaussians to make files smaller.
 
-Two Gaussians are replaced by one with their joint mean, covariance and colour, weighted by mass
-(opacity times volume). The opacity of the new Gaussian preserves the mass. If the opacity of the
-new Gaussian would exceed `OPAQUE`, this Gaussian is enlarged instead.
+Two Gaussians are replaced by one Gaussian with their common mean, covariance and colour, weighted
+by mass (opacity times volume). The opacity of the new Gaussian preserves the mass. If the opacity
+of the new Gaussian would exceed `OPAQUE`, this Gaussian is enlarged instead.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from phy124.gaussians import Gaussians, quaternions
 from phy124.io.clip import Clip
 
 COLOUR = 0.1
-"""Distance that is equivalent to a colour difference of 1, in object sizes."""
+"""Distance, relative to the object's size, that is equivalent to a colour difference of 1."""
 NEIGHBOURS = 6
 """Number of nearest neighbours among which a Gaussian's partner is sought."""
 OPAQUE = 0.99
@@ -73,7 +73,7 @@ def merge_groups(
         gaussians: N Gaussians.
         group: Index of the group of each Gaussian [N].
         opacities: Prescribed opacities [G]; the sizes are then adapted to preserve the mass. None:
-            the opacities that preserve mass and covariance, as far as they do not exceed `OPAQUE`.
+            opacities that preserve mass and covariance, up to the limit `OPAQUE`.
     """
     volume = gaussians.scales.astype(np.float64).prod(axis=1)
     mass = np.maximum(gaussians.opacities * volume, 1e-300)
@@ -122,7 +122,7 @@ def merge_to(gaussians: Gaussians, count: int) -> Gaussians:
 
 
 def merge_clip_to(clip: Clip, count: int) -> Clip:
-    """Merge those Gaussians of a clip that stay together; only colours of degree 0 are kept.
+    """Merge the Gaussians of a clip that stay together; only colours of degree 0 are kept.
 
     Args:
         clip: The clip.

@@ -19,15 +19,16 @@ import scipy
 from numpy.typing import NDArray
 
 AHEAD = np.array([step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]) - 1
-"""Steps to half of the 26 neighbours; the others are the opposite steps."""
+"""Steps to half of the 26 neighbours; the steps to the other half are the opposite steps."""
 AROUND = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 """Steps to a cell or a node itself and to its 26 neighbours."""
 LEAST = 0.08
-"""Filled fraction of a cell below which a separate sliver stays a piece. In a neighbouring cell it
-would spread the points of that cell; with 0.03, a thin disc that was pushed turned inside out.
+"""Filled fraction of a cell below which a separate sliver stays a separate piece. Merged into a
+neighbouring cell, the sliver would spread the points of that cell. With a value of 0.03, a thin
+disc that was pushed turned inside out.
 """
 TOUCH = np.abs(AROUND[:, None] - AROUND[None]).max(axis=2) <= 1
-"""Whether two of these 27 places are neighbours, or the same [27,27]."""
+"""Whether two of these 27 places are neighbours or identical [27,27]."""
 
 
 class Pieces(NamedTuple):
@@ -46,11 +47,12 @@ def find_pieces(
 
     Args:
         index: Indices of the voxels that are not empty [V,3].
-        cell: Number of each voxel's cell, whose order is that of the pieces [V].
+        cell: Number of the cell of each voxel [V]; pieces are sorted by this number.
         part: Volume of each voxel, relative to a cell [V].
-        clear: Whether a voxel connects its neighbours; voxels of a trace of material do not [V].
-        sliver: A smaller piece in a cell of several joins a piece of a neighbouring cell to which
-            it is connected, as a fraction of a cell.
+        clear: Whether a voxel connects its neighbours [V]; voxels with only a trace of material do
+            not.
+        sliver: Size, as a fraction of a cell, below which one of several pieces in a cell joins a
+            piece in a neighbouring cell to which it is connected.
     """
     pairs = _neighbours(index, clear)
     same = cell[pairs[:, 0]] == cell[pairs[:, 1]]
@@ -77,7 +79,7 @@ def find_pieces(
         fits = small[a] & (size[a] >= LEAST) & (size[b] >= sliver) & ~alone[b]
         a, b = a[fits], b[fits]
         fullest = np.lexsort((size[b], a))
-        target[a[fullest]] = b[fullest]  # The last one, which is the fullest, remains.
+        target[a[fullest]] = b[fullest]  # The last piece, which is the fullest, remains.
         # A piece that joined the largest piece of its cell goes where that piece goes.
         target = target[target]
     order = np.lexsort((np.arange(count), of))
@@ -91,12 +93,12 @@ def find_pieces(
 def find_copies(
     pieces: Pieces, cell: NDArray, place: NDArray, volume: NDArray
 ) -> NDArray[np.int8] | None:
-    """Return which copy of each of its 27 nodes a piece uses [E,27]; None if no node has copies.
+    """Return the copy of each of the 27 nodes that a piece uses [E,27]; None if no node has copies.
 
     Args:
         pieces: The E pieces.
-        cell: Indices of the cells whose nodes they use [E,3].
-        place: Indices of the cells in which the voxels lie [V,3]. They differ from those of their
+        cell: Indices of the cells whose nodes the pieces use [E,3].
+        place: Indices of the cells in which the voxels lie [V,3]. They differ from the cells of the
             pieces for slivers that were merged with another cell.
         volume: Volumes of the voxels [V]. The largest connected piece in the support of a node
             uses the node's first copy.
@@ -119,7 +121,7 @@ def find_copies(
     copies = _copies_of_parts(places, piece, part[number[pieces.pairs]], size)
     if copies is None:
         return None
-    # A node of a piece is that of the largest part of the piece in the node's support.
+    # A piece uses the node copy of the piece's largest part in the node's support.
     result = np.zeros((len(cell), 27), np.int8)
     copied = np.zeros(len(cell), bool)
     copied[piece[copies.any(axis=1)]] = True
@@ -136,7 +138,7 @@ def find_copies(
 def _copies_of_parts(
     cell: NDArray, piece: NDArray, pairs: NDArray, volume: NDArray
 ) -> NDArray[np.int8] | None:
-    """Return which copy of each of its 27 nodes a part would use [A,27]; None if no node has
+    """Return the copy of each of the 27 nodes that a part would use [A,27]; None if no node has
     copies.
 
     A part lies in a single cell. Parts of one piece are connected, because they use the same nodes.
@@ -200,7 +202,7 @@ def _doubtful_nodes(
 
     Args:
         keys: Flat indices of the pieces' cells [E].
-        linked: The same for pairs of linked pieces in neighbouring cells [L,2].
+        linked: Flat indices of the cells of linked pieces in neighbouring cells [L,2].
         strides: Strides of the flat indices.
         count: Number of flat indices.
     """
@@ -243,9 +245,9 @@ def _rank(
     """Return the copy of the node for each use of a node by a piece [K].
 
     Args:
-        group: Connected group of each use [K]; all uses of a group are of one node.
+        group: Connected group of each use [K]; all uses in a group refer to the same node.
         node: Node of each use [K].
-        island: Connected part of the body of each use [K]; other parts than the largest in a
+        island: Connected part of the body of each use [K]; parts other than the largest part in a
             node's support use the first copy.
         volume: Volume of the piece of each use [K].
         count: Number of groups.

@@ -1,8 +1,9 @@
-"""Moves particles from their lattice to random places, so that rows of the lattice do not show.
+"""Moves particles from their lattice to random positions, so that rows of the lattice are not
+visible.
 
-Sand that runs apart in thin layers stretches by a factor of several along its flow. In such sand,
-particles on a regular lattice would form visible rows with empty grooves in between. Each particle
-stays in its own cell of the lattice, so the density hardly varies.
+Sand that spreads in thin layers is stretched several times along its flow. In such sand, particles
+on a regular lattice would form visible rows with empty grooves in between. Each particle stays in
+its cell of the lattice, so the density hardly varies.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from phy124.materials import AnyMaterial
 from phy124.particles.solid import Solid
 
 LARGEST = 0.5
-"""Largest shift along each axis, in particle spacings: half the side of a lattice cell."""
+"""Largest shift of a particle along each axis, in particle spacings: half the side of a lattice
+cell.
+"""
 
 
 def scatter(
@@ -28,7 +31,7 @@ def scatter(
     spacing: float,
     seed: int,
 ) -> Particles:
-    """Shift the particles of materials that run apart by random distances.
+    """Shift the particles of materials that spread in thin layers by random distances.
 
     A particle at the surface that has no room for its shift is not moved.
 

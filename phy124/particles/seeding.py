@@ -3,8 +3,8 @@
 The solid's volume in each lattice cell is shared evenly among the particles in the cell. The volume
 of a cell without particles is added to the nearest particle. The volumes of all particles add up to
 the volume of the solid. If a cell contains 500 surface Gaussians, each of their particles gets a
-small volume. Small volumes do not affect the stability of the MPM, whose time-step limit depends on
-stiffness and density, not on the volume.
+small volume. Such small volumes do not affect the stability of the MPM, because the limit of the
+substep depends on stiffness and density, not on the volume.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MAX_PARTICLES = 8_000_000
 THIN = 4
 """Width up to which a part of the object counts as thin, in particle spacings."""
 MOST_CELLS = 50_000_000
-"""Largest number of cells of a grid that is held in memory."""
+"""Largest number of cells in a grid that is held in memory."""
 SMALLEST = 0.01
 """Smallest volume of a particle, relative to the mean volume."""
 
@@ -39,15 +39,16 @@ def make_particles(
     binding: str = "lattice",
     material: int = 0,
 ) -> Particles:
-    """Make particles for clean Gaussians in metres (see `clean`, `scale_to_size`).
+    """Make particles for clean Gaussians, whose positions are in metres (see `clean`,
+    `scale_to_size`).
 
     Args:
         gaussians: The object, N Gaussians.
-        interior: Its interior, from `find_interior`, if that is known.
+        interior: Interior of the object, from `find_interior`, if it is already known.
         density: Mass density, kg/m^3.
         spacing: Distance of neighbouring particles, m: grid spacing / particles per cell and axis.
-        binding: `lattice`: a lattice, denser where the object is thin; `particles`: one particle
-            per Gaussian, and a lattice in the interior.
+        binding: `lattice`: a lattice, which is denser where the object is thin; `particles`: one
+            particle per Gaussian, and a lattice in the interior.
         material: Material index of all particles.
 
     Raises:
@@ -136,14 +137,14 @@ def _lattice_with_gaussians(
 ) -> NDArray[np.float64]:
     """Return lattice points, and Gaussians where parts are thin or the lattice has no points.
 
-    Thin parts stretch most, and would tear if their particles were a grid cell apart.
+    Thin parts are stretched most, and would tear if their particles were one grid cell apart.
     """
     means = gaussians.means.astype(np.float64)
     thin = shape.thin(means, THIN * spacing)
     close, others = _cell_means(means[thin], 0.5 * spacing), means[~thin]
     lattice = _keep_apart(lattice, close, 0.5 * spacing) if len(close) else lattice
     if len(lattice):
-        # A Gaussian in the cell of a lattice point is nearer to it than the spacing.
+        # A Gaussian in the cell of a lattice point is closer to the point than the spacing.
         missed = _keep_apart(_outside_cells(others, lattice, spacing), lattice, spacing)
     else:
         missed = others

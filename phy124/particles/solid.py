@@ -1,4 +1,5 @@
-"""Finds the solid that Gaussians outline: its interior, as the filled fraction of each voxel.
+"""Finds the solid that Gaussians outline, and describes its interior by the filled fraction of each
+voxel.
 
 The Gaussians may be a shell of flat discs with gaps, a fuzzy cloud, thin sheets, or a mixture. The
 interior is found in four steps:
@@ -10,9 +11,9 @@ interior is found in four steps:
   Wide openings are never sealed.
 - If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
   inside if axis-parallel rays from it meet the shell in at least five of the six directions.
-- Of a surface voxel, only the fraction below the local surface is part of the solid. The local
-  surface is a plane normal to the outward normal, at the upper limit of the voxel's samples. Filled
-  fractions make volumes accurate below the voxel size.
+- Only the fraction of a surface voxel that is below the local surface is part of the solid. The
+  local surface is a plane normal to the outward normal, at the upper limit of the voxel's samples.
+  Filled fractions make volumes accurate below the voxel size.
 
 The voxels depend on the Gaussians alone; the solid is therefore the same for every simulation grid.
 The solid is resampled to voxels that are aligned with the particle lattice (i + 1/2) * spacing: the
@@ -41,11 +42,11 @@ Mask = NDArray[np.bool_]
 MAX_VOXELS = 4_000_000
 MAX_SAMPLES = 6_000_000
 ACROSS = 64
-"""Number of voxels along the longest side; fewer if the Gaussians are too sparse."""
+"""Number of voxels along the longest side; there are fewer if the Gaussians are too sparse."""
 COARSER = 1.2
 """Factor by which the voxel size grows from one attempt to the next."""
 SEAL = 0.065
-"""Half the width of the widest gap that is sealed, as a fraction of the longest side."""
+"""Half of the width of the widest gap that is sealed, as a fraction of the longest side."""
 CONNECTED = 6
 """Smallest mean number of occupied neighbours, of 26, at which voxels form a connected surface or
 cloud."""
@@ -66,12 +67,14 @@ class Solid:
 
     @cached_property
     def voxels(self) -> Voxels:
-        """The filled parts of its voxels."""
+        """The filled parts of the solid's voxels."""
         return find_voxels(self.fraction)
 
     @cached_property
     def _resampled(self) -> dict[float, Solid]:
-        """This solid by the side of its voxels [m]; grids twice as fine need the same voxels."""
+        """Versions of this solid, keyed by the side of their voxels [m]; a grid that is twice as
+        fine needs the same voxels.
+        """
         return {}
 
     @property
@@ -92,7 +95,8 @@ class Solid:
         if 2 * radius >= min(self.fraction.shape):
             return np.ones(len(points), bool)
         core = ~_dilate(self.fraction <= 0.5, radius)
-        # Dilate by more than the erosion radius: cubes do not reach into rounded thick parts.
+        # Dilate by more than the erosion radius, because cubes do not reach into rounded thick
+        # parts.
         thick = _dilate(core, radius + max(1, radius // 2))
         at = np.floor(np.asarray(points) / self.voxel).astype(np.int64) - self.first
         return ~thick[tuple(np.clip(at, 0, np.array(thick.shape) - 1).T)]
@@ -104,8 +108,8 @@ class Solid:
 
         Args:
             spacing: Distance of the particles [m].
-            per_cell: Voxels of more than one spacing have a multiple of this many, so that none
-                lies across the faces of a cell of this many spacings.
+            per_cell: Number of particle spacings in a grid cell. The side of voxels larger than one
+                spacing is chosen so that no voxel crosses the faces of a cell.
         """
         ratio = spacing / self.voxel
         count = round(1 / ratio) if ratio <= 1 else 1
@@ -115,7 +119,7 @@ class Solid:
         return self._resampled[step]
 
     def _on_voxels(self, step: float) -> Solid:
-        """Return the solid with voxels of another side [m]."""
+        """Return the solid with voxels of another side length [m]."""
         fraction, first = self.fraction.astype(np.float64), []
         for axis, start in enumerate((self.first * self.voxel).tolist()):
             old = start + self.voxel * np.arange(fraction.shape[axis] + 1)
@@ -137,9 +141,11 @@ def find_solid(gaussians: Gaussians, spacing: float) -> Solid:
 
 
 _kept: dict[bytes, Solid] = {}
-"""Digest of Gaussians -> the solid that they outline; the solid that was used last comes last."""
+"""Maps a digest of Gaussians to the solid that they outline; the solid that was used last is the
+last entry.
+"""
 _lock = threading.Lock()
-"""Lock that is held while `_kept` changes, because the jobs of the page run in threads."""
+"""Lock that is held while `_kept` changes, because the jobs of the web page run in threads."""
 
 
 def find_interior(gaussians: Gaussians) -> Solid:
@@ -188,12 +194,16 @@ class _Voxels:
     points: NDArray[np.float32]
     """Positions of the samples [S,3], in voxels from the lower corner of the grid."""
     thickness: NDArray[np.float32]
-    """Twice the shortest standard deviation of each sample's Gaussian [S], in voxels."""
+    """Twice the shortest standard deviation of the Gaussian to which each sample belongs [S], in
+    voxels.
+    """
     occupied: Mask
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """Return the finest grid on which the samples are connected, or the finest of all."""
+    """Return the finest voxel grid on which the samples are connected; if there is none, the finest
+    grid.
+    """
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:
@@ -244,7 +254,9 @@ def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
 
 
 def _sample(gaussians: Gaussians, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return sample points [S,3], in voxels, and the index of the Gaussian of each [S]."""
+    """Return sample points [S,3], in voxels, and the index of the Gaussian of each sample point
+    [S].
+    """
     counts = _samples_per_axis(gaussians, voxel).astype(np.int64)
     key = counts @ np.array([1, 10**5, 10**10])
     points, owners = [], []
@@ -275,7 +287,7 @@ def _mean_neighbours(occupied: Mask) -> float:
 
 
 def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
-    """Return the mask of the inner voxels, and the mask of all others."""
+    """Return the mask of the inner voxels, and the mask of all other voxels."""
     widest = max(1, int(SEAL * across))
     region, enclosed = occupied.copy(), False
     for r in sorted({1, 2, 3, widest // 2, widest}):

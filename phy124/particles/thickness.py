@@ -5,8 +5,8 @@ inside the object (Hildebrand and Ruegsegger 1997, Journal of Microscopy 185). A
 opening by balls of a certain diameter removes exactly the parts thinner than this diameter.
 
 The compliance is the deflection of the object as a beam that stands on the ground and is loaded
-sideways by its own weight (Euler and Bernoulli). The compliance is large for a heavy top on a thin
-stem.
+sideways by its own weight (Euler and Bernoulli). An object with a heavy top on a thin stem has a
+large compliance.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Proportions(NamedTuple):
     """Proportions of an object, independent of its size."""
 
     thickness: float
-    """Local thickness relative to the longest side; nine tenths of the volume are thicker."""
+    """Local thickness, relative to the longest side, that nine tenths of the volume exceed."""
     compliance: float
     """Mean deflection if the object's weight acts sideways, relative to the object's size L and to
     rho g L / E."""
@@ -44,12 +44,12 @@ class Proportions(NamedTuple):
 
 
 def measure_proportions(*objects: tuple[Solid, float]) -> Proportions:
-    """Return the proportions of an object; of several objects, the smallest thickness and the
+    """Return the proportions of an object; for several objects, the smallest thickness and the
     largest compliance.
 
     Args:
-        objects: Interior (`find_interior`) and longest side [m] of each upright object. Thickness
-            is relative to the first object's longest side.
+        objects: Interior (`find_interior`) and longest side [m] of each upright object. The
+            thickness is relative to the longest side of the first object.
     """
     shapes = [interior.resample(size / ACROSS) for interior, size in objects]
     pairs = zip(shapes, (size for _, size in objects), strict=True)
@@ -99,7 +99,7 @@ def local_thickness(shape: Solid, fraction: float = FRACTION) -> float:
         shape: The object.
         fraction: Fraction of the volume that may be thinner.
     """
-    # The voxels around the solid do not matter; without them, distances take half the time.
+    # The empty voxels around the solid are removed, which halves the time to compute distances.
     inside = np.pad(_inside(shape), 1)
     depth = scipy.ndimage.distance_transform_edt(inside)
     radii = np.arange(1.0, depth.max() + 0.5, 0.5)
@@ -110,5 +110,5 @@ def local_thickness(shape: Solid, fraction: float = FRACTION) -> float:
         opened = scipy.ndimage.distance_transform_edt(~core) < radii[middle]
         removed = 1 - np.count_nonzero(opened & inside) / np.count_nonzero(inside)
         fits, too_large = (middle, too_large) if removed <= fraction else (fits, middle)
-    # The centres of a ball's outermost voxels are half a voxel inside the ball.
+    # The centres of the outermost voxels of a ball are half a voxel inside the ball.
     return float((2 * radii[fits] - 1) * shape.voxel)

@@ -18,7 +18,9 @@ from phy124.io.content import MOST_KEPT
 
 FEWEST, MOST = 100, MOST_KEPT
 GIANT = 1e4
-"""Area above which a Gaussian counts as a background or an error, relative to the median area."""
+"""Area, relative to the median area, above which a Gaussian counts as part of a background or as an
+error.
+"""
 BITS = 16
 """Bits per coordinate along the space-filling curve."""
 
@@ -43,11 +45,12 @@ def with_count(make: Any, count: int | None) -> Any:
 
 
 def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians:
-    """Keep at most `count` Gaussians; they are enlarged so that they cover the same area.
+    """Keep at most `count` Gaussians, which are enlarged so that they cover the same area as
+    before.
 
     The kept Gaussians are evenly spaced along a space-filling curve; large and opaque Gaussians are
-    kept more often. For the weight of a Gaussian, at most the area `GIANT` is used; the area of
-    larger Gaussians is not distributed to others. Equal seeds keep the same Gaussians.
+    kept more often. The area used as the weight of a Gaussian is at most `GIANT`; the area of
+    larger Gaussians is not distributed to other Gaussians. Equal seeds keep the same Gaussians.
     """
     if count is None or len(gaussians) <= count:
         return gaussians

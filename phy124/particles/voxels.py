@@ -1,7 +1,8 @@
 """Describes the filled part of each voxel of a body: outward normal, centre and second moments.
 
-A voxel that is filled in part is cut by a plane with the voxel's normal. In a sheet thinner than a
-voxel it is cut by two parallel planes, and in a rod without full voxels by a cylinder.
+A voxel that is filled in part is cut by a plane with the voxel's normal. In a sheet that is thinner
+than a voxel, the voxel is cut by two parallel planes; in a rod without full voxels, it is cut by a
+cylinder.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ and has no single outward normal.
 THIN = 1.2
 """Thickness below which a part counts as a sheet, which has two surfaces in a voxel [voxels]."""
 FULL = 0.999
-"""Filled fraction of a voxel that is too large to occur in a sheet or a rod."""
+"""Filled fraction of a voxel from which on the voxel cannot belong to a sheet or a rod."""
 ROUND, WIDE, LONG = 3.5, 0.45, 2.5
-"""`ROUND`: largest cross-section of a rod [voxels^2]. `WIDE`: largest second moment across a rod of
-the filled fractions of the surrounding 125 voxels [voxels^2]. `LONG`: smallest ratio of the second
-moment along the rod to the one across it.
+"""`ROUND`: largest cross-section of a rod [voxels^2]. `WIDE`: largest second moment, perpendicular
+to the rod, of the filled fractions of the surrounding 125 voxels [voxels^2]. `LONG`: smallest ratio
+of the second moment along the rod to the second moment perpendicular to it.
 """
 SINGLE = math.pi / 4
 """Cross-section of the thickest rod that lies in two neighbouring columns of voxels [voxels^2]."""
@@ -38,9 +39,9 @@ rods, whose cross-section is small.
 HALVINGS = 12
 """Number of halvings with which the position of the surface in a voxel is found."""
 ROUNDING = 1e-5
-"""Bound on the error of a mean share in single precision."""
+"""Upper bound of the error of a mean filled fraction in single precision."""
 BLOCK = 500
-"""Number of voxels that a thread measures at once."""
+"""Number of voxels that a thread processes at once."""
 NEAR, FAR = (np.array(list(np.ndindex(*3 * (2 * n + 1,)))) - n for n in (1, 2))
 """Steps from a voxel to itself and its neighbours, 27 in all, and to the 125 voxels within two
 steps."""
@@ -51,10 +52,10 @@ distance^2; at a plane parallel to a face of the voxels, the gradient has the le
 
 
 class Voxels(NamedTuple):
-    """The filled parts of the V voxels that are not empty; lengths are in voxels."""
+    """The filled parts of the V voxels that are not empty; the unit of length is a voxel."""
 
     indices: NDArray[np.int64]
-    """Indices [V,3]."""
+    """Indices of the voxels [V,3]."""
     fraction: NDArray[np.float64]
     """Filled fractions [V]."""
     normal: NDArray[np.float64]
@@ -106,7 +107,9 @@ def find_voxels(filled: NDArray) -> Voxels:
 
 
 def _gather(padded: NDArray, index: NDArray, steps: NDArray) -> NDArray[np.float64]:
-    """Return the values at some steps from each voxel [V,S]; the grid is padded by 2 voxels."""
+    """Return the values at some steps from each voxel [V,S], in a grid that is padded by 2
+    voxels.
+    """
     strides = np.array([padded.shape[1] * padded.shape[2], padded.shape[2], 1])
     return padded.ravel()[((index + 2) @ strides)[:, None] + steps @ strides]
 
@@ -119,7 +122,7 @@ def _find_sheets(
     Args:
         padded: Filled fractions, padded by 2 voxels.
         index: Indices of the voxels [V,3].
-        around: Filled fractions of the 27 voxels around [V,27].
+        around: Filled fractions of the 27 voxels around each voxel [V,27].
         no_normal: Voxels that must be part of a sheet [V].
 
     Returns:
@@ -130,7 +133,8 @@ def _find_sheets(
     layers = np.where(around.max(axis=1) < FULL, total / 9, np.inf)
     # The thickness is `layers` times the largest component of the normal, at least 1 / sqrt(3).
     near = np.flatnonzero((layers < math.sqrt(3) * THIN) | no_normal)
-    # Two layers of voxels would not tell a sheet's normal from a direction across its rim.
+    # With only two layers of voxels, the normal of a sheet could not be distinguished from a
+    # direction across its rim.
     weight = _gather(padded, index[near], FAR)
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
     middle = weight @ FAR
@@ -151,7 +155,7 @@ def _find_rods(
     Args:
         padded: Filled fractions, padded by 2 voxels.
         index: Indices of the voxels [V,3].
-        around: Filled fractions of the 27 voxels around [V,27].
+        around: Filled fractions of the 27 voxels around each voxel [V,27].
 
     Returns:
         Numbers of the K voxels [K]; directions of the rods [K,3]; and positions on the rods' axes,
@@ -214,7 +218,7 @@ def _part_moments(
 
 
 def find_levels(height: NDArray, width: NDArray, fraction: NDArray) -> NDArray[np.float64]:
-    """Return the levels [V,1] below which voxels are filled.
+    """Return the heights (levels) [V,1] below which voxels are filled.
 
     Sums in single precision are twice as fast. Sums that are close to the fraction are repeated in
     double precision, so that the levels are those of double precision.
@@ -239,5 +243,5 @@ def find_levels(height: NDArray, width: NDArray, fraction: NDArray) -> NDArray[n
 
 
 def _share_below(level: NDArray, height: NDArray, width: NDArray) -> NDArray[np.float64]:
-    """Return the part of each sample that is below a level [V,S]."""
+    """Return the fraction of each sample that is below a level [V,S]."""
     return np.clip((level - height) / width + 0.5, 0, 1)
