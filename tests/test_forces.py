@@ -212,7 +212,7 @@ def test_forces_are_named_by_their_kind_and_refuse_nonsense():
         Impulse(end=1.0)
     with pytest.raises(ValidationError, match="must not repeat, and its mean must be positive"):
         Impulse(profile=Sine())
-    with pytest.raises(ValidationError, match="leave region out"):
+    with pytest.raises(ValidationError, match="remove `region`"):
         ZoneForce(region=LEFT)
     with pytest.raises(ValidationError, match="must be before end"):
         Gravity(start=2.0, end=1.0)
@@ -324,10 +324,10 @@ def test_a_point_beside_the_object_is_refused_with_the_way_to_it():
 def test_grabs_and_wrenches_refuse_nonsense():
     with pytest.raises(ValidationError, match="do not match"):
         Grab(times=(0, 1, 2), targets=((0, 0, 0), (0, 0, 1)))
-    with pytest.raises(ValidationError, match="leave profile out"):
+    with pytest.raises(ValidationError, match="remove `profile`"):
         Grab(profile=Ramp())
     for kind in (Grab, WrenchForce):
-        with pytest.raises(ValidationError, match="leave region out"):
+        with pytest.raises(ValidationError, match="remove `region`"):
             kind(region={"lower": [0, 0, 0]})
 
 

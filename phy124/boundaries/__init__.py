@@ -1,8 +1,8 @@
 """Boundaries of a scene: shapes that change the velocities of grid nodes inside or near them.
 
-Each boundary is a section of the scene file. A boundary becomes one stage of the substep (a
-container becomes one stage per wall, a gripper two stages), launched only over the nodes that its
-shape can reach.
+Each boundary is a section of the scene file. A boundary becomes one stage of the substep; a
+container becomes one stage per wall, and a gripper becomes two stages. A stage is launched only
+over the nodes that its shape can reach.
 """
 
 from typing import Annotated
@@ -17,11 +17,13 @@ from phy124.boundaries.solids import Box, Capsule, Gripper, Sphere
 from phy124.schema.plugins import Kinds
 
 Kind = Ground | HalfSpace | Press | Container | Box | Sphere | Capsule | Gripper | Held | Foot
-"""The list of phy124's boundaries; all other lists are derived from it."""
+"""The list of all boundaries in phy124, from which all other lists of boundaries are derived."""
 BOUNDARIES = Kinds(Boundary, "kind", "boundaries", Kind)
 """`BOUNDARIES.by_name` maps the name of a boundary to its class."""
 AnyBoundary = SerializeAsAny[Annotated[Kind, Field(discriminator="kind"), BOUNDARIES]]
-"""A boundary of one of the `BOUNDARIES`, or of a registered kind (phy124/schema/plugins.py)."""
+"""A boundary whose class is one of the `BOUNDARIES` or a registered class
+(phy124/schema/plugins.py).
+"""
 
 __all__ = [
     "BOUNDARIES",

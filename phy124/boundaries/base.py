@@ -27,19 +27,22 @@ Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
 """Signed distance from a wall [cells] below which nodes respond one by one, not in columns.
 
-A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. On average,
-this plane must therefore lie about 0.65 cells inside the wall for the body to touch the wall.
-Plastic and fluid material keeps no such distance and sinks to this plane, so `REACH` applies only
-to nodes that belong to no column.
+A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. For the body to
+touch the wall, this plane must therefore lie about 0.65 cells inside the wall on average. Plastic
+and fluid materials keep no such distance but sink to this plane, so `REACH` applies only to nodes
+that belong to no column.
 """
 MARGIN = 2.0
-"""Distance in front of a wall [cells] up to which nodes may respond to the wall."""
+"""Largest distance of a node in front of a wall [cells] at which the node may respond to the
+wall.
+"""
 SWEEPS = 2
-"""Number of responses per substep if columns cross. Each response uses the changes that other
-columns made in the previous response.
+"""Number of times per substep that columns respond to a wall if the columns cross. Each time, the
+columns use the changes that other columns made the time before.
 """
 THINNEST = 1.0
-"""Smallest half thickness of a solid [cells]; a solid must have nodes inside it to stop material.
+"""Smallest half thickness of a solid [cells], because a solid must contain nodes in order to stop
+material.
 """
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 Recorder = Callable[[Grid], "wp.Launch | None"]
@@ -54,31 +57,35 @@ class Rest(Protocol):
         ...
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return the positions at rest [Q,3], m, of a named object, or of all objects if None."""
+        """Return the positions at rest [Q,3], m, of the named object, or of all objects if the name
+        is None.
+        """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class AtRest:
-    """An object at rest, without its model."""
+    """An object at rest that is described only by positions, without a model."""
 
     rest: NDArray[np.float64]
     """Positions at rest [P,3], m."""
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return all positions, because objects are not distinguished here."""
+        """Return all positions, because this class does not distinguish objects."""
         return self.rest
 
 
 class Boundary(Section):
-    """Base class of all boundaries: how a boundary responds to material that touches it."""
+    """Base class of all boundaries, which defines the response to material that touches a
+    boundary.
+    """
 
     shape: ClassVar[str]
     thing: ClassVar[str] = "it"
-    """Name, in messages, of the part of the boundary that may be too thin."""
+    """Name, used in messages, of the part of the boundary that may be too thin."""
 
     holds: ClassVar[bool] = False
-    """Whether the boundary holds material in place instead of blocking its way."""
+    """Whether the boundary holds material in place instead of only blocking it."""
 
     contact: Contact = Field(
         default="separate", description="sticky, slip, or separate (may leave, with friction)."
@@ -109,7 +116,9 @@ class Boundary(Section):
         return low - margin, high + margin
 
     def at_surface(self, dx: float) -> bool:
-        """Return whether contact is enforced at the surface between nodes, not node by node."""
+        """Return whether contact is enforced at the surface between nodes instead of node by
+        node.
+        """
         return self.reach(dx) is None
 
     def columns_overlap(self, dx: float) -> bool:
@@ -123,7 +132,7 @@ class Boundary(Section):
 
     @property
     def tracked(self) -> bool:
-        """Whether the boundary has a track, that is, moves or ends."""
+        """Whether the boundary has a track, that is, whether it moves or ends."""
         return self.moves
 
     def kernels(self, real: Any, dx: float) -> list[Any]:
@@ -154,7 +163,7 @@ class Boundary(Section):
         return self.shape
 
     def response(self) -> str:
-        """Return the name of the nodes' response (`kernels.columns.RESPONSES`)."""
+        """Return the name of the response of the nodes (`kernels.columns.RESPONSES`)."""
         return self.contact
 
     def track(self, model: Rest) -> Track | None:
@@ -162,7 +171,7 @@ class Boundary(Section):
         return None
 
     def thickness(self) -> float:
-        """Return half the thickness of the solid [m]."""
+        """Return half of the thickness of the solid [m]."""
         return np.inf
 
     def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
@@ -174,8 +183,8 @@ class Boundary(Section):
         return np.full(len(x), -np.inf)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the boundary's stages: its collider, and a second one for nodes where columns
-        cross.
+        """Return the stages of the boundary: its collider, and a second stage for nodes where
+        columns cross.
 
         Args:
             model: The constants of the run.
@@ -199,7 +208,9 @@ class Boundary(Section):
         return [Stage(name, recorder, alone=alone, with_update=updating) for recorder in recorders]
 
     def _of_object(self, model: Model, recorder: Recorder) -> Recorder:
-        """Return a recorder that skips the grids of objects that the wall does not affect."""
+        """Return a recording function that skips the grids of objects that the wall does not
+        affect.
+        """
         if self.object is None:
             return recorder
         particles = model.named(self.object)
@@ -228,14 +239,14 @@ class Boundary(Section):
             )
 
     def reach(self, dx: float) -> float | None:
-        """Return the signed distance below which nodes respond [m]; None for contact at the
-        surface.
+        """Return the signed distance [m] below which nodes respond; None if contact is enforced at
+        the surface.
         """
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return the recorder of the stage for crossing columns; columns reach two cells beyond the
-        bounds.
+        """Return the function that records the stage for crossing columns, which reach two cells
+        beyond the bounds.
         """
         low, high = self._swept_bounds(model)
 
@@ -252,7 +263,9 @@ class Boundary(Section):
         return bounds if track is None else swept(bounds, track)
 
     def _recorder(self, model: Model, tracks: Tracks, slot: int | None) -> Recorder:
-        """Return the recorder of the wall; the wall's track has the given slot."""
+        """Return the function that records the launch of the wall, whose track has the given
+        slot.
+        """
         bounds, columns_overlap = self._swept_bounds(model), self.columns_overlap(model.dx)
         at_surface = self.at_surface(model.dx)
         kernel = self.kernel(model.real, model.dx, moving=slot is not None)
@@ -273,14 +286,16 @@ class Boundary(Section):
         return record
 
     def _updater(self, model: Model, tracks: Tracks, slot: int | None) -> Recorder:
-        """Return the recorder of a launch that combines a flat wall with the grid update."""
+        """Return the function that records a launch that combines a flat wall with the grid
+        update.
+        """
         moving, bounds = slot is not None, self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
             start, extent = grid.nodes_within(*bounds)
             if not extent.all():
                 return None
-            # Made here, since most runs on a CPU never need this kernel.
+            # The kernel is created here, since most runs on a CPU never need it.
             shape, response = self.outline(), self.response()
             kernel = make_contact(shape, response, moving, model.real, updating=True)
             box = [wp.vec3i(*corner.tolist()) for corner in (start, extent)]
@@ -292,7 +307,9 @@ class Boundary(Section):
         return record
 
     def _wall(self, model: Model, slot: int | None) -> list[Any]:
-        """Return a kernel's inputs for the wall: shape, friction, reach, and slot of its track."""
+        """Return the inputs of a kernel that describe the wall: shape, friction, reach, and the
+        slot of its track.
+        """
         shape = types(model.real).mat33(*np.ravel(self.geometry(model)))
         reach = self.reach(model.dx)
         return [shape, self.friction, REACH * model.dx if reach is None else reach, slot or 0]
@@ -307,7 +324,7 @@ def _columns(model: Model, grid: Grid) -> list[Any]:
 
 
 class Movable(Boundary):
-    """A boundary that may follow a path, or swing."""
+    """A boundary that may follow a path or oscillate."""
 
     motion: AnyMotion | None = Field(
         default=None, description="Its displacement over time: path or swing. Absent: it is fixed."
@@ -326,9 +343,9 @@ class Movable(Boundary):
 def lightest(model: Model) -> float:
     """Return the mass of a node inside the lightest material [kg]; infinite if no bound is needed.
 
-    A solid needs no such bound, because a cell that is heavier than at rest is compressed. In a
-    material that yields, cells may contain up to 1.6 times as many particles as at rest, without
-    being compressed.
+    Elastic material needs no such bound, because a cell that is heavier than at rest is compressed.
+    In a material that yields, cells may contain up to 1.6 times as many particles as at rest,
+    without being compressed.
     """
     densities = {section.density for section in model.materials}
     return min(densities) * model.dx**3 if yields(model) or len(densities) > 1 else math.inf
@@ -350,10 +367,10 @@ def contact_mass_fraction(model: Model) -> float:
 def seep_distance(model: Model) -> float:
     """Return the distance [m] below which nodes respond one by one to a wall that does not push.
 
-    Material that separates into drops and grains would otherwise seep through a wall: drops and
-    grains behind the wall would move on while the rest moves away. For cohesive material the
-    distance is minus infinity: nodes that respond one by one would stop such material before it
-    touches the wall.
+    Material that separates into drops and grains would otherwise seep through a wall, because drops
+    and grains behind the wall would move on while the rest moves away. For cohesive material the
+    distance is minus infinity, because nodes that respond one by one would stop such material
+    before it touches the wall.
     """
     apart = any(section.rounds for section in model.materials)
     return REACH * model.dx if apart else -math.inf
@@ -377,7 +394,9 @@ def swept(corners: Corners, track: Track) -> Corners:
 
 
 def half_bounds(point: Vector, normal: Vector) -> Corners:
-    """Return corners [m] around a plane's solid side if the normal is an axis, else all space."""
+    """Return the corners [m] of a box around the solid side of a plane if the normal is along an
+    axis, otherwise of all space.
+    """
     lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
     across = np.flatnonzero(np.abs(normal) > 1e-9)
     if len(across) == 1:
@@ -387,6 +406,6 @@ def half_bounds(point: Vector, normal: Vector) -> Corners:
 
 
 def box_of(lower: Vector, upper: Vector) -> tuple[Vector, Vector, Vector]:
-    """Return centre and half sizes of a box [m], and an unused third vector."""
+    """Return the centre and the half sizes of a box [m], and a third vector that is not used."""
     low, high = np.array(lower), np.array(upper)
     return vector((low + high) / 2), vector((high - low) / 2), (0.0, 0.0, 0.0)

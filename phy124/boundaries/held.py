@@ -43,7 +43,9 @@ class Clamp(Movable):
         return self.moves or self.end is not None
 
     def at_surface(self, dx: float) -> bool:
-        """Return whether the clamp acts up to its surface, not node by node; sticky clamps do."""
+        """Return whether the clamp acts exactly up to its surface instead of node by node, as
+        sticky clamps do.
+        """
         return self.contact == "sticky"
 
     def response(self) -> str:
@@ -81,7 +83,9 @@ class Held(Clamp):
         return "cylinder" if self.cylinder else "box"
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return centre and half sizes [m]; a cylinder has centre, axis, (radius, half length)."""
+        """Return the centre and half sizes [m] of a box, or the centre, the axis and (radius, half
+        length) of a cylinder.
+        """
         if self.cylinder is None:
             return box_of(self.lower, self.upper)
         axis, middle, radius = cylinder(self.lower, self.upper, self.cylinder)
@@ -103,12 +107,14 @@ class Foot(Clamp):
     )
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return a point [m] and the normal of the plane below which material is held."""
+        """Return a point on the plane below which material is held [m], and the normal of this
+        plane.
+        """
         z = model.rest_of(self.object)[:, 2]
         top = float(z.min() + self.fraction * np.ptp(z))
         return (0.0, 0.0, top), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
-        """Return corners around all space below the plane [m]."""
+        """Return the corners of a box that contains all space below the plane [m]."""
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)

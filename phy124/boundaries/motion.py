@@ -1,4 +1,6 @@
-"""Declares how boundaries move: on a path or in an oscillation, without rotation, or freely."""
+"""Declares the motions of boundaries: along a path or in an oscillation, without rotation, or
+freely.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ EASE = 16
 
 
 class Motion(Section):
-    """Base class of all motions: a displacement over time."""
+    """Base class of all motions, which are displacements over time."""
 
     start: float = Field(
         default=0.0, ge=0, le=LONGEST, description="Time at which the motion starts [s]."
@@ -68,7 +70,9 @@ class Swing(Motion):
     frequency: float = Field(default=2.0, ge=1e-5, le=1e4, description="Swings per second [Hz].")
 
     def track(self) -> Track:
-        """Return a repeated period, which begins at zero displacement and the largest speed."""
+        """Return the track of a repeated period, which begins at zero displacement and the largest
+        speed.
+        """
         sine = Sine(frequency=self.frequency)
         times, factors = sine.table()
         return Track(
@@ -77,7 +81,7 @@ class Swing(Motion):
 
 
 class Free(Section):
-    """Free motion of a rigid solid, under gravity and in contact with other bodies."""
+    """Free motion of a rigid solid under gravity and in contact with other bodies."""
 
     kind: Literal["free"] = "free"
     density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
@@ -85,7 +89,7 @@ class Free(Section):
 
 AnyMotion = Annotated[Path | Swing, Field(discriminator="kind")]
 OwnMotion = Annotated[Path | Swing | Free, Field(discriminator="kind")]
-"""The motions available to a shape that is one of the objects."""
+"""The motions that are available to a shape that is an object of the scene."""
 
 
 def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
@@ -96,7 +100,9 @@ def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
 
 
 def ease(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Divide each leg of a path into `EASE` pieces, so that the motion stops at the leg's ends."""
+    """Divide each leg of a path into `EASE` segments, so that the motion stops smoothly at the ends
+    of the leg.
+    """
     parts = np.linspace(0, 1, EASE + 1)[1:]
     fractions = (1 - np.cos(math.pi * parts)) / 2
     new_times, new_points = [times[0]], [points[0]]

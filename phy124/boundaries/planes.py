@@ -24,7 +24,9 @@ class Plane(Boundary):
     shape: ClassVar[str] = "half_space"
 
     def extent(self, model: Model) -> Corners:
-        """Return the corners [m] of a half-space if the normal is an axis, else of all space."""
+        """Return the corners [m] of the half-space if the normal is along an axis, otherwise of all
+        space.
+        """
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)
 
@@ -49,7 +51,7 @@ class HalfSpace(Plane, Movable):
         return self
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return a point of the plane and the unit normal."""
+        """Return a point on the plane and the unit normal."""
         length = math.hypot(*self.normal)
         x, y, z = (component / length for component in self.normal)
         return self.point, (x, y, z), (0.0, 0.0, 0.0)
@@ -64,7 +66,7 @@ class Ground(Plane, Movable):
     )
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return a point of the floor and the unit normal."""
+        """Return a point on the floor and the unit normal."""
         return (0.0, 0.0, self.height), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
 
@@ -100,11 +102,11 @@ class Press(Plane):
 
     @property
     def moves(self) -> bool:
-        """Always True."""
+        """Always True, because a press moves."""
         return True
 
     def gentler(self) -> dict[str, Any]:
-        """Return the fields, with new values, that let the plate descend in twice the time."""
+        """Return fields with new values that let the plate descend in twice the time."""
         return {"down": 2 * self.down}
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
@@ -133,15 +135,17 @@ class Container(Movable):
     @model_validator(mode="after")
     def _square(self) -> Container:
         if self.inside.cylinder:
-            raise ValueError("the walls of a container are flat; leave inside.cylinder out")
+            raise ValueError("the walls of a container are flat; remove `inside.cylinder`")
         return self
 
     def parts(self) -> list[HalfSpace]:
-        """Return the walls of the closed sides."""
+        """Return the walls on the closed sides."""
         return self.sides()
 
     def part_names(self) -> list[str]:
-        """Return a name for each wall: its axis and end, low or high (`z_low` is a floor)."""
+        """Return a name for each wall, made of its axis and its end, low or high (`z_low` is the
+        floor).
+        """
         normals = [side.normal for side in self.sides()]
         axes = [int(np.argmax(np.abs(normal))) for normal in normals]
         return [
@@ -150,7 +154,7 @@ class Container(Movable):
         ]
 
     def sides(self) -> list[HalfSpace]:
-        """Return the walls; a side that is far outside any scene counts as open and has none."""
+        """Return the walls; a side that is far outside any scene counts as open and has no wall."""
         walls = []
         for axis in range(3):
             for corner, sign in ((self.inside.lower, 1.0), (self.inside.upper, -1.0)):
@@ -169,7 +173,7 @@ class Container(Movable):
         return walls
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return one stage per wall."""
+        """Return one stage for each wall."""
         return [
             stage._replace(name="container")
             for wall in self.sides()
@@ -190,5 +194,6 @@ def there_and_back(to: Vector, start: float, go: float, stay: float, back: float
     here = (0.0, 0.0, 0.0)
     times = [0.0, go, go + stay, go + stay + back] if stay > 0 else [0.0, go, go + back]
     points = (here, to, to, here) if stay > 0 else (here, to, here)
-    # Built without validation: each time is within its bounds, but the sum may not be.
+    # The track is built without validation: each time is within its bounds, but their sum may
+    # exceed them.
     return Path.model_construct(start=start, times=tuple(times), points=points).track()

@@ -1,4 +1,4 @@
-"""Obstacles: box, sphere, capsule, and a gripper of two pads."""
+"""Obstacles: box, sphere, capsule, and a gripper that consists of two pads."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class Capsule(Solid):
         return self
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return both ends and the radius [m]."""
+        """Return the two ends of the axis and the radius [m]."""
         return self.start, self.end, (self.radius, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
@@ -142,11 +142,11 @@ class Gripper(Boundary):
 
     @property
     def moves(self) -> bool:
-        """Always True."""
+        """Always True, because a gripper moves."""
         return True
 
     def thickness(self) -> float:
-        """Return half of the pads' shortest side [m]."""
+        """Return half of the shortest side of the pads [m]."""
         return min(self.thick, self.width) / 2
 
     def parts(self) -> list[Box]:
@@ -154,7 +154,9 @@ class Gripper(Boundary):
         return self.pads()
 
     def part_names(self) -> list[str]:
-        """Return names made of the closing axis and each pad's side: `y_low`, `y_high`."""
+        """Return a name for each pad, made of the closing axis and the pad's side: `y_low`,
+        `y_high`.
+        """
         return [f"{self.axis}_low", f"{self.axis}_high"]
 
     def pads(self) -> list[Box]:
@@ -177,7 +179,7 @@ class Gripper(Boundary):
         return pads
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return one stage per pad."""
+        """Return one stage for each pad."""
         self.refuse_thin(model)
         return [
             stage._replace(name="gripper")

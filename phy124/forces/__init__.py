@@ -1,4 +1,4 @@
-"""Forces of a scene; they act on some particles or on the whole body.
+"""Forces of a scene, which act on some particles or on the whole body.
 
 Each force is a section of the scene file. `attach` adds the force to a run: a track with its
 strength over time and, if it acts on chosen particles, one stage of the substep.
@@ -29,11 +29,11 @@ Kind = (
     | Grab
     | WrenchForce
 )
-"""The list of phy124's forces; all other lists are derived from it."""
+"""The list of all forces in phy124, from which all other lists of forces are derived."""
 FORCES = Kinds(Force, "kind", "forces", Kind)
 """`FORCES.by_name` maps the name of a force to its class."""
 AnyForce = SerializeAsAny[Annotated[Kind, Field(discriminator="kind"), FORCES]]
-"""A force of one of the `FORCES`, or of a registered kind (phy124/schema/plugins.py)."""
+"""A force whose class is one of the `FORCES` or a registered class (phy124/schema/plugins.py)."""
 
 __all__ = [
     "FORCES",

@@ -1,4 +1,4 @@
-"""Base class of all forces: each has a profile, a start and an end in time, and a region."""
+"""Base class of all forces: each force has a profile, a start and an end in time, and a region."""
 
 from __future__ import annotations
 
@@ -20,14 +20,16 @@ from phy124.schema.section import Section
 
 
 class Force(Section):
-    """Base class of all forces: a time profile between start and end, and a region of the body."""
+    """Base class of all forces, with a time profile between start and end, and a region of the
+    body.
+    """
 
     sudden: ClassVar[bool] = False
-    """Whether the force may change a velocity abruptly, whatever its strength."""
+    """Whether the force may change velocities abruptly, whatever its strength."""
     in_newtons: ClassVar[bool] = False
     """Whether the force's track is a force on each particle [N], not an acceleration [m/s^2]."""
     strengths: ClassVar[tuple[str, ...]] = ()
-    """Names of the fields that set the strength."""
+    """Names of the fields that determine the strength of the force."""
     joins: ClassVar[bool] = False
     """Whether the force accelerates the whole body uniformly if it has no region."""
 
@@ -67,7 +69,9 @@ class Force(Section):
 
     @property
     def idle(self) -> bool:
-        """Whether the strength is zero; False for wind, which slows objects even at zero speed."""
+        """Whether the strength is zero; always False for wind, which slows objects even at zero
+        speed.
+        """
         strengths = [getattr(self, name) for name in self.strengths]
         return bool(strengths) and not np.any(strengths)
 
@@ -90,17 +94,19 @@ class Force(Section):
         return self.start > 0 or self.end is not None or self.profile.kind != "constant"
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return a track: the value times the profile between start and end, and zero outside.
+        """Return a track with the value times the profile between start and end, and zero at other
+        times.
 
         Args:
-            value: The force at full strength, in the force's units.
-            mean: Whether each substep reads the mean over its duration, not the current value.
+            value: The force at full strength, in the units of the force.
+            mean: Whether each substep reads the mean over its duration instead of the current
+                value.
         """
         end = FOREVER if self.end is None else self.end
         return Track.of_profile(value, self.profile, self.start, end, mean=mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the force's stages in each substep; none for a uniform acceleration.
+        """Return the stages that the force adds to each substep; a uniform acceleration adds none.
 
         Args:
             model: The constants of the run.
@@ -129,14 +135,17 @@ class Force(Section):
 
 
 def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
-    """Return a mask [P] of the particles of a named object, or of all objects if None."""
+    """Return a mask [P] of the particles of the named object, or of all objects if the name is
+    None.
+    """
     mask = np.zeros(len(model), bool)
     mask[model.named(name)] = True
     return mask
 
 
 def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """Return the stages of an acceleration; none if it is uniform, because the grid update adds it.
+    """Return the stages of an acceleration; there are none if it is uniform, because the grid
+    update adds it.
 
     Args:
         force: The force, with its region and its strength over time.
@@ -152,7 +161,7 @@ def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Trac
 
 
 def push(force: Force, value: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """Return the stage that accelerates the chosen particles, or applies a force to each.
+    """Return the stage that accelerates the chosen particles, or applies a force to each of them.
 
     Args:
         force: The force, with its region and its strength over time.
@@ -193,7 +202,8 @@ def stage(
     Args:
         force: The force, with its region.
         name: Name of the stage in reports, which list its time.
-        kernel: Takes the chosen particles, the track's slot, `inputs`, clock, values and `read`.
+        kernel: Kernel whose arguments are the chosen particles, the track's slot, `inputs`, clock,
+            values and `read`.
         track: The strength over time.
         inputs: Constant arguments of the kernel.
         model: The constants of the run.
@@ -201,7 +211,8 @@ def stage(
         tracks: The tracks to which the strength is added.
         read: Arrays of the state that the kernel reads.
         over: Interval over which a track with `mean` false is averaged.
-        limited: Whether the stage gets its own limit, so that the track's values bound nothing.
+        limited: Whether the stage gets a separate limit, so that the track's values are not used as
+            bounds.
     """
     chosen = force.chosen(model)
     slot = tracks.add(track, over=over, limited=limited)
@@ -215,6 +226,6 @@ def stage(
 
 
 def within(chosen: wp.array, run: slice) -> wp.array:
-    """Return the entries of a sorted list of particles that are in a range of indices."""
+    """Return the part of a sorted list of particle indices that is in a range."""
     first, last = np.searchsorted(chosen.numpy(), [run.start, run.stop]).tolist()
     return cast("wp.array", chosen[first:last])

@@ -1,4 +1,4 @@
-"""Forces that accelerate the whole body, or a region of it, uniformly."""
+"""Forces that accelerate the whole body, or a region of the body, uniformly."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Gravity(Force):
 
 
 class Acceleration(Force):
-    """An acceleration; its effect does not depend on the number of particles."""
+    """A uniform acceleration, whose effect does not depend on the number of particles."""
 
     kind: Literal["acceleration"] = "acceleration"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
@@ -41,7 +41,7 @@ class Acceleration(Force):
 
 
 class TotalForce(Force):
-    """A force in newtons on a region, distributed over the region's particles by mass."""
+    """A force in newtons on a region, which is distributed over the region's particles by mass."""
 
     kind: Literal["force"] = "force"
     strengths: ClassVar[tuple[str, ...]] = ("f",)
@@ -49,12 +49,14 @@ class TotalForce(Force):
     f: Push = Field(default=(0.0, 1.0, 0.0), description="Total force [N].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Accelerate the region by f divided by its mass."""
+        """Accelerate the region by the force divided by the region's mass."""
         return accelerate(self, per_mass(self, self.f, model), model, state, tracks)
 
 
 class Impulse(Force):
-    """An impact: gives a region a total momentum that does not depend on substeps or profile."""
+    """An impact that gives a region a total momentum, which does not depend on substeps or
+    profile.
+    """
 
     kind: Literal["impulse"] = "impulse"
     strengths: ClassVar[tuple[str, ...]] = ("p",)
@@ -67,7 +69,7 @@ class Impulse(Force):
     @model_validator(mode="after")
     def _whole(self) -> Impulse:
         if self.end is not None:
-            raise ValueError("an impulse ends after its duration; leave end out")
+            raise ValueError("an impulse ends after its duration; remove `end`")
         if self.profile.period or self._mean() <= 0:
             raise ValueError(
                 "the profile of an impulse must not repeat, and its mean must be positive; "
@@ -81,14 +83,16 @@ class Impulse(Force):
         return True
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return a track: the value times the profile during the duration, and zero otherwise."""
+        """Return a track with the value times the profile during the duration, and zero at other
+        times.
+        """
         end = self.start + self.duration
         track = Track.of_profile(value, self.profile, self.start, end, mean=mean)
-        # A force that starts at time 0 is also active before; an impulse at time 0 is not.
+        # A force that starts at time 0 is also active before time 0; an impulse at time 0 is not.
         return Track(track.keys, self.start, end, track.origin, track.period, mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Accelerate the region by p / (mass times the profile's integral)."""
+        """Accelerate the region by p / (mass times the integral of the profile)."""
         x, y, z = per_mass(self, self.p, model)
         time = self.duration * self._mean()
         return accelerate(self, (x / time, y / time, z / time), model, state, tracks)

@@ -1,4 +1,6 @@
-"""Forces on a group of particles as a whole; the group is a ball in the object's shape at rest."""
+"""Forces on a group of particles as a whole; the group (part) is a ball in the object's shape at
+rest.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ from phy124.schema.region import Vector
 
 
 def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.float64]:
-    """Return each particle's weight in the part [P]: (1 - (d / radius)^2)^2, or 1 everywhere.
+    """Return the weight of each particle in the part [P]: (1 - (d / radius)^2)^2, or 1 if the part
+    is the whole body.
 
     Args:
         rest: Positions at rest [P,3], m.
@@ -36,17 +39,19 @@ def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.fl
 
 
 class Part(NamedTuple):
-    """The particles of a part on the device, and the sums over them that each substep computes."""
+    """The particles of a part on the device, and the sums over these particles that each substep
+    computes.
+    """
 
     chosen: wp.array
     share: wp.array
-    """w m / sum(w m) of each particle, float64."""
+    """Share w m / sum(w m) of each particle, in float64."""
     per_force: wp.array
     """Acceleration of each particle by a force of 1 N [1/kg]."""
     means: wp.array
     second: wp.array
     mass: float
-    """sum(w m) [kg]."""
+    """Weighted mass of the part, sum(w m) [kg]."""
     drawn: float
     """Effective mass of the part at the start [kg]: a force on the part divided by the acceleration
     of X.
@@ -115,7 +120,8 @@ class Part(NamedTuple):
     def track_centre(
         self, name: str, slot: int, model: Model, state: State, tracks: Tracks, *, turned: bool
     ) -> Iterator[Stage]:
-        """Yield the stages that compute the part's centre and its second moments about the centre.
+        """Yield the stages that compute the centre of the part and the second moments about this
+        centre.
 
         Args:
             name: Name of the stages in reports, which list their time.
@@ -181,17 +187,17 @@ class Grab(Force):
         check_times(self.times, len(self.targets), "targets")
         if self.region is not None:
             raise ValueError(
-                "a grab acts within its radius of a point, not in a region; leave region out"
+                "a grab acts within its radius of a point, not in a region; remove `region`"
             )
         if self.profile.kind != "constant":
             raise ValueError(
-                "a grab varies over time by its targets, not by a profile; leave profile out"
+                "a grab varies over time by its targets, not by a profile; remove `profile`"
             )
         return self
 
     @property
     def varies(self) -> bool:
-        """Always True, since the target moves."""
+        """Always True, because the target moves."""
         return True
 
     def target(self) -> Track:
@@ -251,7 +257,7 @@ class WrenchForce(Force):
     def _a_ball(self) -> WrenchForce:
         if self.region is not None:
             raise ValueError(
-                "a wrench acts within its radius of a point, not in a region; leave region out"
+                "a wrench acts within its radius of a point, not in a region; remove `region`"
             )
         return self
 

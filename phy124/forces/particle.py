@@ -1,6 +1,6 @@
 """Forces that act on particles one by one.
 
-Such forces are a force in newtons, wind, attraction to a point, a push inside a zone of space, and
+These are a force in newtons, wind, attraction to a point, a push inside a zone of space, and
 prescribed velocities.
 """
 
@@ -22,7 +22,9 @@ from phy124.schema.region import Region, Vector, cylinder
 
 
 class ParticleForce(Force):
-    """The paper's external force: newtons on each particle, a = f / m (Phy124, sec. 3.2)."""
+    """The external force of the Phy124 paper (sec. 3.2): a force in newtons on each particle, a = f
+    / m.
+    """
 
     kind: Literal["particle_force"] = "particle_force"
     strengths: ClassVar[tuple[str, ...]] = ("f",)
@@ -62,7 +64,9 @@ class Wind(Force):
 
 
 class Attraction(Force):
-    """A point that attracts (or repels): linear in d inside its radius, 1 / d^2 outside."""
+    """A point that attracts or repels material: linearly in the distance d inside its radius, as 1
+    / d^2 outside.
+    """
 
     kind: Literal["attraction"] = "attraction"
     strengths: ClassVar[tuple[str, ...]] = ("g",)
@@ -101,7 +105,7 @@ class ZoneForce(Force):
     @model_validator(mode="after")
     def _everything(self) -> ZoneForce:
         if self.region is not None:
-            raise ValueError("a zone acts on whatever is inside it; leave region out")
+            raise ValueError("a zone acts on whatever is inside it; remove `region`")
         return self
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
@@ -124,18 +128,18 @@ class ZoneForce(Force):
 
         wanted = model.named(self.object)
         moving = [model.particles(b) for b in range(model.bodies) if b not in model.held]
-        # Bodies that never move are left out, as in all forces.
+        # Bodies that never move are omitted, as for all forces.
         runs = [run for run in moving if wanted.start <= run.start and run.stop <= wanted.stop]
         recorders = [partial(record, particles=run) for run in (runs if model.held else [wanted])]
         return [Stage("zone", recorder, keeps_C=True, by_run=True) for recorder in recorders]
 
 
 UNIT: Vector = (1.0, 0.0, 0.0)
-"""Value for a track that contains only the profile."""
+"""Value of a track that contains only the profile."""
 
 
 class SetVelocity(Force):
-    """The paper's first kind of force: prescribes the velocity of particles."""
+    """Prescribes the velocity of particles (the first kind of force in the Phy124 paper)."""
 
     kind: Literal["set_velocity"] = "set_velocity"
     sudden: ClassVar[bool] = True

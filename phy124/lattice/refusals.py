@@ -14,7 +14,7 @@ from phy124.materials.elastic import Elastic
 
 TRANSFERS = ("transfer", "gradient", "rpic_damping")
 """Settings of the accuracy that concern transfers, which the lattice solver does not have."""
-REMEDY = 'Use accuracy.solver = "mpm", or leave {field} out.'
+REMEDY = 'Use accuracy.solver = "mpm", or remove {field}.'
 
 
 class Refusal(NamedTuple):

@@ -16,11 +16,11 @@ from phy124.materials.plastic import Foam, Metal, Plasticine
 from phy124.schema.plugins import Kinds
 
 Law = NeoHookean | FixedCorotated | Hencky | Rigid | Metal | Plasticine | Foam | Sand | Snow | Fluid
-"""The list of phy124's laws; all other lists are derived from it."""
+"""The list of all constitutive laws in phy124, from which all other lists of laws are derived."""
 LAWS = Kinds(Material, "law", "materials", Law)
 """`LAWS.by_name` maps the name of a law to its class."""
 AnyMaterial = SerializeAsAny[Annotated[Law, Field(discriminator="law"), LAWS]]
-"""A material of one of the `LAWS`, or of a registered law (phy124/schema/plugins.py)."""
+"""A material whose law is one of the `LAWS` or a registered law (phy124/schema/plugins.py)."""
 
 __all__ = [
     "LAWS",

@@ -12,8 +12,8 @@ from phy124.schema.bounds import RGB
 from phy124.schema.section import Section
 
 FEW = 1.5
-"""Particles per cell and axis for plastic and granular materials, because these cannot tear. With
-2, a run takes 1.7 times as long and has the same error (docs/lab/accuracy.md).
+"""Number of particles per cell and axis for plastic and granular materials, because these cannot
+tear. With 2 particles, a run takes 1.7 times as long and has the same error (docs/lab/accuracy.md).
 """
 FLOWING = 4.0
 """Limit on the longest axis of a Gaussian of plastic or fluid material, relative to its longest
@@ -24,19 +24,20 @@ axis at rest.
 SHADING = 0.3
 """`Material.shading` of most materials."""
 Tint = Annotated[RGB | None, BeforeValidator(lambda tint: None if tint == "none" else tint)]
-"""A colour; absent or "none": the picture's colours."""
+"""A colour; if absent or "none", the colours of the picture are used."""
 
 
 class Material(Section):
-    """Base class of all materials: a density and a law on the device."""
+    """Base class of all materials, which have a density and a constitutive law on the device."""
 
     device_law: ClassVar[Law]
     scaled: ClassVar[int] = 0
-    """Number of leading entries of `theta` that are proportional to E; 0: the law has no E to vary.
+    """Number of leading parameters in `theta` that are proportional to E; 0 if the law has no E
+    that could vary.
     """
     particles_per_axis: ClassVar[float] = 2.0
-    """Default number of particles per cell and axis of a run. With fewer than 2, elastic material
-    tears sooner.
+    """Default number of particles per cell and axis of a run. With fewer than 2 particles, elastic
+    material tears sooner.
     """
     may_collapse: ClassVar[bool] = False
     """Whether the material may stay flat after an impact, because its energy at J = 0 is finite."""
@@ -52,21 +53,21 @@ class Material(Section):
     """Whether the material separates into grains or drops, so that its interior must be drawn."""
 
     scatters: ClassVar[bool] = False
-    """Whether the particles start at random places in their cells, because the material runs apart
-    in thin layers, in which rows of a lattice would show.
+    """Whether the particles start at random positions in their cells, because the material spreads
+    in thin layers, in which rows of a lattice would be visible.
     """
 
     shade: ClassVar[float] = 0.0
-    """Variation in brightness between grains: standard deviation relative to the mean."""
+    """Variation of the brightness of grains: standard deviation relative to the mean."""
 
     shading: ClassVar[float] = SHADING
-    """Fraction of the brightness contrast that Gaussians keep under a tint."""
+    """Fraction of their contrast in brightness that Gaussians keep under a tint."""
 
     shines: ClassVar[bool] = False
     """Whether films show the material's gloss (phy124/rendering/shine.py)."""
 
     sounder_law: ClassVar[str | None] = None
-    """A law with the same fields that is stable in harder impacts; None if there is none."""
+    """A law with the same fields that is stable in harder impacts; None if there is no such law."""
 
     density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
 
@@ -82,10 +83,12 @@ class Material(Section):
         """Return the largest strain up to which the stiffness grows by at most a given factor.
 
         The default is the strain for fixed corotated material, which stiffens more than other
-        elastic laws: by the factor 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
+        elastic laws. It stiffens by the factor 2 J^2 - J, where ln J is at most sqrt(3) times the
+        strain.
 
         Args:
-            growth: Largest ratio of the stiffest particle's stiffnesses, above 1.
+            growth: Largest ratio of the stiffest particle's stiffness after the strain to the
+                stiffness before, above 1.
             stiffness: A / rho of the stiffest particle [m^2/s^2].
         """
         del stiffness
@@ -96,13 +99,17 @@ class Material(Section):
         raise NotImplementedError
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """Return the parameters for grid spacing `dx` [m] and substeps of `cfl` times the limit."""
+        """Return the parameters for the grid spacing `dx` [m] and substeps of `cfl` times the
+        elastic limit.
+        """
         del dx, cfl
         return self.theta()
 
     @property
     def longest(self) -> float:
-        """Limit on a Gaussian's longest axis, relative to rest: `max_stretch` or its default."""
+        """Limit on the longest axis of a Gaussian, relative to its length at rest: `max_stretch` or
+        the default.
+        """
         if self.max_stretch is not None:
             return self.max_stretch
         return math.inf if self.device_law.project is None else FLOWING
@@ -133,7 +140,9 @@ class Material(Section):
         return []
 
     def notes_at(self, speed: float) -> list[str]:
-        """Return notes to the user about a run in which something moved at a speed [m/s]."""
+        """Return notes to the user about a run in which the material reached a given speed
+        [m/s].
+        """
         del speed
         return []
 
@@ -141,7 +150,7 @@ class Material(Section):
 def viscous_substep(density: float, viscosity: float, dx: float) -> float:
     """Return the substep [s] in which viscosity stops a particle's strain, rho dx^2 / (8 eta).
 
-    The limit is that of an isolated particle. A substep twice as long would be unstable. If elastic
+    The limit holds for an isolated particle. A substep twice as long would be unstable. If elastic
     stress acts as well, the limit is smaller by the factor `timestep.beside_elastic`.
 
     Args:
@@ -178,9 +187,10 @@ class Elastic(Material):
         return self.lame
 
     def wave_speed(self) -> float:
-        """Return sqrt((3 lambda + 2 mu) / rho) [m/s]: it limits substeps of unstrained material.
+        """Return sqrt((3 lambda + 2 mu) / rho) [m/s], the speed that limits substeps of unstrained
+        material.
 
-        A negative lambda (nu < 0) is taken as zero: shear is then the stiffest motion.
+        A negative lambda (nu < 0) is replaced by zero, because shear is then the stiffest motion.
         """
         mu, lam = self.lame
         return math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)

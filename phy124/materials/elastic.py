@@ -1,4 +1,4 @@
-"""Elastic solids; they return to their rest shape after any deformation."""
+"""Elastic solids, which return to their rest shape after any deformation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Springy(Elastic):
 
     lossless: ClassVar[Law]
     damped: ClassVar[Any]
-    """Stress with viscosity; eta is the last entry of theta."""
+    """The law that includes viscosity; eta is the last parameter in theta."""
 
     damping: float = Field(
         default=0.0,
@@ -45,7 +45,9 @@ class Springy(Elastic):
 
 
 class NeoHookean(Springy):
-    """Compressible neo-Hookean solid with log J: the default law; stable in hard impacts."""
+    """Compressible neo-Hookean solid with log J, which is the default law and stable in hard
+    impacts.
+    """
 
     law: Literal["neo_hookean"] = "neo_hookean"
     damped: ClassVar[Any] = staticmethod(elastic.neo_hookean_damped)
@@ -84,7 +86,9 @@ class FixedCorotated(Springy):
 
 
 class Hencky(Logarithmic, Springy):
-    """St. Venant-Kirchhoff solid in Hencky strain: linear in log stretch; softens under tension."""
+    """St. Venant-Kirchhoff solid in Hencky strain: linear in the logarithm of the stretch, softer
+    under tension.
+    """
 
     law: Literal["hencky"] = "hencky"
     sounder_law: ClassVar[str | None] = "neo_hookean"
@@ -99,14 +103,14 @@ class Hencky(Logarithmic, Springy):
 
 
 FASTER = 1.5
-"""Ratio of a body's speed to `Rigid.speed` above which the user gets a note."""
+"""Ratio of the speed of a rigid body to `Rigid.speed` above which the user gets a note."""
 
 
 class Rigid(Elastic):
-    """A hard body, just stiff enough to deform invisibly.
+    """A hard body that is just stiff enough for its deformation to be invisible.
 
-    The cost of an explicit simulation grows as sqrt(E). At an impact of speed v the strain is v / c
-    with c = sqrt(E / rho), so E = rho (v / strain)^2 limits the strain to `strain`.
+    The cost of an explicit simulation grows as sqrt(E). An impact at the speed v causes the strain
+    v / c with c = sqrt(E / rho), so E = rho (v / strain)^2 limits the strain to `strain`.
     """
 
     law: Literal["rigid"] = "rigid"

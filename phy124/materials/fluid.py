@@ -12,9 +12,11 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import Material, viscous_substep
 
 RINGING = 0.7
-"""Bulk viscosity as a fraction of the largest one that does not shorten the substep."""
+"""Bulk viscosity as a fraction of the largest bulk viscosity that does not shorten the substep."""
 SUDDEN = 0.3
-"""K' / K, the relative rise of a fluid's stiffness for changes faster than its relaxation time."""
+"""Ratio K' / K: the relative rise of a fluid's stiffness for changes faster than the relaxation
+time.
+"""
 RELAXATION = 10.0
 """Relaxation time in units of the time in which sound crosses a cell.
 
@@ -27,15 +29,17 @@ class Fluid(Material):
     """Weakly compressible fluid: Tait pressure and Newtonian viscosity.
 
     Real water has a bulk modulus of 2e9 Pa, but a compression of a thousandth of a per cent looks
-    the same as one of a few per cent. `bulk_modulus` is therefore chosen for the scene: at depth h
-    the compression is rho g h / K.
+    the same as a compression of a few per cent. `bulk_modulus` is therefore chosen for the scene;
+    at the depth h, the compression is rho g h / K.
     """
 
     law: Literal["fluid"] = "fluid"
     max_stretch: ClassVar[float | None] = 1.5
     rounds: ClassVar[bool] = True
     grains: ClassVar[bool] = True
-    shading: ClassVar[float] = 0.0  # Light and shade would flow with the liquid like a dye.
+    shading: ClassVar[float] = (
+        0.0  # Light and shade of the picture would flow with the liquid like a dye.
+    )
     shines: ClassVar[bool] = True
     device_law: ClassVar[Law] = Law(
         name="fluid",
@@ -73,7 +77,9 @@ class Fluid(Material):
         return math.log(growth) / (math.sqrt(3) * (1 + self.gamma))
 
     def theta(self) -> tuple[float, ...]:
-        """Return (K, gamma, eta, 0, 0, 0): without bulk viscosity zeta, K' and relaxation."""
+        """Return (K, gamma, eta, 0, 0, 0): the parameters without bulk viscosity zeta, K' and
+        relaxation.
+        """
         return self.bulk_modulus, self.gamma, self.viscosity, 0.0, 0.0, 0.0
 
     def history(self) -> tuple[float, float]:

@@ -16,11 +16,11 @@ PACKING = 2 / 3
 
 Under isotropic compression to the stretch 1 - c, snow stores psi = 3/2 (2 mu + 3 lambda) c^2.
 Packing by d releases the energy 3 (2 mu + 3 lambda) c d, while the hardening raises psi by the
-fraction 3 xi d. This raise exceeds the released energy if xi c > 2/3.
+fraction 3 xi d. The increase exceeds the released energy if xi c > 2/3.
 """
 GENTLE, STEEPER = 30.0, 0.3
-"""Up to a repose angle of `GENTLE` [degrees], heaps stop at the angle at which they flow. Above it
-the two angles differ by `STEEPER` per degree, as measured (docs/lab/physics.md).
+"""Up to a repose angle of `GENTLE` [degrees], heaps come to rest at the angle at which they flow.
+Above `GENTLE`, the two angles differ by `STEEPER` per degree, as measured (docs/lab/physics.md).
 """
 
 

@@ -12,16 +12,16 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import FEW, Elastic, Logarithmic
 
 NORM = math.sqrt(2 / 3)
-"""Norm of the deviatoric stress divided by the uniaxial stress."""
+"""Ratio of the norm of the deviatoric stress to the uniaxial stress."""
 
 
 class Metal(Logarithmic):
     """Von Mises metal in Hencky strain with linear isotropic hardening.
 
-    The defaults are aluminium's density and Poisson's ratio with a lower stiffness: the metal
-    yields at a strain of 1 %, less than a cell resolves. Real values (E 7e10, yield_stress 3e7) are
-    allowed, but the number of substeps grows as sqrt(E). An impact at speed v leaves a dent if
-    density v^2 is of the order of the yield stress.
+    The defaults are the density and Poisson's ratio of aluminium with a lower stiffness, with which
+    the metal yields at a strain of 1 %, less than a cell resolves. Real values (E 7e10,
+    yield_stress 3e7) are allowed, but the number of substeps grows as sqrt(E). An impact at speed v
+    leaves a dent if density v^2 is of the order of the yield stress.
     """
 
     law: Literal["metal"] = "metal"
@@ -61,8 +61,8 @@ class Plasticine(Elastic):
     """Clay with fixed corotated elasticity, which yields by von Mises and softens with plastic
     strain.
 
-    As with fixed corotated solids, impacts near the speed of sound may leave the material flat,
-    unless it yields.
+    As with fixed corotated solids, impacts near the speed of sound may leave the material flat
+    unless the material yields.
     """
 
     law: Literal["plasticine"] = "plasticine"

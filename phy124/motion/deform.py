@@ -81,7 +81,7 @@ class Deformer:
         if not (limits >= 1).all():
             limit = "Gaussians would have to be smaller than they are at rest."
             least = float(np.nanmin(limits))
-            raise InputError("max_stretch", least, limit, "Give 1 or more, or leave it out.")
+            raise InputError("max_stretch", least, limit, "Give 1 or more, or omit max_stretch.")
         self.gaussians = gaussians
         self.rotations: Array | None = None
         """Polar rotations of the material in the last frame [N,4] wxyz; None if sh has degree 0."""

@@ -196,9 +196,7 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
     part = fraction * (solid.voxel / dx) ** 3
     _, cell = _cells(_merge_slivers(place, part))
     clear = outside & (np.bincount(cell, part) >= HAZE)[cell]
-    outside = (
-        clear if clear.any() else outside
-    )  # A needle fills all of its cells by such a small fraction.
+    outside = clear if clear.any() else outside  # All cells of a needle may be that empty.
     index, fraction, normal = index[outside], fraction[outside], normal[outside]
     across = solid.voxel * np.abs(normal).sum(axis=1)
     out = normal * ((fraction - 0.5) * across)[:, None]

@@ -16,8 +16,9 @@ from phy124.schema.section import Section
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 ALIKE = 0.2
-"""Largest difference between the sides of the points' and the object's bounding boxes, relative to
-the longest side."""
+"""Largest difference between the sides of the two bounding boxes, of the points and of the object,
+relative to the longest side.
+"""
 
 
 class Properties(Section):
@@ -58,13 +59,14 @@ class Properties(Section):
         Args:
             x: Particles at rest [P,3], m.
             means: Centres of all Gaussians at rest [N,3], m.
-            survivors: Mask, over the Gaussians before cleaning, of those that were kept; None: all.
+            survivors: Mask of the Gaussians that cleaning kept, over all Gaussians before cleaning;
+                None: all were kept.
             is_object: Mask of the Gaussians that are not surroundings [N]; None: all.
 
         Raises:
             InputError: If the file cannot be read or does not fit the object.
         """
-        # Imported late: importing SciPy takes longer than reading most scenes.
+        # Imported only here, because importing SciPy takes longer than reading most scenes.
         from phy124.properties.sampling import nearest, trilinear
 
         table = read_table(self.file)

@@ -1,4 +1,4 @@
-"""Samples values at positions: from the nearest point, or trilinearly between voxels."""
+"""Samples values at positions, from the nearest point or trilinearly between voxels."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def trilinear(
 ) -> dict[str, NDArray[Any]]:
     """Interpolate values trilinearly between the centres of voxels.
 
-    Empty voxels are ignored. A position without an adjacent full voxel gets the value of the
-    nearest full voxel. Names of laws are not interpolated: they are those of the nearest voxel.
+    Empty voxels are ignored. A position that has no adjacent full voxel gets the value of the
+    nearest full voxel. Names of laws are not interpolated, but taken from the nearest voxel.
 
     Args:
         x: Positions [P,3].
@@ -61,7 +61,7 @@ def trilinear(
     for name, column in columns.items():
         if name != "law":
             total = _between(column - column.min(), index, shape, at)
-            # Differences from the smallest value reproduce equal values exactly.
+            # Interpolating differences from the smallest value reproduces equal values exactly.
             values[name] = np.where(
                 near, column.min() + total / np.maximum(weight, 1e-6), values[name]
             )
@@ -75,7 +75,9 @@ def _between(values: NDArray, index: NDArray, shape: tuple[int, ...], at: NDArra
 
 
 def _lattice(points: NDArray) -> tuple[NDArray[np.int_], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the grid index of each point [K,3], the spacing [3] and the first centre [3]."""
+    """Return the grid index of each point [K,3], the spacing of the grid [3] and the centre of the
+    first voxel [3].
+    """
     low = points.min(axis=0)
     spacing = np.array([_step(points[:, axis]) for axis in range(3)])
     index = np.rint((points - low) / spacing).astype(int)

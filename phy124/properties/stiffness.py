@@ -2,8 +2,8 @@
 
 The first parameters of every law are proportional to E. A field multiplies these parameters by a
 factor at each particle: E(x) = fraction(x) E, where E is the material's Young's modulus. Kernels
-then read a row of parameters per particle; in a scene without such a field, all particles share a
-row. A fraction per Gaussian can also be a column of a file of properties (phy124/properties).
+then read one row of parameters per particle. In a scene without such a field, all particles share
+one row. A file of properties can also contain a fraction for each Gaussian (phy124/properties).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from phy124.schema.bounds import FileName
 from phy124.schema.section import Section
 
 MINIMUM = 1e-4
-"""Smallest factor on E; it makes waves a hundred times slower."""
+"""Smallest factor on E, with which waves are a hundred times slower."""
 Fraction = Annotated[float, Field(ge=MINIMUM, le=1)]
 
 
@@ -42,7 +42,9 @@ class _Field(Section):
 
 
 class Gradient(_Field):
-    """Fraction that is linear from one end of the object to the other: a plant, a tail, a root."""
+    """Fraction that varies linearly from one end of the object to the other, as in a plant or a
+    tail.
+    """
 
     kind: Literal["gradient"] = "gradient"
     axis: Literal["x", "y", "z"] = Field(default="z", description="Direction in which it varies.")
@@ -50,7 +52,7 @@ class Gradient(_Field):
     last: Fraction = Field(default=0.1, description="Fraction of E at the highest end of the axis.")
 
     def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
-        """Return fractions [P], linear between the object's ends."""
+        """Return fractions [P] that are linear between the ends of the object."""
         along = np.asarray(x, dtype=np.float64)[:, "xyz".index(self.axis)]
         return np.interp(along, [along.min(), along.max()], [self.first, self.last])
 
@@ -67,7 +69,7 @@ class Picture(_Field):
     white: Fraction = Field(default=1.0, description="Fraction of E where it is white.")
 
     def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
-        """Return fractions [P], linear in the grey value."""
+        """Return fractions [P] that are linear in the grey value."""
         grey = sample_brightness(x, self.file, crop, field="stiffness.file")
         return self.black + grey * (self.white - self.black)
 

@@ -15,11 +15,13 @@ from phy124.io.ply import read_rows
 from phy124.properties.stiffness import MINIMUM
 
 COLUMNS = ("E", "nu", "density", "damping")
-"""Numeric columns, which are fields of a material [Pa, 1, kg/m^3, Pa s]."""
+"""Names of the numeric columns, which are fields of a material [Pa, 1, kg/m^3, Pa s]."""
 FRACTION = "fraction"
-"""Column with a factor on E; the file may have E or not. An .npy file has only this column."""
+"""Name of the column with a factor on E, which a file may contain with or without E. An .npy file
+has only this column.
+"""
 EVERY = (*COLUMNS, FRACTION, "law")
-"""All columns."""
+"""Names of all columns."""
 NAMES = {
     "youngs_modulus": "E",
     "poissons_ratio": "nu",
@@ -29,7 +31,7 @@ NAMES = {
     "voxel_coords_world": "points",
     "query_coords_world": "points",
 }
-"""Name in files of VoMP, Pixie and others -> column name of phy124."""
+"""Maps the names of columns in files of VoMP, Pixie and others to the column names of phy124."""
 LAWS = {
     0: "neo_hookean",
     1: "metal",
@@ -39,8 +41,9 @@ LAWS = {
     5: "snow",
     6: "rigid",
 }
-"""Laws by their numbers in PhysGaussian and Pixie; number 6 means immovable there, but rigid
-here."""
+"""Laws by their numbers in PhysGaussian and Pixie; there, number 6 means immovable, but here it
+means rigid.
+"""
 MAX_POINTS = 5_000_000
 FORMS = "Give .ply with columns, or .npz with arrays of E, nu, density, damping, law or fraction."
 
@@ -50,11 +53,17 @@ class Table:
     """Properties of K points, or of K voxels that are not empty."""
 
     columns: dict[str, NDArray[Any]]
-    """Columns [K] in the file, by names in `EVERY`: numbers as float64, laws as names."""
+    """Columns [K] of the file, keyed by their names in `EVERY`: numbers as float64, laws as
+    names.
+    """
     points: NDArray[np.float64] | None
-    """Positions in the file's axes and unit [K,3]; None: values in the order of the Gaussians."""
+    """Positions in the axes and the unit of the file [K,3]; None: the values are in the order of
+    the Gaussians.
+    """
     whole: bool = False
-    """Whether positions are fractions of the object's box, as for voxels without bounds."""
+    """Whether positions are fractions of the object's bounding box, as for voxels without
+    bounds.
+    """
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
@@ -110,7 +119,9 @@ def _columns_of(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
-    """Return the points' positions [K,3], from columns x, y, z or one array; None if missing."""
+    """Return the positions of the points [K,3], from the columns x, y, z or from one array; None if
+    there are none.
+    """
     if "points" in columns:
         points = columns["points"]
     elif {"x", "y", "z"} <= columns.keys():
@@ -125,10 +136,11 @@ def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64]
 
 
 def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.float64]]:
-    """Return columns and centres of the voxels of dense arrays [X,Y,Z]; NaN marks empty voxels.
+    """Return the columns and the centres of the voxels in dense arrays [X,Y,Z], in which NaN marks
+    empty voxels.
 
-    `lower` and `upper` are the centres of the first and last voxel. Without `lower` and `upper`,
-    the voxels fill a box of side 1.
+    `lower` and `upper` are the centres of the first and last voxel. If they are missing, the voxels
+    fill a box of side 1.
     """
     dense = {name: columns[name] for name in EVERY if name in columns}
     shape = next(iter(dense.values())).shape
@@ -164,7 +176,7 @@ def _numbers(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]
         raise _refusal(path, f"its {name} are not numbers.", FORMS) from None
     if not np.isfinite(values).all():
         bad = int((~np.isfinite(values)).sum())
-        raise _refusal(path, f"{bad:,} values of {name} are not finite.", "Leave those points out.")
+        raise _refusal(path, f"{bad:,} values of {name} are not finite.", "Remove these points.")
     return values
 
 

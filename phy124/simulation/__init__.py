@@ -2,9 +2,9 @@
 
 `Simulation(prepare(gaussians, Scene.named("press")))` yields the frames of the preset `press`.
 Frame 0 is the object at rest. A frame in which the solver or an observer detects a violation is
-repeated with half the substep. If the second attempt fails too, `Stopped` gives the reason, and the
-frames so far remain valid. `prepare` refuses runs that would take hours, or need more memory than
-is free.
+repeated with half the substep. If the second attempt also fails, `Stopped` gives the reason; the
+frames computed so far remain valid. `prepare` refuses runs that would take hours, or need more
+memory than is free.
 """
 
 from phy124.simulation.run import Interrupted, Simulation, Stopped

@@ -19,7 +19,7 @@ from phy124.particles.grains import add_grains, tint, vary_brightness
 from phy124.scene import Scene
 
 BLOCK = 1 << 15
-"""Number of Gaussians that are measured at a time, so that they stay in the cache."""
+"""Number of Gaussians that are measured at once, so that their data stay in the cache."""
 
 
 class Appearance(NamedTuple):
@@ -28,7 +28,7 @@ class Appearance(NamedTuple):
     gaussians: Gaussians
     """All N + G Gaussians at rest, in metres; the grains come last."""
     particles: Particles
-    """Particles of the solver; each moving Gaussian may have a particle of its own."""
+    """Particles of the solver; each moving Gaussian may be represented by a particle."""
     moves: NDArray[np.bool_]
     """Mask of the Gaussians that move [N + G]."""
     max_stretch: NDArray[np.float64]
@@ -45,7 +45,7 @@ class Appearance(NamedTuple):
     """Index of the material of each moving Gaussian."""
 
     def limits(self) -> dict[str, Any]:
-        """Return the arguments of `Deformer` that limit the shapes."""
+        """Return the arguments of `Deformer` that limit the shapes of Gaussians."""
         return {
             "max_stretch": self.max_stretch,
             "rounds": self.rounds,
@@ -54,8 +54,8 @@ class Appearance(NamedTuple):
         }
 
     def shine(self, materials: Sequence[AnyMaterial]) -> dict[str, list[list[int]]]:
-        """Return the spans of the Gaussians of each glossy law; a span is its first index and one
-        past its last.
+        """Return the spans of the Gaussians of each glossy law; a span is the first index and the
+        index after the last.
         """
         laws = sorted({section.law for section in materials if section.shines})
         return {law: self._spans(self._has_law(law, materials)) for law in laws}
@@ -64,7 +64,7 @@ class Appearance(NamedTuple):
         """Return, for each liquid, its visibility [m] or None, the spans of its Gaussians, and the
         volume of a Gaussian in each span [m^3].
 
-        A grain has the volume of a particle. The Gaussians of the surface share the volume of the
+        A grain has the volume of a particle. The Gaussians on the surface share the volume of the
         particles that have no grain.
         """
         liquids = []
@@ -148,7 +148,7 @@ def _elongation(scales: Array, chosen: NDArray[np.int64]) -> tuple[float, float]
     """Return the largest ratios of the longest axis to the middle and to the shortest axis."""
     needle = flat = 1.0
     for start in range(0, len(chosen), BLOCK):
-        # This takes a sixth of the time of sorting three numbers each.
+        # This takes a sixth of the time of sorting the three lengths of each Gaussian.
         some = scales[chosen[start : start + BLOCK]]
         a, b, c = np.maximum(some, np.finfo(np.float32).tiny).T
         low, high = np.minimum(a, b), np.maximum(a, b)
@@ -195,7 +195,7 @@ def make_appearance(
         particles,
         moves,
         max_stretch=np.array([section.longest for section in materials])[kinds],
-        # Grains are below the surface: as balls they would show through thin parts.
+        # Grains are below the surface; as balls they would be visible through thin parts.
         rounds=flows & (np.flatnonzero(moves) < surface),
         flows=flows,
         kinds=kinds,

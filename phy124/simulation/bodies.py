@@ -1,7 +1,8 @@
-"""Makes the particles and the appearance of each object of a scene, and joins them for one solver.
+"""Creates the particles and the visible Gaussians of each object in a scene, and joins all objects
+for one solver.
 
-Each object is made separately, as if it were alone, on the grid of the whole scene. Props, which
-follow a path or move freely as rigid solids, have no particles.
+Each object is created separately, as if it were alone in the scene, on the grid of the whole scene.
+Props, which follow a path or move freely as rigid solids, have no particles.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ from phy124.simulation.placing import belongs, number_among_all, place, renumber
 FEWEST = 8
 """Number of cells along an object below which a note warns the user."""
 PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
-"""Fields of an appearance that have an entry for each moving Gaussian."""
+"""Names of the fields of an appearance that have one entry per moving Gaussian."""
 
 
 class Placed(NamedTuple):
@@ -66,12 +67,12 @@ class Placed(NamedTuple):
     """Interior of the object; None if it is not known yet."""
 
     def within(self, scene: Scene) -> Placed:
-        """Return the object in another scene with another grid; the object keeps its own parts."""
+        """Return the object for another scene with another grid; the object keeps its parts."""
         return self._replace(scene=scene.model_copy(update={"parts": self.scene.parts}))
 
 
 class Body(NamedTuple):
-    """One object, or all objects of a scene joined, ready for the solver."""
+    """One object, or all objects of a scene joined into one, ready for the solver."""
 
     scene: Scene
     """The scene; its parts refer to the Gaussians that are left after cleaning."""
@@ -83,7 +84,9 @@ class Body(NamedTuple):
     """Visible Gaussians, and the particles."""
     materials: Sequence[AnyMaterial]
     stiffness: NDArray | None
-    """Factor on E of each particle, relative to its material [P]; None if all are 1."""
+    """Factor on E of each particle, relative to the E of its material [P]; None if all factors are
+    1.
+    """
     interiors: Sequence[tuple[Solid, float]] = ()
     """Interior, without surroundings, and longest side [m] of each moving object."""
     placed: Placed | None = None
@@ -91,7 +94,7 @@ class Body(NamedTuple):
 
 
 def make_body(gaussians: Gaussians, scene: Scene, crop: Crop, placed: Placed | None = None) -> Body:
-    """Make all objects of a scene.
+    """Create all objects of a scene.
 
     Args:
         gaussians: The objects at any size, standing upright, facing +x; without `object_id` they
@@ -99,7 +102,7 @@ def make_body(gaussians: Gaussians, scene: Scene, crop: Crop, placed: Placed | N
         scene: The scene.
         crop: Position of the first object in the picture on which the masks of its parts were
             painted.
-        placed: A single object in its position, if it is known.
+        placed: A single object in its position, if the position is already known.
 
     Raises:
         InputError: The Gaussians cannot be used for this scene.
@@ -128,7 +131,7 @@ def make_body(gaussians: Gaussians, scene: Scene, crop: Crop, placed: Placed | N
 
 
 def proportions_of(gaussians: Gaussians, scene: Scene) -> Proportions | None:
-    """Return the proportions of a scene's objects; None if all of them are scenery.
+    """Return the proportions of the objects in a scene; None if all objects are scenery.
 
     Args:
         gaussians: The objects, as for `make_body`.
@@ -150,11 +153,11 @@ def proportions_of(gaussians: Gaussians, scene: Scene) -> Proportions | None:
 
 @contextmanager
 def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
-    """Within this context, errors about an object, except the first one, begin with the object's
-    name.
+    """Within this context, errors about an object begin with the object's name, except for the
+    first object.
 
     Raises:
-        InputError: The same refusal, with the object's name.
+        InputError: The original error, with the object's name added.
     """
     try:
         yield
@@ -179,7 +182,7 @@ def refuse_ids(gaussians: Gaussians, scene: Scene) -> None:
     """Check that all Gaussians belong to objects of the scene.
 
     Raises:
-        InputError: Some belong to an object that the scene does not have.
+        InputError: Some Gaussians belong to an object that the scene does not have.
     """
     last = 0 if gaussians.object_id is None else int(gaussians.object_id.max(initial=0))
     count = len(scene.names)
@@ -228,7 +231,7 @@ def make_scenery(scene: Scene, shown: Gaussians, moves: NDArray[np.bool_]) -> Sc
 
 
 def planes_for_free(scene: Scene) -> list[Plane]:
-    """Return the flat walls that free solids touch: all walls that are not limited to one
+    """Return the flat walls that freely moving solids touch: all walls that are not limited to one
     object.
     """
     if not free_indices(scene):
@@ -249,7 +252,7 @@ def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
     if len(present) or not isinstance(body, SceneObject):
         return present
     if body.shape is not None:
-        # In a liquid, a pattern would flow along like a dye.
+        # In a liquid, a pattern would flow with the liquid like a dye.
         patterned = not isinstance(body.material, Fluid)
         return make_shape(body.shape, body.sides, body.colour, patterned=patterned)
     if not body.waits:
@@ -268,7 +271,7 @@ def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> Placed:
 
 
 def _with_particles(placed: Placed, spacing: float) -> Body:
-    """Make the particles of one object, and its appearance."""
+    """Create the particles and the appearance of one object."""
     scene, gaussians, belonging = placed.scene, placed.gaussians, placed.belonging
     alone, points = gaussians.select(belonging), None
     interior = placed.interior or find_interior(alone)
@@ -319,7 +322,7 @@ def _without_particles(placed: Placed) -> Body:
 
 
 def _join(bodies: list[Body], scene: Scene) -> Body:
-    """Join all objects; first come the surfaces of all objects, then the grains of all objects."""
+    """Join all objects; the surfaces of all objects come first, then the grains of all objects."""
     refuse_objects([body.appearance.particles for body in bodies], scene)
     pairs = zip(scene.objects, bodies[1:], strict=True)
     objects = [item.model_copy(update={"parts": body.scene.parts}) for item, body in pairs]
@@ -347,7 +350,7 @@ def _join(bodies: list[Body], scene: Scene) -> Body:
 
 
 def _join_appearances(bodies: list[Body]) -> Appearance:
-    """Join the appearances of all objects: first all surfaces, then all grains."""
+    """Join the appearances of all objects: first the surfaces, then the grains."""
     looks, surfaces = [body.appearance for body in bodies], [len(body.gaussians) for body in bodies]
     counts = [len(look.moves) for look in looks]
     starts = np.cumsum([0, *counts])

@@ -1,9 +1,9 @@
-"""Assigns materials to particles: from the parts of a scene, a file of properties, or a stiffness
-field.
+"""Assigns materials to particles according to the parts of a scene, a file of properties, or a
+stiffness field.
 
 A part is selected by a box in space, by a segmentation mask of the picture, by the Gaussians it
-contains, or by several of these at once. Later parts override earlier ones; particles in no part
-have the scene's material. Static parts have no particles.
+contains, or by several of these at once. Later parts override earlier parts. Particles that are in
+no part have the scene's material. Static parts have no particles.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ def assign(
     crop: Crop = WHOLE,
     means: NDArray | None = None,
 ) -> NDArray[np.int32]:
-    """Return the index of each particle's material [P]: 0 for the scene's material, i for that of
-    part i (from 1).
+    """Return the index of each particle's material [P]: 0 for the scene's material, i for the
+    material of part i (from 1).
 
     Args:
         x: Positions at rest [P,3], m; the object is upright and faces +x.
-        gaussian: Index of each particle's Gaussian [P]; -1: the nearest Gaussian decides.
+        gaussian: Index of each particle's Gaussian [P]; for -1, the nearest Gaussian decides.
         parts: The scene's parts.
         crop: Position of the object in the picture on which the masks were painted.
-        means: Centres of the Gaussians [N,3], m, if no particle has a Gaussian of its own.
+        means: Centres of the Gaussians [N,3], m, if no particle represents a single Gaussian.
 
     Raises:
         InputError: A mask cannot be read, or a part contains no particle.
@@ -72,7 +72,8 @@ def assign_materials(
     """Return particles with the materials of their parts, and the mask of the moving Gaussians [N].
 
     Args:
-        particles: Particles of all Gaussians, so that a cut through a solid leaves it filled.
+        particles: Particles of all Gaussians, static ones included, so that a solid stays filled if
+            a part of it is cut off.
         means: The Gaussians at rest [N,3], m.
         scene: The scene, with its parts.
         crop: Position of the object in the picture on which the masks were painted.
@@ -82,7 +83,7 @@ def assign_materials(
         Gaussians; and the mask of moving Gaussians.
 
     Raises:
-        InputError: A part contains nothing, or everything is static.
+        InputError: A part contains no particle, or all Gaussians are static.
     """
     every = np.ones(len(means), bool)
     if not scene.parts:
@@ -93,7 +94,8 @@ def assign_materials(
     if static.any():
         seen = assign(means, np.arange(len(means)), scene.parts, crop)
         bound = particles.gaussian >= 0
-        # A Gaussian and its particle must agree, although filler particles may extend a mask.
+        # A Gaussian and its particle must have the same material, although filler particles may
+        # extend a mask.
         part[bound] = seen[particles.gaussian[bound]]
         moves = ~static[seen]
     kept = np.flatnonzero(~static[part])
@@ -103,7 +105,7 @@ def assign_materials(
             "parts", "static = true", limit, "Set static = false for at least one part."
         )
     laws = [section.device_law.name for section in scene.materials]
-    # Index of each part's material among the materials of moving parts.
+    # Index of each part's material among the materials of all moving parts.
     material = (np.cumsum(~static) - 1)[part[kept]]
     law = np.array([laws.index(name) for name in laws])[material]
     order = np.argsort(law, kind="stable")
@@ -123,7 +125,7 @@ def assign_materials(
 def _belong_to(
     x: NDArray, gaussian: NDArray, span: tuple[int, int], means: NDArray | None
 ) -> NDArray[np.bool_]:
-    """Return the mask of the particles whose own or nearest Gaussian is in a span."""
+    """Return the mask of the particles whose Gaussian, or nearest Gaussian, is in a span."""
     owner = gaussian.copy()
     bound, filler = gaussian >= 0, gaussian < 0
     if means is not None and not bound.any():
@@ -174,11 +176,13 @@ def vary_materials(
 def with_properties(
     particles: Particles, columns: dict[str, NDArray[Any]], materials: Sequence[AnyMaterial]
 ) -> tuple[Particles, list[AnyMaterial], NDArray[np.intp]]:
-    """Return particles with the materials of a file, sorted by law; these materials; and the order.
+    """Return particles with the materials of a file, sorted by law, and also these materials and
+    the order.
 
     Args:
         particles: The moving particles, whose materials are indices into `materials`.
-        columns: E, nu, density, damping [P] and names of laws [P]; only the columns of the file.
+        columns: E, nu, density, damping [P] and names of laws [P], as far as the file contains
+            them.
         materials: The scene's materials; a column replaces the field of the same name.
 
     Raises:
@@ -196,7 +200,7 @@ def with_properties(
         name = listed[int(np.argmin(used))]
         limit = f"the law {bases[base[0]].law} has no {name}."
         raise InputError(
-            "properties.file", name, limit, "Use another law, or leave this property out."
+            "properties.file", name, limit, "Use another law, or remove this property."
         )
     values = (np.where(has[base, i], columns[name], 0.0) for i, name in enumerate(listed))
     rows = np.column_stack([base, *values])
@@ -229,7 +233,7 @@ def _find_or_add(name: str, bases: list[AnyMaterial]) -> int:
 
 
 def _with_values(base: AnyMaterial, values: dict[str, float]) -> AnyMaterial:
-    """Return a material with these values; values for which the material has no field are
+    """Return a material with the given values; values for which the material has no field are
     ignored.
     """
     fields = {name: value for name, value in values.items() if name in type(base).model_fields}
@@ -269,7 +273,8 @@ def stiffness_fractions(
         means: The object's Gaussians [N,3], m.
         scene: The scene, with its stiffness and materials.
         crop: Position of the object in its picture.
-        listed: Fractions [P] from a file of properties, multiplied by those of the stiffness.
+        listed: Fractions [P] from a file of properties, which are multiplied by the fractions of
+            the stiffness.
 
     Raises:
         InputError: No material has an E that may vary, or a fraction of E is below a law's bounds.
@@ -281,7 +286,7 @@ def stiffness_fractions(
         field = "properties.file" if scene.stiffness is None else "stiffness"
         kind = "fraction" if scene.stiffness is None else scene.stiffness.kind
         limit = f"the law {scene.material.law} has no Young's modulus that may vary."
-        raise InputError(field, kind, limit, f"Use another law, or leave {kind} out.")
+        raise InputError(field, kind, limit, f"Use another law, or remove {kind}.")
     fractions = np.ones(len(particles)) if listed is None else listed
     if scene.stiffness is not None:
         fractions = fractions * scene.stiffness.fractions(particles.x, means, crop)

@@ -17,7 +17,9 @@ from phy124.particles import Particles
 from phy124.scene import Scene
 
 DEEPEST = 1.0
-"""Largest allowed overlap at the start [cells]; a surface is known only to within a cell."""
+"""Largest allowed overlap at the start [cells]; the position of a surface is known only to within
+one cell.
+"""
 MOST = 0.1
 """Largest allowed fraction of the material that starts deeper than `DEEPEST` inside a wall; a
 smaller fraction is reported in a note.
@@ -35,7 +37,7 @@ class Buried(NamedTuple):
 
     @property
     def what(self) -> str:
-        """The fraction and the depth, worded as a clause of a message."""
+        """The fraction and the depth, as a clause of a message."""
         return (
             f"{self.fraction:.1%} of the material starts inside it, up to {self.depth:.2g} m deep"
         )
@@ -83,7 +85,8 @@ def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried
 
 
 def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
-    """Refuse material that is inside a rigid solid at the start, because it would stay there.
+    """Refuse material that is inside a rigid solid at the start, because the material would stay
+    there.
 
     Args:
         solids: The rigid solids.
@@ -91,7 +94,7 @@ def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
         scene: The scene, which defines the size of a cell.
 
     Raises:
-        InputError: Some material is inside; the message gives the depth.
+        InputError: Some material is inside a solid; the message gives the depth.
     """
     for solid in solids:
         deepest = solid.measure_depth(x).max(initial=-np.inf)

@@ -58,10 +58,10 @@ def placing(
 
 
 def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
-    """Move each object that stands on another object vertically until the two touch.
+    """Move each object that stands on another object vertically until the two objects touch.
 
     Args:
-        placed: Each object in its place above the floor.
+        placed: Each object in its position above the floor.
         scene: The scene, which defines the object under each object, and the lift.
 
     Raises:
@@ -71,7 +71,7 @@ def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
     objects, names = scene.every_object, scene.names
     waiting = [index for index, body in enumerate(objects) if body.on in names]
     while waiting:
-        # Lower objects first; a valid scene has no cycles.
+        # Lower objects are moved first; a valid scene has no cycles.
         index = next(i for i in waiting if names.index(objects[i].on) not in waiting)
         waiting.remove(index)
         below = raised[names.index(objects[index].on)]
@@ -87,14 +87,18 @@ def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
 
 
 def _gap(below: Gaussians, above: Gaussians, cell: float) -> float | None:
-    """Return the smallest vertical gap between two objects [m]; None if not one above the other."""
+    """Return the smallest vertical gap between two objects [m]; None if neither is above the
+    other.
+    """
     tops, bottoms = _heights(below, cell, 1.0), _heights(above, cell, -1.0)
     gaps = [-bottoms[at] - tops[at] for at in tops.keys() & bottoms.keys()]
     return min(gaps, default=None)
 
 
 def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, int], float]:
-    """Return the largest height over each square or, with sign -1, minus the smallest height."""
+    """Return the largest height over each square of a grid or, if the sign is -1, minus the
+    smallest height.
+    """
     squares = np.floor(gaussians.means[:, :2] / cell).astype(int)
     reach = np.sqrt(gaussians.covariances()[:, 2, 2])
     height = sign * gaussians.means[:, 2] + reach
@@ -105,7 +109,7 @@ def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, 
 
 
 def number_among_all(particles: Particles, belonging: NDArray[np.bool_]) -> Particles:
-    """Return the object's particles; their Gaussians are numbered among all Gaussians."""
+    """Return the particles of the object, with their Gaussians numbered among all Gaussians."""
     if belonging.all():
         return particles
     gaussian = particles.gaussian
@@ -114,7 +118,9 @@ def number_among_all(particles: Particles, belonging: NDArray[np.bool_]) -> Part
 
 
 def renumber_parts(scene: Scene, survivors: NDArray[np.bool_] | None) -> Scene:
-    """Return the scene with the parts' Gaussians renumbered after some Gaussians were dropped."""
+    """Return the scene, with the Gaussians of its parts renumbered after some Gaussians have been
+    dropped.
+    """
     if survivors is None or survivors.all():
         return scene
     before = np.concatenate([[0], np.cumsum(survivors)])

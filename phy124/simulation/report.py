@@ -15,7 +15,7 @@ from phy124.simulation import bodies, overlap
 from phy124.simulation.setup import Setup
 
 Run = Any
-"""A `Simulation`; its class cannot be imported here, because its module imports this one."""
+"""A `Simulation`, whose class cannot be imported here, because its module imports this module."""
 
 
 def report_run(run: Run) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def report_run(run: Run) -> dict[str, Any]:
 
 
 def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
-    """Return those entries of the report that describe the Gaussians of the complete clip."""
+    """Return the entries of the report that describe the Gaussians of the complete clip."""
     look, count = setup.appearance, len(clip.opacities)
     return {
         "gaussians": count,

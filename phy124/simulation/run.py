@@ -38,16 +38,20 @@ from phy124.simulation.spent import Spent
 
 
 class Stopped(RuntimeError):
-    """Raised if a run ends early because its results would be wrong; the message says why."""
+    """Raised if a run ends early because its results would be wrong; the message gives the
+    reason.
+    """
 
     def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
         self.remedies = tuple(remedies)
-        """Changes to the scene; each of them is a remedy by itself."""
+        """Changes to the scene, each of which is sufficient as a remedy."""
         super().__init__(f"{why} {advise(remedies)}".strip())
 
 
 class Interrupted(Cancelled):
-    """Raised if a run is cancelled; its frames so far are valid, `resume` can save its state."""
+    """Raised if a run is cancelled; the frames computed so far are valid, and `resume` can save the
+    state of the run.
+    """
 
     def __init__(self, run: Simulation) -> None:
         self.run = run
@@ -91,19 +95,21 @@ class Simulation:
         self.rotations: list[NDArray] = []
         """Rotations of the Gaussians in each frame [N,4] wxyz, if their colours depend on them."""
         self.poses: list[NDArray] = []
-        """Centre [m] and orientation (wxyz) of each free solid in every frame [F,7]."""
+        """Centre [m] and orientation (wxyz) of each freely moving solid in every frame [F,7]."""
         self.retried: list[int] = []
         """Indices of the frames that were repeated with half the substep."""
         self.stopped: str | None = None
         self.remedies: tuple[Remedy, ...] = ()
-        """The reason for a stop, and its remedies; None and empty unless the run has stopped."""
+        """The reason for a stop, and its remedies; None and an empty list unless the run has
+        stopped.
+        """
         self.remarks: list[str] = []
         """Further notes for the report."""
         self.most_substeps = math.inf
         """Largest number of substeps of a frame; live runs limit it."""
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames in order, beginning with the one after the last computed frame.
+        """Yield the frames in order, beginning with the frame after the last computed frame.
 
         Raises:
             Stopped: A frame is wrong, or the run has used twice its time budget.
@@ -146,7 +152,8 @@ class Simulation:
         """Continue with the forces and boundaries of another scene, from the next substep on.
 
         Raises:
-            InputError: One of them does not fit the object or the grid; nothing has changed.
+            InputError: A force or boundary does not fit the object or the grid; in this case
+                nothing has changed.
         """
         rejected = self.solver.rejection.rejected
         scene = keep_lattice(scene, self.setup.scene)
@@ -172,13 +179,14 @@ class Simulation:
         record: Callable[[Simulation], object] = lambda run: None,
         shapes: bool = True,
     ) -> Clip:
-        """Return all frames as a clip; after an early stop, only the valid frames, and the reason.
+        """Return all frames as a clip; after an early stop, the clip contains only the valid
+        frames, and the reason.
 
         Args:
             each: Function called with every frame as soon as it is computed.
             record: Function called with this simulation after every frame, before `each`. Without
                 `each`, light runs compute the Gaussians only when the clip's frames are read.
-            shapes: As for `clip`.
+            shapes: The same argument as for `clip`.
 
         Raises:
             Interrupted: The run was cancelled; its state is the state after the last frame.
@@ -200,11 +208,11 @@ class Simulation:
         return self.clip(shapes=shapes)
 
     def clip(self, *, shapes: bool = True) -> Clip:
-        """Return the frames so far as a clip.
+        """Return the frames computed so far as a clip.
 
         Args:
-            shapes: Whether the report of a light run has the shapes of the Gaussians, for which
-                all frames are computed; `shapes_of` adds them later.
+            shapes: Whether the report of a light run describes the shapes of the Gaussians, for
+                which all frames must be computed; `shapes_of` adds the description later.
 
         Raises:
             ValueError: The frames were not kept.
@@ -233,7 +241,8 @@ class Simulation:
         return clip.with_report(report | (self.shapes_of(clip) if shapes or not self.light else {}))
 
     def shapes_of(self, clip: Clip, *, every: bool = True) -> dict[str, Any]:
-        """Return the report's entry about the shapes of the Gaussians in the run's clip.
+        """Return the entry of the report that describes the shapes of the Gaussians in the run's
+        clip.
 
         Args:
             clip: The clip.
@@ -279,7 +288,9 @@ class Simulation:
 
     @lock_gpu
     def _make_frame(self, index: int, time: float) -> Frame:
-        """Return a frame: deform the Gaussians, then add the results of observers and scenery."""
+        """Return a frame: the deformed Gaussians with the results of observers and the scenery
+        added.
+        """
         state, scenery, stage = (
             self.solver.state,
             self.setup.scenery,
@@ -401,7 +412,7 @@ class Simulation:
             clock.cfl, clock.ceiling, clock.measure_every = usual
 
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
-        """Attempt a frame.
+        """Attempt to compute a frame.
 
         Return None if the frame is valid; otherwise reset the state and return the violation.
         """
@@ -463,8 +474,8 @@ class Simulation:
         return [o for o in self.observers if o.in_substeps or o.in_gathers]
 
     def _follower(self, index: int) -> Callable[[], None]:
-        """Return the function to call after each substep: it runs observers and checks time budget
-        and progress.
+        """Return the function to call after each substep, which runs observers and checks time
+        budget and progress.
         """
         budget, frames = self.scene.time.budget, self.scene.time.frames
         progress, solver = self.setup.context.progress, self.solver

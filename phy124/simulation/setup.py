@@ -38,7 +38,7 @@ from phy124.simulation.overlap import refuse_solids
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Everything that determines a run; a setup may be run many times."""
+    """All data that determine a run; a setup may be run many times."""
 
     source: Gaussians
     """The Gaussians from which the setup was made."""
@@ -47,7 +47,7 @@ class Setup:
     scene: Scene
     """The scene, with the solver that the device uses for elastic objects."""
     no_lattice: str
-    """Reason why no object is on a lattice; empty if elastic objects are on lattices."""
+    """Reason why no object is simulated on a lattice; empty if the elastic objects are."""
     solid_scene: Scene
     """The scene, in which objects on a path are walls, too."""
     cleaned_scene: Scene
@@ -68,9 +68,11 @@ class Setup:
     materials: Sequence[AnyMaterial]
     """Materials of the particles."""
     stiffness: NDArray[np.float64] | None
-    """Factor on E of each particle, relative to its material [P]; None if all are 1."""
+    """Factor on E of each particle, relative to the E of its material [P]; None if all factors are
+    1.
+    """
     free: tuple[FreeBody, ...]
-    """Props that move freely as rigid solids."""
+    """Props (objects without deformation) that move freely as rigid solids."""
     scenery: Scenery
     """All Gaussians at rest, and the props and parts that the solver does not move."""
     estimate: Estimate
@@ -98,7 +100,7 @@ class Setup:
 
     @cached_property
     def proportions(self) -> Proportions | None:
-        """Proportions of the objects; None if all of them are scenery."""
+        """Proportions of the objects; None if all objects are scenery."""
         if not self.interiors:
             return None
         with self.context.watch.stage("thickness"):
@@ -135,7 +137,7 @@ def prepare(
         keep: Whether to keep all frames for a clip; if not, the frames may exceed the memory.
         shapes: Whether to deform the Gaussians of each frame.
         changes: Whether to allow `Simulation.change`.
-        observers: Classes of observers to choose from; None: those of the scene's solver.
+        observers: Classes of observers to choose from; None: the observers of the scene's solver.
         placed: A single object in its position, from an earlier setup of the same Gaussians.
 
     Raises:
@@ -156,7 +158,7 @@ def prepare(
         solid_scene = scene.with_solids()
         threads = usable_workers(len(look.particles), context.device, context.threads)
         if scene.on_lattice:
-            along = 0  # Cells stay in the order of the lattice.
+            along = 0  # The cells stay in the order of the lattice.
         along = slab_axis(look.particles, threads) if along is None else along
         particles, stiffness = sort_for_slabs(
             look.particles, body.materials, body.stiffness, scene.dx, along
@@ -196,8 +198,8 @@ def prepare(
 
 
 def slab_axis(particles: Particles, threads: int) -> int:
-    """Return the axis along which particles are sorted: x, or with several threads the longest
-    one.
+    """Return the axis along which particles are sorted: x or, if there are several threads, the
+    longest axis.
     """
     return int(np.argmax(np.ptp(particles.x, axis=0))) if threads > 1 else 0
 
@@ -216,7 +218,7 @@ def sort_for_slabs(
         materials: Materials of the particles.
         stiffness: Values for each particle [P], or None.
         dx: Thickness of a layer [m].
-        axis: The axis across the layers; for 0 the order is not changed.
+        axis: The axis perpendicular to the layers; for axis 0, the order is not changed.
     """
     if axis == 0:
         return particles, stiffness
@@ -233,7 +235,7 @@ def sort_for_slabs(
 def costliest_scene(scene: Scene, materials: Sequence[AnyMaterial]) -> Scene:
     """Return the scene for the cost estimate.
 
-    A file of properties is replaced by the material in it with the highest wave speed.
+    A file of properties is replaced by the material in this file that has the highest wave speed.
     """
     if scene.properties is None:
         return scene

@@ -1,4 +1,4 @@
-"""Makes the solver of a setup at time 0, and lists the kernels of a scene."""
+"""Creates the solver of a setup at time 0, and lists the kernels of a scene."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 FLOOR_NODE = 0.75
-"""Distance from the floor down to a layer of nodes [cells]."""
+"""Distance from the floor down to the next layer of nodes below it [cells]."""
 
 
 def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
@@ -143,8 +143,8 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
 def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     """Yield the kernels that one thread launches in a run of a scene.
 
-    Kernels of grabs and wrenches on a part of the object are omitted; when one is needed, it is
-    compiled in 0.3 s.
+    Kernels of grabs and wrenches on a part of the object are omitted; such a kernel is compiled in
+    0.3 s when it is needed.
     """
     scene = choose_solver(scene, device)
     precision = scene.precision
@@ -198,7 +198,7 @@ def find_wet(fluid: NDArray, material: NDArray | None, body: NDArray | None) -> 
 
     Args:
         fluid: Whether each material is a liquid [M].
-        material: Material of each particle [P]; None: the first one.
+        material: Material of each particle [P]; None: the first material.
         body: Index of each particle's body [P]; None: a single body.
     """
     if material is None or body is None:
@@ -208,25 +208,29 @@ def find_wet(fluid: NDArray, material: NDArray | None, body: NDArray | None) -> 
 
 
 def scheme_of(scene: Scene) -> Scheme:
-    """Return a scene's grid-to-particle transfer scheme."""
+    """Return the grid-to-particle transfer scheme of a scene."""
     accuracy = scene.resolution
     return Scheme(accuracy.passes, accuracy.share, accuracy.rpic_damping)
 
 
 def number_bodies(body: NDArray | None) -> NDArray | None:
-    """Return body indices without gaps [P]; scenery has an index in the scene but no particles."""
+    """Return body indices without gaps [P], since scenery has an index in the scene but no
+    particles.
+    """
     return None if body is None else np.unique(body, return_inverse=True)[1].reshape(-1)
 
 
 def _pairs(names: Sequence[str], scene: Scene) -> Iterator[Pair]:
-    """Yield the contact between the bodies of each pair that is named."""
+    """Yield the contact between the two bodies of each pair that the scene names."""
     for first, second in combinations(range(len(names)), 2):
         contact = find_pair(scene.pairs, names[first], names[second])
         yield Pair(first, second, contact.friction, contact.contact == "sticky")
 
 
 def _initial_motion(x: NDArray, particles: Particles, scene: Scene) -> tuple[NDArray, NDArray]:
-    """Return velocities [P,3], m/s, and gradients [P,3,3], 1/s, of the initial rigid motions."""
+    """Return the velocities [P,3], m/s, and velocity gradients [P,3,3], 1/s, of the initial rigid
+    motions.
+    """
     if particles.body is None:
         return _rigid_motion(x, particles.mass, scene.object)
     v, C = np.zeros((len(x), 3)), np.zeros((len(x), 3, 3))
@@ -238,7 +242,7 @@ def _initial_motion(x: NDArray, particles: Particles, scene: Scene) -> tuple[NDA
 
 
 def _rigid_motion(x: NDArray, mass: NDArray, body: Object) -> tuple[NDArray, NDArray]:
-    """Return the velocities of one object's rigid motion, and their gradients."""
+    """Return the velocities of the rigid motion of an object, and the velocity gradients."""
     wx, wy, wz = body.spin
     gradient = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
     centre = (mass[:, None] * x).sum(axis=0) / mass.sum()

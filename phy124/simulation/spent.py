@@ -1,4 +1,4 @@
-"""Measures the CPU time that a simulation has spent; `time.budget` limits this time.
+"""Measures the CPU time that a simulation has spent, which `time.budget` limits.
 
 The time of other programs is not counted, so a run does not stop because of them.
 """
@@ -20,7 +20,7 @@ class Spent:
     """
 
     def __init__(self, team: Team[int], device: str) -> None:
-        """Start at zero.
+        """Set the time to zero.
 
         Args:
             team: The threads that simulate.
