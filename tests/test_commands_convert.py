@@ -95,7 +95,7 @@ def test_without_its_package_4dgs_says_what_to_install(clip, capsys, monkeypatch
         ("--to html", "clip.safetensors --format html`"),
         ("--to glb --frame 3", "The clip has the frames 0 to 2"),
         ("--to glb --frame -1", "The clip has the frames 0 to 2"),
-        ("--to glb --frame 1 --all", "Leave one of them out"),
+        ("--to glb --frame 1 --all", "Remove one of the two options"),
         ("--to glb --out no/a.glb", "no file can be written"),
         ("--to p4d --out clip.safetensors", "It is the name of a file that the export reads"),
         ("--to frames --out ./clip.safetensors", "It is the name of a file that the export reads"),

@@ -87,7 +87,7 @@ def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, m
     assert main([*arguments, "--max-seconds", "1000"]) == 0
     assert "asked for at most 1000 s: D/" in capsys.readouterr().out
     assert main([*arguments, "--max-error", "2%"]) == 2
-    assert "Leave --dry-run out" in capsys.readouterr().err
+    assert "Remove --dry-run" in capsys.readouterr().err
 
 
 def test_simulate_meets_a_time_and_compares_its_forecast(file, tmp_path, capsys, monkeypatch):

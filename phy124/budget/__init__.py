@@ -1,4 +1,4 @@
-"""Estimates the time and memory of a run; refuses a run that exceeds the budget, and suggests
+"""Estimates the time and memory of a run, refuses a run that exceeds the budget, and suggests
 remedies.
 
 The package also lists the effects that a run computes or leaves out. An estimate uses a closed

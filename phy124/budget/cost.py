@@ -27,40 +27,48 @@ GAUSSIANS = 50_000
 FILLED = 0.19
 """Volume of a typical object, divided by the cube of its longest side."""
 DOUBLE = 1.7
-"""Ratio of a substep's time in float64 to its time in float32 (docs/lab/accuracy.md)."""
+"""Time of a substep in float64, divided by the time of a substep in float32
+(docs/lab/accuracy.md).
+"""
 PASS = 0.7
-"""Time of each additional transfer pass, as a fraction of the substep (docs/lab/transfers.md)."""
+"""Time of each additional transfer pass, as a fraction of a substep's time
+(docs/lab/transfers.md).
+"""
 STEP = 6.0
-"""Time of a step of a projected liquid, relative to the time of a substep."""
+"""Time of a step of a liquid with projected pressure, relative to the time of an MPM substep."""
 VECTOR, PLAIN, LAUNCHES = 0.25, 2.4, 3600.0
-"""Time per point of a lattice relative to that per particle, with and without kernels for vector
-units. The third number is the time to launch the kernels of a lattice's substep, expressed in
-particles (docs/lab/forecasts.md).
+"""Time per lattice point, relative to the time per particle: the first number is for kernels that
+use the CPU's vector units, the second for other kernels. The third number is the time to launch the
+kernels of a lattice's substep, in units of the time per particle (docs/lab/forecasts.md).
 """
 UNDAMPED, DAMPED = 1.5, 0.235
-"""Longest substep at rest on a lattice without damping, in units of sqrt(cfl) dx / c. The second
-number is the damping ratio of the fastest vibration, in units of dx / c divided by the viscous
-limit.
+"""The first number is the longest stable substep of an undamped lattice at rest, in units of
+sqrt(cfl) dx / c. The second number is the damping ratio of the fastest vibration, in units of dx /
+c divided by the viscous limit.
 """
 WINDOW = 11
-"""Number of nodes per axis by which the grid's window exceeds the nodes across the object."""
+"""Number of nodes per axis that the grid's window has in addition to the nodes across the
+object.
+"""
 GRAVITY = 9.81
-"""Acceleration that limits the steps of a projected liquid [m/s^2]."""
+"""Acceleration that limits the time step of a liquid with projected pressure [m/s^2]."""
 BYTES_PER_PARTICLE = 400
-"""Memory of a particle: its state, a snapshot of its state, and temporary arrays [bytes]."""
+"""Memory per particle for its state, a snapshot of its state, and temporary arrays [bytes]."""
 BYTES_PER_POINT = 1100
-"""Memory of a point of a lattice, including the arrays from which the lattice is made [bytes]."""
+"""Memory per lattice point, including the arrays from which the lattice is built [bytes]."""
 BYTES_PER_NODE = 32
 BYTES_PER_GAUSSIAN = 40
-"""Memory of one Gaussian in one frame of the clip [bytes]."""
+"""Memory per Gaussian and frame of the clip [bytes]."""
 AT_REST = 450
-"""Memory of a Gaussian while it is bound, deformed and drawn [bytes]; measured in
-docs/lab/sizes.md."""
+"""Memory per Gaussian while it is bound, deformed and drawn [bytes]. It was measured in
+docs/lab/sizes.md.
+"""
 HELD = 256e6
-"""Size up to which the frames of a run stay in memory [bytes]; longer runs compute them again when
-read."""
+"""Maximum total size of frames that are kept in memory [bytes]. If the frames of a run are larger,
+they are computed again when they are read.
+"""
 BYTES_PER_SHAPE = 250
-"""Memory of one Gaussian on the device that deforms the Gaussians [bytes]."""
+"""Memory per Gaussian on the device that deforms the Gaussians [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +78,7 @@ class Rates:
     generate: float = 3.0
     """Seconds to make Gaussians from a picture."""
     substep: float = 3e-5
-    """Seconds per substep to launch its kernels, independent of the number of particles."""
+    """Seconds per substep to launch the kernels, however many particles there are."""
     particle: float = 1.1e-7
     """Seconds per particle and substep."""
     node: float = 1.1e-9
@@ -78,14 +86,14 @@ class Rates:
     frame: float = 0.06
     """Seconds per simulated frame, in addition to its substeps."""
     video: float = 0.15
-    """Seconds per video, independent of the number of pixels."""
+    """Seconds per video, in addition to the time per pixel."""
     pixel: float = 1.2e-7
     """Seconds to render and encode one pixel."""
     rest: float = 1.5
-    """Seconds for everything else."""
+    """Seconds for all other work of a run."""
 
     def seconds(self, work: Work) -> dict[str, float]:
-        """Return the seconds of each stage."""
+        """Return the predicted seconds of each stage."""
         return {
             "generate": self.generate,
             "simulate": self.substep * work.substeps
@@ -96,7 +104,7 @@ class Rates:
         }
 
     def minimum(self, other: Rates) -> Rates:
-        """Return the smaller of two values for each rate."""
+        """Return, for each rate, the smaller value of two sets of rates."""
         return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
 
 
@@ -104,7 +112,9 @@ USUAL = {
     "cpu": Rates(),
     "cuda": Rates(substep=4.5e-5, particle=3.3e-10, node=1.5e-11, frame=4e-3),
 }
-"""Typical rates for each kind of device; those for cuda are of an H200 (docs/lab/cuda.md)."""
+"""Typical rates for each kind of device; the rates for cuda were measured on an H200
+(docs/lab/cuda.md).
+"""
 
 
 @dataclass(frozen=True)
@@ -113,9 +123,9 @@ class Work:
 
     substeps: float
     particles: float
-    """Particles times substeps, times the relative cost of the precision and the transfer."""
+    """Particles times substeps, times the relative cost of the chosen precision and transfer."""
     nodes: float
-    """Grid nodes times substeps, times the same relative cost."""
+    """Grid nodes times substeps, times the relative cost of the chosen precision and transfer."""
     frames: int
     videos: int
     pixels: float
@@ -166,7 +176,9 @@ class Work:
 
 
 def count_substeps(scene: Scene) -> int:
-    """Estimate the substeps until the last frame, from stability limits and the expected speed."""
+    """Estimate the number of substeps until the last frame, from the stability limits and the
+    expected speed.
+    """
     length = (scene.time.frames - 1) / scene.time.fps
     cells = CELLS if scene.projects and not scene.mixes else CELLS_PER_STEP
     speed = cells * scene.dx / max(_max_speed(scene, length), 1e-9)
@@ -176,14 +188,16 @@ def count_substeps(scene: Scene) -> int:
 
 
 def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
-    """Estimate the number of particles, including those that fill the objects' interior."""
+    """Estimate the number of particles, including the particles that fill the objects' interior."""
     fillings = [FILLED * (body.size / scene.spacing) ** 3 for body in scene.every_object]
     bound = gaussians if scene.binding == "particles" else 0
     return round(sum(filling + bound for filling in fillings))
 
 
 def count_nodes(scene: Scene) -> int:
-    """Return the number of grid nodes at rest, assuming that each object fills its cube."""
+    """Return the number of grid nodes at rest, assuming that each object fills its bounding
+    cube.
+    """
     return len(scene.names) * (scene.resolution.cells + WINDOW) ** 3
 
 
@@ -202,7 +216,7 @@ def _max_speed(scene: Scene, length: float) -> float:
 
 
 def rest_substeps(scene: Scene) -> float:
-    """Return the number of substeps that a scene would need if nothing moved."""
+    """Return the number of substeps that a scene would need if all objects stayed at rest."""
     return float((1 / scene.time.fps / longest_substeps(scene)).sum())
 
 
@@ -213,7 +227,7 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
     """
     materials = scene.materials
     if scene.mixes:
-        # The substeps of the other materials; the liquid takes fewer steps.
+        # These substeps are for the other materials; the liquid takes fewer steps.
         materials = [section for section in materials if section.law != "fluid"]
     elif scene.projects:
         ceiling = math.inf if scene.time.substep is None else scene.time.substep
@@ -246,7 +260,7 @@ def _only_lattices(scene: Scene) -> bool:
 
 
 def _has_vectors(scene: Scene) -> bool:
-    """Return whether the stress on lattices has kernels for the vector units of a CPU."""
+    """Return whether the stress on lattices is computed by kernels for a CPU's vector units."""
     laws = {section.device_law.name for section in scene.materials}
     single = scene.precision == "float32"
     return single and all(law.startswith("neo_hookean") for law in laws)

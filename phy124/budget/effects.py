@@ -22,10 +22,11 @@ from phy124.scene.liquids import reason_for_compressible
 NODE = 1.8
 """Time to clear and update one grid node [ns]."""
 SPLINE = 157
-"""Time per particle to compute the gradients of the weights [ns]; no vectorised kernel computes
-them."""
+"""Time per particle to compute the gradients of the interpolation weights [ns]. There is no
+vectorised kernel for these gradients.
+"""
 STATIC = "static Gaussians"
-"""Name of the effect that concerns the static parts of the scene."""
+"""Name of the effect that covers the static parts of the scene."""
 DENSE = 100**3
 """Number of nodes of the dense grid in PhysGaussian's scenes."""
 
@@ -41,7 +42,7 @@ class Omission:
 
 @dataclass(frozen=True)
 class Effects:
-    """The effects that a run of a scene computes, and the effects that it leaves out."""
+    """The effects that a run of a scene computes, and the effects that the run leaves out."""
 
     ran: tuple[str, ...]
     left_out: tuple[Omission, ...]
@@ -65,7 +66,8 @@ class Effects:
             sh_degree: Degree of the Gaussians' spherical harmonics.
             device: Warp device.
             static: Number of static Gaussians in a finished run; None before a run.
-            materials: The particles' materials, read from a file; empty: the scene's materials.
+            materials: The particles' materials, read from a file; if empty, the scene's materials
+                apply.
             observers: Observers of a finished run; empty before a run.
             no_lattice: Why no object of a finished run is on a lattice; None before a run.
         """
@@ -89,10 +91,10 @@ class Effects:
         nodes: int = 0,
         threads: int = 1,
     ) -> dict[str, Any]:
-        """Return plain data for the report.
+        """Return the lists of effects as plain data for the report.
 
-        With the counts of a run, each omission also has the saved time [s], estimated from measured
-        costs per particle and node.
+        If the counts of a run are passed, the data also contain the time saved by each effect that
+        was left out [s]. The time is estimated from measured costs per particle and node.
 
         Args:
             particles: Number of particles.
@@ -152,10 +154,10 @@ def _of_liquid(scene: Scene) -> Iterator[Effect]:
 def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Effect]:
     """Yield the effects of the materials.
 
-    Each cost is the difference between the times of two kernels. For viscosity, the two are the
-    kernels with and without viscosity. For return mapping, they are G2P for metal and G2P for an
-    elastic law. For several materials, they are the kernels with a law per particle and with a
-    single law.
+    Each cost is the difference between the times of two kernels. For viscosity, the kernels with
+    and without viscosity are compared. For return mapping, the G2P kernels for metal and for an
+    elastic law are compared. For several materials, the kernels with one law per particle and with
+    a single law are compared.
     """
     if scene.projects:
         yield from _of_liquid(scene)
@@ -185,7 +187,8 @@ def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Ef
 def _of_forces(scene: Scene) -> Iterator[Effect]:
     """Yield the effects of the forces.
 
-    The costs were measured with a force on a region, and with a force from a time table.
+    The costs were measured with a force that acts on a region, and with a force that follows a
+    table over time.
     """
     pushes = [force for force in scene.acting if not force.uniform]
     timed = any(force.varies for force in scene.acting)
@@ -202,7 +205,7 @@ def _of_forces(scene: Scene) -> Iterator[Effect]:
 def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[Effect]:
     """Yield the checks of the substep, and then the effect of each observer.
 
-    The observers are those of phy124 and those that a caller added.
+    Both the observers of phy124 and the observers that a caller added are included.
     """
     every = subject.scene.checks.measure
     yield Effect(f"limits of the substep measured every {every} substeps or sooner")
@@ -239,8 +242,8 @@ def _of_pictures(scene: Scene) -> Iterator[Effect]:
 def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
     """Yield the numerical methods.
 
-    The cost of double precision is its time minus that of float32. The cost of singular values
-    is the time of Warp's svd3.
+    The cost of double precision is the time in float64 minus the time in float32. The cost of
+    singular values is the time of Warp's svd3.
     """
     bound = scene.binding == "particles"
     why = "binding is lattice: Gaussians follow the particles inside and around them"

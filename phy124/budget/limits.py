@@ -17,7 +17,9 @@ from phy124.runtime.memory import MEMORY_FRACTION, free_memory
 from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
-"""Smallest ratio of the two largest wave speeds at which a note mentions the stiffest part."""
+"""Minimum ratio of the two largest wave speeds at which a note about the stiffest part is
+printed.
+"""
 FARTHEST_CELLS = 1e5
 """Largest distance from the origin [cells] at which float32 still resolves a hundredth of a
 cell."""
@@ -115,7 +117,7 @@ def _check_distance(scene: Scene) -> None:
 def _find_remedies(
     scene: Scene, excess: float, fits: Callable[[Scene], bool]
 ) -> tuple[Remedy, ...]:
-    """Return the remedies for which `fits` is true; the run needs `excess` times its budget."""
+    """Return the changes for which `fits` is true, if a run needs `excess` times its budget."""
     fitting = []
     for remedy in _propose_remedies(scene, excess):
         try:
@@ -128,12 +130,14 @@ def _find_remedies(
 
 
 def _propose_remedies(scene: Scene, excess: float) -> Iterator[Remedy]:
-    """Yield changes that may suffice; the setting that limits the substep comes first."""
+    """Yield changes of the scene that may suffice, beginning with the setting that limits the
+    substep.
+    """
     timing = scene.time.model_copy(update={"substep": None})
     automatic = rest_substeps(scene.model_copy(update={"time": timing}))
     if scene.time.substep is not None and automatic < rest_substeps(scene):
         yield change_field("time.substep", _round(1.05 * scene.time.substep * excess))
-    # The scene's fields do not change a material that comes from a file.
+    # If a material comes from a file, the scene's fields do not change it.
     from_file = scene.properties is not None
     if not scene.parts and not from_file:
         for name in ("damping", "viscosity"):
@@ -150,7 +154,9 @@ def _propose_remedies(scene: Scene, excess: float) -> Iterator[Remedy]:
 
 
 def _list_materials(scene: Scene) -> list[tuple[str, AnyMaterial]]:
-    """Return the field and material of each moving part, sorted by decreasing wave speed."""
+    """Return the scene's field and the material of each moving part, sorted by decreasing wave
+    speed.
+    """
     materials = []
     prefixes = ["", *(f"objects.{i}." for i in range(len(scene.objects)))]
     for prefix, body in zip(prefixes, (scene, *scene.objects), strict=True):
@@ -164,12 +170,13 @@ def _list_materials(scene: Scene) -> list[tuple[str, AnyMaterial]]:
 
 
 def _round(value: float) -> float:
-    """Round to two significant digits, because a user may type the value."""
+    """Round a value to two significant digits, so that a user can type it."""
     return float(f"{value:.2g}")
 
 
 def note_stiffest_part(scene: Scene) -> str | None:
-    """Return a note if one material needs many more substeps than the others; otherwise None.
+    """Return a note if one material needs many more substeps than the others; otherwise return
+    None.
 
     Liquids with a projected pressure are ignored, since their steps do not depend on a stiffness.
     """

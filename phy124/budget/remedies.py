@@ -14,17 +14,19 @@ from phy124.forces import SetVelocity
 from phy124.scene import Scene
 
 DAMPING = 0.04
-"""Damping, relative to density times speed of sound times size, that is enough to keep a pressed
-body from becoming inverted when it is suddenly released.
+"""Damping that keeps a compressed body from becoming inverted when it is suddenly released, in
+units of density times speed of sound times size.
 """
 SOFTER = 16.0
-"""Factor by which E is divided; the longest stable substep then becomes four times as long."""
+"""Factor by which a remedy divides Young's modulus E, so that the longest stable substep becomes
+four times as long.
+"""
 
 
 def find_remedies(
     causes: Sequence[str], scene: Scene, time: float = math.inf
 ) -> tuple[Remedy, ...]:
-    """Return the remedies for some causes that change this scene.
+    """Return the remedies that address the causes of a stop and that change this scene.
 
     Args:
         causes: Keys of `REMEDIES`, the likeliest first.
@@ -32,13 +34,13 @@ def find_remedies(
         time: Time of the frame in which the run stopped [s].
     """
     if "push" in causes and (motion := _end_motion(scene, time)):
-        return (motion,)  # whatever else changes, the object is still moved into the obstacle
+        return (motion,)  # no other change helps while the object is moved into the obstacle
     remedies = (REMEDIES[cause](scene) for cause in causes)
     return tuple(remedy for remedy in remedies if remedy and _changes(remedy, scene))
 
 
 def _changes(remedy: Remedy, scene: Scene) -> bool:
-    """Return whether a remedy changes a scene, and to a valid one; it cannot pass a bound."""
+    """Return whether a remedy changes a scene and the changed scene is valid."""
     try:
         return scene.replaced(remedy.changes) != scene
     except InputError:
@@ -46,7 +48,7 @@ def _changes(remedy: Remedy, scene: Scene) -> bool:
 
 
 def advise(remedies: Sequence[Remedy]) -> str:
-    """Return the remedies as one sentence; empty if there are none."""
+    """Join the remedies to one sentence; the sentence is empty if there are no remedies."""
     words = [remedy.words for remedy in remedies]
     return f"Use {join_alternatives(words)}." if words else ""
 
@@ -57,7 +59,7 @@ def join_alternatives(words: Sequence[str]) -> str:
 
 
 def change_accuracy(scene: Scene, **values: Any) -> Remedy:
-    """Return the remedy that changes values of the accuracy.
+    """Return the remedy that changes values in the scene's section `accuracy`.
 
     The changed accuracy no longer has the name of a preset.
     """
@@ -67,12 +69,12 @@ def change_accuracy(scene: Scene, **values: Any) -> Remedy:
 
 
 def change_field(field: str, value: Any) -> Remedy:
-    """Return the remedy that sets a field to a value."""
+    """Return the remedy that sets a field of the scene to a value."""
     return Remedy(f"{field} = {_format(value)}", {field: value})
 
 
 def _halve_push(scene: Scene) -> Remedy | None:
-    """Halve all speeds and forces, including gravity."""
+    """Return the remedy that halves all speeds and forces, including gravity."""
     changes: dict[str, Any] = {}
     for name in ("velocity", "spin"):
         value = getattr(scene.object, name)
@@ -86,10 +88,11 @@ def _halve_push(scene: Scene) -> Remedy | None:
 
 
 def _end_motion(scene: Scene, time: float) -> Remedy | None:
-    """Shorten the prescribed motions of the whole object that still acted when a run stopped at
-    `time`.
+    """Return the remedy that shortens the object's prescribed motions which were active when the
+    run stopped at `time`.
 
-    Half of the time until then was enough for a ball that was moved into the ground.
+    In a test with a ball that was moved into the ground, half of the time until the stop was short
+    enough.
     """
     changes: dict[str, Any] = {}
     for index, force in enumerate(scene.forces):
@@ -102,8 +105,8 @@ def _end_motion(scene: Scene, time: float) -> Remedy | None:
 
 
 def _damp(scene: Scene) -> Remedy | None:
-    """Increase the damping of a body on its lattice, so that the body recovers from any
-    compression.
+    """Return the remedy that increases the damping of a body on its lattice, so that the body
+    recovers from any compression.
     """
     material = scene.material
     damping = getattr(material, "damping", None)
@@ -116,7 +119,9 @@ def _damp(scene: Scene) -> Remedy | None:
 
 
 def _leave_lattice(scene: Scene) -> Remedy | None:
-    """Move elastic objects as particles: particles survive being squeezed flat."""
+    """Return the remedy that simulates elastic objects by particles, which stay stable if they are
+    squeezed flat.
+    """
     return change_accuracy(scene, solver="mpm") if scene.on_lattice else None
 
 
@@ -130,7 +135,9 @@ def _choose_sounder_law(scene: Scene) -> Remedy | None:
 
 
 def _shorten_substep(scene: Scene) -> Remedy:
-    """Use a quarter of the substep; the failed frame was already repeated with half of it."""
+    """Return the remedy that divides the substep by four; the failed frame was already repeated
+    with half the substep.
+    """
     return change_accuracy(scene, cfl=scene.resolution.cfl / 4)
 
 
@@ -154,8 +161,8 @@ def find_speedups(scene: Scene, limiter: str, done: float) -> tuple[Remedy, ...]
     """Return remedies for a run that has taken twice its time budget.
 
     The remedies lengthen the substep, coarsen the grid, or raise the budget. The proposed budget
-    assumes that the run's time grows as the square of the clip's length, as in an accelerating
-    motion.
+    assumes that the run's time grows with the square of the clip's duration, as it does if the
+    motion accelerates.
 
     Args:
         scene: The scene.
@@ -205,7 +212,9 @@ REMEDIES: dict[str, Callable[[Scene], Remedy | None]] = {
     "friction": _reduce_viscosity,
     "ceiling": _raise_ceiling,
 }
-"""Cause -> function that returns its remedy in a scene; None if the remedy is not possible."""
+"""Cause of a stop -> function that returns the remedy for a scene, or None if the remedy is not
+possible.
+"""
 
 
 def _format(value: Any) -> str:

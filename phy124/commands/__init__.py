@@ -1,5 +1,6 @@
-"""One class per command of the command line: its fields are its options, and `run` does the work.
-A command's module is imported only when that command is run; listing the commands imports none.
+"""Declares one class per command of the command line. The fields of a class are the command's
+options, and its method `run` does the work. A command's module is imported only when that command
+is run; listing the commands imports none.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ MODULES = {
 
 
 class Commands(Mapping[str, type]):
-    """Name of a command -> its class, imported when it is looked up."""
+    """Name of a command -> the command's class. A class is imported when it is first looked up."""
 
     def __getitem__(self, name: str) -> type:
         module, kind = MODULES[name]
@@ -52,7 +53,9 @@ COMMANDS = Commands()
 
 
 def outline() -> dict[str, type]:
-    """Return a class per command that has only its docstring, which suffices to list commands."""
+    """Return one class per command. Each class has only the docstring, which suffices to list
+    commands.
+    """
     return {
         name: type(kind, (), {"__doc__": _docstrings(module)[kind]})
         for name, (module, kind) in MODULES.items()
@@ -61,7 +64,7 @@ def outline() -> dict[str, type]:
 
 @cache
 def _docstrings(module: str) -> dict[str, str | None]:
-    """Return class -> docstring for a module of this package, without importing the module."""
+    """Return a map from class names to docstrings for a module, without importing the module."""
     code = Path(__file__).with_name(f"{module}.py").read_text("utf-8")
     classes = [node for node in ast.parse(code).body if isinstance(node, ast.ClassDef)]
     return {node.name: ast.get_docstring(node) for node in classes}

@@ -39,7 +39,7 @@ class ShowAccuracy:
     scene: tyro.conf.Positional[str | None] = None
     """Preset or .toml file to study."""
     image: Path | None = None
-    """Picture of the object, or a file of Gaussians; absent: a rubber ball."""
+    """Picture of the object, or a file of Gaussians. By default, the object is a rubber ball."""
     more: tuple[Path, ...] = ()
     """Pictures, or files of Gaussians, of the scene's further objects."""
     verify: bool = False
@@ -49,7 +49,7 @@ class ShowAccuracy:
     frames: Annotated[int | None, help_of(Timing, "frames")] = None
     seconds: Annotated[float | None, help_of(Timing, "seconds")] = None
     out: Path | None = None
-    """Folder of accuracy.json, .html and .png; default out/accuracy-SCENE."""
+    """Folder for accuracy.json, .html and .png; default out/accuracy-SCENE."""
     set: tuple[str, ...] = ()
     """Any value of the scene, as KEY=VALUE: material.E=2e4, boundaries.0.friction=0.1."""
     making: Annotated[PictureOptions, tyro.conf.arg(name="")] = field(
@@ -57,13 +57,15 @@ class ShowAccuracy:
     )
     device: Device = "auto"
     json: bool = False
-    """Print as JSON and nothing else."""
+    """Print only JSON."""
 
     def run(self) -> int:
-        """Verify the solver or study a scene; return 1 if a check fails, 3 if no level was run.
+        """Verify the solver or study a scene; return status 1 if a check fails, 3 if no grid was
+        run.
 
         Raises:
-            InputError: There is nothing to study, or scene, picture or levels cannot be used.
+            InputError: There is nothing to study, or the scene, the picture or the grids cannot be
+                used.
         """
         if self.verify:
             return self._verify()
@@ -131,7 +133,9 @@ class ShowAccuracy:
         return bars.status(KEPT) or _status(report)
 
     def _sorted_levels(self, scene: Scene) -> tuple[int, ...]:
-        """Return the levels from coarse to fine; raises InputError if the scene rejects a level."""
+        """Return the grids sorted from coarse to fine; raise InputError if the scene rejects a
+        grid.
+        """
         for cells in self.levels:
             try:
                 scene.replaced({"accuracy": {"cells": cells}})
@@ -148,7 +152,7 @@ class ShowAccuracy:
         return levels
 
     def _advice(self, levels: tuple[int, ...], report: Report, per_axis: float) -> str:
-        """Return a line with a command that may yield an error estimate, or an empty text."""
+        """Return a line with a command that may yield an error estimate; empty if there is none."""
         from phy124.accuracy.choose import DENSEST
         from phy124.studies.validation.accuracy.report import COARSEST
 
@@ -175,7 +179,7 @@ class ShowAccuracy:
         return with_program(f"Try `{shlex.join(words)}`.\n")
 
     def _object(self, scene: Scene, context: RunContext) -> tuple[Gaussians, Scene, Crop]:
-        """Return the Gaussians to study, their scene, and their crop of the picture."""
+        """Return the Gaussians to study, their scene, and their position in the picture."""
         if self.image is None:
             if self.more:
                 limit = "they are for further objects, but there is no picture of the first."
@@ -205,12 +209,14 @@ class ShowAccuracy:
 
 
 def _status(report: Report) -> int:
-    """Return a study's exit status; a study without a level counts as a stopped simulation."""
+    """Return a study's exit status; if no grid was run, the study counts as a stopped
+    simulation.
+    """
     return 0 if any(row.level for row in report.rows) else 3
 
 
 def _verdict_line(row: dict[str, Any]) -> str:
-    """Format a check as a line of text."""
+    """Format the result of a check as a line of text."""
     order = ""
     if row["expected_order"]:
         low, high = row["expected_order"]
@@ -254,7 +260,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def _split(lost: dict[str, float] | None) -> str:
-    """Format the energy lost to each cause, in per cent of the energy supplied."""
+    """Format the energy lost to each cause, as a percentage of the supplied energy."""
     if lost is None:
         return "-"
     return "/".join(f"{round(100 * part, 1) + 0.0:.1f}" for part in lost.values())

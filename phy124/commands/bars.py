@@ -1,4 +1,4 @@
-"""Progress on standard error, and Ctrl-C that stops the work safely."""
+"""Shows the progress on standard error, and lets Ctrl-C stop the work safely."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from phy124.runtime.signals import handling, interrupt
 
 _silent: ContextVar[bool] = ContextVar("_silent", default=False)
 BETWEEN_LINES = 10.0
-"""Interval between the lines that replace the bar outside a terminal [s]."""
+"""Interval between printed progress lines [s]; lines replace the bar if there is no terminal."""
 LEFT = "{l_bar}{bar}| {n_fmt}/{total_fmt}{postfix}"
-"""Format of a bar with the predicted time left."""
+"""Format of a progress bar that shows the predicted remaining time."""
 TITLES = {"compile": "compile kernels, once"}
-"""Stage -> the title that users see, if it differs from the stage's name."""
+"""Name of a stage -> the title that users see, if the title differs from the name."""
 
 
 @contextmanager
 def silence() -> Iterator[None]:
-    """Draw no bars within this context (`--quiet`)."""
+    """Draw no progress bars within this context (`--quiet`)."""
     token = _silent.set(True)
     try:
         yield
@@ -36,11 +36,12 @@ def silence() -> Iterator[None]:
 
 class Bars:
     """A `Progress` that shows the current stage; use it as a context manager. On a terminal it
-    draws a bar; elsewhere, for example in a log, it prints a line at intervals. Within the context,
-    Ctrl-C ends the work at the next report of progress, because stopping inside a kernel could
-    crash the process. A second Ctrl-C before that report interrupts at once. If `keeps` is true, a
-    message says that the results so far are saved; the caller must save them. `left` predicts the
-    time left [s], better than the bar's estimate, which assumes equal steps.
+    draws a progress bar; elsewhere, for example in a log file, it prints a line at regular
+    intervals. Within the context, Ctrl-C ends the work at the next report of progress, because
+    stopping inside a kernel could crash the process. A second Ctrl-C before that report interrupts
+    at once. If `keeps` is true, a message says that the results so far are saved; the caller must
+    save them. `left` predicts the remaining time [s] better than the bar, which assumes that all
+    steps take equally long.
     """
 
     def __init__(
@@ -54,12 +55,12 @@ class Bars:
         self.bar: tqdm | None = None
         self.interrupted = False
         self.cancelled = False
-        """Whether Ctrl-C has ended the work or a part of it."""
+        """Whether Ctrl-C has ended all or part of the work."""
         self.ended: Exception | None = None
         """The exception that ended the work early, including Ctrl-C."""
         self._stage, self._next_line = "", 0.0
         self._lines: dict[str, str] = {}
-        """Last line printed for each stage."""
+        """The last line that was printed for each stage."""
         self._signals = handling(self._remember)
 
     def __enter__(self) -> Bars:
@@ -71,7 +72,7 @@ class Bars:
         self._signals.__exit__(None, None, None)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Show the progress of a stage; raises Cancelled once after each Ctrl-C."""
+        """Show the progress of a stage; after each Ctrl-C, raise Cancelled once."""
         if self.interrupted:
             self.interrupted, self.cancelled = False, True
             self.close()
@@ -88,15 +89,15 @@ class Bars:
             self._report(stage, done, total)
 
     def close(self) -> None:
-        """Remove the bar."""
+        """Remove the progress bar from the terminal."""
         if self.bar is not None:
             self.bar.close()
             self.bar = None
 
     @contextmanager
     def keeping(self) -> Iterator[None]:
-        """Within this context, an error or Ctrl-C ends the work without an exception. The caller
-        can then save the results so far, and `status` reports the error.
+        """Within this context, an error or Ctrl-C ends the work without raising an exception. The
+        caller can then save the results so far, and `status` reports the error.
         """
         try:
             yield
@@ -104,7 +105,7 @@ class Bars:
             self.ended = problem
 
     def status(self, kept: str) -> int:
-        """Report why a command ended early, and the results `kept`; return its exit status."""
+        """Print why a command ended early and which results are `kept`; return its exit status."""
         if self.ended is None:
             return 0
         incomplete = Incomplete(kept)
@@ -138,7 +139,7 @@ class Bars:
             self._say(line)
 
     def _left(self) -> str:
-        """Return the time left as text, empty if it is not predicted."""
+        """Return the remaining time as text; the text is empty if the time is not predicted."""
         seconds = self.left() if self.left is not None else None
         if not seconds:
             return ""

@@ -29,18 +29,20 @@ class Compare:
     """Measure how much two clips of one object differ, and film them side by side."""
 
     a: tyro.conf.Positional[Path]
-    """clip.safetensors, or its folder. It is shown on the left; its cameras film both clips."""
+    """The first clip.safetensors, or its folder. It is shown on the left; its cameras film both
+    clips.
+    """
     b: tyro.conf.Positional[Path]
-    """The other clip."""
+    """The second clip.safetensors, or its folder."""
     view: Annotated[CameraOptions, tyro.conf.arg(name="")] = field(default_factory=CameraOptions)
     out: Path | None = None
-    """Folder of comparison.json and the videos; default compare-B next to the first clip."""
+    """Folder for comparison.json and the videos; default compare-B next to the first clip."""
     device: Device = "auto"
     json: bool = False
-    """Print the figures as JSON and nothing else."""
+    """Print only the figures, as JSON."""
 
     def run(self) -> int:
-        """Compare the clips; print a table and the names of the files."""
+        """Compare the two clips; print a table and the names of the files that were written."""
         paths = [path / "clip.safetensors" if path.is_dir() else path for path in (self.a, self.b)]
         a, b = (Clip.load(path) for path in paths)
         check_comparable(a, b)
@@ -72,14 +74,16 @@ class Compare:
 
 
 def _name(path: Path) -> str:
-    """Return the name of a clip's folder if the file is named clip.*, else the file's name."""
+    """Return a name for a clip: its folder's name if the file is named clip.*, else the file's
+    name.
+    """
     return path.resolve().parent.name if path.stem == "clip" else path.stem
 
 
 def _film(
     a: Clip, b: Clip, view: View, side: str, folder: Path, device: str, progress: Progress
 ) -> Likeness:
-    """Film both clips from one side, next to each other, and measure their difference."""
+    """Film both clips side by side with the same camera, and measure their difference."""
     measured, seen = Pictures(), cameras(a, view, side)
 
     def images(clip: Clip) -> Iterator[Picture]:

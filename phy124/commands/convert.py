@@ -37,7 +37,9 @@ MERGE = tyro.conf.arg(metavar="N")
 TO = "; ".join(f"{name}: {format.title}" for name, format in written_formats().items())
 FRAMES = "frames: a clip with all values of each frame"
 OF_RUNS = (".json", ".toml", ".safetensors", ".png", ".mp4")
-"""Endings of a run's report, scene, clip and pictures, which no export may replace."""
+"""Endings of the file names of a run's report, scene, clip and pictures. An export must not replace
+such a file.
+"""
 
 
 @dataclass(frozen=True)
@@ -45,9 +47,11 @@ class Convert:
     """Write a file of Gaussians in another format, rotated to that format's up axis."""
 
     file: tyro.conf.Positional[Path]
-    """PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB, recognised by its content."""
+    """The file to read: PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB, recognised by its
+    content.
+    """
     out: tyro.conf.Positional[Path]
-    """File to write; its ending determines the format."""
+    """File to write; the ending of its name determines the format."""
     to: Annotated[str | None, tyro.conf.arg(help=f"Format, if the ending is ambiguous. {TO}")] = (
         None
     )
@@ -56,9 +60,11 @@ class Convert:
     dialect: Annotated[str | None, help_of(Reading, "dialect")] = None
     rotate: Annotated[str | None, help_of(Reading, "rotate")] = None
     merge: Annotated[int | None, MERGE] = None
-    """Largest number of Gaussians; neighbours are merged, preserving mass and colour."""
+    """Maximum number of Gaussians. If there are more, neighbours are merged, which preserves mass
+    and colour.
+    """
     json: bool = False
-    """Print what was done as JSON and nothing else."""
+    """Print only the result, as JSON."""
 
     def run(self) -> int:
         """Convert the file; print the new file, its size and the programs that open it.
@@ -82,7 +88,7 @@ class Convert:
 
 @dataclass(frozen=True)
 class Export:
-    """Write a clip, or one of its frames, for another program."""
+    """Write a clip, or one of its frames, in the format of another program."""
 
     clip: tyro.conf.Positional[Path]
     """clip.safetensors made by `phy124 generate`."""
@@ -91,22 +97,29 @@ class Export:
         tyro.conf.arg(help=f"Format. {TO}; {FRAMES}", metavar="FORMAT"),
     ]
     frame: int | None = None
-    """Index of the frame to write, from 0; default 0, or all frames if the format holds motion.
-    The file is named as with --all, where the first frame has the number 0001."""
+    """Index of the frame to write, starting at 0. By default, frame 0 is written, or all frames if
+    the format can store motion. The file gets the same name as with --all, which gives the first
+    frame the number 0001.
+    """
     all: bool = False
-    """Write every frame, as one file or as numbered files."""
+    """Write all frames, either to one file or to numbered files."""
     out: Path | None = None
-    """File to write, or with --all a folder or a name ending in .zip; default next to the clip."""
+    """File to write; with --all, a folder or a name ending in .zip. By default, the files are
+    written next to the clip.
+    """
     merge: Annotated[int | None, MERGE] = None
-    """Largest number of Gaussians; only those that stay neighbours in all frames are merged."""
+    """Maximum number of Gaussians. If there are more, Gaussians that stay neighbours in all frames
+    are merged.
+    """
     surface: Path | None = None
-    """With --to moving-mesh: the mesh from which the object was made; its triangles and its
-    texture are moved, instead of a surface of the Gaussians."""
+    """For --to moving-mesh: the mesh from which the object was made. The export then moves the
+    triangles and the texture of this mesh, instead of a surface made from the Gaussians.
+    """
     json: bool = False
-    """Print what was done as JSON and nothing else."""
+    """Print only the result, as JSON."""
 
     def run(self) -> int:
-        """Export the clip; print the files, their size and the programs that open them.
+        """Export the clip; print the written files, their size and the programs that open them.
 
         Raises:
             InputError: The clip cannot be read, has no such frame, or a file cannot be written.
@@ -120,13 +133,13 @@ class Export:
         clip = Clip.load(self.clip)
         if self.frame is not None and self.all:
             limit = "--frame selects one frame, but --all selects every frame."
-            raise InputError("frame", self.frame, limit, "Leave one of them out.")
+            raise InputError("frame", self.frame, limit, "Remove one of the two options.")
         if self.frame is not None and not 0 <= self.frame < len(clip):
             limit = f"The clip has the frames 0 to {len(clip) - 1}."
             raise InputError("frame", self.frame, limit, "Choose one of them.")
         if self.surface is not None and (self.to != "moving-mesh" or self.frame is not None):
             limit = "It is for --to moving-mesh, with all frames."
-            raise InputError("surface", self.surface, limit, "Leave it out.")
+            raise InputError("surface", self.surface, limit, "Remove this option.")
         if self.merge is not None:
             clip = merge_clip_to(clip, self.merge)
         with Bars(quiet=self.json) as bars:
@@ -136,7 +149,7 @@ class Export:
         return _show(files, len(first), chosen, notes, as_json=self.json)
 
     def _find_format(self) -> Format:
-        """Return the format to write."""
+        """Return the file format to write."""
         if self.to in get_args(Filmed) and self.to not in written_formats():
             limit = "Films of a clip have this format, which export does not write."
             remedy = f"Use `phy124 render {self.clip} --format {self.to}`."
@@ -144,11 +157,11 @@ class Export:
         return find_written_format(Path(), self.to, others=("frames",))
 
     def _write_values(self) -> int:
-        """Write a clip with all values of each frame; print its name."""
+        """Write a clip that contains all values of each frame; print the name of the file."""
         for name in ("frame", "merge", "surface"):
             if (value := getattr(self, name)) is not None:
                 limit = "--to frames writes all frames and all Gaussians."
-                raise InputError(name, value, limit, "Leave it out.")
+                raise InputError(name, value, limit, "Remove this option.")
         path = self.out or self.clip.with_name(f"{self.clip.stem}-frames.safetensors")
         self._refuse_replacing(path)
         clip = Clip.load(self.clip)
@@ -158,7 +171,7 @@ class Export:
         return 0
 
     def _refuse_replacing(self, path: Path) -> None:
-        """Refuse to write over a file that is read."""
+        """Refuse to overwrite a file that the export reads."""
         read = [each for each in (self.clip, self.surface) if each is not None]
         if resolve_links(path) in [resolve_links(each) for each in read]:
             limit = "It is the name of a file that the export reads."
@@ -190,7 +203,7 @@ class Export:
 
 
 def _refuse_other_ending(path: Path, chosen: Format) -> None:
-    """Refuse a file name with the ending of another format or of a run's other files."""
+    """Refuse a file name whose ending belongs to another format or to another file of a run."""
     ending, known = path.suffix.lower(), written_formats().values()
     endings = {each.name: (each.suffix, *each.other_suffixes) for each in known}
     others = [name for name, each in endings.items() if ending in each]
@@ -201,7 +214,7 @@ def _refuse_other_ending(path: Path, chosen: Format) -> None:
 
 
 def note_lost(gaussians: Gaussians, chosen: Format) -> list[str]:
-    """Return notes about the data that a format cannot store."""
+    """Return notes about data of the clip that the chosen format cannot store."""
     if gaussians.sh_degree <= chosen.degree:
         return []
     return [
@@ -215,7 +228,7 @@ def _note_dropped(count: int) -> list[str]:
 
 
 def _note_far(content: Content) -> list[str]:
-    """Return a note if the positions were shifted towards the origin."""
+    """Return a note if the export has shifted the positions towards the origin."""
     if not any(content.origin):
         return []
     place = ", ".join(f"{x:.10g}" for x in content.origin)
@@ -226,7 +239,7 @@ def _note_far(content: Content) -> list[str]:
 
 
 def _show(files: list[Path], count: int, chosen: Format, notes: list[str], *, as_json: bool) -> int:
-    """Print the files that were written; returns the exit status."""
+    """Print the names of the written files; return the exit status."""
     size = sum(path.stat().st_size for path in files)
     if as_json:
         data = {"files": [str(path) for path in files], "gaussians": count, "bytes": size}

@@ -1,6 +1,6 @@
 """`phy124 cutout` cuts an object out of a picture.
 
-The options of other commands with a picture are declared here, too.
+This module also declares the picture options of other commands.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ IF_WRONG = (
 
 
 class CutoutOptions(Cutting):
-    """Options for cutting out the object, and the folder of trained weights."""
+    """Options for segmenting the object, and the folder with the weights of trained networks."""
 
     foreground: Annotated[str, tyro.conf.arg(aliases=["--method"])] = Field(
         default="auto", description=Cutting.model_fields["foreground"].description
@@ -52,21 +52,23 @@ class CutoutOptions(Cutting):
 
 @dataclass(frozen=True)
 class CutOut:
-    """Cut the object out of a picture, save it, and report the method and any warnings."""
+    """Cut the object out of a picture, save the object, and print the method and any warnings."""
 
     image: tyro.conf.Positional[Path]
-    """PNG, JPEG, WebP, AVIF or HEIC picture of one object."""
+    """Picture of one object: PNG, JPEG, WebP, AVIF or HEIC."""
     options: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
     out: Path | None = None
     """PNG or WebP file to write; default out/PICTURE-cutout.png."""
     json: bool = False
-    """Print as JSON and nothing else."""
+    """Print only JSON."""
 
     def run(self) -> int:
-        """Cut out the object; print method, coverage, warnings and the file.
+        """Cut out the object; print the method, the coverage, the warnings and the name of the
+        file.
 
         Raises:
-            InputError: The picture cannot be read, or the output's name has another ending.
+            InputError: The picture cannot be read, or the output's name does not end in .png or
+                .webp.
         """
         out = self.out or Path("out") / f"{self.image.stem}-cutout.png"
         if out.suffix.lower() not in KINDS:
@@ -102,12 +104,16 @@ class CutOut:
 
 
 def describe(cutout: dict[str, Any]) -> str:
-    """Describe the method and the coverage of a cut-out, from `Cutout.data()`."""
+    """Describe how an object was cut out and how much of the picture it covers, from
+    `Cutout.data()`.
+    """
     return f"cut out by {title_of(cutout['method'])}: {cutout['coverage']:.1%} of the picture"
 
 
 def doubt(cutout: Cutout, remedy: str) -> None:
-    """Print a cut-out's notes and warnings on standard error, and a remedy if it has warnings."""
+    """Print a cut-out's notes and warnings on standard error; if there are warnings, add a
+    remedy.
+    """
     for note in cutout.notes:
         print(f"note: {note}", file=sys.stderr)
     for warning in cutout.warnings:
@@ -118,7 +124,7 @@ def doubt(cutout: Cutout, remedy: str) -> None:
 
 @dataclass(frozen=True)
 class PictureOptions:
-    """Options of generating Gaussians from a picture."""
+    """Options for generating Gaussians from a picture."""
 
     generator: GeneratorName = "relief"
     effort: Annotated[GeneratorOptions, tyro.conf.arg(name="")] = field(
@@ -126,7 +132,9 @@ class PictureOptions:
     )
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None
-    """Number of Gaussians: approximate for relief (default 50,000), a limit for others."""
+    """Number of Gaussians. It is approximate for relief (default 50,000), and a maximum for other
+    generators.
+    """
     cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
     depth: Annotated[DepthMap, tyro.conf.arg(name="")] = field(default_factory=DepthMap)
     views: Annotated[OtherViews, tyro.conf.arg(name="")] = field(default_factory=OtherViews)
@@ -144,7 +152,7 @@ class PictureOptions:
         }
 
     def list_changes(self) -> dict[str, Any]:
-        """Return the options that differ from their defaults, by name."""
+        """Return the options that differ from their defaults, as a map from name to value."""
         usual, changed = PictureOptions(), dict[str, Any]()
         for name, value in vars(self).items():
             if isinstance(value, Section):
@@ -154,22 +162,22 @@ class PictureOptions:
         return changed
 
     def refuse_without_picture(self) -> None:
-        """Refuse options that need a picture, for a command without one.
+        """Refuse options that need a picture if the command has no picture.
 
         Raises:
-            InputError: Such an option is set.
+            InputError: An option that needs a picture is set.
         """
         self.reading.refuse("image", "none")
         for name in self.list_changes():
             limit = f"--{name} is for a picture."
-            raise InputError("image", "none", limit, f"Add --image FILE, or leave --{name} out.")
+            raise InputError("image", "none", limit, f"Add --image FILE, or remove --{name}.")
 
 
 def announce_generator(generator: str, effort: Effort) -> str:
-    """Format a generator's settings and expected duration as a line."""
+    """Format a generator's settings and expected duration as a line of text."""
     return f"generator: {generator}, {effort.words}; likely {format_span(span(effort))}"
 
 
 def span(effort: Effort) -> tuple[float, float]:
-    """Return shortest and longest expected time [s]; `effort` includes the machine's load."""
+    """Return the shortest and longest expected time [s]; `effort` includes the machine's load."""
     return Load().span(effort.seconds)

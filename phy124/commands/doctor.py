@@ -39,7 +39,7 @@ EXTRAS = {
     "fit": ("cma",),
     "fourdgs": ("fourdgs",),
 }
-"""Optional extra -> the modules it needs."""
+"""Name of an optional extra -> the modules that the extra needs."""
 
 
 @dataclass(frozen=True)
@@ -47,14 +47,16 @@ class Doctor:
     """Check this installation: Python, devices, video encoder, optional extras, weights."""
 
     weights: Path | None = None
-    """Folder to search for weights first."""
+    """Folder that is searched first for trained weights."""
     all: bool = False
-    """Also list every weights file: the places searched, its checksum, how to download it."""
+    """Also list every file of weights with its checksum, the folders searched, and the download
+    command.
+    """
     json: bool = False
-    """Print as JSON and nothing else."""
+    """Print only JSON."""
 
     def run(self) -> int:
-        """Print the findings; return status 1 if a required part is missing."""
+        """Print the results of all checks; return status 1 if a required part is missing."""
         facts, files = examine(), check_all(self.weights, check=self.all or self.json)
         if self.json:
             print(json.dumps({**facts, "weights": data(files)}))
@@ -95,14 +97,16 @@ def examine() -> dict[str, Any]:
 
 
 def _encoder() -> str | None:
-    """Return the path of the ffmpeg program that writes MP4s; None if it does not work."""
+    """Return the path of the ffmpeg program that writes MP4 files; None if the program does not
+    work.
+    """
     import imageio_ffmpeg
 
     return None if encoder_problem() else imageio_ffmpeg.get_ffmpeg_exe()
 
 
 def _faults() -> list[str]:
-    """List missing requirements of runs, each with its remedy."""
+    """List the requirements of a run that are missing, each with a remedy."""
     try:
         refuse_missing_encoder()
     except InputError as fault:

@@ -19,16 +19,18 @@ from phy124.scene import Scene, preset_names
 
 @dataclass(frozen=True)
 class ShowEffects:
-    """List the effects that a scene turns on and those that it leaves out, without running it."""
+    """List the effects that a run of a scene would compute and leave out, without running the
+    scene.
+    """
 
     scene: tyro.conf.Positional[str]
     """Preset or .toml file."""
     device: Device = "auto"
     json: bool = False
-    """Print as JSON and nothing else."""
+    """Print only JSON."""
 
     def run(self) -> int:
-        """Print the effects."""
+        """Print the effects that are computed and left out."""
         effects = Effects.of(Scene.named(self.scene), device=pick_device(self.device))
         if self.json:
             print(json.dumps(effects.data()))
@@ -45,11 +47,11 @@ class Warm:
     """Compile the kernels of presets ahead of time, so that later runs need not compile them."""
 
     scenes: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Presets or .toml files; none: all presets."""
+    """Presets or .toml files. If none is named, the kernels of all presets are compiled."""
     device: Device = "auto"
 
     def run(self) -> int:
-        """Compile missing kernels; print how many modules were compiled."""
+        """Compile the kernels that are missing; print how many modules were compiled."""
         names = self.scenes or preset_names()
         scenes = [Scene.named(name) for name in names]
         start = time.perf_counter()

@@ -27,32 +27,40 @@ from phy124.weights.store import search_first
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure a clip: CLIP-T from four sides by both formulas, motion, flicker, physics."""
+    """Measure a clip's motion, flicker and physics, and its CLIP-T from four sides by both
+    formulas.
+    """
 
     clip: tyro.conf.Positional[Path]
     """clip.safetensors made by `phy124 generate`."""
     clip_model: str | None = None
-    """CLIP model: a folder, or a downloaded model's name on huggingface.co; "none": no CLIP-T."""
+    """CLIP model: a folder, or the name on huggingface.co of a downloaded model. "none" skips
+    CLIP-T.
+    """
     bgr: bool = False
-    """Pass the channels to CLIP in the order blue, green, red, as 4DGen's program does."""
+    """Pass the colour channels to CLIP in the order blue, green, red, as 4DGen's program does."""
     size: int = 256
-    """Width and height of the rendered pictures that are measured [pixels]."""
+    """Width and height of the pictures that are rendered and measured [pixels]."""
     elevation: float = 0.0
     """Elevation angle of the camera [degrees]."""
     weights: Path | None = None
-    """Folder to search for weights first."""
+    """Folder that is searched first for trained weights."""
     out: Path | None = None
-    """File of the figures; default evaluation.json next to the clip."""
+    """File for the measured figures; default evaluation.json next to the clip."""
     device: Device = "auto"
     json: bool = False
-    """Print the figures as JSON and nothing else."""
+    """Print only the figures, as JSON."""
 
     def run(self) -> int:
         """Measure the clip; print the table and write evaluation.json."""
         clip = Clip.load(self.clip)
         out = self.out or self.clip.parent / "evaluation.json"
         weights, bars = search_first(self.weights), Bars(quiet=self.json)
-        with replacing(out) as path, weights, bars:  # refuses a file that cannot be written
+        with (
+            replacing(out) as path,
+            weights,
+            bars,
+        ):  # refuses an unwritable file
             model, missing = self._model()
             videos = self._videos(clip, bars)
             result = evaluate(clip, videos, model=model, missing=missing)
@@ -65,7 +73,9 @@ class Evaluate:
         return 0
 
     def _model(self) -> tuple[similarity.ClipModel | None, str | None]:
-        """Return the CLIP model, or None and the reason; a model named by the user must exist."""
+        """Return the CLIP model, or None and the reason why there is none; a model that the user
+        names must exist.
+        """
         if self.clip_model == "none":
             return None, "CLIP-T was switched off by --clip-model none."
         try:
@@ -77,7 +87,9 @@ class Evaluate:
             return None, str(error)
 
     def _videos(self, clip: Clip, progress: Progress) -> dict[str, np.ndarray]:
-        """Return pictures [T,S,S,3] from the four sides that the paper uses."""
+        """Render the clip from the four sides that the paper uses; return the pictures
+        [T,S,S,3].
+        """
         view = Scene.of_clip(clip.scene, str(self.clip)).view
         usual = {
             "size": (self.size, self.size),

@@ -21,18 +21,22 @@ from phy124.studies.fit.declaration import parse_ranges
 
 @dataclass(frozen=True)
 class Fit:
-    """Find stiffness, damping, friction or initial values from a clip, tracked points, or a video.
-    `phy124 fit points.csv --object duck.ply --scene drop --find material.E=1e4..1e6` searches
-    on a coarse grid and refines on finer grids; the same command continues an interrupted search.
+    """Estimate stiffness, damping, friction or initial values from a clip, tracked points, or a
+    video. `phy124 fit points.csv --object duck.ply --scene drop --find material.E=1e4..1e6`
+    searches on a coarse grid and refines on finer grids; the same command continues an interrupted
+    search.
     """
 
     target: tyro.conf.Positional[str]
-    """Clip or its folder, .csv file of points, video, folder of pictures, or a .toml file that
-    declares all of this (see docs/guide/fitting.md)."""
+    """The observed motion: a clip or its folder, a .csv file of tracked points, a video, or a
+    folder of pictures. A .toml file can declare the motion and all options (see
+    docs/guide/fitting.md).
+    """
     object: Annotated[str | None, help_of(Declared, "object")] = None
     scene: Annotated[str | None, help_of(Declared, "scene")] = None
     find: tuple[str, ...] = field(default_factory=tuple)
-    """Values to search for, as PATH=LEAST..LARGEST: material.E=1e4..1e6 material.nu=0.2..0.45."""
+    """Values to search for, each as PATH=LEAST..LARGEST: material.E=1e4..1e6 material.nu=0.2..0.45.
+    """
     set: tuple[str, ...] = field(default_factory=tuple)
     """Any other value of the scene, as KEY=VALUE."""
     forces: Annotated[str | None, help_of(Declared, "forces")] = None
@@ -44,16 +48,16 @@ class Fit:
     seconds: Annotated[float | None, help_of(Declared, "seconds")] = None
     seed: Annotated[int | None, help_of(Declared, "seed")] = None
     out: Path | None = None
-    """Folder of the results; default out/TARGET-fit."""
+    """Folder for the results; default out/TARGET-fit."""
     workers: int | None = None
-    """Number of worker processes; absent: one per core."""
+    """Number of worker processes; by default, one per core."""
     dry_run: bool = False
-    """Print the expected cost, then stop."""
+    """Print the expected time of the search, and do not start it."""
     json: bool = False
-    """Print the report as JSON and nothing else."""
+    """Print only the report, as JSON."""
 
     def run(self) -> int:
-        """Fit the material; print the table and the files."""
+        """Fit the material; print the table of results and the names of the written files."""
         declared, workers = self._declare(), self._processes()
         if self.dry_run:
             with Bars(quiet=self.json):
@@ -82,7 +86,9 @@ class Fit:
         return 0
 
     def _declare(self) -> Declared:
-        """Build the declaration from the options, and from the .toml file if the target is one."""
+        """Build the declaration of the fit from the options, and from the target if it is a .toml
+        file.
+        """
         from_file = Path(self.target).suffix.lower() == ".toml"
         data: dict[str, Any] = Declared.from_toml(self.target) if from_file else {}
         if not from_file:
@@ -109,7 +115,7 @@ class Fit:
                 "workers",
                 self.workers,
                 "the number of processes must be from 0 to 1024.",
-                "Leave it out.",
+                "Remove this option.",
             )
         return self.workers
 

@@ -44,7 +44,9 @@ class Generate:
     """Turn one picture into a 3D object that moves by simulated physics, and film it."""
 
     image: tyro.conf.Positional[Path]
-    """PNG, JPEG, WebP, AVIF or HEIC picture of one object, or a mesh: GLB, glTF, OBJ, STL, PLY."""
+    """Picture of one object (PNG, JPEG, WebP, AVIF or HEIC), or a mesh (GLB, glTF, OBJ, STL or
+    PLY).
+    """
     more: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Pictures, or files of Gaussians, of the scene's further objects."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
@@ -54,11 +56,12 @@ class Generate:
     compose: bool = False
     """Also film the object inside its original picture (composed.mp4)."""
     out: Path | None = None
-    """Folder of the results; default out/PICTURE-SCENE."""
+    """Folder for the results; default out/PICTURE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
 
     def run(self) -> int:
-        """Generate a clip and its films; print files and durations.
+        """Generate a clip and its films; print the names of the files and the durations of the
+        stages.
 
         Raises:
             InputError: An option or the picture is invalid.
@@ -66,7 +69,7 @@ class Generate:
         if is_mesh(self.image):
             if self.making.generator not in (PictureOptions.generator, str(self.image)):
                 limit = f"{self.image} is a mesh, which needs no generator."
-                raise InputError("generator", self.making.generator, limit, "Leave it out.")
+                raise InputError("generator", self.making.generator, limit, "Remove this option.")
             making = replace(self.making, generator=str(self.image))
             return replace(self, making=making)._run()
         return self._run()
@@ -113,7 +116,9 @@ class Generate:
         return self.options.study_command([self.image, *self.more], self.making.list_changes())
 
     def _compose(self, result: pipeline.Result, context: RunContext) -> pipeline.Result:
-        """Film the object in the photograph; return the result with this film added."""
+        """Film the object inside the photograph; add this film to the result, and return the
+        result.
+        """
         clip = Clip.load(result.folder / "clip.safetensors")
         view = Scene.of_clip(clip.scene).view
         try:
@@ -141,7 +146,7 @@ class Generate:
         refuse_missing_encoder()
         if not needs_image(self.making.generator):
             limit = f"{self.making.generator} does not use a picture."
-            raise InputError("compose", self.image, limit, "Leave --compose out.")
+            raise InputError("compose", self.image, limit, "Remove --compose.")
         if self.image.exists() and not self.image.is_file():
             limit = "a pipe can be read only once."
             raise InputError("compose", self.image, limit, "Save the picture as a file first.")
@@ -153,7 +158,9 @@ class Generate:
             )
 
     def _predict(self, scene: Scene) -> int:
-        """Make the Gaussians, then print the predicted time of the remaining stages."""
+        """Make the Gaussians from the picture, then print the predicted time of the remaining
+        stages.
+        """
         with Bars(quiet=self.options.json) as bars:
             context, pictures = self.options.context(bars), [self.image, *self.more]
             options = self._options(bars)
@@ -172,7 +179,7 @@ class Generate:
         )
 
     def _options(self, bars: Bars) -> dict[str, Any]:
-        """Return the options of making Gaussians, with callbacks that print messages."""
+        """Return the options for making Gaussians, with callbacks that print messages."""
         calls = {"on_cutout": self._look, "on_estimate": self._announce}
         bound = {name: partial(call, bars) for name, call in calls.items()}
         return {**self.making.arguments(), **bound}
@@ -183,9 +190,9 @@ class Generate:
             print(announce_generator(self.making.generator, effort), flush=True)
 
     def _look(self, bars: Bars, cutout: Cutout) -> None:
-        """Print doubts about the cut-out before the long work starts."""
+        """Print warnings about the cut-out before the slow stages start."""
         if not self.options.json:
-            bars.close()  # the warning must not share a line with the bar
+            bars.close()  # the warning must not share a line with the progress bar
             doubt(cutout, f"Look at it with `phy124 cutout {cutout.file}`; {IF_WRONG}")
 
 
@@ -194,19 +201,21 @@ class Simulate:
     """Simulate existing 3D Gaussians (.ply, .spz, .splat, .sog, .glb) and film them."""
 
     file: tyro.conf.Positional[Path]
-    """The file of Gaussians: PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB; or a mesh."""
+    """File of Gaussians: PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB; or a mesh."""
     more: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Files of Gaussians, or pictures, of the scene's further objects."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None
-    """Largest number of Gaussians; those that are kept are enlarged to cover the same area."""
+    """Maximum number of Gaussians. If there are more, some are removed, and the others are enlarged
+    to cover the same area.
+    """
     out: Path | None = None
-    """Folder of the results; default out/FILE-SCENE."""
+    """Folder for the results; default out/FILE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
 
     def run(self) -> int:
-        """Simulate the object; print files and durations."""
+        """Simulate the object; print the names of the files and the durations of the stages."""
         get_ready()
         scene = self.options.resolve()
         pipeline.check_sources(scene, self.more)
@@ -253,14 +262,16 @@ class Simulate:
     def _read(self, file: PlyFile, scene: Scene, context: RunContext) -> Capture:
         read = capture(file, scene, count=self.gaussians, progress=context.progress)
         count = self.gaussians
-        # The generator of further pictures works on the CPU; its time counts as stage "read".
+        # The generator for further pictures runs on the CPU; its time is added to the stage "read".
         context = RunContext(progress=context.progress)
         every = pipeline.with_others(read.gaussians, read.scene, self.more, context, count=count)
         about = read.about | every.about
         return replace(read, gaussians=every.gaussians, scene=every.scene, about=about)
 
     def _predict(self, file: PlyFile, scene: Scene, study: str) -> int:
-        """Read the Gaussians, then print the predicted time of the remaining stages."""
+        """Read the Gaussians from the file, then print the predicted time of the remaining
+        stages.
+        """
         with Bars(quiet=self.options.json) as bars:
             context = self.options.context(bars)
             with context.watch.stage("read"):
@@ -277,7 +288,9 @@ class Simulate:
 
 
 def get_ready() -> None:
-    """Import SciPy while the encoder encodes its test frame, and keep the test's result."""
+    """Import SciPy while the video encoder encodes a test frame; the result of this test is
+    stored.
+    """
     with ThreadPoolExecutor(1) as pool:
         pool.submit(encoder_problem)
         import_lightly(*SCIPY)
@@ -291,9 +304,9 @@ def continue_run(
     Args:
         out: The folder of the interrupted run.
         options: The options of the command.
-        scene: The scene of the interrupted run, which is checked.
+        scene: The scene that the interrupted run must have; another scene is refused.
         study: The command that measures the error of this scene.
-        plan: The options of the interrupted run: its goal, and whether its error is estimated.
+        plan: The goal of the interrupted run, and whether the run's error is estimated.
     """
     with Bars(quiet=options.json, keeps=True) as bars:
         result = pipeline.go_on(
@@ -311,9 +324,9 @@ def show(result: pipeline.Result, study: str, *, as_json: bool) -> int:
     """Print the results of a run; return the exit status.
 
     Args:
-        result: The files and the report.
+        result: The written files and the report of the run.
         study: The command that measures the error of this scene.
-        as_json: Print the report as JSON and nothing else.
+        as_json: Print only the report, as JSON.
     """
     report = result.report
     if as_json:
@@ -345,7 +358,9 @@ def show(result: pipeline.Result, study: str, *, as_json: bool) -> int:
 
 
 def print_files(result: pipeline.Result) -> None:
-    """Print the files; if the object was filmed in the photograph, print the PSNR first."""
+    """Print the names of the files. If the object was filmed inside the photograph, print the PSNR
+    of this film first.
+    """
     if composed := result.report.get("compose"):
         print(f"in the picture: {composed['psnr']:.1f} dB inside the object in the first frame")
     for path in result.files:
@@ -353,7 +368,7 @@ def print_files(result: pipeline.Result) -> None:
 
 
 def floor_sentence(floor: dict[str, Any]) -> str:
-    """Describe the detected floor in the axes and units of the file."""
+    """Describe the detected floor in the coordinates and units of the file."""
     up = ", ".join(f"{value:.3f}" for value in floor["normal"])
     return (
         f"floor: {floor['gaussians']} Gaussians ({floor['fraction']:.0%}) within "

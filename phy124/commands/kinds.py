@@ -1,4 +1,4 @@
-"""Detect the kind of a file, and refuse a file that is meant for another command."""
+"""Detects the kind of a file, and refuses a file that is meant for another command."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ KINDS = {
     ".safetensors": "a clip",
     ".toml": "a scene",
 }
-"""Ending of a file's name -> kind of the file."""
+"""Ending of a file name -> kind of the file."""
 SIGNS = {
     b"ply\n": "a file of Gaussians",
     b"ply\r": "a file of Gaussians",
@@ -36,7 +36,7 @@ SIGNS = {
     b"GIF8": "a picture",
     b"RIFF": "a picture",
 }
-"""First bytes of a file -> kind of the file, whatever its name."""
+"""First bytes of a file -> kind of the file; the file's name is ignored."""
 HEAD = 4096
 """Number of bytes read from the beginning of a file to detect its kind."""
 TAKES = {
@@ -49,9 +49,11 @@ TAKES = {
     "export": ("clip", "a clip"),
     "evaluate": ("clip", "a clip"),
 }
-"""Command -> the field that names its file, and the kind of file that it takes."""
+"""Name of a command -> the option that names its file, and the kind of file that the command
+takes.
+"""
 TAKES_MESHES = ("generate", "simulate", "orient")
-"""Commands that also take a mesh."""
+"""Names of the commands that also take a mesh."""
 USES = {
     "a picture": "Use `phy124 generate {}`.",
     "a file of Gaussians": "Use `phy124 simulate {}`.",
@@ -59,14 +61,14 @@ USES = {
     "a clip": "Use `phy124 render {}` or `phy124 export {}`.",
     "a scene": "Give it after --scene.",
 }
-"""Kind of file -> the remedy that names the command for it."""
+"""Kind of file -> a remedy that names the command for this kind of file."""
 
 
 def refuse_other_kind(name: str, command: Any) -> None:
-    """Refuse a file of a kind that only another command takes.
+    """Refuse a file if only another command takes files of its kind.
 
     Raises:
-        InputError: The command's file is of such a kind.
+        InputError: The file is meant for another command.
     """
     if name not in TAKES:
         return
@@ -79,8 +81,10 @@ def refuse_other_kind(name: str, command: Any) -> None:
 
 
 def _kind(path: Path) -> str | None:
-    """Return the kind of a file by its first bytes, else by its name; None if unknown."""
-    # Imported here, because commands without a file need no formats.
+    """Detect the kind of a file from its first bytes, or else from its name; return None if
+    unknown.
+    """
+    # Imported here, because commands that read no file do not need the file formats.
     from phy124.io.formats import MESH_ENDINGS, endings
     from phy124.io.formats.spz import begins
 
@@ -96,11 +100,11 @@ def _kind(path: Path) -> str | None:
         signed = "a clip"
     ending = path.suffix.lower()
     if ending in (".glb", ".ply", *MESH_ENDINGS):
-        # Imported here, because it takes a quarter of a second.
+        # Imported here, because the import takes a quarter of a second.
         from phy124.generators.mesh import is_mesh
 
         if is_mesh(path):
             return "a mesh"
         if ending == ".glb":
-            return signed  # its name does not say whether it is a mesh or a file of Gaussians
+            return signed  # the name of a PLY or GLB file does not tell a mesh from Gaussians
     return signed or KINDS.get(ending) or ("a file of Gaussians" if ending in endings() else None)

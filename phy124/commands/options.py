@@ -1,4 +1,6 @@
-"""Options that several commands share; bounds and help texts come from the scene's classes."""
+"""Declares the options that several commands share. Their bounds and help texts come from the
+classes of a scene.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,7 @@ def help_of(model: Any, name: str, *, example: str = "") -> Any:
 
 
 Listed = tuple[str, ...] | None
-"""Several values, separated by spaces or commas; the scene checks them."""
+"""Several values, separated by spaces or commas. The scene checks the values."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +59,13 @@ class CameraOptions:
     azimuth: Annotated[Listed, help_of(View, "azimuths")] = None
     elevation: Annotated[float | None, help_of(View, "elevation")] = None
     cameras: Path | None = None
-    """TOML file with [[view.cameras]] as in a scene; without --views, only these cameras film."""
+    """TOML file with [[view.cameras]] as in a scene. Unless --views is set, only these cameras film
+    the clip.
+    """
     size: Annotated[str | None, help_of(View, "size", example="512 or 1920x1080")] = None
     follow: tyro.conf.FlagCreatePairsOff[Annotated[bool, help_of(View, "follow")]] = False
     no_follow: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Keep the camera fixed, however far the object moves."""
+    """Keep the camera fixed instead of following the object."""
 
     def changes(self) -> dict[str, Any]:
         """Return the chosen values by their paths in the scene."""
@@ -80,7 +84,7 @@ class CameraOptions:
 
 @dataclass(frozen=True)
 class ViewOptions(CameraOptions):
-    """Options of filming a clip."""
+    """Options for filming a clip."""
 
     format: Annotated[Listed, help_of(View, "formats")] = None
     outputs: Annotated[Listed, help_of(View, "outputs")] = None
@@ -106,7 +110,9 @@ class ViewOptions(CameraOptions):
 
 
 def _items(texts: Listed) -> list[Any] | None:
-    """Split texts at commas and parse the values: ("front,left", "45") -> ["front", "left", 45]."""
+    """Split each text at commas and parse the values: ("front,left", "45") -> ["front", "left",
+    45].
+    """
     if texts is None:
         return None
     return [parse_value(item) for text in texts for item in text.split(",") if item]
@@ -117,7 +123,7 @@ class SceneOptions:
     """Options that choose a scene and change its values."""
 
     scene: str = "press"
-    """Preset (see `phy124 scenes`) or path of a .toml file."""
+    """Name of a preset (see `phy124 scenes`), or path of a .toml file."""
     accuracy: Annotated[
         AccuracyName | None,
         help_of(Scene, "accuracy", example="--accuracy fine --set accuracy.solver=mpm"),
@@ -125,19 +131,20 @@ class SceneOptions:
     frames: Annotated[int | None, help_of(Timing, "frames")] = None
     seconds: Annotated[float | None, help_of(Timing, "seconds")] = None
     fps: float | None = None
-    """Frames per second of motion; without --frames or --seconds the duration is unchanged."""
+    """Frames per second of motion. The duration changes only if --frames or --seconds is set, too.
+    """
     view: Annotated[ViewOptions, tyro.conf.arg(name="")] = field(default_factory=ViewOptions)
     seed: Annotated[int | None, help_of(Scene, "seed")] = None
     set: tuple[str, ...] = field(default_factory=tuple)
     """Any other value of the scene, as KEY=VALUE: material.E=2e4, boundaries.0.friction=0.1."""
     device: Device = "auto"
     threads: int | None = None
-    """CPU threads that simulate and render; absent: one per free core."""
+    """Number of CPU threads that simulate and render; by default, one per free core."""
     json: bool = False
-    """Print the report as JSON and nothing else."""
+    """Print only the report, as JSON."""
 
     def resolve(self) -> Scene:
-        """Return the scene with all changes, on the stage studio by default; raises InputError."""
+        """Return the scene with all changes, or raise InputError; the default stage is `studio`."""
         chosen = {
             "accuracy": self.accuracy,
             "time.frames": self.frames,
@@ -159,7 +166,8 @@ class SceneOptions:
 
         Args:
             sources: Pictures or files of the scene's objects.
-            making: Options of making the Gaussians that differ from their defaults, by name.
+            making: Options for making the Gaussians that differ from their defaults, as a map from
+                name to value.
         """
         first, *more = map(str, sources)
         words = [PACKAGE, "accuracy", self.scene, "--image", first]
@@ -180,7 +188,7 @@ class SceneOptions:
         """Return the context of a run with these options.
 
         Raises:
-            InputError: There is no such device.
+            InputError: This machine does not have the requested device.
         """
         device = pick_device(self.device)
         return RunContext(device=device, threads=self.threads, progress=progress)

@@ -1,4 +1,4 @@
-"""`phy124 orient` draws the Gaussians of a file once for each possible up axis."""
+"""`phy124 orient` draws the Gaussians of a file with each possible up axis."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ from phy124.rendering.render import Renderer
 from phy124.runtime.device import pick_device
 
 SIZE = 320
-"""Width and height of a picture of the contact sheet [pixels]."""
+"""Width and height of each picture on the contact sheet [pixels]."""
 
 
 @dataclass(frozen=True)
 class Orient:
-    """Draw a file of Gaussians with each of six up axes, or with each of four fronts of one up
-    axis.
+    """Draw a file of Gaussians with each of the six possible up axes. If the up axis is known, draw
+    the four possible front directions.
     """
 
     file: tyro.conf.Positional[Path]
-    """File of Gaussians with unknown axes."""
+    """File of Gaussians whose up axis and front direction are unknown."""
     up: Annotated[str | None, tyro.conf.arg(metavar="AXIS")] = None
-    """The axis that points up, if it is known: only its four fronts are drawn."""
+    """The axis that points up, if it is known. Only the four front directions are then drawn."""
     out: Path | None = None
     """PNG file to write; default out/FILE-orient.png."""
     device: Device = "auto"
 
     def run(self) -> int:
-        """Draw the candidates; print the path of the contact sheet.
+        """Draw the object in each possible orientation; print the path of the contact sheet.
 
         Raises:
             InputError: The file cannot be read, `up` is not an axis, or `out` is not a PNG file.
@@ -68,7 +68,7 @@ class Orient:
 
 
 def _tile(renderer: Renderer, gaussians: Gaussians, reading: Reading) -> NDArray[np.uint8]:
-    """Draw the object from its front [H,W,3]; the options for its axes are written below."""
+    """Draw the object from its front [H,W,3], with the options for its axes written below."""
     tile = Image.fromarray(draw_oriented(renderer, gaussians, reading, SIZE))
     words = f"--up={reading.up} --front={reading.front}"
     ImageDraw.Draw(tile).text((8, SIZE - 20), words, fill=(60, 60, 60))
@@ -76,7 +76,7 @@ def _tile(renderer: Renderer, gaussians: Gaussians, reading: Reading) -> NDArray
 
 
 def _sheet(tiles: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """Arrange tiles in two rows."""
+    """Arrange the pictures in two rows."""
     half = (len(tiles) + 1) // 2
     rows = [np.concatenate(tiles[i : i + half], axis=1) for i in range(0, len(tiles), half)]
     return np.concatenate(rows)

@@ -1,4 +1,4 @@
-"""Options of a run's accuracy and time, and the forecast that is printed before the run."""
+"""Declares the options for a run's accuracy and time, and prints the forecast before the run."""
 
 from __future__ import annotations
 
@@ -27,17 +27,20 @@ STOOD_IN = "The times after the generator are for a stand-in object made by reli
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """The largest error or longest time allowed for a run, and whether to predict the run only."""
+    """Options for the maximum error or time of a run, and for predictions."""
 
     forecast: bool = False
-    """Predict the time before the run, in about a second; the report compares it with the time
-    taken."""
+    """Predict the time before the run, which takes about a second. The report compares the
+    predicted with the actual time.
+    """
     dry_run: bool = False
-    """Only print the stages, their predicted time and the error bound; write nothing."""
+    """Only print the stages, their predicted times and the error bound; write no files."""
     max_error: str | None = None
-    """Use the coarsest grid whose estimated error is at most this: 2px, 1% (of the size) or 3mm."""
+    """Use the coarsest grid whose estimated error does not exceed this maximum: 2px, 1% (of the
+    object's size) or 3mm.
+    """
     max_seconds: float | None = None
-    """Choose the finest accuracy whose total time [s] is at most this."""
+    """Use the finest grid whose total time does not exceed this maximum [s]."""
     error: Annotated[
         bool,
         tyro.conf.arg(
@@ -50,35 +53,36 @@ class PlanOptions:
     """Continue the interrupted run in the folder of the results."""
 
     def goal(self) -> Goal | None:
-        """Return the requested largest error or longest time, if any.
+        """Return the requested maximum error or maximum time; None if there is none.
 
         Raises:
-            InputError: Both are set, or a value is out of bounds or has an unknown unit.
+            InputError: Both a maximum error and a maximum time are set, or a value is out of bounds
+                or has an unknown unit.
         """
         if self.max_error is not None and self.max_seconds is not None:
             limit = "--max-error is also set."
             raise InputError("max_seconds", self.max_seconds, limit, "Give one of the two.")
         if self.max_error is not None and self.dry_run:
             limit = "the grid that meets this error is known only after coarser grids have run."
-            remedy = "Leave --dry-run out, or set --accuracy instead of --max-error."
+            remedy = "Remove --dry-run, or set --accuracy instead of --max-error."
             raise InputError("dry_run", f"with --max-error {self.max_error}", limit, remedy)
         if self.max_error is not None:
             return Goal.error(self.max_error)
         return None if self.max_seconds is None else Goal.time(self.max_seconds)
 
     def forecaster(self, context: RunContext) -> Forecaster | None:
-        """Return the forecaster if the report is to contain a forecast, else None."""
+        """Return the forecaster if the report shall contain a forecast, else None."""
         return Forecaster(context, self.error) if self.forecast else None
 
 
 def announce(scene: Scene, goal: Goal | None, device: str, *, as_json: bool) -> None:
-    """Print a summary of the scene, and a note on the part that makes the run slow.
+    """Print a summary of the scene, and a note that names the material that makes the run slow.
 
     Args:
         scene: The scene.
-        goal: The goal that determines the grid; None: the scene's own grid is used.
+        goal: The goal that determines the grid. If it is None, the scene's own grid is used.
         device: Name of the device, as `pick_device` takes it.
-        as_json: Whether only JSON is printed, so nothing here.
+        as_json: Whether the command prints only JSON; this function then prints nothing.
     """
     if as_json:
         return
@@ -107,7 +111,7 @@ def predict(
         gaussians: The object.
         scene: The scene.
         plan: The options of the command.
-        context: Device, threads, and the durations of the stages so far.
+        context: Device, threads, and the durations of the finished stages.
         crop: Position of the object in the picture on which the masks of parts were painted.
         study: The command that measures the error of this scene.
         as_json: Print JSON and nothing else.

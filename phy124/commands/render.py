@@ -31,27 +31,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Render:
-    """Film a clip from other sides, in another size or in other formats."""
+    """Film a clip from other directions, in another size or in other formats."""
 
     clip: tyro.conf.Positional[Path]
     """clip.safetensors made by `phy124 generate`."""
     view: Annotated[ViewOptions, tyro.conf.arg(name="")] = field(default_factory=ViewOptions)
     set: tuple[str, ...] = field(default_factory=tuple)
-    """Any other value of the view, as KEY=VALUE: elevation=30, background=[0,0,0]; or, as in a
-    scene, view.elevation=30."""
+    """Any other value of the view, as KEY=VALUE: elevation=30, background=[0,0,0]. The name in the
+    scene is also accepted: view.elevation=30.
+    """
     compose: Path | None = None
-    """The photograph from which the clip was made; the object is also filmed in it
-    (composed.mp4)."""
+    """The photograph from which the clip was made. The object is then also filmed inside the
+    photograph (composed.mp4).
+    """
     out: Path | None = None
-    """Folder of the files; default: that of the clip."""
+    """Folder for the films; by default, the folder of the clip."""
     device: Device = "auto"
     threads: int | None = None
-    """CPU threads that render; absent: one per free core."""
+    """Number of CPU threads that render; by default, one per free core."""
     json: bool = False
-    """Print the files as JSON and nothing else."""
+    """Print only the names of the files, as JSON."""
 
     def run(self) -> int:
-        """Render the clip; print the files."""
+        """Render the clip; print the names of the written files."""
         refuse_threads(self.threads)
         import_lightly(*FILMING)
         clip = Clip.load(self.clip)
@@ -83,7 +85,7 @@ class Render:
         return bars.status("the listed files are complete, the others were not written")
 
     def _photograph(self) -> Photograph | None:
-        """Open the photograph for --compose, if any, before any film is rendered."""
+        """Open the photograph for --compose, if there is one, before any film is rendered."""
         if self.compose is None:
             return None
         from phy124.rendering.compose import photograph_of
@@ -93,10 +95,10 @@ class Render:
 
 
 def _view_changes(changes: dict[str, Any]) -> dict[str, Any]:
-    """Return changes of a view as changes of a scene.
+    """Convert changes of a view to changes of a scene, whose keys begin with "view.".
 
     Raises:
-        InputError: A key belongs to the simulation.
+        InputError: A key names a setting of the simulation.
     """
     for key, value in changes.items():
         field_name = key.partition(".")[0]

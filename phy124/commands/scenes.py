@@ -21,16 +21,20 @@ class Scenes:
     """List the preset scenes, or print a preset as TOML to start a scene file from."""
 
     name: tyro.conf.Positional[str | None] = None
-    """Preset to print in full, or with --reference a section such as material or forces."""
+    """Preset to print in full; with --reference, a section of a scene, such as material or forces.
+    """
     reference: bool = False
-    """Print the fields of a scene, or of one section: accepted values, default and meaning."""
+    """Print the accepted values, default and meaning of each field of a scene, or of one section.
+    """
     schema: bool = False
-    """Print the JSON schema of scene files, for editors; the same as --reference --json."""
+    """Print the JSON schema of scene files, which text editors can use (same as --reference
+    --json).
+    """
     json: bool = False
-    """Print as JSON and nothing else."""
+    """Print only JSON."""
 
     def run(self) -> int:
-        """Print the list, the preset or the reference."""
+        """Print the list of presets, a preset, or the fields of a scene."""
         if self.reference or self.schema:
             from phy124.scene.reference import format_reference, format_schema
 
@@ -43,7 +47,7 @@ class Scenes:
             scene = Scene.named(self.name)
             print(json.dumps(scene.data()) if self.json else scene.to_toml())
             return 0
-        # The list needs no scenes, whose classes load Warp.
+        # The list does not need the classes of scenes, which would import Warp.
         files = sorted(Path(str(resources.files("phy124") / "presets")).glob("*.toml"))
         tables = {file.stem: tomllib.loads(file.read_text("utf-8")) for file in files}
         descriptions = {name: table["description"] for name, table in tables.items()}

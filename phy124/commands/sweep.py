@@ -24,32 +24,35 @@ from phy124.studies.sweep.storage import Storage
 
 @dataclass(frozen=True)
 class Sweep:
-    """Make the clips that a file declares (pictures, generators, values), or report on them.
+    """Make the clips that a file declares by pictures, generators and values, or report on the
+    clips.
 
-    `phy124 sweep SWEEP.toml --out DIR` makes the clips that are missing; `phy124 sweep report DIR`
-    prints a table and writes a page with pictures.
+    `phy124 sweep SWEEP.toml --out DIR` makes the clips that do not exist yet. `phy124 sweep report
+    DIR` prints a table and writes a page with pictures.
     """
 
     file: tyro.conf.Positional[str]
     """A .toml file (see docs/guide/sweeps.md), or the word report."""
     folder: tyro.conf.Positional[str | None] = None
-    """With `report`: the folder of the sweep's results (its --out)."""
+    """For `report`: the folder with the sweep's results, which was passed as --out."""
     out: str | None = None
-    """Folder, or address such as s3://bucket/sweep; default out/NAME."""
+    """Folder for the results, or an address such as s3://bucket/sweep; default out/NAME."""
     dry_run: bool = False
-    """Print the planned clips, the expected cost and the clips that are refused; make none."""
+    """Print the planned clips, the refused clips and the expected cost; make no clip."""
     ray: str | None = None
     """Address of a Ray cluster, such as auto or ray://host:10001."""
     workers: int | None = None
-    """Worker processes on this machine; absent: one per core; 0: work in this process."""
+    """Number of worker processes on this machine; by default, one per core. With 0, this process
+    does the work.
+    """
     shard: str = "1/1"
-    """Shard of the clips to make: 3/8 is the third of eight shards."""
+    """Shard of the sweep to make: 3/8 is the third of eight shards."""
     device: Device = "auto"
     json: bool = False
-    """Print the outcome as JSON and nothing else."""
+    """Print only the outcome, as JSON."""
 
     def run(self) -> int:
-        """Make the clips, or report on them."""
+        """Make the clips, or report on the finished clips."""
         if self.file == "report":
             return self._report()
         self._refuse()
@@ -82,7 +85,7 @@ class Sweep:
         return 3 if counts.ended["failed"] else 0
 
     def _report(self) -> int:
-        """Print the table and write the page."""
+        """Print the table of finished clips, and write the page with pictures."""
         if self.folder is None:
             limit = "report needs the folder of a sweep."
             raise InputError("folder", None, limit, "Write phy124 sweep report DIR.")
@@ -107,11 +110,11 @@ class Sweep:
         return 0
 
     def _refuse(self) -> None:
-        """Check the options before any work."""
+        """Check the options before any clip is made."""
         parts_of(self.shard)
         if self.workers is not None and not 0 <= self.workers <= 1024:
             raise InputError(
-                "workers", self.workers, "the number must be from 0 to 1024.", "Leave it out."
+                "workers", self.workers, "the number must be from 0 to 1024.", "Remove this option."
             )
         if self.folder is not None:
             limit = "only `report` takes a folder."
@@ -124,7 +127,7 @@ def parts_of(shard: str) -> tuple[int, int]:
     """Return the number of a shard and the number of all shards, from a text such as 3/8.
 
     Raises:
-        InputError: The text is something else.
+        InputError: The text does not have the form of 3/8.
     """
     part, _, parts = shard.partition("/")
     if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):

@@ -30,7 +30,7 @@ from phy124.studies.validation.experiments.page import (
 from phy124.studies.validation.experiments.running import run_all
 
 DOCS = Path("docs/lab/experiments.md"), Path("docs/images/experiments")
-"""The page and its folder of plots, in a clone of the repository."""
+"""The page about the experiments and the folder of its plots, in a clone of the repository."""
 
 
 @dataclass(frozen=True)
@@ -38,31 +38,34 @@ class Validate:
     """Repeat each published experiment on three grids, and once with a deliberate error that must
     be detected.
 
-    The status is 0 if all experiments ran, every control left its band, and every value outside its
-    band is a known deviation.
+    The status is 0 if three conditions hold: all experiments ran, every run with a deliberate error
+    left its acceptance band, and every other value outside its band is a known deviation.
     """
 
     name: tyro.conf.Positional[str | None] = None
-    """Experiment to repeat; absent: all. --list prints the names."""
+    """Name of the experiment to repeat; by default, all are repeated. --list prints the names."""
     quick: bool = False
-    """Repeat only those experiments that take seconds: about half of them, in a minute."""
+    """Repeat only the experiments that take seconds. These are about half of all experiments, and
+    take a minute in total.
+    """
     list: bool = False
-    """Print the names and the measured quantities, and run nothing."""
+    """Print the names of the experiments and the measured quantities; run no experiment."""
     jobs: int | None = None
-    """Number of parallel processes; absent: one per core."""
+    """Number of parallel processes; by default, one per core."""
     out: Path | None = None
     """Folder for experiments.md, experiments.json and a plot of each experiment."""
     docs: bool = False
-    """In a clone: update docs/lab/experiments.md and its plots."""
+    """Update docs/lab/experiments.md and its plots; this works only in a clone of the repository.
+    """
     json: bool = False
-    """Print as JSON and nothing else."""
+    """Print only JSON."""
 
     def run(self) -> int:
-        """Run the experiments; return status 1 if a control or a run fails, or if a deviation is
-        new.
+        """Run the experiments; return status 1 if a run fails, if a deliberate error is not
+        detected, or if a deviation is new.
 
         Raises:
-            InputError: There is no such experiment, or its results cannot be written.
+            InputError: The experiment is unknown, or the results cannot be written.
         """
         chosen = self._chosen()
         if self.list:
@@ -91,16 +94,16 @@ class Validate:
         return bars.status(f"{len(done)} experiments were made") or (0 if good else 1)
 
     def _chosen(self) -> Sequence[Experiment]:
-        """Return the experiments to run."""
+        """Return the selected experiments."""
         if self.name is None:
             return [each for each in EXPERIMENTS if each.quick or not self.quick]
         return [find_experiment(self.name)]
 
     def _refuse_docs(self) -> None:
-        """Refuse --docs unless all experiments run, since the page needs all of them.
+        """Refuse --docs unless all experiments are run, since the page shows all of them.
 
         Raises:
-            InputError: This is not a clone, or only some experiments are run.
+            InputError: The current folder is not a clone, or only some experiments are run.
         """
         if not self.docs:
             return
@@ -109,7 +112,7 @@ class Validate:
                 "docs",
                 "a part",
                 "the page shows all experiments, not a selection.",
-                "Leave NAME and --quick out, or write the selection with --out FOLDER.",
+                "Remove NAME and --quick, or write the selection with --out FOLDER.",
             )
         if not DOCS[0].parent.is_dir():
             raise InputError(
@@ -120,7 +123,7 @@ class Validate:
             )
 
     def _refuse_out(self) -> None:
-        """Refuse an unusable output now, because the experiments take hours.
+        """Refuse an unusable output folder before the experiments, which take hours.
 
         Raises:
             InputError: The folder cannot be written, or the plotting package is missing.
@@ -132,7 +135,7 @@ class Validate:
                 pass
 
     def _write(self, done: Sequence[Outcome], *, whole: bool) -> None:
-        """Write the requested files; the documentation only if every experiment has run."""
+        """Write the requested files; write the documentation only if every experiment has run."""
         if self.docs and whole:
             save_page(done, *DOCS, machine=_machine())
         if self.out is not None and done:
@@ -167,7 +170,9 @@ def _machine() -> str:
 
 
 def _processor() -> str:
-    """Return the name of the processor, or its architecture where the system has no name for it."""
+    """Return the name of the processor; if the system does not know the name, return the
+    architecture.
+    """
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines():
             if line.startswith("model name"):
@@ -177,20 +182,21 @@ def _processor() -> str:
 
 @dataclass(frozen=True)
 class Stress:
-    """Run the hard cases; print bound, measured value and verdict."""
+    """Run the hard cases; print the bound, the measured value and the verdict of each case."""
 
     all: bool = False
-    """Run at full length: minutes instead of seconds."""
+    """Run the cases at full length, which takes minutes instead of seconds."""
     device: Device | None = None
-    """Device on which the cases run; absent: the CPU and then each CUDA device."""
+    """Device on which the cases run; by default, they run on the CPU and then on each CUDA device.
+    """
     json: bool = False
-    """Print as JSON and nothing else."""
+    """Print only JSON."""
 
     def run(self) -> int:
         """Run the cases and print the table; return status 1 if a case fails.
 
         Raises:
-            InputError: There is no such device.
+            InputError: This machine does not have the requested device.
         """
         device = None if self.device is None else pick_device(self.device)
         settings, rows = stress.settings(device, long=self.all), []

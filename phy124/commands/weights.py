@@ -23,25 +23,26 @@ SENTENCES = {
     "unchecked": "found; not checked",
     "missing": "missing",
 }
-"""Verdict of the check of a weights file -> its sentence."""
+"""Result of checking a file of weights -> a sentence that describes the result."""
 OLDER = "(with huggingface_hub before 1.0 the command is `huggingface-cli download ...`)"
 
 
 @dataclass(frozen=True)
 class Weights:
-    """List the known trained weights and whether they are present, or download a set of them."""
+    """List the known sets of trained weights and whether they are present, or download a set."""
 
     action: tyro.conf.Positional[Literal["list", "fetch"]] = "list"
     """`list` the weights, or `fetch` a set."""
     name: tyro.conf.Positional[str | None] = None
     """Set to fetch: triposr, birefnet-lite, isnet, moge2, depth-anything, u2net, lgm, ..."""
     weights: Path | None = None
-    """Folder to search first, and to download into."""
+    """Folder that is searched first, and into which weights are downloaded."""
     json: bool = False
-    """Print as JSON and nothing else."""
+    """Print only JSON."""
 
     def run(self) -> int:
-        """List or download; return status 1 if a listed file differs from the published file.
+        """List or download weights; return status 1 if a listed file differs from the published
+        file.
 
         Raises:
             InputError: The name of the set is missing or unknown, or the download fails.
@@ -57,14 +58,14 @@ class Weights:
                 "`fetch` needs the name of a set.",
                 f"Choose one of {', '.join(KNOWN)}.",
             )
-        with Bars(quiet=True) as bars:  # huggingface_hub draws a bar of its own
+        with Bars(quiet=True) as bars:  # huggingface_hub draws its own progress bar
             paths = [str(path) for path in fetch(self.name, self.weights, progress=bars)]
         print(json.dumps({"files": paths}) if self.json else "\n".join(paths))
         return 0
 
 
 def data(statuses: list[WeightStatus]) -> list[dict[str, Any]]:
-    """Return the statuses as plain data."""
+    """Return the state of each file of weights as plain data."""
     return [
         {
             "weights": s.weights,
@@ -84,7 +85,7 @@ def data(statuses: list[WeightStatus]) -> list[dict[str, Any]]:
 
 
 def summary(statuses: list[WeightStatus]) -> str:
-    """Summarise the statuses in one line: which sets are complete, damaged or missing."""
+    """Summarise in one line which sets of weights are complete, damaged or missing."""
     sets: dict[str, list[WeightStatus]] = {}
     for s in statuses:
         sets.setdefault(s.weights, []).append(s)
@@ -98,7 +99,7 @@ def summary(statuses: list[WeightStatus]) -> str:
 
 
 def describe(name: str) -> dict[str, Any]:
-    """Return purpose, permitted use and forecast of a set of weights, as data."""
+    """Return a set's purpose, permitted use, and predicted time and memory, as plain data."""
     about = ABOUT.get(name)
     if about is None:
         return {}
@@ -112,7 +113,9 @@ def describe(name: str) -> dict[str, Any]:
 
 
 def lines(statuses: list[WeightStatus]) -> list[str]:
-    """Format the statuses as text: a heading for each set, and a paragraph for each file."""
+    """Format the state of all weights as text, with a heading for each set and a paragraph for each
+    file.
+    """
     text: list[str] = []
     for i, s in enumerate(statuses):
         if i == 0 or statuses[i - 1].weights != s.weights:
@@ -131,7 +134,7 @@ def lines(statuses: list[WeightStatus]) -> list[str]:
 
 
 def heading(status: WeightStatus) -> list[str]:
-    """Format purpose, size, permitted use and forecast of a set of weights."""
+    """Format a set's purpose, size and permitted use, and the predicted time and memory."""
     name, about = status.weights, ABOUT.get(status.weights)
     if about is None:
         return [f"{name}:"]
