@@ -41,7 +41,7 @@ from support.shapes import ball
         ("generate x.png --scene nofile.toml", "scene = nofile.toml: there is no such file. Give"),
         ("generate x.png --size 10x", "view.size = 10x: it must be a number or WIDTHxHEIGHT"),
         ("render clip.safetensors --sise=3", "option = --sise: `phy124 render` has no such"),
-        ("generate x.png y.png", "image = y.png: the scene takes one picture. Leave it out, or"),
+        ("generate x.png y.png", "image = y.png: the scene takes one picture. Remove it, or"),
         ("cutout x.png y.png", "argument = y.png: `phy124 cutout` takes no more values."),
         ("weights fech", "action = fech: there is no such choice. Did you mean fetch?"),
         ("accuracy press --levels a", "levels = a: it is not a whole number."),

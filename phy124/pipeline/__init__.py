@@ -6,9 +6,10 @@ calls `simulate`. `simulate` prepares the scene (`phy124.simulation.prepare`) an
 (`phy124.rendering.film`) and report. `go_on` continues an interrupted run with the same steps.
 
 Every function here reports its progress and the durations of its stages. A run that is refused or
-cancelled leaves no files. A run that stops early keeps its finished frames, as does a cancelled run
+cancelled leaves no files. A run that stops early keeps its finished frames; a cancelled run keeps them
 if `keep` is set. If a run ends in any other way (an error, lack of disk space or memory, a kill),
-the finished frames stay on disk for `go_on`. The clip also stays on disk once it is complete.
+the finished frames stay on disk, so that `go_on` can continue the run. The clip also stays on disk
+once it is complete.
 """
 
 from __future__ import annotations
@@ -241,7 +242,7 @@ def go_on(
     path = Path(out) / PAUSE
     if not path.is_file():
         limit = "this folder has no interrupted run."
-        raise InputError("resume", out, limit, "Leave --resume out to start from the beginning.")
+        raise InputError("resume", out, limit, "Remove --resume to start from the beginning.")
     about = resume.read_about(path)
     if scene is not None:
         asked, paused = scene.data(), about["scene"]
@@ -282,9 +283,7 @@ def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) 
         if asked.get(name) != before.get(name):
             both = name in asked and name in before
             what = f"{name} = {before[name]}, not {asked[name]}" if both else f"different {name}"
-            remedy = (
-                "Repeat the options of the interrupted run, or leave --resume out to start again."
-            )
+            remedy = "Repeat the options of the interrupted run, or remove --resume to start again."
             raise InputError("resume", out, f"the interrupted run has {what}.", remedy)
 
 

@@ -1,4 +1,4 @@
-"""Estimates the disk space for a run's results, and warns if the disk has less free space."""
+"""Estimates the size of a run's results, and warns if the disk has less free space."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from phy124.budget.cost import BYTES_PER_GAUSSIAN
 from phy124.simulation import Simulation
 
 PLY = 4 * 17
-"""Size of a Gaussian in a PLY file [bytes]; each further colour coefficient takes 12 more."""
+"""Size of a Gaussian in a PLY file [bytes]; each further colour coefficient adds 12 bytes."""
 PARTICLE = 48
-"""Size, in one frame, of a particle that carries Gaussians [bytes]."""
+"""Size per frame of a particle that carries Gaussians [bytes]."""
 EXPORTED = {"usd": BYTES_PER_GAUSSIAN, "ply": PLY, "html": 8}
-"""Format -> size of a Gaussian of one frame [bytes]."""
+"""Name of a file format -> size of a Gaussian in one frame [bytes]."""
 PIXEL = {"png": 1.0, "gif": 0.5, "webp": 0.1, "mp4": 0.05, "webm": 0.05, "mov": 2.0}
-"""Format -> approximate size of a rendered pixel [bytes]."""
+"""Name of a video format -> approximate size of a rendered pixel [bytes]."""
 OUTPUT = 6
-"""Approximate size of a pixel in an output such as depth [bytes]."""
+"""Approximate size of a pixel in an additional output such as depth [bytes]."""
 
 
 def warn_of_disk_space(run: Simulation, out: Path, *, films: bool) -> None:
@@ -38,9 +38,10 @@ def warn_of_disk_space(run: Simulation, out: Path, *, films: bool) -> None:
 
 
 def estimate_size(run: Simulation, *, films: bool) -> float:
-    """Estimate the size of a run's files [bytes]; for films the estimate is only rough.
+    """Estimate the total size of a run's files [bytes]; the estimate is rough for films.
 
-    Until a run ends, a file holds its frames: the Gaussians, or only the particles in a light run.
+    Until a run ends, a file holds its frames. The file contains the Gaussians or, in a light run,
+    only the particles.
     """
     scene, count, frames = run.scene, len(run.setup.shown), run.scene.time.frames
     colours = 12 * (run.setup.shown.sh.shape[1] - 1)

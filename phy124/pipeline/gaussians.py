@@ -1,4 +1,4 @@
-"""Turns pictures into static Gaussians; all options of this step are declared here, once."""
+"""Turns pictures into static Gaussians, and declares all options of this step."""
 
 from __future__ import annotations
 
@@ -40,22 +40,24 @@ CLIP = ".safetensors"
 
 @dataclass(frozen=True)
 class StaticObject:
-    """Static Gaussians that were made from the pictures of a scene's objects, and facts about their
-    making.
+    """Static Gaussians that were made from the pictures of a scene's objects, and data about how
+    they were made.
     """
 
     gaussians: Gaussians
     """Gaussians of all objects, with `object_id` if there are several objects."""
     scene: Scene
-    """The scene; for a capture it includes the detected floor, and its regions are in metres."""
+    """The scene. For a capture, the scene includes the detected floor, and its regions are in
+    metres.
+    """
     crop: Crop
     """Position of the first object in its picture."""
     cutout: Cutout | None
-    """The cut-out of the first object; None without a picture."""
+    """The cut-out of the first object; None if there is no picture."""
     about: dict[str, Any]
-    """Entries of the report: cut-out methods and generator."""
+    """Entries for the report that name the cut-out methods and the generator."""
     effort: Effort | None
-    """Forecast of the time that the generator takes, if it takes long."""
+    """Forecast of the generator's time; None if the generator is fast."""
 
 
 class Objects(NamedTuple):
@@ -64,9 +66,9 @@ class Objects(NamedTuple):
     gaussians: Gaussians
     """Gaussians of these objects, with `object_id` if there are several."""
     scene: Scene
-    """The scene; each of its objects has the crop of its picture."""
+    """The scene. Each object in it stores its position in its picture."""
     about: dict[str, Any]
-    """Entries of the report about how the objects were made."""
+    """Entries for the report that describe how the objects were made."""
 
 
 def make_gaussians(
@@ -127,15 +129,16 @@ def make_object(
         context: Device of the generator, progress and stopwatch.
         generator: Name, path of a .ply file, or a generator itself.
         options: How much work the generator does.
-        reading: How to interpret that .ply file, and whether to detect its floor.
+        reading: How to interpret the generator's .ply file, and whether to detect a floor in it.
         method: Method of segmentation, see `phy124.imaging.cutout.foreground`.
         mask: Picture that is white where the object is.
         pick: A point on the object, if the picture shows several.
         depth: Depth map of the picture, for `relief`.
         views: Further pictures of the object, for `relief`.
         on_cutout: Called with each cut-out, before the slow steps begin.
-        on_estimate: Called with the forecast of a slow generator before that generator begins.
-        preview_with_relief: Whether `relief` replaces a slow generator, for a forecast.
+        on_estimate: Called with the forecast of a slow generator before the generator starts.
+        preview_with_relief: Whether `relief` replaces a slow generator because only a forecast is
+            needed.
         count: Largest number of Gaussians.
 
     Raises:
@@ -148,9 +151,7 @@ def make_object(
     deadline = Deadline(beat=partial(progress, "cut out", 0, 1))
 
     def cut_view(field: str, path: Path) -> Cutout:
-        """Cut the object out of a further picture; in errors, `field` names the option of this
-        picture.
-        """
+        """Cut the object out of a further picture; error messages name the option `field`."""
         try:
             with watch.stage("image"):
                 way = method if mask is None else "auto"
@@ -174,7 +175,7 @@ def make_object(
             if value is not None:
                 limit = f"{name} does not use a picture."
                 raise InputError(
-                    field, value, limit, "Leave the picture out, or choose another generator."
+                    field, value, limit, "Remove the picture, or choose another generator."
                 )
     about: dict[str, Any] = {
         "foreground": cutout and cutout.method,
@@ -221,7 +222,8 @@ def with_others(
         on_cutout: Called with each cut-out, before the slow steps begin.
 
     Raises:
-        InputError: A picture or file cannot be used, or there are more of them than objects.
+        InputError: A picture or file cannot be used, or there are more pictures and files than
+            objects.
     """
     check_sources(scene, more)
     if not scene.objects:
@@ -265,7 +267,7 @@ def with_others(
 
 
 def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLike, ...]]:
-    """Return the first picture, and a tuple of the other pictures."""
+    """Return the first picture, and the other pictures as a tuple."""
     if isinstance(image, (str, os.PathLike)):
         return image, ()
     first, *more = image
@@ -273,7 +275,7 @@ def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLik
 
 
 def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
-    """Refuse more further pictures than there are further objects that need a picture.
+    """Refuse the further pictures if they outnumber the further objects that need a picture.
 
     Raises:
         InputError: There are too many pictures.
@@ -287,12 +289,12 @@ def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
         if waiting
         else "the scene takes one picture."
     )
-    remedy = f"Leave it out, or choose a scene of several objects: {', '.join(several)}."
+    remedy = f"Remove it, or choose a scene of several objects: {', '.join(several)}."
     raise InputError("image", more[waiting], limit, remedy)
 
 
 def at_rest(path: PathLike) -> Gaussians:
-    """Return the object of a clip in its first frame.
+    """Return the object of a clip as it is in the first frame.
 
     Raises:
         InputError: The file is not a clip, or the clip has several objects.

@@ -1,8 +1,8 @@
 """Records a run on disk: each frame as soon as it is computed, and the solver's state at intervals.
 
-If the run is ended by anything (kill -9, lack of memory, an error), `resume` can continue from the
-last saved state. Frames are written once, to the file that becomes the clip. The intervals are long
-enough that writing the state takes at most a hundredth of the time.
+If anything ends the run (kill -9, lack of memory, an error), `resume` can continue from the last
+saved state. Each frame is written only once, to the file that becomes the clip. The intervals are
+so long that writing the state takes at most a hundredth of the run's time.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from phy124.simulation import Simulation
 PAUSE = "pause.safetensors"
 """Name of the file from which an interrupted run continues."""
 FRAMES = "pause-{}.frames"
-"""Name of the file with the frames of a run that is in progress or was killed."""
+"""Name of the file that contains the frames of a run that is in progress or was killed."""
 COST = 0.01
 """Largest fraction of a run's time that may be spent on writing the solver's state."""
 GUESS = 4e8
@@ -39,8 +39,9 @@ GUESS = 4e8
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 HEADER, PER_FRAME = 32_000, 120
-"""Space in the clip's file for the report, and for the entries of each frame in the report
-[bytes]."""
+"""Space that is reserved in the clip's file [bytes]: for the report, and for the report's entries
+about each frame.
+"""
 
 
 class Recording:
@@ -59,8 +60,8 @@ class Recording:
 
         Args:
             out: The folder of the run; None: nothing is written.
-            about: Entries of the report that are known while the run is in progress.
-            files: Content of further result files by name, saved with the state.
+            about: Entries of the report that are known before the run ends.
+            files: Name -> content of further result files, which are saved together with the state.
             frames: The frame file of the run that is continued, if it has one.
             saved: Number of frames already computed by the run that is continued.
         """
@@ -74,7 +75,7 @@ class Recording:
         self._put, self._last, self._cost = 0, time.perf_counter(), 0.0
 
     def see(self, run: Simulation) -> None:
-        """Write the new frames and, if enough time has passed, the solver's state."""
+        """Write the new frames; if enough time has passed, also write the solver's state."""
         if run is not self._run:
             self._begin(run)
         if self.failed:
@@ -91,7 +92,7 @@ class Recording:
                 try:
                     self.pause(run)
                 except (OSError, InputError) as error:
-                    self._last = math.inf  # do not write again
+                    self._last = math.inf  # do not try to write again
                     self._complain("the state of the run cannot be written", error)
 
     def _complain(self, what: str, error: Exception) -> None:
@@ -99,7 +100,7 @@ class Recording:
         warnings.warn(f"{what}, so a kill would lose {lost} ({error})", stacklevel=3)
 
     def pause(self, run: Simulation) -> None:
-        """Write the solver's state after the last frame.
+        """Write the state that the solver has after the last frame.
 
         Raises:
             OSError: It cannot be written.
@@ -126,27 +127,29 @@ class Recording:
         clip.save(path, packed)
 
     def discard(self) -> None:
-        """Remove the files of the pause and the frames; in a read-only folder, both stay."""
+        """Remove the saved state and the frame file; in a read-only folder, both files stay."""
         if self.out is not None:
             with suppress(OSError):
                 self.path.unlink(missing_ok=True)
         self.close()
 
     def close(self) -> None:
-        """Remove the file of frames; call this if its frames are saved elsewhere or not needed."""
+        """Remove the frame file; call this if its frames are saved elsewhere or are not needed."""
         if self.frames is not None:
             self.frames.remove()
         self.frames, self.failed = None, True
 
     def drop(self) -> None:
-        """Remove the files of this run; if the run was continued, keep those of the earlier run."""
+        """Remove the files of this run; if it continues an earlier run, keep the files of the
+        earlier run.
+        """
         if self.resumed or not self.saved:
             self.leave()
         else:
             self.discard()
 
     def rescue(self) -> int:
-        """Keep the frames of a failed run on disk; return their number."""
+        """Keep the frames of a failed run on disk; return the number of frames."""
         if self._run is not None:
             with suppress(Exception):
                 self.pause(self._run)
@@ -154,13 +157,15 @@ class Recording:
         return self.saved
 
     def leave(self) -> None:
-        """Leave the files of the pause and of the frames on disk for `resume`."""
+        """Leave the saved state and the frame file on disk, so that `resume` can continue the
+        run.
+        """
         if self.frames is not None:
             self.frames.close() if self.saved else self.frames.remove()
         self.frames, self.failed = None, True
 
     def _begin(self, run: Simulation) -> None:
-        """Begin to record another run, since a search for an accuracy makes several runs."""
+        """Begin to record another run; a search for an accuracy makes several runs."""
         first, self._run, self._last = self._run is None, run, time.perf_counter()
         if first:
             self._put = 0 if self.frames is None else self.saved
@@ -169,21 +174,21 @@ class Recording:
             self.frames, self._put, self.saved = None, 0, 0
 
     def _write_frames(self, run: Simulation) -> None:
-        """Write the new frames; they are then read from the memory-mapped file, which saves
-        memory.
+        """Write the new frames to the file. They are then read from the memory-mapped file, which
+        saves memory.
         """
         for place in range(self._put, run.count):
             frame, turns = run.frames[place], run.rotations[place] if run.rotations else None
             if self.frames is None:
                 path = self.path.with_name(FRAMES.format(secrets.token_hex(4)))
                 count, header = run.scene.time.frames, self._header(run)
-                with disk.locking(path.parent):  # keeps other processes from removing the file
+                with disk.locking(path.parent):  # prevents other processes from removing the file
                     self.frames = Growing.like(path, frame, count, rotation=turns, header=header)
             run.frames[place], turned = self.frames.put(frame, turns)
             if turned is not None:
                 run.rotations[place] = turned
             if place and run.rotations:
-                # Only the last frame's rotated colours are needed again.
+                # Of the rotated colours, only those of the last frame are needed again.
                 before = run.frames[place - 1]
                 plain = replace(before.gaussians, sh=run.setup.shown.sh)
                 run.frames[place - 1] = replace(before, gaussians=plain)
@@ -192,12 +197,12 @@ class Recording:
             trim()
 
     def _header(self, run: Simulation) -> int:
-        """Return the space for the header of the clip's file [bytes]."""
+        """Return the space that the header of the clip's file needs [bytes]."""
         size = len(json.dumps([run.setup.cleaned_scene.data(), self.about]))
         return HEADER + 2 * size + PER_FRAME * run.scene.time.frames
 
     def _is_due(self, run: Simulation) -> bool:
-        """Return whether enough time has passed since the state was written last."""
+        """Return whether enough time has passed since the solver's state was last written."""
         source = run.setup.source
         size = 4 * sum(a.size for a in (source.means, source.quats, source.scales, source.sh))
         cost = self._cost or (size + 300 * len(run.setup.particles)) / GUESS
@@ -219,7 +224,7 @@ def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, R
         saved = resume.read_about(out / PAUSE)["frames"]
         frames = resume.frames_of(out / PAUSE)
         run = resume.load(out / PAUSE, context, frames=frames)
-    except InputError:  # the pause is damaged, or another version wrote it
+    except InputError:  # the saved state is damaged, or another version of phy124 wrote it
         if frames is not None:
             frames.close()
         return None, Recording(out, {})
@@ -227,8 +232,8 @@ def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, R
 
 
 def sweep(out: Path) -> None:
-    """Remove the frame files of killed runs from a folder, except the file that the folder's pause
-    needs.
+    """Remove the frame files of killed runs from a folder. If the folder contains a saved state,
+    keep the frame file that this state needs.
     """
     leftover = list(out.glob(FRAMES.format("*")))
     if not leftover:

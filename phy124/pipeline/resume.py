@@ -1,7 +1,7 @@
 """Saves a paused simulation as a safetensors file, and continues it later.
 
-On a CPU the continued run equals an uninterrupted run bit for bit. On a GPU, which sums in no fixed
-order, both runs are equal within rounding.
+On a CPU, the continued run equals an uninterrupted run bit for bit. On a GPU, both runs are equal
+within rounding, because a GPU adds numbers in no fixed order.
 """
 
 from __future__ import annotations
@@ -54,9 +54,10 @@ def save(
     Args:
         run: The run.
         path: The file to write.
-        about: Entries that `read_about` returns.
-        frames: The frame file in the same folder; None: the frames are written to `path`, too.
-        files: Contents of result files by name, which `read_files` returns.
+        about: Further entries to save; `read_about` returns them.
+        frames: The frame file in the same folder. If it is None, the frames are also written to
+            `path`.
+        files: Name -> content of result files; `read_files` returns them.
 
     Raises:
         InputError: The folder is missing, or a file cannot be created in it.
@@ -96,14 +97,14 @@ def load(
     frames: Growing | None = None,
     observers: Sequence[type[Observer]] | None = None,
 ) -> Simulation:
-    """Load a paused run; it continues when its frames are requested.
+    """Load a paused run; the run continues when its next frames are requested.
 
     Args:
         path: The file.
         context: Device, threads, progress and stopwatch. If it sets no number of threads, the run
-            continues bit for bit with the number it had. With another number the result is equal
-            within rounding, and the report notes this. The seconds spent before the pause are added
-            to the stopwatch.
+            continues bit for bit with its previous number of threads. With another number, the
+            result is equal within rounding, and a note is added to the report. The seconds spent
+            before the pause are added to the stopwatch.
         frames: The run's frame file, if it is already open (`frames_of`).
         observers: Classes of observers, as for `prepare`.
 
@@ -136,7 +137,8 @@ def load(
 
 
 def frames_of(path: str | os.PathLike[str]) -> Growing | None:
-    """Open the frame file of a paused run; return None if the run's own file contains the frames.
+    """Open the frame file of a paused run; return None if the frames are in the file of the saved
+    state.
 
     Raises:
         InputError: The file is missing, or another process is continuing the run.
@@ -146,8 +148,8 @@ def frames_of(path: str | os.PathLike[str]) -> Growing | None:
 
 
 def read_frames(path: str | os.PathLike[str]) -> dict[str, Any] | None:
-    """Return the description of a separate file of frames; None if the run's own file contains
-    them.
+    """Return the description of a separate frame file; None if the frames are in the file of the
+    saved state.
     """
     return _read(Path(path), tensors=False)[0]["frames"].get("growing")
 
@@ -187,7 +189,9 @@ def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def _plain(tree: Any, tensors: Tensors, name: str) -> Any:
-    """Return a snapshot without its arrays, which are added to `tensors` under their paths."""
+    """Return a snapshot without its arrays; add the arrays to `tensors`, with their paths as
+    keys.
+    """
     if isinstance(tree, dict):
         return {key: _plain(value, tensors, f"{name}.{key}") for key, value in tree.items()}
     if isinstance(tree, (np.ndarray, wp.array)):
@@ -197,7 +201,7 @@ def _plain(tree: Any, tensors: Tensors, name: str) -> Any:
 
 
 def _whole(tree: Any, tensors: Tensors, name: str) -> Any:
-    """Return a snapshot with its arrays inserted from `tensors`."""
+    """Return a snapshot in which the arrays from `tensors` are inserted."""
     if not isinstance(tree, dict):
         return tree
     if ARRAY in tree:
@@ -228,7 +232,7 @@ def _frames(run: Simulation) -> Tensors:
 
 
 def _put_frames(run: Simulation, kept: Tensors) -> None:
-    """Restore a run's frames so far from arrays that have one row per frame."""
+    """Restore the frames that a run has computed from arrays with one row per frame."""
     walls = kept.get("wrenches")
     wrenches_of = run.find(Wrenches)
     names = () if wrenches_of is None else wrenches_of.names
@@ -246,7 +250,9 @@ def _put_frames(run: Simulation, kept: Tensors) -> None:
 
 
 def _turn_last(run: Simulation) -> None:
-    """Rotate the last frame's colours with the material; a run at rest repeats this frame."""
+    """Rotate the last frame's colours with the material, because a run at rest repeats this
+    frame.
+    """
     if run.frames and run.rotations:
         last = run.frames[-1]
         turned = replace(last.gaussians, sh=rotate_sh(last.gaussians.sh, run.rotations[-1]))
@@ -278,7 +284,9 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
 
 
 def _checksum(tensors: Tensors) -> int:
-    """Return the CRC-32 of all arrays, sorted by name; files of older versions have no checksum."""
+    """Return the CRC-32 of all arrays, in the order of their names. Files of older versions have no
+    checksum.
+    """
     total = 0
     for name in sorted(tensors):
         total = zlib.crc32(np.ascontiguousarray(tensors[name]).data, total)

@@ -1,4 +1,5 @@
-"""Writes the folder of a run: either all of clip, Gaussians, scene, videos and report, or nothing.
+"""Writes the folder of a run. Either all files are written (clip, Gaussians, scene, videos,
+report), or none.
 
 Results of an earlier run are removed after the new results are written. Only files that the earlier
 report lists are removed; files of the user stay.
@@ -46,7 +47,7 @@ from phy124.simulation import Interrupted, Simulation
 CLIP, SCENE, PLY, CUTOUT = "clip.safetensors", "scene.toml", "gaussians.ply", "cutout.png"
 REPORT = "report.json"
 LARGEST_REPORT = 1 << 26
-"""Largest size of a report that is read [bytes]; a usual report has 10,000 bytes."""
+"""Maximum size of a report that is read [bytes]; a typical report has 10,000 bytes."""
 INTERRUPTED = "it was interrupted; the same command with --resume continues it"
 
 
@@ -57,29 +58,29 @@ class Result:
     folder: Path
     """Folder that contains the files."""
     files: tuple[Path, ...]
-    """All files that were written."""
+    """Paths of all files that were written."""
     report: dict[str, Any]
     """The content of report.json."""
 
 
 @dataclass
 class RunFolder:
-    """Writes the results of a run into a folder, using these options."""
+    """Writes the results of a run into a folder; the fields are the options."""
 
     out: Path
     context: RunContext
     about: dict[str, Any]
-    """Entries that are added to the report besides the run's own."""
+    """Entries that are added to the report, in addition to the run's own entries."""
     keep: bool
     """Whether the frames so far are saved if the context's `progress` cancels the run."""
     cutout: bytes | None = None
-    """The cut-out as a PNG file that is saved with the results."""
+    """Content of the cut-out's PNG file, which is saved with the results."""
     films: bool = True
     """Whether videos are rendered."""
     frames: Growing | None = None
     """The frame file of the run that is being continued, if it has one."""
     continued: int = 0
-    """Number of frames of the run that is being continued."""
+    """Number of frames that the run had computed before it was continued."""
     rescues: bool = True
     """Whether finished frames are saved if the run fails or its folder has no space."""
     predicted: Forecast | None = None
@@ -95,8 +96,8 @@ class RunFolder:
         )
 
     def fill(self, simulate: Callable[[], tuple[Simulation, Clip]]) -> Result:
-        """Simulate, save and film; a folder that cannot be written is refused before the
-        simulation.
+        """Simulate the scene, save the results and film the clip. A folder that cannot be written
+        is refused before the simulation.
 
         Raises:
             Incomplete: Not everything could be made or written; the message names the saved files.
@@ -118,7 +119,7 @@ class RunFolder:
     def _save_and_film(
         self, folder: Path, before: set[str], run: Simulation, clip: Clip, interrupted: bool
     ) -> Result:
-        """Save the results, then film the clip.
+        """Save the results of the run, then film the clip.
 
         Args:
             folder: Temporary folder in which files are written first.
@@ -128,7 +129,7 @@ class RunFolder:
             interrupted: Whether the run was interrupted.
         """
         report = self._save(folder, run, clip, interrupted)
-        del self.packing  # frees its memory
+        del self.packing  # frees the memory of the solver
         made = set(deliver(folder) if self.keep else ())
         remove_results(self.out, before.difference(made) if made else ())
         if self.keep and self.films and not interrupted:
@@ -142,7 +143,7 @@ class RunFolder:
         if "shapes" not in report:  # complete films have computed all frames
             report |= run.shapes_of(clip, every=not cut and problem is None)
         report = self._update(report, made, interrupted=cut or interrupted)
-        with suppress(OSError, InputError):  # without disk space the earlier report stays
+        with suppress(OSError, InputError):  # if the disk is full, the earlier report stays
             restate(saved, clip.with_report(report))
             write_json(folder / REPORT, report)
         deliver(folder)
@@ -153,8 +154,8 @@ class RunFolder:
         return Result(self.out, tuple(self.out / name for name in sorted(made)), report)
 
     def _with_error(self, run: Simulation, clip: Clip, interrupted: bool) -> Clip:
-        """Return the clip; its report contains the run's own error, or the reason why there is
-        none.
+        """Return the clip. Its report contains the run's own error, or the reason why no error was
+        estimated.
         """
         omit, goal = why_broken(self.about).rstrip("."), self.about.get("goal")
         if interrupted:
@@ -190,9 +191,10 @@ class RunFolder:
             raise
 
     def _film(self, clip: Clip, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
-        """Film all views; return whether filming was interrupted, and the exception if it failed.
+        """Film all views; return whether filming was interrupted, and the exception if filming
+        failed.
 
-        Finished films stay in either case.
+        Finished films stay in both cases.
         """
         if not self.films:
             return False, None
@@ -251,7 +253,7 @@ class RunFolder:
         return report
 
     def _relist(self, folder: Path) -> None:
-        """Correct the list of files in the report after a file could not be written."""
+        """Correct the report's list of files if a file could not be written."""
         listed = folder / REPORT
         report = json.loads(listed.read_bytes())
         report["files"] = sorted(path.name for path in folder.glob("[!.]*"))
@@ -260,7 +262,7 @@ class RunFolder:
 
     def _pause(self, folder: Path, run: Simulation) -> bool:
         """Write the state of a run that ends early; return whether the run can be continued from
-        it.
+        this state.
         """
         try:
             resume.save(run, folder / PAUSE, about=self.about, files=self.files)
@@ -271,8 +273,8 @@ class RunFolder:
         return True
 
     def _elsewhere(self, run: Simulation, clip: Clip, interrupted: bool) -> Incomplete:
-        """Write the results to a temporary folder instead; return an exception that names this
-        folder.
+        """Write the results to a temporary folder instead of the run's folder; return an exception
+        that names the temporary folder.
         """
         folder = None
         try:
@@ -327,7 +329,7 @@ class RunFolder:
 
 
 def _scene_file(scene: Scene) -> str:
-    """Format a scene as TOML, leaving out classes of the user that a file cannot name."""
+    """Format a scene as TOML, without the user's own classes, which a file cannot name."""
     if not scene.unregistered:
         return scene.to_toml()
     left_out = ", ".join(scene.unregistered)
@@ -336,7 +338,7 @@ def _scene_file(scene: Scene) -> str:
 
 
 def _without_films(out: Path, made: Iterable[str], *, resumes: bool) -> Incomplete:
-    """Return the exception for a run whose clip was saved, but neither filmed nor exported."""
+    """Return the exception for a run whose clip was saved, but was neither filmed nor exported."""
     names = ", ".join(sorted(made))
     more = ", or the same command with --resume makes the missing files" if resumes else ""
     return Incomplete(f"kept in {out}: {names}. `phy124 render {out / CLIP}` films it{more}")
@@ -350,7 +352,7 @@ def _after_error(out: Path, frames: int) -> Incomplete:
 
 
 def list_results(folder: Path) -> set[str]:
-    """Return the file names in the report of a folder; an empty set without a report."""
+    """Return the file names in the report of a folder; the set is empty if there is no report."""
     path = folder / REPORT
     try:
         large = path.stat().st_size > LARGEST_REPORT
@@ -361,7 +363,7 @@ def list_results(folder: Path) -> set[str]:
 
 
 def remove_results(folder: Path, names: Iterable[str]) -> None:
-    """Remove files and folders from a folder by name; missing names are ignored."""
+    """Remove the named files and folders from a folder; ignore names that do not exist."""
     for name in names:
         path = folder / name
         if path.is_dir() and not path.is_symlink():
@@ -371,12 +373,14 @@ def remove_results(folder: Path, names: Iterable[str]) -> None:
 
 
 def _is_plain(name: str) -> bool:
-    """Return whether a name stays within its folder; a report from elsewhere is not trusted."""
+    """Return whether a file name stays within its folder, because a report may come from an
+    untrusted source.
+    """
     return name not in ("", ".", "..") and "\0" not in name and Path(name).name == name
 
 
 def _source_notes(about: dict[str, Any]) -> list[str]:
-    """Return notes about the files from which the objects were read."""
+    """Return the notes about the files from which the objects were read."""
     further = about.get("sources", {}).items()
     more = (f"{name}: {note}" for name, source in further for note in source.get("notes", ()))
     return [*about.get("notes", ()), *more]
@@ -384,7 +388,7 @@ def _source_notes(about: dict[str, Any]) -> list[str]:
 
 def view_report(clip: Clip, view: View) -> dict[str, Any]:
     """Return the report's entries about films: playback rate, notes, and views in which the object
-    is cut.
+    leaves the picture.
     """
     seen = describe_framing(clip, view)
     return {

@@ -1,4 +1,6 @@
-"""Compiles the kernels of some scenes ahead of time, so that no run waits for them."""
+"""Compiles the kernels of some scenes ahead of time, so that no run has to wait for the
+compiler.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,14 @@ STAGE = {
     "cpu": (shadow.cover_simd, arrange, stage.blend_staged_simd),
     "cuda": (shadow.cover, arrange, stage.draw_setting),
 }
-"""One kernel from each module that draws a stage; compiling the kernel compiles the module."""
+"""One kernel from each module that draws a stage; compiling one kernel compiles its whole
+module.
+"""
 RELIEF = (INFLATED.project, HULL.project, push)
-"""One kernel from each module that `relief` uses; `relief` runs on the CPU."""
+"""One kernel from each module that the generator `relief` uses; `relief` runs on the CPU."""
 FEW = {"accuracy.cells": 8, "time.frames": 2, "time.fps": 240.0}
-"""Changes that make a run of any scene short; precision and solver stay, because kernels depend on
-them.
+"""Changes that shorten the run of any scene. They keep the precision and the solver, because the
+kernels depend on both.
 """
 
 
@@ -47,7 +51,7 @@ def warm(scenes: Sequence[Scene], context: RunContext) -> int:
     compiled = compile_missing(RELIEF, "cpu", progress)
     compiled += compile_missing([*listed, *drawn], device, progress)
     Renderer(device=device)
-    # Forces and the second thread need small kernels that are not listed: trial runs compile them.
+    # Forces and the second thread need small kernels that are not listed; trial runs compile them.
     threads = min(2, cores()) if device == "cpu" else None
     for done, scene in enumerate(scenes, 1):
         probe = replace(context.aside(), threads=threads)

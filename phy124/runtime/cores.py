@@ -60,7 +60,7 @@ def refuse_threads(threads: int | None) -> None:
     if threads is None or 1 <= threads <= MOST_THREADS:
         return
     limit = f"a run can use 1 to {MOST_THREADS} threads."
-    remedy = f"Give at most the number of cores, {cores()} here, or leave it out."
+    remedy = f"Give at most the number of cores, {cores()} here, or remove the option."
     raise InputError("threads", threads, limit, remedy)
 
 
