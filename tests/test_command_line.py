@@ -30,7 +30,7 @@ from support.shapes import ball
         ("--scene drop generate x.png", "command = --scene: the command comes first."),
         (
             "generate",
-            "image = nothing: it is required. It is: PNG, JPEG, WebP, AVIF or HEIC picture",
+            "image = nothing: it is required. It is: Picture of one object (PNG, JPEG",
         ),
         ("generate x.png --frames", "frames = nothing: it needs a value. It is: Number of frames."),
         ("generate x.png --frames ten", "frames = ten: it is not a whole number."),

@@ -101,8 +101,8 @@ def _check_distance(scene: Scene) -> None:
         raise InputError(
             "object.lift",
             f"{lift:g} m",
-            "positions of Gaussians are float32, whose resolution at this height is "
-            f"{np.spacing(np.float32(lift)):.2g} m, and a cell is {scene.dx:.2g} m wide.",
+            "Gaussian positions are float32. At this height, their resolution is "
+            f"{np.spacing(np.float32(lift)):.2g} m, too coarse for cells {scene.dx:.2g} m wide.",
             f"Use at most {most:g} m, and lower all other objects and walls by the same distance.",
             [change_field("object.lift", most)],
         )

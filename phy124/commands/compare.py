@@ -29,9 +29,7 @@ class Compare:
     """Measure how much two clips of one object differ, and film them side by side."""
 
     a: tyro.conf.Positional[Path]
-    """The first clip.safetensors, or its folder. It is shown on the left; its cameras film both
-    clips.
-    """
+    """First clip.safetensors, or its folder. It is shown left, and its cameras film both clips."""
     b: tyro.conf.Positional[Path]
     """The second clip.safetensors, or its folder."""
     view: Annotated[CameraOptions, tyro.conf.arg(name="")] = field(default_factory=CameraOptions)

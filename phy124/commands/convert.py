@@ -47,9 +47,7 @@ class Convert:
     """Write a file of Gaussians in another format, rotated to that format's up axis."""
 
     file: tyro.conf.Positional[Path]
-    """The file to read: PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB, recognised by its
-    content.
-    """
+    """File to read: PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB, detected by content."""
     out: tyro.conf.Positional[Path]
     """File to write; the ending of its name determines the format."""
     to: Annotated[str | None, tyro.conf.arg(help=f"Format, if the ending is ambiguous. {TO}")] = (

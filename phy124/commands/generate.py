@@ -44,9 +44,7 @@ class Generate:
     """Turn one picture into a 3D object that moves by simulated physics, and film it."""
 
     image: tyro.conf.Positional[Path]
-    """Picture of one object (PNG, JPEG, WebP, AVIF or HEIC), or a mesh (GLB, glTF, OBJ, STL or
-    PLY).
-    """
+    """Picture of one object (PNG, JPEG, WebP, AVIF, HEIC), or mesh (GLB, glTF, OBJ, STL, PLY)."""
     more: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Pictures, or files of Gaussians, of the scene's further objects."""
     options: Annotated[SceneOptions, tyro.conf.arg(name="")] = field(default_factory=SceneOptions)

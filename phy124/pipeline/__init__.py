@@ -6,10 +6,10 @@ calls `simulate`. `simulate` prepares the scene (`phy124.simulation.prepare`) an
 (`phy124.rendering.film`) and report. `go_on` continues an interrupted run with the same steps.
 
 Every function here reports its progress and the durations of its stages. A run that is refused or
-cancelled leaves no files. A run that stops early keeps its finished frames; a cancelled run keeps them
-if `keep` is set. If a run ends in any other way (an error, lack of disk space or memory, a kill),
-the finished frames stay on disk, so that `go_on` can continue the run. The clip also stays on disk
-once it is complete.
+cancelled leaves no files. A run that stops early keeps its finished frames; a cancelled run keeps
+them if `keep` is set. If a run ends in any other way (an error, lack of disk space or memory, a
+kill), the finished frames stay on disk, so that `go_on` can continue the run. The clip also stays
+on disk once it is complete.
 """
 
 from __future__ import annotations

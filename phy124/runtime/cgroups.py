@@ -1,7 +1,7 @@
 """Reads the memory and CPU limits that Linux control groups (containers) set for this process.
 
-Versions 1 and 2 are read, even if both are mounted. A group's limit applies to all groups below it,
-so the effective limit is the smallest one on the path to the root.
+Versions 1 and 2 of control groups are read, even if both are mounted. A group's limit applies to
+all groups below it, so the effective limit is the smallest limit on the path to the root group.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path("/")
-"""Root of the file system; tests replace it by a temporary folder."""
+"""Root of the file system; tests replace the root by a temporary folder."""
 RECLAIMED = ("inactive_file", "active_file", "total_inactive_file", "total_active_file")
 """Entries of memory.stat that count cached files, which the system can reclaim."""
 
@@ -28,22 +28,29 @@ class Mount(NamedTuple):
     group."""
     version: int
     controllers: frozenset[str]
-    """Controllers of this hierarchy in version 1; version 2 has all controllers in one
-    hierarchy."""
+    """Controllers of this hierarchy, in version 1. In version 2, one hierarchy has all
+    controllers.
+    """
 
 
 def memory_left(root: Path = ROOT) -> float:
-    """Return the memory that the groups leave to this process [bytes]; infinity without a limit."""
+    """Return the memory that the groups leave to this process [bytes]; infinity if there is no
+    limit.
+    """
     return min((_left(group) for group in _groups("memory", root)), default=math.inf)
 
 
 def cpu_quota(root: Path = ROOT) -> float:
-    """Return the number of CPUs that the groups grant this process; infinity without a limit."""
+    """Return the number of CPUs that the groups grant this process; infinity if there is no
+    limit.
+    """
     return min((_quota(group) for group in _groups("cpu", root)), default=math.inf)
 
 
 def _left(group: Path) -> float:
-    """Return a group's limit minus its use [bytes]; memory that can be reclaimed counts as free."""
+    """Return a group's memory limit minus the memory in use [bytes]; reclaimable memory counts as
+    free.
+    """
     for limit, use in (
         ("memory.max", "memory.current"),
         ("memory.limit_in_bytes", "memory.usage_in_bytes"),
@@ -55,8 +62,8 @@ def _left(group: Path) -> float:
 
 
 def _reclaimable(group: Path) -> float:
-    """Return the size of cached files in a group's use [bytes]; in version 1, the prefix total_
-    includes subgroups.
+    """Return how much of a group's memory holds cached files [bytes]. In version 1, entries with
+    the prefix total_ include the subgroups.
     """
     parts = dict(line.split() for line in _text(group / "memory.stat").splitlines())
     kept = {name: float(value) for name, value in parts.items() if name in RECLAIMED}
@@ -65,7 +72,7 @@ def _reclaimable(group: Path) -> float:
 
 
 def _quota(group: Path) -> float:
-    """Return a group's CPU quota divided by its period."""
+    """Return a group's CPU quota divided by the period of the quota."""
     quota, _, period = _text(group / "cpu.max").strip().partition(" ")
     if not period:
         quota, period = (_text(group / f"cpu.cfs_{name}_us") for name in ("quota", "period"))
@@ -98,8 +105,8 @@ def _below(path: str, top: str) -> str:
 
 
 def _own_groups(root: Path) -> Iterator[tuple[str, str]]:
-    """Yield each controller of version 1 (version 2: "") and the path of this process's group in
-    it.
+    """Yield each controller of cgroups version 1 (for version 2, ""), and the path of this
+    process's group under the controller.
     """
     for line in _text(root / "proc/self/cgroup").splitlines():
         _, _, rest = line.partition(":")
@@ -120,14 +127,14 @@ def _mounts(root: Path) -> Iterator[Mount]:
 
 
 def _number(path: Path) -> float:
-    """Return the number in a file; infinity for "max" or without a number."""
+    """Return the number in a file; infinity if the file contains "max" or no number."""
     with suppress(ValueError):
         return float(_text(path).replace("max", "inf"))
     return math.inf
 
 
 def _text(path: Path) -> str:
-    """Return the text of a file; an empty text if the file cannot be read."""
+    """Return the text of a file; the text is empty if the file cannot be read."""
     try:
         return path.read_text("utf-8", "replace")
     except OSError:

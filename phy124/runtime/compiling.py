@@ -1,7 +1,8 @@
 """Compiles missing kernels in parallel before they are needed; Warp itself compiles one at a time.
 
 Threads suffice, because the compiler releases Python's global lock. Processes that compile the same
-kernels do not disturb each other: each writes its own folder and renames it when it is complete.
+kernels do not disturb each other, because each process writes to its own folder and renames the
+folder when it is complete.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def compile_missing(
     Args:
         kernels: The kernels that will be launched.
         device: Warp device.
-        progress: Called with ("compile", modules done, modules), if any are missing.
+        progress: Called with ("compile", modules done, modules), if any modules are missing.
 
     Returns:
         Number of modules that were missing.
@@ -35,17 +36,17 @@ def compile_missing(
     Raises:
         Cancelled: `progress` raised it; modules that are being compiled are finished first.
     """
-    # Warp starts here, because a start in a thread would discard the modules of the other threads.
+    # Start Warp here, because a start in a thread would discard the modules of the other threads.
     start()
     missing = {k.module.name: k for k in kernels if not is_compiled(k, device)}
     if not missing:
         return 0
-    # The longest first: at the end it would be compiled alone, on a single core.
+    # Compile the longest module first: at the end, it would occupy a single core alone.
     modules = [k.module for k in sorted(missing.values(), key=lambda k: -k.seconds)]
     total = len(modules)
     progress("compile", 0, total)
     if device == "cpu" and not has_headers():
-        # The first module also compiles the headers; otherwise every thread would compile them.
+        # The first module also compiles the headers, so that not every thread compiles them.
         wp.load_module(modules.pop(), device)
         progress("compile", 1, total)
     with ThreadPoolExecutor(min(cores(), len(modules)) or 1) as pool:
@@ -60,7 +61,9 @@ def compile_missing(
 
 
 def is_compiled(kernel: Any, device: str = "cpu") -> bool:
-    """Return whether a kernel's module is loaded, or its current version is in the cache."""
+    """Return whether a kernel's module is loaded, or whether its current version is in the
+    cache.
+    """
     if kernel.module.execs:
         return True
     file = compiled_file(kernel, device)
@@ -74,11 +77,11 @@ def looking_up(kernels: Iterable[Any], device: str = "cpu") -> Iterator[None]:
     Warp then knows the hashes of the kernels' code, so `compile_missing` is faster after the block.
 
     Args:
-        kernels: The kernels; an iterator is read by the second thread.
+        kernels: The kernels to look up; the second thread reads them if they come from an iterator.
         device: Warp device.
     """
     start()
     with ThreadPoolExecutor(1, "look-up") as pool:
-        # An exception stays in the task: `compile_missing` raises it again.
+        # An exception of the lookup is ignored here, because `compile_missing` raises it again.
         pool.submit(lambda: [is_compiled(kernel, device) for kernel in kernels])
         yield

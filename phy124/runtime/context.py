@@ -1,6 +1,4 @@
-"""The context of a run: the device of a computation, its threads, progress function and
-stopwatch.
-"""
+"""Defines the context of a run: its device, threads, progress function and stopwatch."""
 
 from __future__ import annotations
 
@@ -27,35 +25,38 @@ class ContextOptions(TypedDict, total=False):
 class RunContext:
     """Device, threads, progress function and stopwatch of a computation.
 
-    Other values of these fields change results only by rounding, since the number of threads and
-    the device determine the order of sums.
+    These fields change results only by rounding errors, because the device and the number of
+    threads determine the order in which numbers are added.
     """
 
     device: str = "cpu"
     """Warp device, "cpu" or "cuda:0"."""
     threads: int | None = None
-    """CPU threads that simulate and render; None: one per free core, but no more than there is work
-    for."""
+    """Number of CPU threads that simulate and render. None means one per free core, but no more
+    threads than the work can use.
+    """
     progress: Progress = silent
     """Function that is called with (stage, steps done, total steps); it may raise Cancelled."""
     watch: Stopwatch = field(default_factory=Stopwatch)
-    """Records the durations of stages."""
+    """Stopwatch that records the durations of the stages."""
 
     @classmethod
     def of(cls, context: RunContext | None, **options: Unpack[ContextOptions]) -> RunContext:
-        """Return a copy of the context with other values of the named fields; without a context, a
-        new one.
+        """Return a copy of the context in which the named fields are replaced; if there is no
+        context, create a new one.
         """
         return replace(context or cls(), **options)
 
     @classmethod
     def pop(cls, context: RunContext | None, options: dict[str, Any]) -> RunContext:
-        """Return the context that `of` would return, and remove its fields from `options`."""
+        """Take the fields of a context out of `options`, and return the context that `of` makes
+        from them.
+        """
         fields = ContextOptions.__annotations__.keys() & options.keys()
         return replace(context or cls(), **{name: options.pop(name) for name in fields})
 
     def aside(self) -> RunContext:
-        """Return a context for a probe, with the same device and threads, but without progress and
-        timing.
+        """Return a context for a probe: device and threads are unchanged, but progress and
+        durations are not recorded.
         """
         return replace(self, progress=silent, watch=Stopwatch())

@@ -1,4 +1,4 @@
-"""Counts the CPU cores that this process may use, and how many of them are free."""
+"""Counts the CPU cores that this process may use, and the free ones among these cores."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from phy124.errors import InputError
 from phy124.runtime.cgroups import cpu_quota
 
 MOST_THREADS = 256
-"""Largest allowed number of threads of a run."""
+"""Maximum number of threads of a run."""
 SIBLINGS = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
-"""Linux file that lists the hardware threads of one core."""
+"""File in which Linux lists the hardware threads of a core."""
 
 
 def cores() -> int:
@@ -23,8 +23,8 @@ def cores() -> int:
 
 
 def physical_cores() -> int:
-    """Return the number of cores to which these hardware threads belong; if unknown, each thread
-    counts as a core.
+    """Return the number of cores to which these hardware threads belong. If it is unknown, each
+    hardware thread counts as a core.
     """
     try:
         mine = os.sched_getaffinity(0)
@@ -35,7 +35,7 @@ def physical_cores() -> int:
 
 def free_cores() -> int:
     """Return the number of usable cores that no other program is using, at least 1."""
-    # The quota limits only this process: other programs do not count against it.
+    # The quota limits only this process, so other programs do not use it up.
     return max(1, min(physical_cores(), _hardware_threads() - _others_running()))
 
 
@@ -45,14 +45,15 @@ def _hardware_threads() -> int:
 
 
 def _within_quota(threads: int) -> int:
-    """Limit threads to the whole CPUs in the quota; a thread on a fraction of a CPU would delay the
-    others.
+    """Limit the number of threads to the number of whole CPUs in the quota. A thread on a fraction
+    of a CPU would delay the other threads.
     """
     return max(1, int(min(threads, cpu_quota())))
 
 
 def refuse_threads(threads: int | None) -> None:
-    """Refuse an impossible number of threads; None means that the number is chosen automatically.
+    """Refuse a number of threads that is impossible; None means that the number is chosen
+    automatically.
 
     Raises:
         InputError: The number is below 1 or above `MOST_THREADS`.
@@ -65,12 +66,13 @@ def refuse_threads(threads: int | None) -> None:
 
 
 def _others_running() -> int:
-    """Return the number of running threads of other programs; 0 if unknown."""
+    """Return how many threads of other programs are running; 0 if the number is unknown."""
     counts = []
     for _ in range(5):
         try:
             running = Path("/proc/loadavg").read_text().split()[3].partition("/")[0]
-            # Subtract this process's threads: libraries may leave some spinning briefly.
+            # Subtract this process's threads, because libraries may leave some threads spinning
+            # briefly.
             stats = [path.read_text("latin-1") for path in Path("/proc/self/task").glob("*/stat")]
         except OSError:
             return 0

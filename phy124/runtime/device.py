@@ -15,23 +15,25 @@ from phy124.errors import InputError
 CHOICES = "auto, cpu, cuda:0 or another GPU."
 """Help text of the options that take a device."""
 KEPT = 2**30
-"""Size of freed GPU memory that is kept for the next frame [bytes], because allocation is slow."""
+"""Amount of freed GPU memory that is kept for the next frame [bytes], because allocating memory is
+slow.
+"""
 P = ParamSpec("P")
 Made = TypeVar("Made")
 Owner = TypeVar("Owner")
 _gpu = threading.RLock()
 Version = tuple[int, int]
 LIBRARIES = ("libcuda.so.1", "nvcuda.dll")
-"""Names of the driver's library on Linux and on Windows."""
+"""File names of the NVIDIA driver's library on Linux and on Windows."""
 RELEASES = {12: 525, 13: 580}
-"""Major version of CUDA -> the first release of the driver that supports it."""
+"""Major version of CUDA -> the first release of the NVIDIA driver that supports this version."""
 
 
 def pick_device(name: str) -> str:
     """Return Warp's name of the device; "auto" means CUDA if a GPU is available.
 
     Raises:
-        InputError: There is no such device.
+        InputError: This machine does not have the named device.
     """
     import warp as wp
 
@@ -71,14 +73,16 @@ def lock_gpu(
 
 
 class Driver(NamedTuple):
-    """Version of CUDA that the driver supports, and version that Warp needs; None if missing."""
+    """The version of CUDA that the driver supports, and the version that Warp needs. A version is
+    None if it is unknown.
+    """
 
     supported: Version | None
     needed: Version | None
 
     @property
     def problem(self) -> str | None:
-        """A sentence if the driver is too old, otherwise None."""
+        """A sentence that asks for an update if the driver is too old; otherwise None."""
         if self.supported is None or self.needed is None or self.supported >= self.needed:
             return None
         release = RELEASES.get(self.needed[0])
@@ -89,14 +93,14 @@ class Driver(NamedTuple):
         )
 
     def __str__(self) -> str:
-        """The supported version in words, or the problem."""
+        """The supported version of CUDA in words, or a description of the problem."""
         if self.supported is None:
             return "none"
         return f"CUDA {_text(self.supported)}" if self.problem is None else self.problem
 
 
 def driver() -> Driver:
-    """Return the versions for this machine's driver; call it only after Warp was started."""
+    """Return the versions for this machine's driver; Warp must have been started before."""
     import warp as wp
 
     toolkit = wp.get_cuda_toolkit_version()
@@ -105,7 +109,9 @@ def driver() -> Driver:
 
 
 def _library_version() -> Version | None:
-    """Read the version from the driver's library, because Warp does not load an old driver."""
+    """Read the supported version from the driver's library, because Warp does not load an old
+    driver.
+    """
     version = ctypes.c_int()
     for name in LIBRARIES:
         try:

@@ -1,4 +1,4 @@
-"""Explains any exception to users: its kind, the exit status and an error message.
+"""Explains any exception to users by its kind, an exit status and an error message.
 
 The command line, the bridge and the web page all use this module: no user sees a traceback, and
 the same problem has the same message everywhere. Exceptions of libraries are recognised by their
@@ -20,7 +20,7 @@ PROJECT = "phy124"
 OURS = (PROJECT, "phy124_demo", "phy124_bridge", "demo", "bridge", "__main__")
 """Packages of this project, under all names by which they are imported."""
 LONGEST = 300
-"""Largest number of characters of a library's message that an error message repeats."""
+"""Maximum number of characters that an error message quotes from a library's message."""
 MEMORY_WORDS = (
     "out of memory",
     "failed to allocate",
@@ -31,9 +31,9 @@ MEMORY_WORDS = (
     "failed to map segment",
     "bad_alloc",
 )
-"""Words by which libraries without MemoryError report a lack of memory."""
+"""Phrases in the messages of libraries that report a lack of memory without raising MemoryError."""
 NAMES = {"PIL": "Pillow", "warp": "Warp", "cv2": "OpenCV", "safetensors_rust": "safetensors"}
-"""Import name of a library -> the name that users know, if the two differ."""
+"""Import name of a library -> the name by which users know the library, if the two names differ."""
 
 
 class Kind(Enum):
@@ -53,7 +53,7 @@ STATUS = {Kind.REFUSED: 2, Kind.STOPPED: 130}
 
 @dataclass(frozen=True)
 class Failure:
-    """Explanation of an exception for the user."""
+    """The explanation of an exception that the user sees."""
 
     kind: Kind
     sentence: str
@@ -80,8 +80,8 @@ def failure(problem: BaseException) -> Failure:
 def is_stop(problem: BaseException) -> bool:
     """Return whether the user caused the exception by stopping the work.
 
-    If Ctrl-C is pressed while native code of a library calls Python, the KeyboardInterrupt is the
-    cause of a SystemError.
+    If Ctrl-C is pressed while native code of a library calls Python, a SystemError is raised whose
+    cause is the KeyboardInterrupt.
     """
     stop = problem.__cause__ if isinstance(problem, SystemError) else problem
     return isinstance(stop, (Cancelled, KeyboardInterrupt))
@@ -108,7 +108,7 @@ def _kind(problem: BaseException) -> Kind:
     if (
         isinstance(problem, MemoryError)
         or code == errno.ENOMEM
-        or type(problem).__name__ == "OutOfMemoryError"  # torch's
+        or type(problem).__name__ == "OutOfMemoryError"  # raised by torch
         or any(sign in words for sign in MEMORY_WORDS)
     ):
         return Kind.MEMORY
@@ -158,15 +158,16 @@ def _refusal(problem: BaseException) -> InputError | None:
 
     try:
         return explain_options(problem) if isinstance(problem, ValidationError) else None
-    except LookupError:  # the error is not about options, but in the code
+    except LookupError:  # the error is in the code, not in the options
         return None
 
 
 def _package(problem: BaseException) -> str:
-    """Return the package that defines the exception, or else the package whose code raised it.
+    """Return the package that defines the exception; if there is none, return the package whose
+    code raised it.
 
-    Modules of Python's standard library are skipped: an error in `pathlib` is attributed to its
-    caller.
+    Modules of Python's standard library are skipped, so that an error in `pathlib` is attributed to
+    the code that called `pathlib`.
     """
     modules = [PROJECT, *_modules(problem.__traceback__), type(problem).__module__]
     packages = [module.partition(".")[0] for module in modules]
@@ -186,7 +187,7 @@ def _place(problem: BaseException) -> str:
 
 
 def _modules(trace: TracebackType | None) -> Iterator[str]:
-    """Yield the names of the modules in a traceback, the innermost last."""
+    """Yield the names of the modules in a traceback, from the outermost to the innermost."""
     while trace is not None:
         yield str(trace.tb_frame.f_globals.get("__name__", PROJECT))
         trace = trace.tb_next

@@ -1,4 +1,4 @@
-"""Finds out how phy124 was installed, and which command installs an optional extra."""
+"""Determines how phy124 was installed, and which command installs an optional extra."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ _EXTRAS = re.compile(rf"{PACKAGE}\[([\w,\s-]+)\]")
 def install_command(extra: str) -> str:
     """Return the command that installs an optional extra of pyproject.toml.
 
-    In a clone the command is make, or pip with the clone's folder. Elsewhere it is pip with the
-    packages of the extra, because phy124 may be missing from the package index.
+    In a clone of the repository, the command calls make, or pip with the clone's folder. Elsewhere,
+    it calls pip with the packages of the extra, because phy124 may be missing from the package
+    index.
     """
     root = clone()
     if root is None:
@@ -32,8 +33,8 @@ def install_command(extra: str) -> str:
 
 
 def program() -> str:
-    """Return the command that starts the running program again: `phy124`, or the program's relative
-    path.
+    """Return the command that starts the running program again, either `phy124` or the program's
+    relative path.
     """
     path = Path(sys.argv[0])
     if path.name == "__main__.py":
@@ -52,7 +53,9 @@ def with_program(message: str) -> str:
 
 
 def clone() -> Path | None:
-    """Return the checkout of the repository that contains this code, or None."""
+    """Return the folder of the repository's clone that contains this code; None if there is
+    none.
+    """
     root = Path(__file__).resolve().parents[2]
     return root if (root / "pyproject.toml").is_file() else None
 
@@ -76,7 +79,9 @@ def packages(extra: str) -> list[str]:
 
 
 def _pip() -> str:
-    """Return `pip install` for this interpreter, or uv if the environment has no pip."""
+    """Return the command `pip install` for this interpreter; if the environment has no pip, use
+    uv.
+    """
     python = _short(Path(sys.executable))
     if not _has("pip"):
         return f"uv pip install --python {python}"
@@ -84,7 +89,9 @@ def _pip() -> str:
 
 
 def _short(path: Path) -> str:
-    """Quote a path for a shell; a path inside the current folder is made relative to it."""
+    """Quote a path for a shell; a path inside the current folder is made relative to this
+    folder.
+    """
     here = Path.cwd()
     path = path if path.is_absolute() else here / path
     return shlex.quote(str(path.relative_to(here) if path.is_relative_to(here) else path))

@@ -1,7 +1,7 @@
 """Repairs Warp's folder of compiled kernels, and reuses the compiler's precompiled headers.
 
-A module that cannot be loaded is compiled again, and incomplete modules are removed. On a full disk
-compilation is refused, because the compiler would crash the whole program.
+A module that cannot be loaded is compiled again, and incomplete modules are removed. If the disk is
+full, compilation is refused, because the compiler would crash the whole program.
 """
 
 from __future__ import annotations
@@ -30,13 +30,15 @@ except ImportError:  # Windows
     fcntl = None
 
 ROOM = 8_000_000
-"""Free disk space that is needed to compile a module [bytes]; the headers take 5 MB of it."""
+"""Free disk space that is needed to compile a module [bytes]; this includes 5 MB for the
+headers.
+"""
 FOLDERS, HEADERS = "wp_phy124_*_p*_t*", "headers_*/*.tmp"
-"""Patterns of the names of temporary files; they remain if the compiling process is killed."""
+"""Patterns of the names of temporary files, which remain if the compiling process is killed."""
 PROCESS = re.compile(r"_p(\d+)_t\d+$")
 """Pattern of the process id in the name of a temporary folder."""
 OLD = 600
-"""Age at which temporary headers count as abandoned [s]; compiling them takes only seconds."""
+"""Age at which temporary headers count as abandoned [s]; compiling headers takes only seconds."""
 
 
 def keep_sound() -> None:
@@ -70,8 +72,8 @@ def keep_sound() -> None:
 
 
 def compiled_file(kernel: Any, device: str) -> Path | None:
-    """Return the compiled file of a kernel's module for this CPU or GPU; None if there is no
-    cache.
+    """Return the path of the compiled file of a kernel's module for this CPU or GPU; None if there
+    is no cache.
     """
     if wp.config.kernel_cache_dir is None:
         return None
@@ -87,7 +89,7 @@ def compiled_file(kernel: Any, device: str) -> Path | None:
 def _load_mended(
     load: Any, module: Any, device: Any, block: Any = None, *rest: Any, **options: Any
 ) -> Any:
-    """Load a module; if its cached files are broken, compile it again."""
+    """Load a module; if the module's cached files are broken, compile the module again."""
     block = options.pop("block_dim", block)
     if rest or options:  # the caller names the file to load
         return load(module, device, block, *rest, **options)
@@ -101,7 +103,7 @@ def _load_mended(
     except (OSError, MemoryError):
         raise
     except Exception:
-        if not cached:  # it was compiled just now
+        if not cached:  # the module was compiled just now
             raise
         _discard(folder)
         module.unload()
@@ -173,7 +175,7 @@ def _sweep() -> None:
     """Remove incomplete modules, unless a compilation is in progress.
 
     A program that launches kernels without `start` compiles without the lock. The folders of
-    running processes therefore stay: the compiler crashes if its folder is missing.
+    running processes are therefore kept, because the compiler crashes if its folder is missing.
     """
     with _lock(wait=False) as alone:
         if alone:
@@ -202,10 +204,10 @@ def _is_abandoned(folder: Path) -> bool:
 
 @contextmanager
 def _lock(*, wait: bool) -> Iterator[bool]:
-    """Lock the cache: as a shared lock for compiling, as an exclusive one for cleaning up.
+    """Lock the cache, with a shared lock for compiling or an exclusive lock for cleaning up.
 
     Args:
-        wait: True waits for the shared lock; False tries once to get the exclusive lock.
+        wait: If true, wait for the shared lock; if false, try once to get the exclusive lock.
 
     Yields:
         Whether the lock is held.
@@ -229,8 +231,9 @@ def _lock(*, wait: bool) -> Iterator[bool]:
 def keep_headers() -> None:
     """Make Warp reuse precompiled headers from now on.
 
-    An unchanged Warp compiles the headers again in each thread of each process. The headers take 2
-    s of CPU time, more than most kernels need. Unknown versions of Warp are not changed.
+    An unchanged Warp compiles the headers again in each thread of each process. Compiling the
+    headers takes 2 s of CPU time, which is more than most kernels need. Unknown versions of Warp
+    are not changed.
     """
     try:
         from warp._src.context import Runtime
@@ -254,7 +257,7 @@ def keep_headers() -> None:
 
 
 def headers_folder() -> Path:
-    """Return the folder of the headers, next to the kernels of the same version of Warp.
+    """Return the folder of the headers, which is next to the kernels of the same version of Warp.
 
     Each installation of Warp has its own folder, because the compiler checks paths and times of the
     headers.

@@ -1,8 +1,8 @@
 """Makes Warp declare the Python variants of its functions only when Python first calls one of them.
 
-Warp declares each function of its language once for kernels, and about 2,300 variants for the
-types of values outside kernels, such as `wp.vec3`. Kernels do not use the variants, which took half
-of the time to import Warp.
+Warp declares each function of its language once for kernels. It also declares about 2,300 variants,
+which Python code outside kernels can call with values such as `wp.vec3`. Declaring the variants
+took half of the time to import Warp.
 """
 
 from __future__ import annotations
@@ -18,26 +18,28 @@ DECLARING = "warp._src.builtins"
 
 
 class LateVariants:
-    """A module finder that finds no modules. It only serves to prepare Warp just before Warp
-    declares its functions.
+    """A module finder that finds no modules. Python calls it just before Warp's functions are
+    declared, so that it can prepare Warp.
     """
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> None:
-        """Prepare Warp if this is the module that declares its functions."""
+        """Prepare Warp if `name` is the module that declares Warp's functions."""
         if name == DECLARING:
             sys.meta_path.remove(self)  # pyright: ignore[reportArgumentType]
             _declare_late()
 
 
 def declare_late() -> None:
-    """Make Warp declare the variants late, if Warp is not imported yet."""
+    """Make Warp declare the variants only when they are called; this works only if Warp is not
+    imported yet.
+    """
     if DECLARING not in sys.modules:
         sys.meta_path.insert(0, LateVariants())  # pyright: ignore[reportArgumentType]
 
 
 def _declare_late() -> None:
-    """Replace the function with which Warp declares functions; unknown versions of Warp are left
-    unchanged.
+    """Replace the function by which Warp declares functions. Unknown versions of Warp are not
+    changed.
     """
     from phy124.runtime.late_parsing import KNOWN
 
@@ -63,9 +65,11 @@ def _declare_late() -> None:
             return
         waiting[key].append(lambda: declare(key, input_types, **options))
         first = key not in declared
-        declare(key, input_types, export=False, **options)  # Warp makes variants of exports alone
+        declare(
+            key, input_types, export=False, **options
+        )  # Warp makes variants only of exported functions
         if first:
-            declared[key].mangled_name = key  # Warp resolves only calls of functions with one
+            declared[key].mangled_name = key  # Warp resolves calls only of functions that have one
             setattr(sys.modules["warp"], key, declared[key])
 
     def resolve_from_python(function: Any, *arguments: Any, **options: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Makes Warp parse a device function when the first kernel needs it, not when it is declared.
+"""Makes Warp parse a device function only when the first kernel needs the function.
 
 phy124 declares about 350 device functions, and a run uses a quarter of them. Parsing all device
 functions took a fifth of the time of phy124's imports.
@@ -13,11 +13,11 @@ KNOWN = "1.19."
 """First digits of the Warp versions whose internals were read and tested."""
 
 OURS = "phy124.kernels."
-"""Beginning of the names of the modules whose functions are parsed late."""
+"""Prefix of the names of the modules whose functions are parsed late."""
 
 
 def parse_late() -> None:
-    """Make Warp parse phy124's device functions late from now on.
+    """From now on, make Warp parse each device function of phy124 only when it is needed.
 
     Functions of other packages, kernels, and functions with `wp.static` are parsed at once. Unknown
     versions of Warp are not changed.
@@ -35,13 +35,15 @@ def parse_late() -> None:
     lock = threading.RLock()
 
     class LateAdjoint(usual):
-        """The parsed form of a function; the function is parsed only when an attribute of this
-        object is read.
+        """The parsed form of a device function. The function is parsed when an attribute of this
+        object is read for the first time.
         """
 
         parses_late = True
         has_unresolved_static_expressions = False
-        """Functions that use `wp.static` may have such expressions; they are parsed at once."""
+        """Always false, because functions that may contain `wp.static` expressions are parsed at
+        once.
+        """
 
         def __init__(self, func: Any, *arguments: Any, **options: Any) -> None:
             code = getattr(func, "__code__", None)
@@ -69,7 +71,7 @@ def parse_late() -> None:
             raise AttributeError(name)
 
     def find_references(module: Any, adj: Any) -> None:
-        # Warp uses references if a function is declared again; ours never are.
+        # Warp uses references if a function is declared again, which phy124's functions never are.
         if not adj.func.__module__.startswith(OURS):
             find(module, adj)
 

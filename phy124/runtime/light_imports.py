@@ -1,8 +1,8 @@
-"""Imports packages without the parts that only serve their documentation and tests.
+"""Imports packages without the parts that only their documentation and tests need.
 
-SciPy formats the docstrings of its functions while it is imported, and its copy of NumPy's names
-imports parts of NumPy that phy124 does not use. typeguard, which tyro uses, imports `unittest` for
-one class, and thereby the event loop and TLS. pydantic describes its schemas by 70 typed
+When SciPy is imported, it formats the docstrings of its functions. SciPy's copy of NumPy's names
+also imports parts of NumPy that phy124 does not use. tyro uses typeguard, which imports `unittest`
+for one class, and with it the event loop and TLS. pydantic describes its schemas by 70 typed
 dictionaries, which only type checkers read. Without the parts for documentation and tests, the
 imports take half of the time.
 """
@@ -23,7 +23,7 @@ UNUSED = {
     **{f"numpy.{name}": () for name in ("char", "ctypeslib", "f2py", "polynomial", "testing")},
     "unittest.mock": ("Mock", "patch"),
 }
-"""Name of a module that is not imported -> the classes that its importers need from it."""
+"""Name of a module that is not imported -> the classes that other modules import from it."""
 TYPED_ONLY = "pydantic_core.core_schema"
 """Name of the module whose typed dictionaries only type checkers read."""
 SCIPY = ("scipy.ndimage", "scipy.sparse.linalg", "scipy.spatial", "scipy.fft")
@@ -34,14 +34,16 @@ _lock = Lock()
 
 
 class PlainDict(dict[str, Any]):
-    """Replaces a typed dictionary by a dictionary without fields."""
+    """Replacement for a typed dictionary: a dictionary type without fields."""
 
     def __init_subclass__(cls, **_: object) -> None:
-        """Accept the options of a typed dictionary, and ignore them."""
+        """Accept the options of a typed dictionary, and ignore the options."""
 
 
 class PlainDocs(defaultdict[str, list[Any]]):
-    """Replaces the sections of a docstring: nothing is parsed, and changes are ignored."""
+    """Replacement for SciPy's parsed docstring: it parses nothing, and ignores changes of its
+    sections.
+    """
 
     def __init__(self, function: object) -> None:
         super().__init__(list)
@@ -52,7 +54,7 @@ class PlainDocs(defaultdict[str, list[Any]]):
 
 
 def import_lightly(*names: str) -> None:
-    """Import modules; modules that they do not need are replaced by empty ones."""
+    """Import modules; replace modules that the imported modules do not need by empty ones."""
     with _lock:
         missing = [name for name in names if name not in sys.modules]
         if missing:
@@ -63,7 +65,9 @@ def import_lightly(*names: str) -> None:
 
 @contextmanager
 def _stand_ins() -> Iterator[None]:
-    """Within this context, replace modules that are neither imported nor needed by empty ones."""
+    """Within this context, replace modules that are not needed by empty modules, unless they are
+    already imported.
+    """
     added: list[tuple[str, ModuleType | None]] = []
     for name, classes in UNUSED.items():
         package, _, last = name.rpartition(".")
@@ -87,7 +91,7 @@ def _stand_ins() -> Iterator[None]:
 
 @contextmanager
 def _plain_docs(names: list[str]) -> Iterator[None]:
-    """Within this context, keep SciPy from formatting docstrings."""
+    """Within this context, prevent SciPy from formatting docstrings."""
     docs: Any = None
     if any(name.startswith("scipy") for name in names):
         with suppress(ImportError):

@@ -27,7 +27,7 @@ HEAPS = "MALLOC_ARENA_MAX"
 
 
 def release(array: object) -> None:
-    """Give the memory of a memory-mapped array back to the system after the array was read.
+    """Give the memory of a memory-mapped array back to the system after the array has been read.
 
     If memory is not given back, a long run that reads all its frames from disk seems to need memory
     for all frames.
@@ -40,8 +40,8 @@ def release(array: object) -> None:
 def trim() -> None:
     """Give freed memory back to the system.
 
-    The C library keeps the gaps between small objects that are left by the arrays of each frame; in
-    a long run these gaps add up to the size of all frames.
+    The arrays of each frame leave gaps between small objects when they are freed, and the C library
+    keeps these gaps. In a long run, the gaps add up to the size of all frames.
     """
     with suppress(OSError, AttributeError):  # only the GNU C library has this function
         ctypes.CDLL(None).malloc_trim(0)
@@ -50,7 +50,7 @@ def trim() -> None:
 def free_memory(device: str = "cpu") -> float:
     """Return the memory that this process may still allocate [bytes]; infinity if unknown.
 
-    On a CPU the result is the minimum of the machine's free memory, the limits of control groups
+    On a CPU, the result is the minimum of the machine's free memory, the limits of control groups
     (containers, batch systems), and `ulimit -v`. `device` is Warp's name of the device.
     """
     if device != "cpu":
@@ -88,9 +88,11 @@ def _of_process() -> float:
 
 
 NEEDED = 1.2e9
-"""Address space that the libraries, the kernels and a small object take, as measured [bytes]."""
+"""Measured address space that the libraries, the kernels and a small object take [bytes]."""
 STACK = 512 << 10
-"""Stack that runs and the compilation of kernels need [bytes]; a run crashes with half of it."""
+"""Stack size that runs and the compilation of kernels need [bytes]; with half this size, a run
+crashes.
+"""
 THREADS = "OPENBLAS_NUM_THREADS"
 
 
@@ -98,8 +100,8 @@ def share_heap() -> None:
     """Make all threads share one heap, so that repeated runs do not use more and more memory.
 
     By default glibc opens up to eight heaps per core, and rarely returns their memory. Call this
-    function before the first thread starts, because existing heaps stay. MALLOC_ARENA_MAX takes
-    precedence.
+    function before the first thread starts, because existing heaps stay. If MALLOC_ARENA_MAX is
+    set, it takes precedence.
     """
     if HEAPS not in os.environ and hasattr(os, "confstr"):
         with suppress(ValueError, OSError):
@@ -110,8 +112,8 @@ def share_heap() -> None:
 def refuse_narrow() -> None:
     """Refuse limits of stack or address space that are too small, before NumPy is imported.
 
-    Under a sufficient limit of the address space, OpenBLAS gets a single thread, because each of
-    its threads allocates buffers.
+    If the address space is limited but large enough, OpenBLAS gets a single thread, because each
+    OpenBLAS thread allocates buffers.
 
     Raises:
         InputError: The limit of the stack is too small; native code would crash.

@@ -1,4 +1,4 @@
-"""Runs work in parallel in spawned processes, while the caller continues."""
+"""Runs tasks in parallel in spawned processes, while the caller continues."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Provide a pool of `count` processes, which are terminated on exit.
+    """Provide a pool of `count` processes; the processes are terminated when the context ends.
 
     The processes are spawned, because a forked process would share the threads of Warp.
     """
@@ -41,13 +41,13 @@ def as_done(
     tasks: Iterable[Task],
     beat: Callable[[], object],
 ) -> Iterator[tuple[Task, Result]]:
-    """Yield each task, with its result, as soon as it is finished.
+    """Yield each task with its result, as soon as the task is finished.
 
     Args:
         pool: The processes.
         work: The function to run; it must be picklable.
         tasks: The arguments of the calls, in order.
-        beat: Called at least every `BEAT` seconds; may raise Cancelled.
+        beat: Function that is called at least every `BEAT` seconds; it may raise Cancelled.
 
     Raises:
         OSError: A worker process was killed, most likely for lack of memory.
@@ -65,7 +65,9 @@ def as_done(
 
 
 def _begin() -> None:
-    """Start Warp, and ignore Ctrl-C, because the parent process handles it."""
+    """Start Warp in a worker process, and ignore Ctrl-C, because the parent process handles
+    Ctrl-C.
+    """
     share_heap()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     start()

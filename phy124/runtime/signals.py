@@ -16,10 +16,12 @@ Handler = Callable[[int, FrameType | None], object]
 
 @contextmanager
 def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None]:
-    """Within this context, let ending signals call `handler`; this works only in the main thread.
+    """Within this context, make the signals that end a process call `handler`; this works only in
+    the main thread.
 
-    Signals that the parent process has set to be ignored (nohup) stay ignored, except those in
-    `always`: a shell without job control sets SIGINT to be ignored for background processes.
+    Signals that the parent process has set to be ignored (nohup) stay ignored, unless they are in
+    `always`. This exception is needed because a shell without job control makes background
+    processes ignore SIGINT.
     """
     usual = {}
     if threading.current_thread() is threading.main_thread():
@@ -35,7 +37,7 @@ def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None
 
 
 interrupt: Handler = signal.default_int_handler
-"""Handler that raises KeyboardInterrupt."""
+"""Handle a signal by raising KeyboardInterrupt."""
 
 
 def ending(status: int, text: str = "") -> Handler:

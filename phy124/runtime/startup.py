@@ -1,4 +1,4 @@
-"""Starts Warp without its messages, in a kernel folder that can be written."""
+"""Starts Warp without Warp's messages, and with a writable folder for compiled kernels."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 
 
 def prepare() -> None:
-    """Prepare the start of Warp: keep standard output free of its messages, and choose a kernel
-    folder that can be written.
+    """Prepare the start of Warp: keep Warp's messages away from standard output, and choose a
+    writable folder for compiled kernels.
     """
     keep_headers()
     if wp.config.log_level == wp.LOG_INFO:
@@ -49,7 +49,7 @@ def start() -> None:
 
 
 def kernel_folder() -> Path | None:
-    """Return Warp's folder of compiled kernels; None if unknown."""
+    """Return Warp's folder of compiled kernels; None if the folder is unknown."""
     if NAMED in os.environ:
         return Path(os.environ[NAMED])
     if not sys.platform.startswith("linux"):
@@ -59,7 +59,9 @@ def kernel_folder() -> Path | None:
 
 
 def temporary_folder() -> Path:
-    """Return a folder for later runs of the same user; no other user may write to it."""
+    """Return a folder that later runs of the same user can use, and to which no other user may
+    write.
+    """
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"phy124-kernels-{user}"
     try:
@@ -74,7 +76,7 @@ def temporary_folder() -> Path:
 
 
 def _usable(folder: Path) -> bool:
-    """Return whether files can be written in a folder; this is tested by writing one."""
+    """Test whether files can be written in a folder by writing a file."""
     if folder.parts[:1] == ("~",):  # this user has no home folder
         return False
     try:

@@ -12,9 +12,11 @@ T = TypeVar("T")
 
 
 class Stopwatch:
-    """Sums up seconds and kernel launches per named stage; a stage may be entered several times.
+    """Adds up the seconds and the kernel launches of each named stage; a stage may be entered
+    several times.
 
-    If a stage runs inside another stage, its time counts only for the inner stage.
+    If a stage runs inside another stage, the time of the inner stage is not added to the outer
+    stage.
     """
 
     def __init__(self) -> None:
@@ -36,7 +38,7 @@ class Stopwatch:
             self._thread.inner = before + spent
 
     def each(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """Yield the items; the time that it takes to produce each item is added to the stage."""
+        """Yield the items; add the time that it takes to produce each item to the stage."""
         iterator = iter(items)
         try:
             while True:
@@ -62,7 +64,9 @@ class Stopwatch:
         return time.perf_counter() - self.start
 
     def data(self) -> list[dict[str, Any]]:
-        """Return name, seconds and, if they were counted, launches of each stage, as plain data."""
+        """Return the name, the seconds and, if counted, the kernel launches of each stage, as plain
+        data.
+        """
         return [
             {"name": name, "seconds": seconds, "launches": self.launches.get(name)}
             for name, seconds in self.seconds.items()

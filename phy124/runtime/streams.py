@@ -1,7 +1,8 @@
-"""Makes errors of the standard streams harmless: closed streams, broken pipes, poor encodings.
+"""Makes errors of the standard streams harmless, such as closed streams, broken pipes, and missing
+characters.
 
-Results matter more than messages. A stream that is closed or cannot be written therefore discards
-the remaining text, and a character that is missing in the encoding is written in ASCII.
+Results matter more than messages. If a stream is closed or cannot be written, the remaining text is
+therefore discarded. A character that is missing in the encoding is written in ASCII.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ point."""
 def steady_streams() -> Iterator[list[OSError]]:
     """Within this context, writing to standard output and standard error never fails.
 
-    Yields a list of errors; an error is added when text for standard output is lost. If a reader
-    closes the pipe early, this is not an error, since the reader has read enough.
+    Yields a list of errors, to which an error is added when text for standard output is lost. It is
+    not an error if a reader closes the pipe early, since the reader has then read enough.
     """
     _occupy()
     codecs.register_error(PLAIN, _spell)
@@ -52,7 +53,7 @@ def _occupy() -> None:
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number
+            os.open(os.devnull, os.O_RDWR)  # the opened file gets the lowest free number
 
 
 def _steady(stream: TextIO | None, problems: list[OSError]) -> Any:
@@ -109,8 +110,8 @@ class _Steady(io.RawIOBase):
 
 
 def _spell(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Replace a character that is missing in the encoding by bytes, an ASCII form or its code
-    point.
+    """Replace a character that is missing in the encoding by bytes, by ASCII characters, or by its
+    code point.
 
     File names that are not text contain lone surrogates; these are written as the original bytes.
     """
