@@ -1,14 +1,14 @@
 """Chooses an accuracy that meets a goal: a maximum error or a maximum time.
 
-A level is a run of the scene on one grid. For a maximum error, levels are run from coarse to fine,
-each with at most 1.5 times the cells of the one before. From three levels on, the order of
-convergence and the error of each level are estimated, and the next level is the coarsest grid that
-is predicted to meet the goal. The search ends when a level meets the goal, so, according to these
-estimates, the chosen grid has at most 1.5 times the cells that the goal needs. If a level tears the
-material (phy124/monitor/tearing.py), that level is repeated with one more particle per cell and
-axis, and all later levels use this number, too.
+A level is a run of the scene on one grid. For a maximum error, levels are run from coarse to fine.
+Each level has at most 1.5 times as many cells across the object as the level before. After three
+levels, the order of convergence and the error of each level are estimated, and the next level is
+the coarsest grid that is predicted to meet the goal. The search ends when a level meets the goal.
+If the estimates are right, the chosen grid therefore has at most 1.5 times as many cells as the
+goal needs. If the material tears on a level (phy124/monitor/tearing.py), this level is repeated
+with one more particle per cell and axis, and all later levels use this number of particles, too.
 
-For a maximum time, the scene is run on the finest grid whose forecast time is within the maximum.
+For a maximum time, the scene is run on the finest grid whose predicted time is within the maximum.
 """
 
 from __future__ import annotations
@@ -45,34 +45,38 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.bodies import Placed
 
 FIRST = (12, 16, 24)
-"""Cells across the object on the first levels; three levels are needed to observe an order of
-convergence."""
+"""Cells across the object on the first levels. Three levels are needed to observe an order of
+convergence.
+"""
 STEP = 1.5
-"""Largest factor by which a new level may have more cells across the object than the finest so
-far."""
+"""Maximum ratio of the cells across the object on a new level to the cells on the finest level so
+far.
+"""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
-"""Cells across the object of the other grids that may be chosen.
+"""Cells across the object of all further grids that may be chosen.
 
-The finest grids take minutes, and less than 2 GB of memory, on two cores.
+A run on the finest grids takes minutes on two cores, and less than 2 GB of memory.
 """
 GUESSED_ORDER = 1.0
-"""Order assumed if the levels do not converge; free surfaces converge with first order."""
+"""Order of convergence that is assumed if the levels do not converge; free surfaces converge with
+first order.
+"""
 START = 16
 """Cells across the object of the grid with which the search for a maximum time begins."""
 ATTEMPTS = 2
-"""Number of further levels that are run if the first levels do not converge."""
+"""Maximum number of further levels that are run if the first levels do not converge."""
 DENSEST = 4.0
 """Maximum number of particles per cell and axis."""
 
 
 @dataclass
 class Reached:
-    """A finished run, and the error or time that it reached."""
+    """A finished run, and the error or time that the run reached."""
 
     simulation: Simulation
     clip: Clip
     about: dict[str, Any]
-    """The goal, the choice and the result, for the report."""
+    """The goal, the chosen grid and the result, for the report."""
 
 
 def run_for_goal(
@@ -111,7 +115,7 @@ def run_for_goal(
 
 @dataclass
 class _Runs:
-    """Runs a scene on several grids, and stores the result of each grid."""
+    """Runs a scene on several grids, and stores the clip of each grid."""
 
     gaussians: Gaussians
     scene: Scene
@@ -123,13 +127,16 @@ class _Runs:
     spent: dict[int, float] = field(default_factory=dict)
     """Cells across the object -> duration of the run on this grid [s]."""
     placed: Placed | None = None
-    """The object in its position, from the first simulation; None before that."""
+    """The object as placed in the scene by the first simulation; None before the first
+    simulation.
+    """
     denser: bool = False
-    """Whether runs use one more particle per cell and axis, because the material tore on a
-    level."""
+    """Whether all runs use one more particle per cell and axis, because the material tore on a
+    level.
+    """
 
     def simulation(self, cells: int) -> Simulation:
-        """Create a simulation on this grid without starting it."""
+        """Create a simulation on this grid, but do not start the simulation."""
         base = self.scene.resolution
         per_axis = self.scene.particles_per_axis + self.denser
         accuracy = base.model_copy(update={"cells": cells, "particles_per_axis": per_axis})
@@ -140,7 +147,7 @@ class _Runs:
         return Simulation(setup)
 
     def clip(self, cells: int) -> Clip:
-        """Return the clip on this grid; if it does not exist yet, run the simulation."""
+        """Return the clip on this grid; if there is no clip yet, run the simulation."""
         if cells not in self.done:
             start = time.perf_counter()
             self._make(cells)
@@ -158,7 +165,9 @@ class _Runs:
         return simulation.run(record=self.see)
 
     def _make_denser(self, cells: int) -> None:
-        """Repeat a torn level with more particles, unless these would exceed the limit."""
+        """Repeat a level on which the material tore with more particles, unless their number would
+        exceed the limit.
+        """
         self.denser = self.scene.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):
@@ -171,7 +180,9 @@ class _Runs:
 
     @property
     def torn(self) -> list[int]:
-        """Levels on which the grid may have torn the material; error estimates ignore them."""
+        """Levels on which the grid may have torn the material; error estimates ignore these
+        levels.
+        """
         tearing = {level: run.find(Tearing) for level, (run, _) in self.done.items()}
         return sorted(level for level, search in tearing.items() if search and search.likely)
 
@@ -200,7 +211,9 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
 
 
 def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
-    """Run the next level; return the reason if there is no next level, otherwise an empty text."""
+    """Run the next level. If there is no next level, return the reason; otherwise return an empty
+    text.
+    """
     if not result.errors and len(runs.done) >= len(FIRST) + ATTEMPTS:
         return result.why_not
     finest, (error, order) = max(runs.done), _guess(goal, runs, result)
@@ -217,7 +230,7 @@ def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
 
 
 def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
-    """Return the error at the finest level at which nothing tears, and the order of convergence."""
+    """Return the error at the finest level without tears, and the order of convergence."""
     if result.error is not None:
         order = result.order or GUESSED_ORDER
         return result.error, min(max(order, TRUSTED[0]), TRUSTED[1])
@@ -227,8 +240,8 @@ def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
 
 
 def _describe_best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
-    """Describe the error and the time of the finest possible grid, extrapolated from the finest
-    run.
+    """Describe the error and the time that the finest possible grid would have, extrapolated from
+    the finest run.
     """
     known, finest = max(runs.done), CELLS[-1]
     best = format_error(goal.kind, error * (known / finest) ** order)
@@ -276,7 +289,7 @@ def _why_torn(runs: _Runs) -> str:
 
 
 def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, float | None, bool]:
-    """Return a grid, its error, and whether the error meets the goal.
+    """Return the best grid, the error on this grid, and whether the error meets the goal.
 
     The result is the coarsest grid that meets the goal, or the finest grid if no grid does.
     """
@@ -288,7 +301,9 @@ def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, floa
 
 
 def _estimate(goal: Goal, runs: _Runs) -> Convergence:
-    """Estimate the order and the errors of all levels without tears, in the goal's unit."""
+    """Estimate the order of convergence and the errors of all levels without tears, in the goal's
+    unit.
+    """
     cells = runs.whole
     apart = np.zeros((len(cells), len(cells)))
     for i, j in combinations(range(len(cells)), 2):
@@ -325,10 +340,10 @@ def in_time(
     crop: Crop = WHOLE,
     forecaster: Forecaster | None = None,
 ) -> tuple[Scene, Forecast]:
-    """Return the scene on the finest grid whose forecast is within a maximum time, and the
+    """Return the scene on the finest grid whose predicted time is within a maximum, and the
     forecast.
 
-    Only the probes of the forecasts are run.
+    The scene itself is not run; only the short probes for the forecasts are run.
 
     Args:
         goal: The maximum time.
@@ -350,7 +365,7 @@ def in_time(
 
 
 class _Fit(NamedTuple):
-    """A grid whose forecast time is within the maximum time."""
+    """A grid whose predicted time is within the maximum time."""
 
     cells: int
     simulation: Simulation
@@ -375,10 +390,10 @@ def _meet_time(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) 
 
 
 def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float) -> _Fit:
-    """Return the finest grid whose forecast is within the maximum time.
+    """Return the finest grid whose predicted time is within the maximum time.
 
     Raises:
-        InputError: No forecast fits.
+        InputError: On every grid, the predicted time exceeds the maximum time.
     """
     watch = runs.context.watch
     available, start, compiled = MARGIN * goal.value - elapsed, watch.total, _sum_compilation(runs)
@@ -401,19 +416,21 @@ def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float
         cells = _choose_next(cells, wanted, preparing, forecast, left, kept)
     if not best:
         coarsest = min(tried)
-        # A repeated command finds the kernels compiled.
+        # If the command is repeated, the kernels are already compiled.
         ready = elapsed + watch.total - start - (_sum_compilation(runs) - compiled)
         raise explain_time(goal, runs.scene, coarsest, tried[coarsest][1], ready)
     return _Fit(best, *tried[best], sorted(tried))
 
 
 def _sum_compilation(runs: _Runs) -> float:
-    """Return the time that the compilation of kernels has taken [s]."""
+    """Return the time that compiling kernels has taken so far [s]."""
     return runs.context.watch.seconds.get("compile", 0.0)
 
 
 def _sum_preparation(runs: _Runs) -> float:
-    """Return the time that the particles and solvers of all levels have taken [s]."""
+    """Return the time that creating the particles and solvers of all levels has taken so far
+    [s].
+    """
     seconds = runs.context.watch.seconds
     return sum(seconds.get(stage, 0.0) for stage in ("particles", "compile"))
 
@@ -428,17 +445,18 @@ def _choose_next(
 ) -> int:
     """Return the next grid to forecast; 0 if there is none.
 
-    The result is the finest grid whose preparation and run are expected to fit into the maximum
+    The result is the finest grid whose preparation and run are expected to stay within the maximum
     time. After the preparation, enough time must remain to run the best grid so far. If no grid is
-    expected to fit, and none has fitted so far, the result is the coarsest grid.
+    expected to stay within the maximum, and no forecast so far did, the result is the coarsest
+    grid.
 
     Args:
         cells: Cells across the object of the last grid.
-        wanted: Cells of the grids that may be chosen, increasing.
+        wanted: Cells across the object of the grids that may be chosen, in increasing order.
         preparing: Time to prepare the last grid [s].
         forecast: Forecast of the last grid.
         left: Remaining part of the maximum time [s].
-        kept: Predicted time of the best grid that fits [s]; 0 if none does.
+        kept: Predicted time of the best grid within the maximum time [s]; 0 if there is none.
     """
     simulation = forecast.stages["simulate"]
     others = forecast.seconds - simulation

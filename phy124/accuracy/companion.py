@@ -1,8 +1,8 @@
 """Estimates the error of a finished run from a companion: a run of the same scene on a coarser
 grid.
 
-A sample of the Gaussians is compared: how far apart are their positions in the two runs? The
-estimated error is this distance times a factor; the error bound is the distance times a larger
+The distance between the two runs is measured by the positions of a sample of the Gaussians. The
+estimated error is this distance times a factor, and the error bound is the distance times a larger
 factor. The factors were measured on many objects (docs/lab/own-error.md).
 
 The companion runs after the run, so it changes neither the run nor its result. Whether the
@@ -35,20 +35,24 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.setup import Setup
 
 AFFORDABLE = 0.2
-"""Largest forecast time of the companion, as a fraction of the time of the run's dynamics."""
+"""Maximum predicted time of the companion run, as a fraction of the time of the original run's
+dynamics.
+"""
 ON_LATTICE = 1.5
-"""Factor on `AFFORDABLE` for lattices, whose dynamics take at most half the time of other
-solvers."""
+"""Factor by which `AFFORDABLE` is multiplied for lattices, whose dynamics take at most half the
+time of other solvers.
+"""
 SAMPLE = 2000
-"""Number of Gaussians whose motion is compared."""
+"""Number of Gaussians whose motions in the two runs are compared."""
 MPM, LATTICE = Rates(particle=7e-8), Rates(substep=2.6e-4, particle=3.6e-8)
 RATES = {
     "mpm": (MPM, MPM),
     "lattice": (Rates(substep=4.2e-4, particle=2.1e-8), LATTICE),
     "cuda": (USUAL["cuda"], USUAL["cuda"]),
 }
-"""Rates of each solver of elastic objects on a CPU, and rates on a GPU: of a run, and of its
-companion. On a lattice, the checks at each frame take a large part of a run's substep time.
+"""Costs per unit of work for each solver of elastic objects on a CPU, and for a GPU. The first
+rates are for the original run, the second for the companion run. On a lattice, the checks at each
+frame take a large part of a run's substep time.
 """
 EFFORT: dict[Motion, float] = {
     "squeezed": 2.2,
@@ -57,34 +61,39 @@ EFFORT: dict[Motion, float] = {
     "held": 0.9,
     "free": 2.4,
 }
-"""Kind of motion -> time of a substep on lattices, relative to the rates.
+"""Kind of motion -> factor on the time of a substep that the rates for lattices predict.
 
-Contact takes time, and so do measurements of the frequency of what is strained.
+Contact takes additional time, and so do measurements of the vibration frequency of strained
+objects.
 """
 PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.044, 0.0, 1e-5), "cuda": (0.045, 3e-7, 0.0)}
-"""Time to prepare a companion [s]: a constant, and the times per Gaussian and per particle of the
-companion."""
+"""Time to prepare a companion run [s]: a constant, a time per Gaussian, and a time per particle of
+the companion.
+"""
 COARSEST = 6
-"""Minimum number of cells across the object on the companion's grid."""
+"""Minimum number of cells across the object on the coarser grid of the companion run."""
 FEWEST = 3
 """Minimum number of frames that is needed to estimate an error."""
 PARTED = 0.1
-"""Distance, in object sizes, above which the motions on two grids count as different."""
+"""Distance, as a fraction of the object's size, above which the motions on two grids count as
+different.
+"""
 
 
 class Factors(NamedTuple):
-    """Ratios of a run's error to the distance between the run and its companion."""
+    """Ratios of a run's error to the distance between the run and its coarser companion run."""
 
     about: float
-    """Median ratio over objects and scenes."""
+    """Median of the ratio over the measured objects and scenes."""
     at_most: float
-    """Ratio that 95 % of the objects and scenes did not exceed."""
+    """Ratio that was not exceeded in 95 % of the measured objects and scenes."""
 
 
 RATIO = 0.5
-"""Number of cells of the companion, divided by that of the run.
+"""Number of cells across the object in the companion run, divided by the number in the original
+run.
 
-With 5/8 the estimate would be less sharp and cost twice as much (docs/lab/own-error.md).
+A ratio of 5/8 would make the estimate less sharp and twice as expensive (docs/lab/own-error.md).
 """
 FACTORS = {
     "free": Factors(0.27, 0.85),
@@ -99,42 +108,51 @@ FACTORS = {
     "metal": Factors(0.6, 2.6),
     "foam": Factors(0.6, 0.95),
 }
-"""Factors for each kind of motion, and for the laws that were measured. Any other law has the
-factors of its kind of motion."""
+"""Factors for each kind of motion, and for the constitutive laws that were measured. For any other
+law, the factors of the kind of motion are used.
+"""
 USUAL_CELLS = 16
-"""Cells of the companion for which the factors hold; on finer and coarser grids the factors are
-larger."""
+"""Cells across the object in the companion run for which the factors hold. On finer and coarser
+grids, the factors are larger.
+"""
 FLOOR = 2e-4
-"""Error, in object sizes, that is always added to the bound."""
+"""Error that is always added to the bound, as a fraction of the object's size."""
 LEAST = 0.6
 """Smallest allowed bound, as a fraction of the error that was expected before the run.
 
-Two coarse grids may agree by chance. The expected error then limits the damage at little cost.
+The results on two coarse grids may agree by chance, so that the estimate is too small. The expected
+error then keeps the bound from being far too small.
 """
 
 
 class OwnError(NamedTuple):
-    """The error of a run, estimated from its companion, or the reason why there is none."""
+    """The error of a run, estimated from its coarser companion run, or the reason why there is no
+    estimate.
+    """
 
     about: float | None = None
-    """RMS distance from the exact motion over Gaussians and frames, in object sizes."""
+    """RMS distance from the exact motion over Gaussians and frames, as a fraction of the object's
+    size.
+    """
     at_most: float | None = None
-    """Bound on this distance."""
+    """Upper bound of the RMS distance from the exact motion, as a fraction of the object's size."""
     until: float | None = None
-    """Time from which the motion depends on the grid [s]; None if it never does.
+    """Time from which the motion depends on the grid [s]; None if the motion never depends on it.
 
     The error holds for the frames before this time.
     """
     cells: int | None = None
-    """Cells across the object on the companion's grid; None without a companion."""
+    """Cells across the object on the companion's grid; None if there is no companion run."""
     cost: float | None = None
-    """Forecast of the companion's time, as a fraction of the time of the run's dynamics."""
+    """Predicted time of the companion run, as a fraction of the time of the original run's
+    dynamics.
+    """
     why_not: str = ""
     """Reason why there is no estimate."""
 
 
 class Lost(Exception):
-    """Raised if a companion ends early; the message states the reason."""
+    """Raised if a companion run ends early; the message states the reason."""
 
 
 def with_own_error(
@@ -145,8 +163,10 @@ def with_own_error(
     Args:
         run: The run.
         clip: The clip of the run.
-        omit: Reason to leave the companion out; empty: it runs if it is cheap enough.
-        goal: The entry `goal` of the report, if the grids of `--max-error` measured the error.
+        omit: Reason to skip the companion run. If it is empty, the companion runs if it is cheap
+            enough.
+        goal: The entry `goal` of the report, if the error was measured by the grids of
+            `--max-error`.
     """
     omit = omit or why_broken(clip.report).rstrip(".")
     if omit:
@@ -156,7 +176,7 @@ def with_own_error(
     else:
         try:
             result = measure_error(run, clip)
-        except Lost as lost:  # the run itself is finished and must not be lost
+        except Lost as lost:  # the original run is finished and must not be lost
             result = OwnError(why_not=str(lost))
     effects = dict(clip.report["effects"])
     if result.cells is not None:
@@ -207,24 +227,25 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
 
 
 def coarsen(scene: Scene) -> Scene:
-    """Return the scene of the companion, with fewer cells across the object."""
+    """Return the scene of the companion run, which has fewer cells across the object."""
     cells = max(round(RATIO * scene.resolution.cells), COARSEST)
     accuracy = scene.resolution.model_copy(update={"cells": cells, "solver": scene.solver})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 
 
 def affordable(run: Simulation) -> float:
-    """Return the forecast cost above which a run's companion is not run."""
+    """Return the predicted cost above which a run's companion is not run."""
     return AFFORDABLE * (ON_LATTICE if run.scene.on_lattice else 1.0)
 
 
 def forecast(run: Simulation, substeps: int, particles: int | None = None) -> float:
-    """Return the companion's CPU time divided by that of the run's dynamics.
+    """Return the CPU time of the companion run, divided by the CPU time of the original run's
+    dynamics.
 
     Args:
         run: The run.
         substeps: Number of substeps of the run.
-        particles: Number of particles of the companion; None: estimated.
+        particles: Number of particles of the companion; if it is None, the number is estimated.
     """
     kind = run.scene.solver if run.device == "cpu" else "cuda"
     (rates, bare), (once, each, point) = RATES[kind], PREPARING[kind]
@@ -238,7 +259,9 @@ def forecast(run: Simulation, substeps: int, particles: int | None = None) -> fl
 
 
 def count_threads(setup: Setup) -> int:
-    """Return how many threads a run's companion can use, from the run's particles and threads."""
+    """Return how many threads a companion run can use, given the original run's particles and
+    threads.
+    """
     enough = count_particles(setup) // MIN_PARTICLES
     return max(1, min(enough, setup.threads))
 
@@ -262,13 +285,15 @@ def factors_of(scene: Scene, cells: int) -> Factors:
 def estimate(
     distances: NDArray, times: NDArray, factors: Factors, expected: float | None = None
 ) -> tuple[float | None, float | None, float | None]:
-    """Return the error, its bound, and how long both hold, as in `OwnError`.
+    """Return the error, the bound on the error, and the time for which both hold, as in `OwnError`.
 
     Args:
-        distances: RMS distance of the run and its companion in each frame [T], in object sizes.
+        distances: RMS distance between the run and its companion in each frame [T], as a fraction
+            of the object's size.
         times: Times of the frames [T], s.
-        factors: Ratios of the error to the distance.
-        expected: Error bound before the run, in object sizes; None: not measured.
+        factors: Ratios of the error to the distance between the runs.
+        expected: Error bound that was stated before the run, as a fraction of the object's size;
+            None if it was not measured.
     """
     together = np.flatnonzero(distances <= PARTED)
     count = int(together[-1]) + 1 if len(together) else 0
@@ -281,7 +306,7 @@ def estimate(
 
 
 def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int64]) -> OwnError:
-    """Simulate the companion of a run, and return the original run's estimated error."""
+    """Simulate the companion of a run, and return the estimated error of the original run."""
     cells = scene.resolution.cells
     try:
         companion = _prepare(run.setup, scene)
@@ -299,7 +324,9 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
 
 
 def _prepare(setup: Setup, scene: Scene) -> Setup:
-    """Return the setup of a companion, without observers and without deformation of Gaussians."""
+    """Return the setup of a companion run, which has no observers and does not deform the
+    Gaussians.
+    """
     progress = setup.context.progress
     threads = count_threads(setup)
     context = RunContext(setup.context.device, threads, lambda *_: progress("companion", 0, 1))
@@ -308,14 +335,14 @@ def _prepare(setup: Setup, scene: Scene) -> Setup:
 
 
 def _sample(setup: Setup) -> NDArray[np.int64]:
-    """Return the indices of the moving Gaussians to compare, without grains."""
+    """Return the indices of the moving Gaussians to compare, excluding grains."""
     moving = np.flatnonzero(setup.appearance.moves[: len(setup.gaussians)])
     return moving[np.linspace(0, len(moving) - 1, min(SAMPLE, len(moving))).astype(np.int64)]
 
 
 def _distances(setup: Setup, clip: Clip, indices: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Run a companion; return the RMS distance [T], m, of some of its Gaussians from those of a
-    clip.
+    """Run a companion; return, for each frame [T], the RMS distance [m] between a sample of its
+    Gaussians and the same Gaussians of a clip.
     """
     look = setup.appearance
     chosen = (np.cumsum(look.moves) - 1)[indices]

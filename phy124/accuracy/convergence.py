@@ -1,11 +1,14 @@
 """Estimates the order of convergence, and the discretisation error of each grid level.
 
 The result at grid spacing h is modelled as exact + h^p e + scatter h^p. The field e is common to
-all grids, and the scatter is random. Two levels then differ by about C |h_i^p - h_j^p|. The order p
-is fitted to the logarithms of the distances between the levels, over all pairs of levels. The
-fields exact and e are fitted to all levels by least squares with weights h^-2p (Eca, Hoekstra
-2014). The error of a level is h^p e plus the scatter (Richardson 1911; Roache 1998). Only the
-distances between the levels are needed.
+all grids, and the scatter is random. The results of two levels then differ by about C
+
+h_i^p - h_j^p
+
+. The order p is fitted to the logarithms of the distances between all pairs of levels. The fields
+exact and e are fitted to all levels by least squares with weights h^-2p (Eca, Hoekstra 2014). The
+error of a level is h^p e plus the scatter (Richardson 1911; Roache 1998). Only the distances
+between the levels are needed.
 """
 
 from __future__ import annotations
@@ -18,19 +21,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 ORDERS = (0.5, 3.0)
-"""Range of orders that are searched."""
+"""Range of convergence orders in which the order is searched."""
 TRUSTED = (1.0, 2.0)
-"""Range of orders used to estimate errors.
+"""Range of convergence orders that may be used to estimate errors.
 
-Free surfaces converge with first order, and the interior with second order. If levels are too
-coarse, the observed order is lower than 1, and errors estimated with it would be unreliable.
+Free surfaces converge with first order, and the interior with second order. If the levels are too
+coarse, the observed order is lower than 1, and errors that were estimated with this order would be
+unreliable.
 """
 SAFETY = 1.25
-"""Factor on the errors if the observed order is outside `TRUSTED` by more than `NEAR` (Roache
-1998)."""
+"""Factor by which the errors are multiplied if the observed order is outside `TRUSTED` by more than
+`NEAR` (Roache 1998).
+"""
 NEAR = 0.1
 AGREE = 1e-5
-"""Largest distance, in the unit of the results, at which levels count as equal up to rounding."""
+"""Maximum distance between levels that count as equal up to rounding, in the unit of the
+results.
+"""
 
 
 @dataclass(frozen=True)
@@ -40,27 +47,29 @@ class Convergence:
     """
 
     order: float | None
-    """Observed order; None if the levels do not converge, or if all levels agree."""
+    """Observed order of convergence; None if the levels do not converge, or if all levels agree."""
     errors: tuple[float, ...] = ()
-    """Estimated error of each level, in the unit of the distances; empty without an estimate."""
+    """Estimated error of each level, in the unit of the distances; empty if there is no
+    estimate.
+    """
     why_not: str = ""
     """Reason why there is no estimate of the errors."""
     note: str = ""
     """Remark on the estimate, such as the reason why the errors are only rough."""
     exact: tuple[float, ...] = ()
-    """Weights of the levels in the extrapolated result; they sum to 1."""
+    """Weights of the levels in the extrapolated result; the weights sum to 1."""
     inside: float = 0.0
-    """Mean square distance of the levels from the extrapolated result, weighted by `exact`."""
+    """Mean square distance between the levels and the extrapolated result, weighted by `exact`."""
     factor: float = 1.0
     """Safety factor by which the errors are multiplied."""
 
     @property
     def error(self) -> float | None:
-        """Estimated error of the finest level; None without an estimate."""
+        """Estimated error of the finest level; None if there is no estimate."""
         return self.errors[-1] if self.errors else None
 
     def error_of(self, apart: NDArray) -> float | None:
-        """Estimate the error of any result from its distance to the result of each level [L].
+        """Estimate the error of any result from its distances to the results of all levels [L].
 
         Returns:
             The error; None if the levels have no extrapolated result.
@@ -72,10 +81,10 @@ class Convergence:
 
 
 def fit_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
-    """Return the order of convergence for known errors.
+    """Return the order of convergence of levels whose errors are known.
 
-    The order is the least-squares slope of the logarithm of the error over the logarithm of the
-    spacing.
+    The order is the slope of a straight line that is fitted by least squares to the logarithm of
+    the error as a function of the logarithm of the spacing.
     """
     return float(np.polyfit(np.log(spacings), np.log(np.abs(errors)), 1)[0])
 
@@ -86,8 +95,8 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
     Args:
         spacings: Grid spacings, from coarse to fine [L].
         apart: Distances between the levels' results [L,L].
-        agree: Distance below which levels count as equal. If all do, their error is the largest
-            distance.
+        agree: Distance below which levels count as equal. If all levels are equal, their error is
+            the largest distance between them.
     """
     h, levels = np.array(spacings), len(spacings)
     if levels < 3:
@@ -117,7 +126,7 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
 def longest_convergence(
     spacings: Sequence[float], clips: Sequence[NDArray], size: float = 1.0
 ) -> tuple[Convergence, int]:
-    """Estimate the errors over the longest initial part of the clips in which the levels converge.
+    """Estimate the errors over the longest initial part of the clips for which the levels converge.
 
     The motions on two grids may separate after some event, for example if the object topples on
     only one of the grids. Up to such an event the results on finer grids still converge.
@@ -128,8 +137,8 @@ def longest_convergence(
         size: Divisor of the distances.
 
     Returns:
-        The convergence, and the number of frames for which it holds. If no initial part converges,
-        the result is that of all frames.
+        The convergence, and the number of frames for which it holds. If the levels converge for no
+        initial part, the result is the convergence over all frames.
     """
     frames = len(clips[0])
     square = np.zeros((frames, len(clips), len(clips)))
@@ -159,7 +168,7 @@ def _observe_order(h: NDArray, apart: NDArray) -> float:
 
 
 def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
-    """Fit the form exact + h^p e to the levels, for an order p."""
+    """Fit the model exact + h^p e to the levels, for a fixed order p."""
     power = h**p
     columns = np.stack([np.ones(len(h)), power], axis=1)
     weighted = columns / power[:, None] ** 2
@@ -197,7 +206,9 @@ def distances(results: Sequence[NDArray]) -> NDArray[np.float64]:
 def guess_errors(
     spacings: tuple[float, float], difference: float, order: float
 ) -> tuple[float, float]:
-    """Return the errors of two levels (coarse, fine), from their distance and an assumed order."""
+    """Return the errors of two levels (coarse, fine), from the distance between the levels and an
+    assumed order.
+    """
     coarse, fine = (h**order for h in spacings)
     error = difference * fine / (coarse - fine)
     return error + difference, error

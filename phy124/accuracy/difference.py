@@ -28,13 +28,13 @@ class Difference:
     metres: float
     """RMS distance over all Gaussians and frames [m]."""
     relative: float
-    """RMS distance as a fraction of the object's size at rest."""
+    """RMS distance over all Gaussians and frames, as a fraction of the object's size at rest."""
     pixels: float
     """RMS distance of the Gaussians' centres in the image of the first view [pixels]."""
     worst_frame: int
     """Index of the frame with the largest RMS distance."""
     worst: float
-    """RMS distance in the worst frame, as a fraction of the object's size at rest."""
+    """RMS distance in the frame where it is largest, as a fraction of the object's size at rest."""
     psnr: float
     """PSNR of the videos of the first view [dB]; infinite if the videos are equal."""
     ssim: float
@@ -48,7 +48,8 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
 
     Args:
         clip: The first clip.
-        reference: The second clip. Both clips are rendered with the camera chosen for this clip.
+        reference: The second clip. Both clips are rendered with the camera that is chosen for the
+            second clip.
         view: The view settings.
         device: Warp device.
 
@@ -77,7 +78,9 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
 
 
 def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
-    """Return the RMS distance in the image of the first view, over all frames [pixels]."""
+    """Return the RMS distance of the Gaussians' centres in the image of the first view, over all
+    frames [pixels].
+    """
     clip, reference, squares = clip.surface, reference.surface, []
     for index, camera in enumerate(cameras(reference, view, view.sides[0])):
         here, _ = camera.project(clip.means[index].astype(float))

@@ -40,49 +40,56 @@ WORDS: dict[Motion, str] = {
 }
 """Kind of motion -> description of this kind in messages."""
 ON_LATTICE = ", on a lattice"
-"""Words that are added to a kind of scene or a feature if the lattice solver moves elastic
-objects."""
+"""Words that are appended to the name of a kind of scene or of a feature if the lattice solver
+moves the elastic objects.
+"""
 MARGIN = 1.25
-"""Largest ratio of a scene's property to the upper end of the property's measured range."""
+"""Maximum ratio of a scene's property to the upper end of the measured range of this property."""
 NEARBY = 0.02
-"""Largest amount by which Poisson's ratio may exceed the measured range."""
+"""Maximum amount by which Poisson's ratio may exceed the measured range."""
 HARDER = {
     "violence": "with so fast a motion or so soft a material",
     "yielding": "with so large a plastic deformation",
 }
-"""Property -> description of scenes whose value is above the measured range."""
+"""Name of a property -> description of scenes in which the property is above the measured range."""
 THINNEST = 0.7
-"""Thickness, in cells, below which further thinning does not increase the error."""
+"""Thickness of an object, in cells, below which thinner objects do not have larger errors."""
 SOLID = Proportions(thickness=1.0, compliance=0.1)
-"""Proportions of an object that is resolved on every grid."""
+"""Proportions of an object that is thick enough for every grid."""
 STIFFEST, SOFTEST = 0.02, 100.0
-"""Range of compliances within which the error depends on the compliance."""
+"""Range of values within which the error depends on the object's compliance."""
 
 
 class Expectation(NamedTuple):
     """The predicted error of a scene, or the reason why there is none."""
 
     error: float | None
-    """Bound on the RMS distance of the Gaussians from the exact motion, in object sizes."""
+    """Bound on the RMS distance of the Gaussians from the exact motion, as a fraction of the
+    object's size.
+    """
     unmeasured: str = ""
-    """The kind of scene, if there is no prediction because this kind was not measured."""
+    """The kind of the scene, if there is no prediction because no scene of this kind was
+    measured.
+    """
     such: str = ""
-    """Law and kind of motion of the measured objects, in words."""
+    """Constitutive law and kind of motion of the measured objects, in words."""
     objects: int = 0
-    """Number of measured objects of this law and kind of motion."""
+    """Number of measured objects with this law and kind of motion."""
     length: float = math.inf
-    """Longest measured duration, in units of sqrt(size / 9.81 m/s^2)."""
+    """Duration of the longest measured scene, in units of sqrt(size / 9.81 m/s^2)."""
 
 
 def law_of(scene: Scene) -> str:
-    """Return the name of a scene's law; "elastic" stands for all laws without flow."""
+    """Return the name of a scene's constitutive law; "elastic" stands for all laws without plastic
+    or viscous flow.
+    """
     sections = scene.materials
     laws = {"elastic" if isinstance(each, Springy) else each.law for each in sections}
     return " and ".join(sorted(laws))
 
 
 def kind_of(scene: Scene) -> str:
-    """Return the law and the kind of motion of a scene, such as "elastic landing".
+    """Return the constitutive law and the kind of motion of a scene, such as "elastic landing".
 
     A scene on lattices is of another kind: "lattice elastic landing".
     """
@@ -91,22 +98,24 @@ def kind_of(scene: Scene) -> str:
 
 
 def groups(scene: Scene) -> list[str]:
-    """Return the names of a scene's groups; the model adds up their coefficients."""
+    """Return the names of the groups to which a scene belongs; the model adds up the coefficients
+    of these groups.
+    """
     motion, law = motion_of(scene), law_of(scene)
     names = ["all", motion, law, f"{law} {motion}", *features(scene)]
     return [*names, "lattice", kind_of(scene)] if scene.on_lattice else names
 
 
 def name_features(scene: Scene) -> list[str]:
-    """Return pairs of a feature of the scene and its solver; a prediction needs measurements of
-    each pair.
+    """Return pairs of a feature of the scene and the scene's solver. A prediction needs
+    measurements of each pair.
     """
     names = features(scene)
     return [f"{name}{ON_LATTICE}" for name in names] if scene.on_lattice else names
 
 
 def features(scene: Scene) -> list[str]:
-    """Return a scene's special features."""
+    """Return the special features of a scene, such as forces on regions and moving walls."""
     forces = [force for force in scene.acting if force.kind not in ("gravity", "acceleration")]
     names = {f"a force of the kind {force.kind}" for force in forces}
     if any(force.region is not None for force in scene.acting):
@@ -146,7 +155,7 @@ def properties(scene: Scene, proportions: Proportions) -> dict[str, float]:
 
 
 def regressors(values: Mapping[str, float]) -> dict[str, float]:
-    """Return the terms of the linear model from the properties of a scene."""
+    """Compute the terms of the linear model from the properties of a scene."""
     return {
         "one": 1.0,
         "cells": math.log(values["cells"] / 32),
@@ -168,8 +177,8 @@ def expect(
 
     Args:
         scene: The scene.
-        proportions: Proportions of its object; None: unknown.
-        model: The coefficients and the measured ranges; None: those of measured.json.
+        proportions: Proportions of the scene's object; None if they are unknown.
+        model: The coefficients and the measured ranges; if it is None, measured.json is used.
     """
     model = model or table()
     law, motion = law_of(scene), motion_of(scene)
@@ -184,7 +193,7 @@ def expect(
         return Expectation(None, f"{such} {outside}")
     if proportions is None:
         return Expectation(None, "an object of unknown proportions")
-    # A coarser grid is never expected to err less than the finest one that was measured.
+    # The error on a coarser grid is never predicted to be smaller than on the finest measured grid.
     finest = measured["cells"][1]
     grids = [
         values | {"cells": cells, "thickness": max(proportions.thickness * cells, THINNEST)}
@@ -198,16 +207,16 @@ def expect(
 def predict(
     coefficients: Mapping[str, Mapping[str, float]], names: list[str], values: Mapping[str, float]
 ) -> float:
-    """Return the error bound of a scene with these groups and properties, in object sizes."""
+    """Return the error bound of a scene with these groups and properties, as a fraction of the
+    object's size.
+    """
     terms = regressors(values)
     each = (coefficients.get(name, {}) for name in names)
     return math.exp(sum(c * terms[term] for group in each for term, c in group.items()))
 
 
 def _clamp(values: Mapping[str, float], measured: Mapping[str, Any]) -> dict[str, float]:
-    """Return the properties, limited to the measured range, so that the model never
-    extrapolates.
-    """
+    """Limit the properties to their measured ranges, so that the model never extrapolates."""
     return {
         name: min(max(value, measured[name][0]), measured[name][1])
         for name, value in values.items()
@@ -215,7 +224,7 @@ def _clamp(values: Mapping[str, float], measured: Mapping[str, Any]) -> dict[str
 
 
 def _describe_beyond(scene: Scene, known: Sequence[str]) -> str:
-    """Describe a feature of the scene that was not measured; empty if there is none."""
+    """Describe a feature of the scene that was not measured; the text is empty if there is none."""
     if scene.stiffness is not None or scene.properties is not None:
         return "materials that vary from point to point"
     accuracy = scene.resolution
@@ -230,10 +239,11 @@ def _describe_beyond(scene: Scene, known: Sequence[str]) -> str:
 def _describe_outside(
     scene: Scene, values: Mapping[str, float], measured: Mapping[str, Any]
 ) -> str:
-    """Describe a property of the scene that is outside the measured range; empty if there is none.
+    """Describe a property of the scene that is outside the measured range; the text is empty if
+    there is none.
 
-    Values that make the error smaller are not reported, since they are replaced by the nearest
-    measured value.
+    A value that makes the error smaller is not reported, since the nearest measured value replaces
+    it.
     """
     for name, words in HARDER.items():
         if values[name] > MARGIN * measured[name][1]:

@@ -1,9 +1,9 @@
 """Forecasts the time of a run before it starts.
 
-The time [s] is substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures).
-The rates a and b are measured in probes of 20 substeps. The probes use the solver of the run, and
-then reset it to its initial state. The number of substeps comes from a pilot run on a coarse grid
-(`phy124.accuracy.probe`). The times of shapes, rendered frames and video are measured on a few
+The time [s] is substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures). The
+rates a and b are measured in probes of 20 substeps. The probes use the solver of the run, and then
+reset the solver to its initial state. The number of substeps comes from a pilot run on a coarse
+grid (`phy124.accuracy.probe`). The times of shapes, rendered frames and video are measured on a few
 frames. The forecast is only a guess if the particles' speed limits the substep.
 """
 
@@ -37,18 +37,23 @@ from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation, prepare
 
 SPEED_UP = 0.72
-"""Speed-up that each additional thread contributes."""
+"""Amount by which each additional thread increases the speed-up."""
 GROWTH = 2.5
-"""Exponent with which the time of a companion grows with the companion's cells."""
+"""Exponent with which the time of a companion run grows with the number of cells across the
+object.
+"""
 UNSURE = 0.1
-"""If a larger fraction of the substeps is limited by the particles' motion, the forecast is a
-guess."""
+"""Maximum fraction of the substeps that the particles' speed may limit; if it is exceeded, the
+forecast is only a guess.
+"""
 GUESS = 1.14
-"""Factor that widens the range of the time if the forecast is a guess."""
+"""Factor that widens the range of the predicted time if the forecast is only a guess."""
 ON_DEVICE = ("simulate", "deform", "render")
-"""Stages that run on the GPU, if there is one."""
+"""Names of the stages that run on the GPU, if there is a GPU."""
 REMEMBERED = 32
-"""Maximum number of stored forecasts and measurements; a new one replaces the oldest."""
+"""Maximum number of forecasts and measurements that are stored; a new entry replaces the oldest
+entry.
+"""
 
 
 @dataclass(frozen=True)
@@ -60,7 +65,7 @@ class Forecast:
     stages: dict[str, float]
     """Name of a stage, as in the report -> its predicted time [s]."""
     measured: tuple[str, ...]
-    """Stages that are finished: their time in `stages` is measured, not predicted."""
+    """Names of the finished stages, whose time in `stages` is measured, not predicted."""
     particles: int
     nodes: int
     """Mean number of grid nodes over the run."""
@@ -73,11 +78,11 @@ class Forecast:
     caveat: str | None = None
     """Reason why the predicted time is only a guess; None if it is not."""
     load: Load = QUIET
-    """Load from other programs on this machine while the probes ran."""
+    """Load by other programs on this machine while the probes ran."""
     proportions: Proportions | None = None
-    """Proportions of the objects; None if unknown."""
+    """Proportions of the objects; None if they are unknown."""
     device: str = "cpu"
-    """Device of the run."""
+    """Device on which the run is computed."""
 
     @property
     def span(self) -> tuple[float, float]:
@@ -92,14 +97,11 @@ class Forecast:
         return sum(self.stages.values())
 
     def with_measured(self, name: str, seconds: float) -> Forecast:
-        """Return the forecast with one more finished stage and the measured time of this stage
-        [s].
-        """
+        """Return the forecast in which one more stage is finished and has a measured time [s]."""
         return replace(self, stages={name: seconds, **self.stages}, measured=(*self.measured, name))
 
     def with_predicted(self, name: str, seconds: float, caveat: str) -> Forecast:
-        """Return the forecast with another stage before all others; the new stage's time is only a
-        guess.
+        """Return the forecast with an additional first stage, whose time is only a guess.
 
         Args:
             name: Name of the stage.
@@ -173,7 +175,7 @@ class Forecast:
 
 @dataclass(frozen=True)
 class Stop:
-    """The predicted time and error at one position of the accuracy slider."""
+    """The predicted time and error of a run for one position of the accuracy slider."""
 
     name: str
     seconds: float
@@ -181,11 +183,11 @@ class Stop:
     promise: Promise
     """The error bound, or the reason why there is none."""
     pixels: float | None
-    """The error bound in the video [pixels]; None without a bound."""
+    """The error bound in the video [pixels]; None if there is no bound."""
     caveat: str | None = None
     """Reason why the predicted time is only a guess; None if it is not."""
     forecast: Forecast | None = None
-    """The forecast of the time, if it was made from probes of the object itself."""
+    """The forecast of the time; None if no probes of the object itself were made."""
 
     @classmethod
     def of(
@@ -197,7 +199,7 @@ class Stop:
             scene: The scene.
             seconds: Predicted time [s].
             promise: Error bound.
-            forecast: Forecast of the time; None without one.
+            forecast: Forecast of the time; None if there is no forecast.
         """
         pixels = None if promise.error is None else promise.error * pixels_per_size(scene)
         caveat = forecast.caveat if forecast else None
@@ -205,18 +207,20 @@ class Stop:
 
     @property
     def error(self) -> float | None:
-        """Error bound as a fraction of the object's size; None without a bound."""
+        """Error bound as a fraction of the object's size; None if there is no bound."""
         return self.promise.error
 
 
 @dataclass
 class Forecaster:
-    """Makes forecasts for a device, and stores measurements to speed up later forecasts."""
+    """Forecasts the times of runs on a device, and stores measurements to speed up later
+    forecasts.
+    """
 
     context: RunContext = field(default_factory=RunContext)
     """Device and threads of the runs; its progress and stopwatch are not used."""
     error: bool = True
-    """Whether each run will estimate its own error if that is cheap."""
+    """Whether each run will estimate its own error if the estimate is cheap."""
     _known: dict[Any, Any] = field(default_factory=dict, repr=False)
     _meter: LoadMeter = field(init=False, repr=False)
 
@@ -224,7 +228,7 @@ class Forecaster:
         self._meter = LoadMeter(self.context.device)
 
     def forecast(self, gaussians: Gaussians, scene: Scene, *, crop: Crop = WHOLE) -> Forecast:
-        """Forecast a run of a scene: create its particles, then probe its solver.
+        """Forecast the time of a run: create the scene's particles, then probe the solver.
 
         Args:
             gaussians: The object.
@@ -247,13 +251,15 @@ class Forecaster:
         error: bool = True,
         load: Load | None = None,
     ) -> Forecast:
-        """Forecast a simulation that has not started, without changing its state.
+        """Forecast the time of a simulation that has not started, without changing the simulation's
+        state.
 
         Args:
             simulation: The simulation.
             filming: Whether the clip will be rendered to videos.
-            error: Whether this run will estimate its own error, if `error` of the forecaster.
-            load: Load from other programs; None: it is measured.
+            error: Whether this run will estimate its own error; this requires `error` of the
+                forecaster.
+            load: Load by other programs; if it is None, the load is measured.
         """
         scene = simulation.scene
         pilot = self._pilot(simulation)
@@ -276,7 +282,7 @@ class Forecaster:
                 companion.count_threads(simulation.setup)
             )
             stages["companion"] = cost * faster * stages["simulate"]
-            if pilot.stages:  # On a lattice a companion is the pilot on another grid.
+            if pilot.stages:  # On a lattice, a companion is like the pilot run on another grid.
                 ratio = companion.coarsen(scene).resolution.cells / pilot.cells
                 stages["companion"] = pilot.seconds * ratio**GROWTH
         return Forecast(
@@ -295,7 +301,9 @@ class Forecaster:
         )
 
     def stops(self, gaussians: Gaussians, scene: Scene) -> dict[str, Stop]:
-        """Return the predicted time and the error bound of draft, standard and fine."""
+        """Return the predicted time and the error bound for the accuracies draft, standard and
+        fine.
+        """
         return {name: self._stop(name, gaussians, scene) for name in get_args(AccuracyName)}
 
     def _stop(self, name: AccuracyName, gaussians: Gaussians, scene: Scene) -> Stop:
@@ -316,16 +324,16 @@ class Forecaster:
         return self._remember(key, lambda: run_pilot(gaussians, scene, self.context, **options))
 
     def _filming(self, gaussians: Gaussians, scene: Scene) -> dict[str, float]:
-        """Return the times of rendering, encoding and saving [s]."""
+        """Return the predicted times of rendering, encoding and saving [s]."""
         view = scene.view
         key = ("film", len(gaussians), view, scene.time.frames)
         return self._remember(key, lambda: time_film(gaussians, scene, self.context))
 
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
-        """Return the stored value of a key; compute and store the value if it is missing.
+        """Return the stored value for a key; if the value is missing, compute and store it.
 
-        If the key contains the id of an object, `keep` is this object; while it is stored, no other
-        object gets the same id.
+        If the key contains the `id` of a Python object, `keep` is this object. While the object is
+        stored, no other object can get the same id.
         """
         if key not in self._known:
             while len(self._known) >= REMEMBERED:
@@ -353,7 +361,7 @@ def pixels_per_size(scene: Scene) -> float:
 
 
 def _physics(scene: Scene) -> str:
-    """Return the fields of a scene that determine the run's time, as JSON."""
+    """Return, as JSON, the fields of a scene that determine the run's time."""
     return scene.model_dump_json(exclude={"description", "seed"})
 
 

@@ -22,10 +22,11 @@ UNIT: dict[Kind, Callable[[Scene], float]] = {
     "fraction": lambda scene: 1.0,
     "metres": lambda scene: scene.object.size,
 }
-"""Kind of goal -> function that returns the object's size in the goal's unit."""
+"""Kind of a goal -> function that returns the object's size in the goal's unit."""
 MARGIN = 0.95
-"""Fraction of the maximum time that a forecast may fill; the rest is for forecast errors of a few
-per cent."""
+"""Maximum predicted time as a fraction of the goal's maximum time. The rest is left for forecast
+errors of a few per cent.
+"""
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,9 @@ class Goal:
 
     kind: Kind
     value: float
-    """The maximum, in pixels of the first view, fractions of the object's size, metres or
-    seconds."""
+    """Value of the maximum, in pixels of the first view, fractions of the object's size, metres or
+    seconds.
+    """
     text: str
 
     @classmethod
@@ -61,7 +63,7 @@ class Goal:
 
     @classmethod
     def time(cls, seconds: float) -> Goal:
-        """Return the goal for a maximum total time [s].
+        """Return the goal that limits the total time of the run [s].
 
         Raises:
             InputError: The time is not a positive number.
@@ -73,14 +75,14 @@ class Goal:
 
 
 def format_error(kind: Kind, value: float) -> str:
-    """Format an error in the unit of a kind of goal: "1.8 px", "0.84 %", "3.4 mm"."""
+    """Format an error with the unit of the goal's kind: "1.8 px", "0.84 %", "3.4 mm"."""
     if kind == "pixels":
         return f"{value:.1f} px"
     return format_percent(value) if kind == "fraction" else f"{value * 1000:.2g} mm"
 
 
 def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
-    """Describe how a run met its goal, from the entry `goal` of its report.
+    """Describe how a run met its goal, from the entry `goal` of the run's report.
 
     Args:
         goal: The goal, the grid that was chosen, and the result.
@@ -107,7 +109,7 @@ def explain_time(
         goal: The maximum time.
         scene: The scene.
         cells: Cells across the object on the coarsest grid.
-        forecast: Forecast for the coarsest grid.
+        forecast: Forecast of the run on the coarsest grid.
         ready: Time that has already been used [s].
     """
     minimum = math.ceil((forecast.seconds + ready) / MARGIN)
@@ -124,7 +126,7 @@ def explain_time(
 
 
 def _find_remedies(scene: Scene, stage: str) -> Iterator[Remedy]:
-    """Yield changes to the scene that shorten a stage."""
+    """Yield changes of the scene that make a stage faster."""
     if stage in ("render", "encode", "save") and len(scene.view.sides) > 1:
         yield Remedy(
             "view.views = front", {"view.views": ["front"], "view.azimuths": [], "view.cameras": []}

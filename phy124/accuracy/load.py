@@ -1,4 +1,6 @@
-"""Measures the load from other programs on this machine, and by how much it lengthens a run."""
+"""Measures the load by other programs on this machine, and by how much this load lengthens a
+run.
+"""
 
 from __future__ import annotations
 
@@ -14,21 +16,27 @@ from phy124.runtime.cores import cores
 SPIN = 0.3
 """Duration of the measurement of the fraction of a core that busy-waiting threads get [s]."""
 ENOUGH, LONGEST = 0.2, 4.0
-"""Minimum CPU time of a spinning thread, and maximum duration of spinning; both in units of
-`SPIN`."""
+"""Minimum CPU time that a busy-waiting thread must get, and maximum duration of its waiting; both
+are in units of `SPIN`.
+"""
 BLOCK = bytes(1 << 18)
-"""Data for the checksum that a spinning thread computes without Python's global lock."""
+"""Data for the checksum that a busy-waiting thread computes without holding Python's global
+lock.
+"""
 ALONE = 0.93
 """Fraction of a core's time that a thread must get if the core is to count as free."""
 SECOND_THREAD = 1.5
-"""Factor on the time of a simulation whose second thread finds no free core."""
+"""Factor by which a simulation takes longer if its second thread finds no free core."""
 MINIMUM, MAXIMUM = 0.8, 1.5
-"""Range of the ratio of measured time to forecast time on an idle machine
-(docs/lab/forecasts.md)."""
+"""Range of the measured time divided by the predicted time, on an idle machine
+(docs/lab/forecasts.md).
+"""
 BUSY = 1.2
-"""Factor that widens the range on a busy machine, because the load may change during a run."""
+"""Factor that widens the range of the time on a busy machine, because the load may change during a
+run.
+"""
 FRESH = 10.0
-"""Age up to which a measurement of the load is reused [s]."""
+"""Maximum age at which a measurement of the load is reused [s]."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +50,11 @@ class Load:
 
     @classmethod
     def measure(cls, device: str = "cpu") -> Load:
-        """Measure the current load from the fraction of a core that busy-waiting threads get.
+        """Measure the current load by the fraction of a core that busy-waiting threads get.
 
         The measurement includes the effects of priorities, of a container's limits and of the
-        scheduler. Other work of this process counts as load. Runs on a GPU are hardly affected by
-        the load, so both factors are 1 for a GPU.
+        scheduler. Other work of this process counts as load, too. Both factors are 1 for a GPU,
+        because the load hardly affects runs on a GPU.
         """
         if device != "cpu":
             return cls()
@@ -83,7 +91,7 @@ class Load:
 
 
 class LoadMeter:
-    """Measures the load on request; a measurement that is recent enough is reused.
+    """Measures the load on request, and reuses a measurement that is recent enough.
 
     A measurement takes about 0.6 s.
     """
@@ -95,12 +103,14 @@ class LoadMeter:
             device: Warp device of the runs.
         """
         self.latest = Load()
-        """The last measured load; the load of an idle machine before the first measurement."""
+        """The last measured load. Before the first measurement, it is the load of an idle
+        machine.
+        """
         self._device, self._measured = device, -math.inf
         self._measuring = threading.Lock()
 
     def load(self) -> Load:
-        """Return the load; measure it if the last measurement is too old."""
+        """Return the load; measure the load if the last measurement is too old."""
         if time.monotonic() > self._measured + FRESH:
             self.measure()
         return self.latest
@@ -125,7 +135,7 @@ def format_span(span: tuple[float, float]) -> str:
 
 
 def _measure_fraction(threads: int) -> float:
-    """Return the mean fraction of a core that each of `threads` spinning threads gets."""
+    """Return the mean fraction of a core that each of `threads` busy-waiting threads gets."""
     with ThreadPoolExecutor(threads) as pool:
         return sum(pool.map(_spin, [SPIN] * threads)) / threads
 
@@ -133,7 +143,7 @@ def _measure_fraction(threads: int) -> float:
 def _spin(seconds: float) -> float:
     """Return the fraction of a core that this thread gets while it busy-waits.
 
-    The thread spins for `seconds`, or longer if it has received too little CPU time for a
+    The thread waits for `seconds`, or longer if it has received too little CPU time for a
     measurement.
     """
     start, start_cpu, passed, ran = time.perf_counter(), time.thread_time(), 0.0, 0.0

@@ -1,4 +1,6 @@
-"""Measures or predicts the times of substeps, of shapes, of videos, and of compiling kernels."""
+"""Measures or predicts the times of substeps, of deforming Gaussians, of making videos, and of
+compiling kernels.
+"""
 
 from __future__ import annotations
 
@@ -41,26 +43,29 @@ if TYPE_CHECKING:
 PROBE, MIN_PROBE = 20, 6
 """Maximum and minimum number of substeps of a probe."""
 LONGEST_PROBE, ROUNDS = 0.6, 5
-"""Maximum total duration of the probes [s], and maximum number of probes, whose median is used.
+"""Maximum total duration of the probes [s], and maximum number of probes; the median of the probes
+is used.
 
 Probes of large objects have fewer substeps.
 """
 GRAPH_PROBE = (20, 120)
 """Numbers of substeps of the two probes on a GPU.
 
-There a substep takes so little time that the fixed cost of a frame would dominate a single probe;
-the difference of the two probes is free of it.
+A substep on a GPU takes so little time that the fixed cost of a frame would dominate a single
+probe. The difference of the two probes does not contain this fixed cost.
 """
 FILMED, TRIES = (2, 6), 2
-"""Numbers of frames of the two test videos, and number of repetitions; the fastest one counts.
+"""Numbers of frames of the two test videos, and number of repetitions; the fastest repetition
+counts.
 
 The two lengths separate the fixed cost of a video from the cost per frame.
 """
 SHORT_STEP = 1e-3
-"""Length of a substep if no limit makes it shorter [s]."""
+"""Length of a substep if no limit requires a shorter substep [s]."""
 NODE_STAGES = ("clear", "grid")
-"""Stages whose time is proportional to the number of nodes, in addition to those of the
-boundaries."""
+"""Names of the stages whose time is proportional to the number of nodes, in addition to the stages
+of the boundaries.
+"""
 
 
 @dataclass(frozen=True)
@@ -81,8 +86,8 @@ def probe(simulation: Simulation, pilot: Pilot | None = None) -> tuple[SubstepCo
 
     Args:
         simulation: The simulation.
-        pilot: A pilot run, whose stages correct the cost of substeps on lattices; None: the cost is
-            that at rest.
+        pilot: A pilot run, whose stages correct the cost of substeps on lattices. If it is None,
+            the cost is measured at rest.
     """
     solver, watchdog = simulation.solver, simulation.find(Watchdog)
     after = None if watchdog is None else watchdog.after_substep
@@ -111,8 +116,8 @@ def _seconds_per_substep(
 
     Args:
         solver: The solver.
-        after: Called after each substep.
-        pilot: A pilot run; None: the time is that at rest.
+        after: Function that is called after each substep.
+        pilot: A pilot run; if it is None, the time is measured at rest.
 
     Returns:
         The time of a substep [s], the fraction of it that is proportional to the number of nodes,
@@ -133,9 +138,9 @@ def _seconds_per_substep(
 
 
 def _seconds_in_graph(solver: AnySolver, after: Callable[[], None] | None) -> float:
-    """Measure the time of a substep in a GPU's graph [s], without the fixed cost of a frame."""
+    """Measure the time of a substep in a CUDA graph [s], without the fixed cost of a frame."""
     few, more = GRAPH_PROBE
-    _advance(solver, few, after)  # captures the graph
+    _advance(solver, few, after)  # captures the CUDA graph
     taken, seconds = [], []
     for count in (few, more):
         before = solver.clock.substeps
@@ -174,7 +179,7 @@ def _advance(solver: AnySolver, substeps: int, after: Callable[[], None] | None)
     if limit is None:
         solver.step(0.0, 0.0)
         limit = solver.clock.stable()
-    if not math.isfinite(limit.dt):  # a liquid at rest has no limit until forces act
+    if not math.isfinite(limit.dt):  # a liquid at rest does not limit the substep until forces act
         solver.advance(solver.clock.time + SHORT_STEP)
         limit = solver.clock.stable()
     dt = limit.dt if math.isfinite(limit.dt) else SHORT_STEP
@@ -194,7 +199,8 @@ def _node_fraction(solver: AnySolver) -> float:
 
 
 def time_shapes(simulation: Simulation) -> tuple[float, float]:
-    """Return the time to bind the Gaussians to particles, and to deform them in a frame [s].
+    """Return the time to bind the Gaussians to particles, and the time to deform the Gaussians in a
+    frame [s].
 
     The particles are randomly strained.
     """
@@ -213,7 +219,8 @@ def time_shapes(simulation: Simulation) -> tuple[float, float]:
 
 
 def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[str, float]:
-    """Predict the times of rendering, encoding and saving [s], from a few frames in one view.
+    """Predict the times of rendering, encoding and saving [s], by measuring a few frames in one
+    view.
 
     Args:
         gaussians: The object.
@@ -224,7 +231,7 @@ def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[s
     views, frames = len(scene.view.sides), scene.time.frames
     few, more = FILMED
     seconds: dict[int, list[dict[str, float]]] = {few: [], more: []}
-    # The first video also loads the kernels, and is slower.
+    # The first video takes longer, because it also loads the kernels.
     for count in (few, *TRIES * FILMED):
         probe_context = context.aside()
         with tempfile.TemporaryDirectory() as folder:
@@ -264,7 +271,7 @@ def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
 def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
     """Return a clip in which the object moves by 1 % of its size per frame.
 
-    A motion of 1 % per frame is typical of the videos that are encoded.
+    A motion of 1 % per frame is typical of the videos that runs encode.
     """
     n = len(gaussians)
     shift = np.arange(count, dtype=np.float32)[:, None, None] * np.float32(scene.object.size / 100)
@@ -283,8 +290,9 @@ def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
 CELLS = 16
 """Cells across the object in the pilot run."""
 EXCESS, ON_LATTICE = 0.8, 1.2
-"""Exponents of growth. The substeps beyond those that the state at rest needs are assumed to grow
-as cells^(1 + EXCESS), and on lattices as cells^(1 + ON_LATTICE).
+"""Exponents of growth. A motion needs more substeps than the state at rest. The number of
+additional substeps is assumed to grow as cells^(1 + EXCESS), and on lattices as cells^(1 +
+ON_LATTICE).
 """
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user", "wave")
 
@@ -295,8 +303,9 @@ class Pilot:
 
     cells: int
     counts: dict[str, NDArray[np.float64]]
-    """Limit of the substep -> number of substeps that it determines in each frame, before rounding
-    up [T]."""
+    """Name of a limit -> number of substeps whose length the limit determines in each frame [T],
+    before rounding up.
+    """
     rest: float
     """Number of substeps per frame that the initial state needs."""
     growth: float
@@ -308,31 +317,32 @@ class Pilot:
     factors: NDArray[np.float64] | float = 1.0
     """Factor on Young's modulus at each frame [T]."""
     excess: float = EXCESS
-    """Excess exponent: the substeps beyond those at rest grow as cells^(1 + excess)."""
+    """Exponent of growth: the substeps in addition to those at rest grow as cells^(1 + excess)."""
     dx: float = 1.0
     """Side of a cell [m]."""
     stages: Stages = field(default_factory=dict)
-    """The stages of the substeps on lattices; empty with other solvers."""
+    """The stages of the substeps on lattices; empty for other solvers."""
     seconds: float = 0.0
     """Duration of the pilot run, including its preparation [s]."""
 
     def finer(self, dx: float) -> float:
-        """Return the ratio of the cells along the object in the run and in the pilot run.
+        """Return the number of cells along the object in the run, divided by the number in the
+        pilot run.
 
         The side of a cell is `dx` [m].
         """
         return self.dx / dx
 
     def substeps(self, cells: int, rest: float | None = None) -> tuple[int, dict[str, float]]:
-        """Predict the number of substeps on another grid, and which fraction of them each limit
-        determines.
+        """Predict the number of substeps on another grid, and the fraction of the substeps that
+        each limit determines.
 
         The number of substeps in a frame is rounded up.
 
         Args:
             cells: Cells across the object.
-            rest: Substeps per frame that the initial state needs on that grid; None: their number
-                is proportional to the cells.
+            rest: Substeps per frame that the initial state needs on this grid. If it is None, their
+                number is assumed to be proportional to the cells.
         """
         scale = cells / self.cells
         more = scale if rest is None else rest / self.rest
@@ -379,14 +389,14 @@ def run_pilot(
     crop: Crop = WHOLE,
     placed: Placed | None = None,
 ) -> Pilot:
-    """Simulate a scene on a coarse grid, and count the substeps.
+    """Simulate a scene on a coarse grid, and count the substeps that the motion needs.
 
     Args:
         gaussians: The object.
         scene: The scene.
-        context: Only its device is used.
+        context: Only the device of the context is used.
         crop: Rectangle of the object in the picture on which the masks of parts were painted.
-        placed: The object in its position, from a setup of the same Gaussians.
+        placed: The object as placed in the scene, from a setup of the same Gaussians.
     """
     context = RunContext(device=(context or RunContext()).device)
     coarse, start = coarsen(scene), time.perf_counter()
@@ -401,7 +411,7 @@ def run_pilot(
     try:
         solver.step(0.0, 0.0)
         rest = substeps_at_rest(solver) / timing.fps
-        _clear_timings(solver)  # Of the first substep, which takes no time.
+        _clear_timings(solver)  # These are the limits of the first substep, which takes no time.
         for frame in range(timing.frames - 1):
             before = dict(solver.clock.needed)
             if softening is not None:
@@ -425,7 +435,8 @@ def substeps_at_rest(solver: AnySolver) -> float:
     """Return the number of substeps per second that the initial state needs [1/s].
 
     Args:
-        solver: The solver, before its first substep; one of particles has measured its limits.
+        solver: The solver before its first substep; a particle solver must have measured its
+            limits.
     """
     if _on_lattice(solver):
         return 1 / solver.substep_at_rest

@@ -1,10 +1,10 @@
 """States the error of a scene or of a run (the "promise"), and words all messages about errors.
 
 The stated error depends on what is known so far; `promise` chooses it. Before a run, the stated
-error is the expectation of a model fitted to many objects (phy124/accuracy/expectation.py). After a
-run, the stated error is the run's own error (phy124/accuracy/companion.py), or the error that was
-measured for a goal. If none of these errors is known, the error is "not measured". A study of the
-scene (`phy124 accuracy`) can measure the error.
+error is predicted by a model that was fitted to many objects (phy124/accuracy/expectation.py).
+After a run, the stated error is the run's own error (phy124/accuracy/companion.py), or the error
+that was measured for a goal. If no error is known, the error is stated as "not measured". A study
+of the scene (`phy124 accuracy`) can measure the error.
 
 An error of the scene itself has two values: an estimate ("about") and a bound ("at most"). The
 bound held for 95 % of the objects and scenes with which it was compared. All percentages of an
@@ -25,12 +25,13 @@ from phy124.scene import Scene
 
 UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
-"""The command that measures a user's own scene."""
+"""The command that measures the error of a user's own scene."""
 SPREAD = 3.0
-"""Limit on the ratio of an error to its estimate from several grids; only 5 % of the zoo's pairs
-exceed it (docs/lab/accuracy.md#goals)."""
+"""Bound on the ratio of an error to its estimate from several grids. Only 5 % of the measured pairs
+of objects and scenes exceed this ratio (docs/lab/accuracy.md#goals).
+"""
 SMALLEST = 1e-4
-"""Smallest fraction of the object's size that messages state."""
+"""Smallest error that messages state, as a fraction of the object's size."""
 
 
 @dataclass(frozen=True)
@@ -38,25 +39,29 @@ class Promise:
     """The error bound of a scene, or the reason why there is none."""
 
     error: float | None
-    """Bound on the RMS distance of the Gaussians from the exact motion, in object sizes; or None.
+    """Bound on the RMS distance of the Gaussians from the exact motion, as a fraction of the
+    object's size; None if there is no bound.
 
     The RMS is taken over the clip, or over its first `seconds`.
     """
     why: str
     """A sentence that names the source of the bound, or the reason why there is none."""
     unmeasured: str = ""
-    """The kind of scene that was not measured, if this is the reason."""
+    """The kind of the scene, if there is no bound because no scene of this kind was measured."""
     about: float | None = None
-    """Error that was measured on this scene itself, in object sizes; None if `error` comes from
-    other scenes."""
+    """Error that was measured on this scene itself, as a fraction of the object's size; None if
+    `error` comes from other scenes.
+    """
     seconds: float | None = None
-    """Duration from the start for which the bound holds [s]; None: the whole clip."""
+    """Duration for which the bound holds, from the start of the clip [s]; None if it holds for the
+    whole clip.
+    """
     unestimated: str = ""
     """Reason why a finished run did not estimate its own error; empty before a run."""
 
     @property
     def sentence(self) -> str:
-        """The bound and its source as a message."""
+        """A message that states the error bound and its source."""
         if self.of_scene:
             return f"This run is off by {self.size()}{self._span}. {self.why}"
         if self.error is None:
@@ -64,12 +69,14 @@ class Promise:
         return f"Expected error: {self.size()}{self._span}. {self.why}{self._reason}"
 
     def with_study(self, command: str) -> str:
-        """Return `sentence`; `command` replaces the command that measures the scene's error."""
+        """Return `sentence`, in which `command` replaces the command that measures the scene's
+        error.
+        """
         return self.sentence.replace(STUDY, command)
 
     @property
     def of_scene(self) -> bool:
-        """Whether the error was measured with the scene itself, not predicted from other scenes."""
+        """Whether the error was measured on the scene itself, not predicted from other scenes."""
         return self.about is not None
 
     def size(self, whole: str = "the object's size") -> str:
@@ -81,21 +88,21 @@ class Promise:
 
     @property
     def brief(self) -> str:
-        """The bound as a message that names no command."""
+        """A message that states the error bound, without a command that measures the error."""
         if self.unmeasured:
             return f"Expected error: not measured for {self.unmeasured}.{self._reason}"
         return self.sentence
 
     @property
     def row(self) -> tuple[str, str]:
-        """The bound as a row of a table (title, value)."""
+        """The error bound as a row of a table (title, value)."""
         title = "Error of this run" if self.of_scene else "Expected error"
         text = self.brief.removeprefix("This run is off by ").removeprefix("Expected error: ")
         return title, text
 
     @property
     def missing(self) -> str:
-        """A few words that name the missing measurement; empty if none is missing."""
+        """A few words that name the missing measurement; empty if no measurement is missing."""
         if self.seconds is not None:
             return f"error after {self.seconds:.2f} s not measured"
         return UNMEASURED if self.unmeasured else ""
@@ -104,7 +111,7 @@ class Promise:
         """Describe the error bound of a run in a few words.
 
         Args:
-            pixels: The bound in the video [pixels]; None if unknown.
+            pixels: The error bound in the video [pixels]; None if it is unknown.
         """
         if self.error is None or pixels is None:
             return UNMEASURED
@@ -112,13 +119,15 @@ class Promise:
 
     @property
     def _span(self) -> str:
-        """The part of the clip for which the bound holds, as text; empty for the whole clip."""
+        """The part of the clip for which the bound holds, as text; empty if the bound holds for the
+        whole clip.
+        """
         return "" if self.seconds is None else f" in the first {self.seconds:.2f} s"
 
     @property
     def _reason(self) -> str:
-        """A sentence that states why a finished run did not estimate its own error; may be
-        empty.
+        """A sentence that states why a finished run did not estimate its own error; empty if there
+        is no reason.
         """
         if not self.unestimated:
             return ""
@@ -126,7 +135,7 @@ class Promise:
 
 
 def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
-    """Return the error, or the reason why it is missing, from a run's report; None if the report
+    """Return the error from a run's report, or the reason why there is no error; None if the report
     has neither.
     """
     broken = why_broken(report)
@@ -147,10 +156,10 @@ def promise(
 
     Args:
         scene: The scene.
-        proportions: Proportions of the object (`phy124.particles.thickness`); None: those in the
-            report, or unknown.
-        report: The report of the scene's run. It may exclude a bound, or contain the error of the
-            run or the error that was measured for a goal.
+        proportions: Proportions of the object (`phy124.particles.thickness`). If it is None, they
+            are read from the report, or are unknown.
+        report: The report of the scene's run. The report may contain the run's own error, the error
+            that was measured for a goal, or a reason why no bound holds.
     """
     if report and (settled := _promise_of_run(report)):
         return settled
@@ -175,13 +184,14 @@ def refuse_promise(why: str) -> Promise:
 def promise_measured(
     error: float, cells: int, grids: Sequence[int], until: float | None = None
 ) -> Promise:
-    """Return the promise for an error that was estimated from several grids with the scene itself.
+    """Return the promise for an error that was estimated by running the scene itself on several
+    grids.
 
     Args:
-        error: The estimated error in object sizes.
+        error: The estimated error, as a fraction of the object's size.
         cells: Cells across the object on the scene's grid.
         grids: Cells across the object on the measured grids, from coarse to fine.
-        until: Time up to which the error holds [s]; None: the whole motion.
+        until: Time up to which the error holds [s]; None if it holds for the whole motion.
     """
     if cells > grids[-1]:
         origin = f"Extrapolated to D/{cells} from {_join_names([f'D/{n}' for n in grids])}."
@@ -216,14 +226,18 @@ def format_percent(fraction: float, digits: int = 2) -> str:
 
 
 def format_apart(first: float, second: float) -> tuple[str, str]:
-    """Format two fractions as percentages that differ visibly if the fractions differ."""
+    """Format two fractions as percentages; if the fractions differ, the percentages have enough
+    digits to differ.
+    """
     texts = [[format_percent(each, n) for each in (first, second)] for n in range(2, 7)]
     a, b = next((pair for pair in texts if pair[0] != pair[1]), texts[0])
     return a, b
 
 
 def torn(grids: Sequence[str]) -> str:
-    """Return a message that the material may tear on some grids of a study (D/16, ...)."""
+    """Return a message which states that the material may tear on some grids of a study (D/16,
+    ...).
+    """
     return f"on {_join_names(grids)} the grid may tear the material"
 
 
@@ -244,10 +258,10 @@ def check_promise(
 
     Args:
         promised: The error bound.
-        error: The error measured in this scene, in object sizes.
-        until: Time up to which the error was measured [s]; None: the whole motion.
-        stated: The error that a run of this scene states for itself, as in its report; None:
-            unknown.
+        error: The error measured in this scene, as a fraction of the object's size.
+        until: Time up to which the error was measured [s]; None if it was measured for the whole
+            motion.
+        stated: The error that a run of this scene states in its own report; None if it is unknown.
     """
     states = _describe_stated(stated or {})
     here = f"measured here{'' if until is None else f' up to {until:.2f} s'}"
@@ -265,8 +279,8 @@ def check_promise(
 
 
 def _describe_stated(entry: Mapping[str, Any]) -> str:
-    """Describe the bound in the entry `error` of a report, and how long it holds; return an empty
-    text if there is no bound.
+    """Describe the error bound in the entry `error` of a report, and the time for which it holds;
+    the text is empty if there is no bound.
     """
     if entry.get("at_most") is None:
         return ""
@@ -280,7 +294,9 @@ def _join_names(names: Sequence[str]) -> str:
 
 
 def why_broken(report: Mapping[str, Any]) -> str:
-    """Return why no error bound holds for a run; empty if a bound may hold."""
+    """Return the reason why no error bound holds for a run; the text is empty if a bound may
+    hold.
+    """
     if report.get("balance", {}).get("tearing", {}).get("likely"):
         return "the grid may have torn the material (see the notes)."
     if report.get("complete") is False:

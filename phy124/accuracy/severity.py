@@ -1,5 +1,5 @@
-"""Computes the severity of a scene: properties that determine how large the errors of its motion
-are.
+"""Computes the properties of a scene that determine how large the errors of its motion are, such as
+its severity.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "viscosity",
 """Fields of a material that may have any value, since `severity`, `yielding`, `damping` or
 `poisson` account for it."""
 MEASURED = {"repose_angle": (30.0, 36.0), "extension": (0.003, 0.0075)}
-"""Other fields of a material -> range of values with the same errors as the default value."""
+"""Other fields of a material -> range of values that give the same errors as the default value."""
 LOOKS = {"tint", "visibility"}
 """Fields of a material that do not affect the motion."""
 
@@ -41,8 +41,8 @@ def violence(scene: Scene, thickness: float | None = None) -> float:
 def yielding(scene: Scene, thickness: float | None = None) -> float:
     """Return the ratio of energy to yield stress, 2 e rho / sigma; 0 if no material yields.
 
-    Here 2 e is twice the energy per mass (see `energy`). The largest ratio of all materials is
-    returned.
+    Here 2 e is twice the energy per mass (see `energy`), rho the density, and sigma the yield
+    stress. The result is the largest ratio of all materials.
     """
     supplied = energy(scene, thickness)
     yields = [getattr(section, "yield_stress", math.inf) for section in scene.materials]
@@ -64,7 +64,9 @@ def damping(scene: Scene) -> float:
 
 
 def poisson(scene: Scene) -> float:
-    """Return the largest Poisson's ratio of all materials; 0 for a material without one."""
+    """Return the largest Poisson's ratio of all materials; a material without a Poisson's ratio
+    counts as 0.
+    """
     return max(getattr(section, "nu", 0.0) for section in scene.materials)
 
 
@@ -80,8 +82,8 @@ def bar_speed(section: AnyMaterial) -> float:
 
 
 def find_difference(scene: Scene) -> str:
-    """Describe a value of the materials that does not occur in any measured scene; empty if there
-    is none.
+    """Describe a value of a material that does not occur in any measured scene; the text is empty
+    if there is none.
     """
     for section in scene.materials:
         for name, field in type(section).model_fields.items():
@@ -94,8 +96,8 @@ def find_difference(scene: Scene) -> str:
 
 
 def _strain(scene: Scene) -> float:
-    """Return the largest deformation of the object by a press or a hand, as a fraction of its
-    size.
+    """Return the largest deformation of the object by a press or a hand, as a fraction of the
+    object's size.
     """
     presses = [wall.depth for wall in scene.boundaries if isinstance(wall, Press)]
     held = any(wall.holds for wall in scene.boundaries)
@@ -108,7 +110,7 @@ Motion = Literal["squeezed", "landing", "standing", "held", "free"]
 
 
 def motion_of(scene: Scene) -> Motion:
-    """Return the kind of motion of a scene, from its walls and the object's initial state."""
+    """Determine the kind of motion of a scene from its walls and the object's initial state."""
     walls = [b for b in scene.boundaries if not b.holds]
     if any(wall.moves for wall in walls):
         return "squeezed"

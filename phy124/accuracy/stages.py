@@ -1,8 +1,9 @@
 """Predicts the time of a substep on lattices, stage by stage.
 
-Probes at rest do not show the cost of a motion: contact, the search for parts that touch, and
-measurements of the frequency take longer in motion. A pilot run of the whole motion counts the
-calls of each stage; a probe on the run's own grid measures the duration of a call.
+Probes at rest do not show the full cost of a motion, because some stages take longer in motion:
+contact, the search for parts that touch, and measurements of the vibration frequency. A pilot run
+of the whole motion counts the calls of each stage; a probe on the run's own grid measures the
+duration of a call.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ WAIT = "wait"
 
 
 class Stage(NamedTuple):
-    """Number of calls of a stage in a series of substeps, and the time that they took."""
+    """Number of calls of a stage in a series of substeps, and the time that the calls took."""
 
     calls: float
     """Number of calls per substep."""
@@ -26,26 +27,26 @@ class Stage(NamedTuple):
 
 
 Stages = Mapping[str, Stage]
-"""Name of a stage -> its calls."""
+"""Name of a stage -> number and duration of the stage's calls."""
 
 
 def average_stages(timings: Timings, substeps: int) -> dict[str, Stage]:
-    """Return the calls of each stage, from their durations in some substeps."""
+    """Return the number and the duration of each stage's calls, measured in some substeps."""
     taken = max(substeps, 1)
     return {name: Stage(n / taken, seconds / n) for name, (seconds, n) in timings.items() if n}
 
 
 def predict_substep(pilot: Stages, probe: Stages, finer: float, total: float) -> float:
-    """Return the mean time of a substep in a run [s].
+    """Predict the mean time of a substep in a run [s].
 
-    Calls of some stages, such as contact, take longer in motion than at rest. For such a stage the
-    time of the pilot's calls is used, multiplied by `finer`, because the number of surface points
-    along a line grows with the number of cells.
+    Calls of some stages, such as contact, take longer in motion than at rest. For such a stage, the
+    time of the pilot's calls is multiplied by `finer`, because the number of surface points along a
+    line grows with the number of cells.
 
     Args:
         pilot: The stages of the whole motion on a coarse grid.
         probe: The stages of a few substeps at rest on the run's grid.
-        finer: Cells of the run's grid, divided by those of the pilot's.
+        finer: Number of cells on the run's grid, divided by the number on the pilot's grid.
         total: Time of a substep of the probe, including the time between stages [s].
     """
     seconds = total - sum(calls * each for calls, each in probe.values())

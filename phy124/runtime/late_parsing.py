@@ -41,7 +41,7 @@ def parse_late() -> None:
 
         parses_late = True
         has_unresolved_static_expressions = False
-        """Always false, because functions that may contain `wp.static` expressions are parsed at
+        """False, because functions with `wp.static` expressions are never parsed late: they are parsed at
         once.
         """
 
