@@ -41,9 +41,7 @@ def parse_late() -> None:
 
         parses_late = True
         has_unresolved_static_expressions = False
-        """False, because functions with `wp.static` expressions are never parsed late: they are parsed at
-        once.
-        """
+        """False, because functions with `wp.static` expressions are not parsed late."""
 
         def __init__(self, func: Any, *arguments: Any, **options: Any) -> None:
             code = getattr(func, "__code__", None)
