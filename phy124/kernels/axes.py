@@ -131,7 +131,7 @@ def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
 @wp.func
 def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
     """Return the unit vector normal to e that is nearest to `wanted`; if `wanted` is along e,
-    return the one nearest to `spare`.
+    return the unit vector nearest to `spare`.
     """
     u = wanted - wp.dot(e, wanted) * e
     if wp.length(u) <= wp.float64(1e-3) * wp.length(wanted):

@@ -2,7 +2,7 @@
 
 Contact is enforced at the wall itself, between the nodes. Along the axis closest to the wall's
 normal, the velocity relative to the wall is made linear in the distance and zero on the wall. A
-column's first node is the one nearest to the wall among those that are at least half a cell in
+column's first node is the node nearest to the wall among the nodes that are at least half a cell in
 front of the wall. The other two nodes follow behind the first node. Their velocities are the first
 node's velocity times g, where g is the ratio of their distance from the wall to the first node's
 distance. Quadratic B-splines reproduce linear functions, and the splines of a column reach no

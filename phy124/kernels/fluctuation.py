@@ -5,8 +5,8 @@ that the grid does not represent, called the fluctuation, and thus damps the mot
 is the difference between (v, C) and (v, C) after a round trip over the grid; Hammerquist and Nairn
 (2017) write this operator as D = 1 - S S^+. FLIP restores the whole fluctuation; AFLIP (Fei et al.
 2021) restores a fraction. XPIC(m) restores the whole fluctuation except D^m (v, C), which is only
-noise. Here C makes the round trip together with v, so that the round trip changes neither momentum
-nor angular momentum.
+noise. In phy124, C makes the round trip together with v, so that the round trip changes neither
+momentum nor angular momentum.
 
 RPIC: the symmetric part of C decays; its skew part, the spin, does not. PhysGaussian's
 `rpic_damping` r scatters (1 - r) C + r/2 (C - C^T) in each substep, so that r = 1 is RPIC (Jiang et

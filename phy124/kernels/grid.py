@@ -102,8 +102,9 @@ def make_merge(real: Any):
     """Kernel over rows of nodes: sums the grids to which several workers scattered.
 
     Each worker's box of private nodes lies in the window. `boxes` holds the lowest node and the
-    extent of each box, `starts` the index of its first node in `pool`, where the box's nodes are
-    stored like those of a window. The boxes are always added in the same order.
+    extent of each box. `starts` holds the index in `pool` of each box's first node; the nodes of a
+    box are stored in the same order as the nodes of a window. The boxes are always added in the
+    same order.
     """
     t = types(real)
 

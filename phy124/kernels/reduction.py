@@ -1,9 +1,9 @@
 """Defines operations of many threads on shared data: sums, maxima, stores, and a barrier.
 
 On a GPU, atomic operations on one address are serialised. Therefore each thread first reduces its
-own items, the 32 threads of a warp then combine their results, and one of them writes the total. If
-threads of a warp are inactive (at the end of a launch, or in another branch), each thread writes
-its own result. From compute capability 9.0 on, a GPU adds four float32 to a node in one
+items. The 32 threads of a warp then combine their results, and one of these threads writes the
+total. If threads of a warp are inactive (at the end of a launch, or in another branch), each thread
+writes its own result. From compute capability 9.0 on, a GPU adds four float32 to a node in one
 transaction; older GPUs, float64 and the CPU add each component separately.
 
 At the barrier, CPU threads that run kernels in parallel wait for each other. A waiting thread spins

@@ -1,6 +1,6 @@
 """Chooses the next substep's length on the device, so that a frame does not wait for the host.
 
-The limits, their double precision and their order are those of phy124/mpm/timestep.py and
+The limits, their double precision and their order are the same as in phy124/mpm/timestep.py and
 phy124/mpm/rejection.py. On the same device, both versions choose exactly the same substeps, bit for
 bit.
 """

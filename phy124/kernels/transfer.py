@@ -3,9 +3,9 @@
 See Hu et al. 2018 (eqs. 16-19, 22) and Jiang et al. 2015. The grid is a flat array of four-vectors:
 (momentum, mass) after the scatter, (velocity, mass) after the grid update. The array covers only a
 window of cells around the particles: `window[0]` is the window's lowest node, `window[1]` its
-extent. `lattice` is (origin x, y, z, dx). `clock` is (kick, drift, time): the kick is the mean
-length of two successive substeps, the drift the length of the current one, which makes free fall
-exact.
+extent. `lattice` is (origin x, y, z, dx). `clock` is (kick, drift, time). The kick is the mean
+length of two successive substeps, and the drift is the length of the current substep; with these
+lengths, free fall is exact.
 
 There is a kernel for each constitutive law and precision. Each variant has a module with a separate
 name, since Warp hashes the set of functions that a closure uses, but not the role of each function.

@@ -2,8 +2,8 @@
 requests it.
 
 Two phases are inserted before the drift. The first phase sums the forces of viscosity alone, and
-the second phase multiplies all forces by the mean velocities of the substep. The kernels of contact
-and of clamps sum their work themselves.
+the second phase multiplies all forces by the mean velocities of the substep. The work of contact
+and of clamps is summed by their kernels.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 Every point is paired with an opposite position on the other surface. At first, the opposite
 position is the nearest point of the other surface. Later, it follows the paired point along the
-other surface. The weights of the pair are those of the point minus those of the opposite position,
-so that an impulse along the surface's normal acts on both parts along one line, with opposite
-signs. Impulses are computed like those of walls.
+other surface. The weights of the pair are the weights of the point minus the weights of the
+opposite position, so that an impulse along the surface's normal acts on both parts along one line,
+with opposite signs. Impulses are computed like the impulses of walls.
 
 The pairs are determined again when a part has moved relative to the mean motion of both parts. A
 sample of the surface points shows whether parts are near each other; if they are not, nothing else

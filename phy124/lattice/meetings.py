@@ -102,7 +102,7 @@ class Meetings:
 
     @property
     def every(self) -> list[Meeting]:
-        """All contacts; those of bodies with themselves come first."""
+        """All contacts; the contacts of bodies with themselves come first."""
         return [*self.of_bodies, *self.of_pairs]
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:

@@ -60,8 +60,8 @@ class Solids(FreeBodies):
         """Records launches that sum the work of contact; None if the work is not summed."""
         shape = len(solids), model.bodies, SUMS
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
-        """Sums of the impulses of each solid on each body [F,bodies,16], in the same layout as
-        those of walls.
+        """Sums of the impulses of each solid on each body [F,bodies,16], in the same layout as the
+        sums of walls.
         """
         self._impulses: list[wp.array] = []
         super().__init__(model, solids)
@@ -267,7 +267,7 @@ class _Touch:
 
         Args:
             work: Records launches that sum the work of the impulses for each cause.
-            passed: Passes impulses on held nodes on to clamps.
+            passed: Records launches that transfer impulses on held nodes to clamps.
         """
         points = self._solids._points[0], self._solids._points[1]
         sums = cast("wp.array", self._solids._sums[self._index, self._body])

@@ -51,8 +51,8 @@ TRAVEL = 3.0
 VIOLENT = 0.35
 """Strain rate times substep length above which the limits are measured before every substep."""
 FORGET = 4
-"""Factor by which the influence of an earlier frequency decays faster than in the default solver,
-because the fastest vibration belongs to a few points that are squeezed for a short time.
+"""Factor by which an earlier frequency is forgotten faster than in the default solver, because the
+fastest vibration is that of a few points that are squeezed for a short time.
 """
 KEPT = ("u", "residue", "v", "lagging")
 """Names of the node arrays that belong to the state."""
@@ -396,7 +396,7 @@ class LatticeSolver:
         self.workers[member].run(task)
 
     def _threads(self) -> AbstractContextManager[None]:
-        """Return a context within which each worker runs on its own thread."""
+        """Return a context within which each worker runs on a separate thread."""
         if len(self.workers) > 1:
             # Loading kernels is not thread-safe, so the kernels of the measurement are loaded here.
             self.measure_if_due()

@@ -198,7 +198,7 @@ class Crew:
         Args:
             worker: The worker.
             pushes: The tracks of forces on points; None: no force acts on points.
-            trial: Whether the forces are those of trial displacements.
+            trial: Whether to compute the forces that trial displacements cause.
             v: Velocities of the nodes on which viscosity acts [N,3], m/s; None: `Nodes.lagging`.
         """
         out, v = worker.trial if trial else worker.forces, self._nodes.lagging if v is None else v

@@ -1,8 +1,8 @@
 """Couples rigid solids that move freely to a liquid with other materials, whose substeps also move
 the solids.
 
-The solver of the other materials owns the solids. The liquid uses copies of the solids, whose
-positions are half a step ahead. In each substep, a solid is accelerated by a share of the
+The solver of the other materials stores and moves the solids. The liquid uses copies of the solids,
+whose positions are half a step ahead. In each substep, a solid is accelerated by a share of the
 pressure's impulse, so that the velocity with which the solid touches the materials changes
 gradually.
 """

@@ -157,8 +157,8 @@ class CoupledContacts(Contacts):
 
 
 class CoupledPairs(LatticePairs):
-    """The row of the effects report that names the bodies simulated on lattices and those made of
-    particles.
+    """The row of the effects report that names the bodies simulated on lattices and the bodies made
+    of particles.
     """
 
     @classmethod

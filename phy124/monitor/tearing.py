@@ -65,7 +65,7 @@ REMEDY = (
 
 
 class Tearing(Observer):
-    """Checks after each frame how far the particles of elastic materials are stretched apart.
+    """Checks after each frame whether particles of elastic materials have been stretched apart.
 
     Plastic and fluid material (a law with a return mapping) may separate and join, so it is not
     checked.

@@ -7,9 +7,9 @@ Here the axes are computed from A = F R_0 S_0 (Sigma = A A^T), once per frame an
 from an integrated Sigma. The factor A preserves thin axes and positive definiteness
 (`phy124.kernels.deform`).
 
-Orientations are continuous: the labels of the axes (one of 24 proper signed permutations) are those
-closest to the previous frame, and the sign of q is chosen so that q . q_previous >= 0. Axes of
-equal length move with the material, to within 1e-5 of the covariance.
+Orientations are continuous: the labels of the axes (one of 24 proper signed permutations) are
+chosen closest to the labels in the previous frame, and the sign of q is chosen so that q .
+q_previous >= 0. Axes of equal length move with the material, to within 1e-5 of the covariance.
 """
 
 from __future__ import annotations

@@ -88,7 +88,7 @@ class Motion:
 
     @property
     def shown(self) -> Gaussians:
-        """All Gaussians at rest; those that are visible only after a tear come last."""
+        """All Gaussians at rest; the Gaussians that are visible only after a tear come last."""
         return (
             self.gaussians if self.exposed is None else join([self.gaussians, self.exposed.grains])
         )

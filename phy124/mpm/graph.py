@@ -8,7 +8,7 @@ the kernel ends the loop when only the host can continue, because the window mus
 particles or because the next substep may have to be rejected (see phy124/mpm/rejection.py). A
 condition in a graph takes longer than most kernels. Therefore, if none of the next substeps can be
 the last substep, these substeps run without conditions. The same graph also runs on the CPU, where
-the tests compare its results bit for bit with those of the host's loop.
+the tests compare its results bit for bit with the results of the host's loop.
 """
 
 from __future__ import annotations

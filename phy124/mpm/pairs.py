@@ -68,7 +68,7 @@ class Pairs:
             )
         pairs = [chosen.get(number, Pair(*number)) for number in numbers]
         self.all = [pair for pair in pairs if not {pair.first, pair.second} <= model.held]
-        """All pairs except those of two held bodies, because held bodies cannot act on each other.
+        """All pairs except pairs of two held bodies, because held bodies cannot act on each other.
         """
         self._model = model
         shape = (workers, len(self.all), ROOM)

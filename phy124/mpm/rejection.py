@@ -24,7 +24,9 @@ from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, TRAVEL
 from phy124.mpm.tracks import Tracks
 
 TRIES = 100
-"""Largest number of trials; each trial's substep is at most half as long as the one before."""
+"""Largest number of trials; each trial's substep is at most half as long as the substep of the
+trial before.
+"""
 FIRST = 4
 """Number of substeps at the start of a run that are run as trials if sudden forces act all the
 time.

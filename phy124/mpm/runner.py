@@ -17,7 +17,7 @@ the task's.
 
 
 class Runner:
-    """Runs all workers: each on its own thread, or one after another."""
+    """Runs all workers, each on a separate thread or one after another."""
 
     def __init__(self, count: int, work: Task, timings: Timings) -> None:
         """Prepare the threads.
@@ -31,7 +31,7 @@ class Runner:
         self._work, self._timings = work, timings
 
     def on_threads(self) -> AbstractContextManager[None]:
-        """Return a context within which each worker runs on its own thread.
+        """Return a context within which each worker runs on a separate thread.
 
         All kernels that the workers launch must have been loaded.
         """

@@ -1,4 +1,5 @@
-"""Workers: each processes a part of the particles and scatters to its own nodes.
+"""Workers: each worker processes a part of the particles and scatters them to a separate set of
+nodes.
 
 A worker scatters its particles into private nodes, updates its layers of the shared grid from all
 private nodes, and then gathers. A single worker has all particles and scatters to the shared grid.
@@ -10,7 +11,7 @@ numbers. A slab has the nodes that its particles can touch until the next measur
 the slab's layers, and a margin on each side. As the object rotates or flows, slabs begin to
 overlap. Once the slabs have too many nodes in total, the particles are divided again by their
 current positions. Workers then access their particles through lists of indices, which makes a
-substep up to twice as expensive, so particles are rarely divided again.
+substep up to twice as expensive. Particles are therefore rarely divided again.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Drops or repairs Gaussians that the simulation cannot use.
 
-Every threshold is relative to the object's size, so an object of a micrometre and one of a
-kilometre are treated in the same way. The rules apply in this order:
+Every threshold is relative to the object's size, so objects of a micrometre and of a kilometre are
+treated in the same way. The rules apply in this order:
 
 - Gaussians with NaN or infinity in any field are dropped.
 - Other invalid values are repaired: a negative scale becomes positive (the covariance is the same),

@@ -36,8 +36,9 @@ at least twice as much.
 """
 SLIVER = 0.15
 """A cell is a sliver if it is filled less than this many times the square of the fraction of the
-fullest cell around it. It is then merged with a neighbour. In rods and plates thinner than a cell,
-all cells are filled little; merged ones would make rods bend up to 3.1 times too far.
+fullest cell around it. It is then merged with a neighbour. In rods and plates that are thinner than
+a cell, all cells have a small filled fraction. Merging such cells would make rods bend up to 3.1
+times too far.
 """
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 """Steps from a cell to its 26 neighbours."""
@@ -137,8 +138,8 @@ def _points_of_pieces(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int8] | None]:
     """Return the points of all cells [8C,3], m, their volumes [8C], m^3, and copies of nodes.
 
-    A cell with several separate pieces occurs several times, once for each piece. The copies
-    [C,27] are those of `Particles.copies`.
+    A cell with several separate pieces occurs several times, once for each piece. The copies [C,27]
+    have the meaning of `Particles.copies`.
     """
     index, fraction, _, shift, spread = solid.voxels
     side = solid.voxel

@@ -79,7 +79,7 @@ def make_particles(
 
 
 def fill(gaussians: Gaussians, spacing: float) -> NDArray[np.float64]:
-    """Return those points [M,3], m, of the lattice (i + 1/2) * spacing that lie inside a closed
+    """Return the points [M,3], m, of the lattice (i + 1/2) * spacing that lie inside a closed
     shape.
     """
     _check(1.0, spacing, BINDINGS[0])

@@ -221,7 +221,7 @@ def find_levels(height: NDArray, width: NDArray, fraction: NDArray) -> NDArray[n
     """Return the heights (levels) [V,1] below which voxels are filled.
 
     Sums in single precision are twice as fast. Sums that are close to the fraction are repeated in
-    double precision, so that the levels are those of double precision.
+    double precision, so that the levels are as exact as in double precision.
 
     Args:
         height: Heights of the sample points [V,S].

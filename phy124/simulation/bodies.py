@@ -48,7 +48,7 @@ from phy124.simulation.overlap import refuse_objects
 from phy124.simulation.placing import belongs, number_among_all, place, renumber_parts, stack
 
 FEWEST = 8
-"""Number of cells along an object below which a note warns the user."""
+"""Number of cells along an object below which a note warns the user of a coarse grid."""
 PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
 """Names of the fields of an appearance that have one entry per moving Gaussian."""
 
@@ -81,7 +81,7 @@ class Body(NamedTuple):
     gaussians: Gaussians
     """The N Gaussians at rest, at their positions in the scene [m]."""
     appearance: Appearance
-    """Visible Gaussians, and the particles."""
+    """Visible Gaussians of the object, and its particles."""
     materials: Sequence[AnyMaterial]
     stiffness: NDArray | None
     """Factor on E of each particle, relative to the E of its material [P]; None if all factors are
@@ -246,7 +246,7 @@ def planes_for_free(scene: Scene) -> list[Plane]:
 
 
 def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
-    """Return the Gaussians from which an object is made."""
+    """Return the Gaussians from which an object is created."""
     present = gaussians.of_object(index)
     body = scene.every_object[index]
     if len(present) or not isinstance(body, SceneObject):
@@ -374,7 +374,7 @@ def _join_appearances(bodies: list[Body]) -> Appearance:
     }
     offsets = np.repeat(first_kinds[:-1], [int(look.moves.sum()) for look in looks])
     joint["kinds"] = joint["kinds"] + reorder(offsets)
-    number = np.empty(len(moves), np.int64)  # index of each Gaussian among those that move
+    number = np.empty(len(moves), np.int64)  # index of each Gaussian among the moving Gaussians
     number[order] = np.cumsum(moves[order]) - 1
     numbers = [number[starts[i] : starts[i + 1]][look.moves] for i, look in enumerate(looks)]
     return Appearance(

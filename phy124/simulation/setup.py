@@ -91,7 +91,7 @@ class Setup:
     changes: bool
     """Whether forces, boundaries and stiffness may change during the run."""
     observers: tuple[type[Observer], ...]
-    """Classes of observers; the scene determines which of them observe the run."""
+    """Classes of observers; the scene determines the observers that the run has."""
 
     @property
     def shown(self) -> Gaussians:
@@ -125,7 +125,7 @@ def prepare(
     observers: Sequence[type[Observer]] | None = None,
     placed: Placed | None = None,
 ) -> Setup:
-    """Place the objects of a scene, make their particles and estimate the cost.
+    """Place the objects of a scene, create their particles, and estimate the cost of the run.
 
     Args:
         gaussians: The object at any size, standing upright, facing +x; or several objects,

@@ -192,8 +192,8 @@ def make_apply(real: Any):
 
 @build_once
 def make_finish(real: Any):
-    """Kernel of one thread: adds the impulses of walls to a body's momentum, and subtracts those on
-    the nodes.
+    """Kernel of one thread: adds the impulses of walls to a body's momentum, and subtracts the
+    impulses on the nodes.
 
     `total_out` accumulates the impulses on the nodes of one grid since the start; its moment is
     about the origin of the world.

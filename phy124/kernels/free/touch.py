@@ -27,8 +27,8 @@ ROUND = wp.constant(0.6)
 of a solid is not smeared out. The value is fitted to a ball on a box (docs/lab/contact-force.md).
 """
 STEEP = wp.constant(1e-4)
-"""Slope of the volume fraction of a box [1/cell] below which the normal is that of the nearest
-face.
+"""Slope of the volume fraction of a box [1/cell] below which the normal of the nearest face is
+used.
 """
 
 

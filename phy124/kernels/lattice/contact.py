@@ -1,16 +1,16 @@
 """Computes the contact of surface points with a wall, by impulses on the nodes.
 
 A point at signed distance g from the wall must not approach it faster than g / dt. While a wall
-presses a point, the point moves away at the speed -restore g. The impulses of the last substep are
-applied first. Projected Gauss-Seidel then corrects the impulses, with friction in Coulomb's cone.
-The method visits the points forwards and then backwards, in an order in which consecutive points
-are about one cell apart (phy124/lattice/surface.py). An impulse J on a point changes the velocities
-of the point's nodes by w_i J / m_i, and therefore changes the velocity of the point by (sum w_i^2 /
-m_i) J.
+presses on a point that has penetrated it, the point moves out at the speed -restore g. The impulses
+of the last substep are applied first. Projected Gauss-Seidel then corrects the impulses, with
+friction in Coulomb's cone. The method visits the points forwards and then backwards, in an order in
+which consecutive points are about one cell apart (phy124/lattice/surface.py). An impulse J on a
+point changes the velocities of the point's nodes by w_i J / m_i, and therefore changes the velocity
+of the point by (sum w_i^2 / m_i) J.
 
 Contact by impulses that are applied again and corrected neither creates nor sustains vibrations.
 The pass over all points, forwards and backwards, is a symmetric positive operator E on velocities.
-With C = E^-1 - 1, the impulses of the last substep are those of springs C / dt^2 that are
+With C = E^-1 - 1, the impulses of the last substep equal the impulses of springs C / dt^2 that are
 integrated implicitly: (1 + C) v' = v - (K + C) x, which is stable for every stiffness K that is
 stable without walls. A single pass, which is not symmetric, excites vibrations. `restore` [1/s] is
 an integral gain. A gain above omega^2 dt would excite the body's slowest vibration, whose angular
@@ -44,7 +44,7 @@ NODES = 27
 """Largest number of nodes that carry a surface point."""
 MOMENT, DRIVEN, SUMS = EXCHANGE, EXCHANGE + 3, 16
 """Index of the moment of all impulses about the origin [N m s]; index of the work by a clamp's
-motion [J]; length of each wall's sums. The first `EXCHANGE` sums are those of
+motion [J]; length of each wall's sums. The first `EXCHANGE` sums are the sums of
 phy124/kernels/work.py.
 """
 
@@ -229,13 +229,13 @@ def make_meet(real: Any, rows: Rows):
     """Kernel of one thread: computes the gaps between pairs of points, as `make_touch` does for
     points and walls.
 
-    A pair is treated like a single point. The weights of a pair are those of the point minus those
-    of the opposite position, so that `rest_out` and the nodes give the vector from that position to
-    the point. The opposite position follows the point along the surface, so that the impulses have
-    no moment. When the opposite position moves along the surface, its weights change by `slopes`
-    times its displacement in the body at rest, which is `back` times the displacement along the
-    surface. A position that moves farther than `far` is no longer opposite. Pairs farther apart
-    than `reach` are ignored.
+    A pair is treated like a single point. The weights of a pair are the weights of the point minus
+    the weights of the opposite position, so that `rest_out` and the nodes give the vector from the
+    opposite position to the point. The opposite position follows the point along the surface, so
+    that the impulses have no moment. When the opposite position moves along the surface, its
+    weights change by `slopes` times its displacement in the body at rest, which is `back` times the
+    displacement along the surface. A position that moves farther than `far` is no longer opposite.
+    Pairs farther apart than `reach` are ignored.
 
     `inverse` is zero for nodes that a clamp holds, but `whole` is not. A pair of points of one body
     (`between` is 0) is ignored if a clamp holds a node of the pair, because the impulses of the

@@ -1,7 +1,7 @@
 """Kernels that kick, hold and move the nodes of a lattice; nodes with almost no mass follow heavier
 nodes.
 
-`pool` holds the forces that all workers have summed. Those of worker w begin at `begin[w]` and
+`pool` holds the forces that all workers have summed. The forces of worker w begin at `begin[w]` and
 belong to the nodes `low[w]` to `high[w]`. The ties are stored as two sparse matrices: `donor_*`
 lists the tied nodes that each node carries, and `tied_*` lists the nodes that carry each tied node.
 """
@@ -18,8 +18,8 @@ from phy124.kernels.reduction import add_to
 from phy124.kernels.work import add_exchange
 
 RECENT = wp.constant(0.75)
-"""Weight of the present velocity in the velocity on which viscosity acts. The remaining weight is
-that of the velocity one substep earlier. A vibration whose sign changes in every substep is then
+"""Weight of the present velocity in the velocity on which viscosity acts. The remaining weight
+belongs to the velocity one substep earlier. A vibration whose sign changes in every substep is then
 damped half as much, so viscosity shortens the longest stable substep half as much. With a smaller
 share, vibrations whose sign changes every second substep would grow.
 """
@@ -209,8 +209,8 @@ def make_hold(real: Any):
 
 @build_once
 def make_pin(real: Any):
-    """Kernel over pairs of a held node and a free node: makes the motion relative to the clamp zero
-    at its surface.
+    """Kernel over pairs of a held node and a free node: makes the motion at the clamp's surface
+    zero relative to the clamp.
 
     The quadratic B-spline of the pair vanishes at the clamp's surface if the held node moves at
     `ratio` times the velocity of the free node relative to the clamp. Momenta are projected onto

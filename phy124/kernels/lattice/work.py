@@ -39,9 +39,9 @@ def make_node_work(real: Any):
     """Kernel over the nodes from `start` on: adds the work of the forces on the nodes to the sum
     with index `at`.
 
-    The work of the uniform acceleration is added to the sum `UNIFORM`. `pool` and the ties are
-    those of phy124/kernels/lattice/nodes.py. Tied nodes move with their donors, so the forces on
-    tied nodes act on the donors.
+    The work of the uniform acceleration is added to the sum `UNIFORM`.
+    phy124/kernels/lattice/nodes.py explains `pool` and the ties. Tied nodes move with their donors,
+    so the forces on tied nodes act on the donors.
     """
     t = types(real)
 
@@ -81,8 +81,8 @@ def make_node_work(real: Any):
 def make_push_work(real: Any):
     """Kernel over the nodes from `start` on: sums the impulse and the work of the forces on points.
 
-    The result is added to `EXCHANGE` sums. Each thread sums over `each` nodes before it writes. The
-    other arguments are those of `make_node_work`.
+    The result is added to `EXCHANGE` sums. Each thread sums over `each` nodes before it writes.
+    `make_node_work` explains the other arguments.
     """
     t = types(real)
 

@@ -34,7 +34,7 @@ Row = wp.types.vector(MOMENTS, wp.float64)
 def make_moments(real: Any):
     """Kernel: sums mass, momentum and moments over the particles of a body.
 
-    Angular momentum includes that of the particles' C (Jiang et al. 2015).
+    The angular momentum includes the angular momentum of the particles' C (Jiang et al. 2015).
     """
 
     @kernel(f"phy124_liquid_moments_{real.__name__}", real, seconds=0.3)

@@ -173,9 +173,9 @@ def make_head(real: Any):
 def share_of(rim: wp.vec3d, opposite: wp.vec3d):
     """Return the fraction of a contact on which a film acts; `make_head` computes the rows.
 
-    A film needs liquid along half of the contact's perimeter, which is taken as that of a square.
-    Films on opposite sides act only as far as their areas differ, since they would squeeze a body
-    that fills the space between two walls.
+    A film needs liquid along half of the contact's perimeter; to compute the perimeter, the contact
+    is assumed to be a square. Films on opposite sides act only as far as their areas differ, since
+    they would squeeze a body that fills the space between two walls.
     """
     unit = wp.float64(1.0)
     wet = wp.min(rim[1] / (wp.float64(2.0) * wp.sqrt(rim[2])), unit)

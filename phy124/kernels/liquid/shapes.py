@@ -272,7 +272,7 @@ def make_body_openings(real: Any):
     """Kernel over the cells of a region: multiplies open fractions by the fraction that a body
     leaves open.
 
-    The open fractions are those of the low faces, and of the eighths of each cell.
+    The kernel changes the open fractions of the low faces and of the eighths of each cell.
     """
     t = types(real)
 

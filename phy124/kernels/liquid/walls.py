@@ -104,8 +104,8 @@ def make_wall_distance(shape: str, real: Any):
 
     `walls` contains the indices of the walls, and `geometries` their shapes. Each point stores the
     index of the nearest wall. `slots` contains the index of each wall's displacement, or 0 for a
-    wall that never moves. A wall whose track has ended has no effect. The points are those of a
-    region of the window; `region` is the region's first cell and its size.
+    wall that never moves. A wall whose track has ended has no effect. The kernel handles the points
+    in a region of the window; `region` is the region's first cell and its size.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -334,8 +334,8 @@ def make_eighths(shape: str, real: Any):
     """Kernel over eighths of cells: multiplies the open fraction of each by the fraction that each
     wall leaves open.
 
-    The product is exact where walls are perpendicular to each other. The arguments are the same as
-    those of the kernel of `make_wall_distance`.
+    The product is exact where walls are perpendicular to each other. The kernel has the same
+    arguments as the kernel of `make_wall_distance`.
     """
     t = types(real)
     distance = SHAPES[shape]

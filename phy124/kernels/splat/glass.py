@@ -58,8 +58,8 @@ class Hit:
 def edge(solid: Solid, at: wp.vec3, pixel: float) -> float:
     """Return the opacity of a box's face at a point in the box's axes; it is higher at edges.
 
-    A point on a face has one coordinate at its limit. Of the other two coordinates, the one that is
-    closer to its limit determines the nearest edge.
+    A point on a face has one coordinate at its limit. The nearest edge is determined by whichever
+    of the other two coordinates is closer to its limit.
     """
     a = wp.abs(solid.half[0] - wp.abs(at[0]))
     b = wp.abs(solid.half[1] - wp.abs(at[1]))

@@ -1,8 +1,8 @@
 """Defines the camera, a splat on the screen, and the splat's alpha at a pixel, for all stages.
 
-The conventions are those of Kerbl et al. 2023 (3D Gaussian Splatting, section 4): alpha is capped
-at 0.99, contributions below 1/255 are skipped, and a pixel is finished before its transmittance
-would fall below 1e-4. Pixel (x, y) is sampled at its centre (x + 0.5, y + 0.5).
+The conventions follow Kerbl et al. 2023 (3D Gaussian Splatting, section 4). Alpha is limited to
+0.99, contributions below 1/255 are skipped, and a pixel is finished before its transmittance would
+fall below 1e-4. Pixel (x, y) is sampled at its centre (x + 0.5, y + 0.5).
 """
 
 import warp as wp
