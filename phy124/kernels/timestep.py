@@ -182,7 +182,8 @@ def violent(dt: wp.float64, s: Progress, bounds: Limits):
 
 @wp.func
 def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
-    """Return whether exactly `BLOCK` substeps of length dt [s] precede the next measurement.
+    """Return whether exactly `BLOCK` substeps of the length dt [s] will precede the next
+    measurement.
 
     The result is False if, between two of these substeps, the target time is reached, the particles
     are measured, or control returns to the host. The lengths of the substeps may differ by

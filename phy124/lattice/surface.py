@@ -174,8 +174,8 @@ def _nearest_pieces(
 def _within_rows(nodes: NDArray[np.int64], weights: NDArray) -> NDArray[np.float64]:
     """Return weights [S,27] that are 0 in every group except at three consecutive nodes.
 
-    The three nodes with the largest sum of weights keep their weights. In a group, a copy of a node
-    may be far in memory from a node without copies.
+    The three nodes with the largest sum of weights keep their weights. Within a group, a copy of a
+    node may be stored far away in memory from a node without copies.
 
     Args:
         nodes: Nodes of the points [S,27].

@@ -290,7 +290,7 @@ class _Contact:
         self.separates = part.response() == "separate"
         """Whether points may leave the wall."""
         self.clamped = False
-        """Whether clamps may hold nodes; the points' response then differs between substeps."""
+        """Whether clamps may hold nodes; if so, the response of points differs between substeps."""
         count, device = points.count, model.device
         self._list = wp.zeros(count, dtype=int, device=device)
         self._gaps = wp.zeros(count, dtype=model.real, device=device)

@@ -157,7 +157,7 @@ class MixedSolver(Solver):
             pushed: Whether any force acts on particles.
 
         Raises:
-            InputError: As in `__init__`.
+            InputError: For the same reasons as in `__init__`.
         """
         if self._liquid is not None and self._bodies is not None:
             self._bodies.pushed = pushed

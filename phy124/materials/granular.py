@@ -66,10 +66,10 @@ class Sand(Logarithmic):
     def theta(self) -> tuple[float, ...]:
         """Return (mu, lambda, alpha); alpha is the slope of the cone.
 
-        An infinite slope flows at constant volume if its shear stress is 3 alpha / sqrt(2) times
-        the pressure, that is, at an angle a with tan(a) = 3 alpha / sqrt(2). A slope at rest stays
-        stable up to the angle asin(tan(a)), so steep heaps come to rest at an angle larger than a.
-        The angle a of a steep heap is therefore smaller than its repose angle.
+        An infinitely long slope flows at constant volume if its shear stress is 3 alpha / sqrt(2)
+        times the pressure. This is the case at the angle a with tan(a) = 3 alpha / sqrt(2). A slope
+        at rest stays stable up to the angle asin(tan(a)), so steep heaps come to rest at an angle
+        larger than a. The angle a of a steep heap is therefore smaller than its repose angle.
         """
         if self.repose_angle is not None:
             flow = self.repose_angle - STEEPER * max(0.0, self.repose_angle - GENTLE)

@@ -38,9 +38,11 @@ STILL = 3e-4
 300 pixels.
 """
 CALM = 1 / 6
-"""Fraction of `STILL`; particles count as resting if they move by less."""
+"""Fraction of `STILL` below which the movement of particles counts as rest."""
 HELD = 0.1
-"""Fraction of a free body's displacement; a body counts as held if it moves by less."""
+"""Fraction of a free body's displacement below which the displacement of a body means that it is
+held.
+"""
 
 
 class Sleep(Observer):

@@ -92,7 +92,7 @@ class Wrenches(Observer):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all wrenches of a frame, in the order of the wrenches."""
+        """Names of all wrenches in a frame, in the order in which the frame stores them."""
         return (*self.walls, *pair_names(self._solver))
 
     def wrap_walls(

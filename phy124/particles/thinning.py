@@ -50,7 +50,7 @@ def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians
 
     The kept Gaussians are evenly spaced along a space-filling curve; large and opaque Gaussians are
     kept more often. The area used as the weight of a Gaussian is at most `GIANT`; the area of
-    larger Gaussians is not distributed to other Gaussians. Equal seeds keep the same Gaussians.
+    larger Gaussians is not distributed to other Gaussians. The same seed keeps the same Gaussians.
     """
     if count is None or len(gaussians) <= count:
         return gaussians

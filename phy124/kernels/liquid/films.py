@@ -187,10 +187,10 @@ def make_film(real: Any):
     """Kernel over the cells of a region: computes the pressure of a film between a body and walls.
 
     Where a body lies on a wall, the film is assumed to have the hydrostatic pressure of the liquid
-    around the contact; `rims` holds this liquid's sums by direction (`make_head`). In a cell of
-    liquid between the body and the wall, the film has the pressure of the cell. All pressures are
-    converted to the body's surface, whose distance from the cell's centre is known. The film acts
-    on the fraction of the contact that `share_of` returns.
+    around the contact; `rims` holds the sums over this liquid for each direction (`make_head`). In
+    a cell of liquid between the body and the wall, the film has the pressure of the cell. All
+    pressures are converted to the body's surface, whose distance from the cell's centre is known.
+    The film acts on the fraction of the contact that `share_of` returns.
     """
     t = types(real)
 

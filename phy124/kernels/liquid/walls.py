@@ -1,4 +1,4 @@
-"""Computes distances from walls and open shares of faces; moves particles out of walls.
+"""Computes distances from walls and the open fractions of faces, and moves particles out of walls.
 
 Distances are stored at the corners, edges, faces and centres of cells. The open fraction of each
 face (Ng, Min and Gibou 2009) and the solid volume of each eighth of a cell follow from these
