@@ -10,6 +10,7 @@ from demo.report import as_html
 from phy124.__main__ import main
 from phy124.boundaries import Box, Ground, Press
 from phy124.forces import Acceleration, Gravity, Impulse, ParticleForce, SetVelocity
+from phy124.generators.shapes import make_shape
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.materials import FixedCorotated, Fluid, Hencky, NeoHookean, Plasticine, Snow
@@ -309,6 +310,16 @@ def test_rounding_of_a_stiff_body_is_no_explosion_until_it_shows():
         problem = watch.after_attempt()
         assert (problem is not None) == stops
         assert any("tremor" in note for note in watch.notes()) != stops
+
+
+@pytest.mark.parametrize("shape", ["box", "capsule"])
+def test_a_thin_body_of_water_on_a_coarse_grid_runs_through(shape):
+    """At two cells across, the floor's impulse differs by a third from the change of momentum, and
+    half a step of gravity is much of the energy."""
+    scene = Scene.named("water").replaced({"accuracy.cells": 6, "time.frames": 2})
+    body = make_shape(shape, (1.0, 0.2, 0.2), (1.0, 1.0, 1.0))
+    report = Simulation(prepare(body, scene)).run().report
+    assert report["complete"], report["stopped"]
 
 
 @pytest.mark.slow
