@@ -17,7 +17,8 @@ Raster = NDArray[np.float32]
 LARGEST = 65535
 """Largest 16-bit value."""
 MIDDLE = 32768
-"""Raw value that encodes zero of signed quantities; raw 0 marks a pixel without a value."""
+"""Raw value that stands for zero if quantities are signed; the raw value 0 marks a pixel without a
+value."""
 PNG_EFFORT = 3
 """PNG compression level, 0 to 9."""
 
@@ -44,7 +45,7 @@ def sixteen_bits(
 
 
 def write_png16(path: str | os.PathLike[str], raw: NDArray[np.uint16]) -> None:
-    """Write [H,W,C] as a 16-bit PNG: grey if C = 1, RGB if C = 3, RGB with blue 0 if C = 2.
+    """Write [H,W,C] as a 16-bit PNG: grey if C = 1, RGB if C = 3, and RGB with blue = 0 if C = 2.
 
     Raises:
         InputError: If the file cannot be written.
@@ -59,7 +60,9 @@ def write_png16(path: str | os.PathLike[str], raw: NDArray[np.uint16]) -> None:
 
 
 def write_exr(path: str | os.PathLike[str], raster: Raster, channels: tuple[str, ...]) -> None:
-    """Write [H,W,C] as an EXR file of 32-bit floats; `channels` names its C channels.
+    """Write [H,W,C] as an EXR file of 32-bit floats.
+
+    `channels` contains the names of the C channels.
 
     Raises:
         InputError: If OpenEXR is not installed or the file cannot be written.

@@ -1,4 +1,4 @@
-"""Reads compressed PLY files (SuperSplat), which hold packed integers in chunks of 256 Gaussians.
+"""Reads compressed PLY files (SuperSplat), which store packed integers in chunks of 256 Gaussians.
 
     element  property                    meaning
     chunk    min_x ... max_z             float32, bounding box of the centres of 256 Gaussians
@@ -37,7 +37,7 @@ BOXES = [f"{end}_{axis}" for axis in (*"xyz", *SCALE_AXES) for end in ("min", "m
 
 
 def is_compressed(header: Header) -> bool:
-    """Whether the rows of a PLY file are packed."""
+    """Whether the rows of a PLY file are compressed."""
     return "packed_position" in (header.row.names or ())
 
 
@@ -83,7 +83,7 @@ def _elements(path: Path, header: Header) -> list[Element]:
 def _rows(path: Path, element: Element, size: int) -> NDArray[Any]:
     there = element.start + element.count * element.row.itemsize <= size
     rows = np.fromfile(path, element.row, element.count if there else 0, offset=element.start)
-    if len(rows) < element.count:  # also catches a file that shrinks while it is read
+    if len(rows) < element.count:  # this also detects a file that becomes shorter while it is read
         raise refusal(KIND, path, f"it is cut short: its element {element.name} is incomplete.")
     return rows
 
@@ -115,7 +115,7 @@ def _check(path: Path, header: Header, rows: dict[str, NDArray[Any]]) -> None:
 
 
 def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
-    """Unpack bit fields of integers, highest bits first, as fractions 0..1 [N,len(bits)]."""
+    """Unpack the bit fields of integers, highest bits first, to fractions 0..1 [N,len(bits)]."""
     out = np.empty((len(packed), len(bits)), np.float32)
     shift = sum(bits)
     for i, width in enumerate(bits):
@@ -128,7 +128,10 @@ def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
 def _within(
     fractions: NDArray, chunk: NDArray[Any], which: NDArray, axes: str | tuple[str, ...]
 ) -> NDArray[np.float64]:
-    """Map fractions 0..1 to the value range of each Gaussian's chunk, in double precision."""
+    """Map fractions 0..1 to the value range of each Gaussian's chunk.
+
+    The result has double precision.
+    """
     out = np.empty(fractions.shape)
     for i, axis in enumerate(axes):
         low, high = (chunk[f"{end}_{axis}"].astype(np.float64)[which] for end in ("min", "max"))
@@ -142,12 +145,13 @@ def _rotations(packed: NDArray) -> NDArray[np.float32]:
 
 
 def _harmonics(first: NDArray, table: NDArray[Any] | None) -> NDArray[np.float32]:
-    """Return colours [N,K,3] of degree 0, and of the higher degrees if the file has them."""
+    """Return the colours [N,K,3] of degree 0, and of higher degrees if the file contains them."""
     if table is None or not table.dtype.names:
         return first[:, None].astype(np.float32)
     count = len(table.dtype.names)
     values = np.stack([table[f"f_rest_{i}"] for i in range(count)], axis=1)
-    # A byte stands for the middle of its bin, except that 0 and 255 are the ends of the range.
+    # A byte stands for the middle of its bin, except that 0 and 255 stand for the ends of the
+    # range.
     inside = (values.astype(np.float32) + 0.5) / 256
     inside[values == 0], inside[values == 255] = 0, 1
     rest = ((inside - 0.5) * 8).reshape(len(values), 3, count // 3).transpose(0, 2, 1)

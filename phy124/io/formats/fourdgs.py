@@ -1,12 +1,12 @@
-"""Writes `.4dgs` files: all frames in one file, as keyframes and the changes between them.
+"""Writes `.4dgs` files, which contain keyframes and the changes between frames.
 
 The format is the open container of 4dgs.dev, version 1, model `keyframe-delta`. The official
-library encodes the file's records (package fourdgs, Apache-2.0, needs only numpy). The library's
-`write_sequence` would hold all frames, so this module writes its file one frame at a time. The file
-declares an error bound for each value: 2 % of the first frame's median scale for positions, 0.5 %
-for scales, 0.0005 for rotations, 0.5 / 255 for colours and opacities. Every Gaussian keeps its
-index in all frames, and readers can seek. Colours are constant and of degree 0. The axes are those
-of glTF: y up, z to the front, metres.
+library encodes the records of the file (package fourdgs, Apache-2.0, needs only numpy). The
+library's function `write_sequence` would keep all frames in memory, so this module writes one frame
+at a time. The file declares an error bound for each value: 2 % of the first frame's median scale
+for positions, 0.5 % for scales, 0.0005 for rotations, 0.5 / 255 for colours and opacities. Every
+Gaussian has the same index in all frames, and readers can jump to any frame. Colours are constant
+and of degree 0. The axes are those of glTF: y up, z to the front, metres.
 """
 
 from __future__ import annotations
@@ -29,26 +29,29 @@ from phy124.progress import Progress, silent
 from phy124.runtime.installation import install_command
 
 PROFILE = "fine"
-"""The library's profile with the smallest error bounds."""
+"""Name of the library's profile with the smallest error bounds."""
 KEYFRAME = 8
-"""Frames per keyframe, and so the largest number of frames that must be read to show any frame."""
+"""Number of frames per keyframe, which is also the largest number of frames that must be read to
+show any frame."""
 STILL = 1 / 24
-"""Duration of a clip with one frame [s]."""
+"""Duration of a clip that has only one frame [s]."""
 CUTOFF = 0.05
-"""Opacity below which a reader may leave out a fading Gaussian; in these files, no Gaussian
+"""Opacity below which a reader may ignore a Gaussian that fades; in these files, no Gaussian
 fades."""
 CODEC, LEVEL = 0, 6
-"""Compression of the records: deflate, at zlib's usual level."""
+"""Compression of the records: deflate at zlib's default level."""
 Bins = dict[int, NDArray[np.int64]]
-"""Quantised values [N,C], by the number that the library gives to each attribute."""
+"""Quantised values [N,C] of each attribute; the keys are the numbers that the library gives to
+attributes."""
 FOREVER = 1e6
-"""Temporal standard deviation of a Gaussian that does not fade [s]; it must be finite."""
+"""Standard deviation in time of a Gaussian that does not fade [s]; the format requires a finite
+number."""
 
 
 def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
-    """Write a clip as one .4dgs file; needs the extra `fourdgs`.
+    """Write a clip as a .4dgs file; this needs the extra `fourdgs`.
 
-    The file appears whole or not at all.
+    The file appears only when it is complete.
 
     Raises:
         InputError: If fourdgs is not installed, the clip is empty, or the file cannot be written.
@@ -102,16 +105,16 @@ def _turn(gaussians: Gaussians) -> Gaussians:
 
 
 class _Sequence:
-    """A file of Gaussians that exist in all frames; the frames are appended one after the other."""
+    """A file whose Gaussians exist in all frames; one frame after the other is appended."""
 
     def __init__(self, library: Any, file: IO[bytes], clip: Clip, times: list[float]) -> None:
         """Write the header of the file.
 
         Args:
             library: The modules of fourdgs.
-            file: The file, empty.
-            clip: The clip, whose centres are read to determine their range.
-            times: Start of each frame, and end of the last [s].
+            file: The open file, which is empty.
+            clip: The clip, whose centres are read to determine their range of values.
+            times: Start time of each frame, and end time of the last frame [s].
         """
         self._library, self._file, self._times = library, file, times
         self._cadence = library.writer.KeyframeDeltaOptions(keyframe_every=KEYFRAME)
@@ -133,13 +136,13 @@ class _Sequence:
         self._write_head()
 
     def append(self, index: int, gaussians: Gaussians) -> None:
-        """Write a frame: either all values, or the changes since the previous frame."""
+        """Write a frame, as either all its values or the changes since the previous frame."""
         bins = self._quantise(gaussians, self._times[index])
         whole = self._library.writer.is_keyframe(index, self._cadence)
         self._index.append(self._write_keyframe(bins) if whole else self._write_changes(bins))
 
     def finish(self) -> None:
-        """Write the end of the file, and the index with which readers find a frame."""
+        """Write the end of the file, with the index in which readers look up a frame."""
         records, start = self._library.records, self._file.tell()
         statistics = records.Statistics(
             gaussian_count=self._count,
@@ -175,7 +178,7 @@ class _Sequence:
         self._file.write(b"".join([self._library.coding.MAGIC, *head]))
 
     def _quantise_still(self, gaussians: Gaussians) -> Bins:
-        """Return the quantised values of the properties that are constant in time."""
+        """Return the quantised values of the properties that do not change over time."""
         op, steps, quantization = self._library.op, self._grids.steps, self._library.quantization
         zeros = np.zeros((self._count, 1), np.int64)
         return {
@@ -188,7 +191,7 @@ class _Sequence:
         }
 
     def _quantise(self, gaussians: Gaussians, time: float) -> Bins:
-        """Return the quantised values of all properties of a frame at its time [s]."""
+        """Return the quantised values of all properties of a frame at a time [s]."""
         op, grids, quantization = self._library.op, self._grids, self._library.quantization
         quats = np.roll(gaussians.quats, -1, axis=1)
         largest, rest = quantization.quantize_rotation(quats, grids.steps.rot)
@@ -219,7 +222,7 @@ class _Sequence:
         """Write the changes since the previous frame, and return the frame's entry in the index."""
         op, writer, records = self._library.op, self._library.writer, self._library.records
         ids, last = np.arange(self._count), self._last
-        # A Gaussian that does not change keeps the time of its last change.
+        # If a Gaussian does not change, the time of its last change is kept.
         compared = last | {op.A_MU_T: bins[op.A_MU_T]}
         changed, values, *_ = writer.delta_groups(ids, compared, ids, bins)
         if len(changed):

@@ -16,7 +16,8 @@ lengths.
     _OBJECT_ID                               SCALAR float   index of the object (phy124 only)
 
 Files from early 2026, before the extension was ratified, have logarithmic scales
-(phy124/io/formats/glb_values.py). Nodes may translate, rotate and uniformly scale their Gaussians.
+(phy124/io/formats/glb_values.py). Nodes may translate and rotate their Gaussians, and scale them
+uniformly.
 """
 
 from __future__ import annotations
@@ -55,22 +56,25 @@ EXTENSION = "KHR_gaussian_splatting"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<II")
 LONGEST = 1 << 20
-"""Largest JSON description that is read [bytes]; a usual description has 4,000 bytes."""
+"""Size of the largest JSON description that is read [bytes]; descriptions usually have 4,000
+bytes."""
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
 EVEN = 1e-3
-"""A node's scales along its axes count as uniform up to this relative difference."""
+"""The scales of a node along its axes count as uniform if their relative difference is at most
+this."""
 EXTENSIONS = (EXTENSION, "KHR_mesh_quantization")
 """glTF extensions that are supported."""
 MAX_NODES = 2000
 OBJECT = "_OBJECT_ID"
-"""Application-specific attribute with the object index, which other readers ignore."""
+"""Attribute specific to phy124 that stores the object index; other readers ignore it."""
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
-"""Programs that convert a PLY to y up by half a turn about z, so that the front stays at -z."""
+"""Programs that convert a PLY to y up by a rotation of 180 degrees about z, so that the front
+remains at -z."""
 READ = {"POSITION", "COLOR_0", OBJECT}
 READ |= {f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")}
 READ |= {f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(7)}
-"""Attributes that are read, and COLOR_0, which is ignored: it serves readers without the
-extension."""
+"""Attributes that are read. COLOR_0 is also listed, but it is ignored, because it is meant for
+readers without the extension."""
 
 
 class Primitive(NamedTuple):
@@ -79,15 +83,15 @@ class Primitive(NamedTuple):
     attributes: dict[str, int]
     """Index of the accessor of each attribute, by name."""
     extension: dict[str, Any]
-    """The primitive's entry for the extension."""
+    """The properties that the primitive states for the extension."""
     matrix: NDArray[np.float64]
     """World transform of the primitive's node [4,4]."""
     gaussians: int
-    """Number of Gaussians."""
+    """Number of Gaussians in the primitive."""
 
 
 def read(path: Path) -> Content:
-    """Read the Gaussians of all nodes in the scene of a GLB file.
+    """Read the Gaussians from all nodes in the scene of a GLB file.
 
     Raises:
         InputError: If the file is missing, cut short or damaged, has no Gaussians, or has an
@@ -147,7 +151,7 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
-    """Return the array of each attribute; the length of each is a multiple of 4 bytes."""
+    """Return the array of each attribute; the size of each array is a multiple of 4 bytes."""
     rgba = np.concatenate([gaussians.rgb, gaussians.opacities[:, None]], axis=1)
     arrays = {
         "POSITION": gaussians.means,
@@ -158,15 +162,13 @@ def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
     }
     names = _names(gaussians.sh.shape[1])
     arrays |= {name: gaussians.sh[:, i] for i, name in enumerate(names)}
-    if gaussians.object_id is not None:  # exact in float32, since there are few objects
+    if gaussians.object_id is not None:  # this is exact in float32, because there are few objects
         arrays[OBJECT] = gaussians.object_id.astype(np.float32)
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()}
 
 
 def _names(count: int) -> list[str]:
-    """Return the names of the attributes of the first `count` harmonics, in the order of
-    `Gaussians.sh`.
-    """
+    """Return the attribute names of the first `count` harmonics, in the order of `Gaussians.sh`."""
     pairs = [(degree, n) for degree in range(4) for n in range(2 * degree + 1)]
     return [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree, n in pairs[:count]]
 
@@ -187,7 +189,7 @@ def _accessor(name: str, array: NDArray, view: int) -> dict[str, Any]:
 
 
 def _chunks(path: Path, data: bytes) -> Scene:
-    """Return the JSON description and the binary chunk."""
+    """Return the JSON description and the binary chunk of a GLB file."""
     if len(data) < HEADER.size or data[:4] != MAGIC:
         raise refusal(
             KIND, path, "it does not begin with the header of a GLB file.", "Give a GLB file."
@@ -231,14 +233,15 @@ def _axes(scene: Scene) -> tuple[str, str]:
 def _primitives(scene: Scene) -> list[Primitive]:
     """Return all primitives of the scene whose points are Gaussians."""
     total, primitives = 0, []
-    for mesh, matrix in list(_list_meshes(scene)):  # detects cycles before anything is read
+    # cycles of nodes are detected before anything is read
+    for mesh, matrix in list(_list_meshes(scene)):
         for primitive in item(scene, "meshes", mesh)["primitives"]:
             extension = primitive.get("extensions", {}).get(EXTENSION)
             if extension is not None:
                 _check_kind(scene, primitive, extension)
                 count = int(item(scene, "accessors", primitive["attributes"]["POSITION"])["count"])
                 total += count
-                # Several nodes may show the same mesh: a small file can describe a large scene.
+                # Several nodes may show the same mesh, so a small file can describe a large scene.
                 check_count(KIND, scene.path, total, 60, len(scene.body))
                 primitives.append(Primitive(primitive["attributes"], extension, matrix, count))
     if not total:
@@ -248,7 +251,7 @@ def _primitives(scene: Scene) -> list[Primitive]:
 
 
 def _kind_of_scales(scene: Scene, primitives: list[Primitive]) -> tuple[bool, list[str]]:
-    """Return whether the scales of a file are logarithms, and notes about the decision."""
+    """Return whether the scales of a file are logarithms, and notes about how this was decided."""
     generator = str(scene.tree.get("asset", {}).get("generator", ""))
     pairs = [
         (_values(scene, p, f"{EXTENSION}:SCALE", 3), _values(scene, p, "POSITION", 3))
@@ -258,7 +261,7 @@ def _kind_of_scales(scene: Scene, primitives: list[Primitive]) -> tuple[bool, li
 
 
 def _passed_over(scene: Scene, primitives: list[Primitive]) -> list[str]:
-    """Return notes about attributes and extensions that are ignored."""
+    """Return notes about the attributes and extensions that are ignored."""
     names = dict.fromkeys(name for primitive in primitives for name in primitive.attributes)
     fourth = f"{EXTENSION}:SH_DEGREE_4"
     others = [name for name in names if name not in READ and not name.startswith(fourth)]
@@ -276,7 +279,7 @@ def _passed_over(scene: Scene, primitives: list[Primitive]) -> list[str]:
 
 
 def _list_meshes(scene: Scene) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Yield each mesh of the scene, and the world transform [4,4] of its node."""
+    """Yield each mesh of the scene with the world transform [4,4] of its node."""
     tree, here = scene.tree, np.eye(4)
     shown = item(scene, "scenes", tree.get("scene", 0)) if "scenes" in tree else {}
     roots = shown.get("nodes", [])
@@ -301,7 +304,7 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     matrix = np.eye(4)
     x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
-    with np.errstate(all="ignore"):  # an invalid rotation becomes NaN, which is refused later
+    with np.errstate(all="ignore"):  # an invalid rotation becomes NaN, and is refused later
         turn = rotation_matrices(np.array([[w, x, y, z]]))[0]
     matrix[:3, :3] = turn * np.array(node.get("scale", (1, 1, 1)), np.float64)
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
@@ -309,7 +312,7 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _check_kind(scene: Scene, primitive: dict[str, Any], extension: dict[str, Any]) -> None:
-    """Refuse Gaussians that use an unsupported feature of the extension."""
+    """Refuse Gaussians that use a feature of the extension that is not supported."""
     if "indices" in primitive:
         limit = "its Gaussians are selected by indices, which is not supported."
         raise refusal(KIND, scene.path, limit, "Export the scene without indices.")
@@ -329,7 +332,8 @@ def _values(scene: Scene, primitive: Primitive, name: str, width: int) -> NDArra
     if name not in primitive.attributes:
         raise refusal(KIND, scene.path, f"its Gaussians have no {name}.", "Export it again.")
     index = primitive.attributes[name]
-    # Centres may be integer multiples of a step that the node's scale sets (KHR_mesh_quantization).
+    # Centres may be integer multiples of an increment that the node's scale sets
+    # (KHR_mesh_quantization).
     whole = name == OBJECT or (name == "POSITION" and not is_fractions(scene, index))
     return values(scene, index, width, primitive.gaussians, as_they_are=whole)
 
@@ -355,7 +359,10 @@ def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArra
 
 
 def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Convert linear colours [N,K,3] to sRGB; degrees above 0 are linearised about degree 0."""
+    """Convert linear colours [N,K,3] to sRGB.
+
+    Degrees above 0 are converted by the derivative at degree 0.
+    """
     linear = np.clip(0.5 + SH_C0 * sh[:, :1].astype(np.float64), 0, 1)
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
     slope = np.where(linear <= 0.0031308, 12.92, (bright + 0.055) / 2.4 / np.maximum(linear, 1e-9))
@@ -365,9 +372,7 @@ def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> dict[str, Any]:
-    """Transform columns by their node's matrix, and add `step`, the resolution of the file's
-    positions.
-    """
+    """Transform columns by their node's matrix; add `step`, the resolution of the positions."""
     step = step_of(raw["means"])
     if np.array_equal(matrix, np.eye(4)):
         return {**raw, "step": step}
@@ -388,7 +393,7 @@ def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]
 
 
 def _alike(parts: list[dict[str, NDArray]]) -> list[dict[str, NDArray]]:
-    """Pad all parts with zeros, so that they have the same number of harmonics."""
+    """Pad all parts with zeros so that they have the same number of harmonics."""
     most = max(part["sh"].shape[1] for part in parts)
     rows = [(0, most - part["sh"].shape[1]) for part in parts]
     padded = [np.pad(p["sh"], ((0, 0), row, (0, 0))) for p, row in zip(parts, rows, strict=True)]

@@ -1,14 +1,15 @@
 """Reads the values of a GLB file, and decides whether its scales are logarithms.
 
 An accessor (glTF 2.0, section 3.6.2) reads numbers of one type from a view of the binary chunk. A
-sparse accessor replaces some of the numbers in a view; an accessor without a view starts from
-zeros.
+sparse accessor replaces some of the numbers in a view. If an accessor has no view, all numbers are
+zero at first.
 
-Scales are lengths in the ratified KHR_gaussian_splatting, but logarithms in its review draft, and a
-file does not say which text it follows. Negative scales must be logarithms. Some programs, named in
-the field `generator`, are known to write logarithms. If all logarithms are positive, as in a file
-in millimetres, the Gaussians decide: in an object, their width is about the distance between them.
-Logarithms that are mistaken for lengths are much smaller than the distance between the Gaussians.
+Scales are lengths in the ratified KHR_gaussian_splatting, but logarithms in the draft of this
+extension. A file does not state which version it follows. Negative scales must be logarithms. Some
+programs are known to write logarithms; the field `generator` states the program's name. If all
+logarithms are positive, as in a file in millimetres, the Gaussians themselves are examined: the
+width of an object's Gaussians is about the distance between them. If logarithms were mistaken for
+lengths, the Gaussians would be much narrower than the distance between them.
 """
 
 from __future__ import annotations
@@ -39,10 +40,10 @@ class Scene:
 
 
 def item(scene: Scene, kind: str, index: Any) -> Any:
-    """Return an entry of one of the lists in the JSON description, such as node 3.
+    """Return an entry from a list in the JSON description, such as node 3.
 
     Raises:
-        Malformed: If there is no such entry.
+        Malformed: If the list has no such entry.
     """
     entries = scene.tree.get(kind, [])
     if type(index) is not int or not 0 <= index < len(entries):
@@ -56,16 +57,17 @@ def values(
     """Return the values of an accessor [count,width].
 
     Args:
-        scene: The file.
+        scene: The description and data of the file.
         index: Index of the accessor.
-        width: Numbers per value.
+        width: Expected count of numbers per value.
         count: Expected number of values.
-        as_they_are: Whether to return integers unchanged, even if the file declares them to be
-            normalised (fractions of the largest integer).
+        as_they_are: Whether integers are returned unchanged, even if the file declares that they
+            are normalised (fractions of the largest integer).
 
     Raises:
         InputError: If the file is cut short.
-        Malformed: If the accessor differs in type or number, or exceeds its view.
+        Malformed: If the type or number of values is unexpected, or the values are not within their
+            view.
     """
     accessor = item(scene, "accessors", index)
     if WIDTHS.get(accessor["type"]) != width:
@@ -117,7 +119,7 @@ def _read_view(
 
 
 def _apply_sparse(scene: Scene, sparse: dict[str, Any], raw: NDArray[Any]) -> NDArray[Any]:
-    """Replace some of the numbers [N,width] by the values of a sparse accessor."""
+    """Replace some of the numbers [N,width] with the values of a sparse accessor."""
     count, kind = int(sparse["count"]), _dtype(sparse["indices"])
     if kind.kind != "u":
         raise Malformed("the indices of a sparse accessor are not integers")
@@ -133,25 +135,26 @@ PLAYCANVAS = re.compile(r"splat-transform (\d+)\.(\d+)")
 LENGTHS_SINCE = (2, 7)
 """First version of splat-transform that wrote scales as lengths."""
 FEW = 0.01
-"""Largest fraction of negative scales that is ignored: in a mirrored object, lengths are negative,
-too."""
+"""Largest fraction of negative scales that is ignored, because in a mirrored object lengths can
+also be negative."""
 NEIGHBOURS = 4
 SOME = 2000
-"""Approximate number of Gaussians that are sampled."""
+"""Approximate number of Gaussians in the sample that is examined."""
 BARE = 0.55
-"""Ratio of a Gaussian's width to the spacing below which the object would be full of holes."""
+"""If the ratio of a Gaussian's width to the spacing is below this, the object would be full of
+holes."""
 SHORT = 1.0
-"""Smallest median at which scales can be logarithms although all are positive."""
+"""Smallest median of scales that can be logarithms although all of them are positive."""
 COVERING = (0.6, 6.0)
-"""Ratios of width to spacing with which Gaussians cover an object; measured ratios are 1.2 to
-3.5."""
+"""Smallest and largest ratio of width to spacing with which Gaussians cover an object; measured
+ratios are 1.2 to 3.5."""
 NOTE = "Its scales are read as logarithms: {}."
 
 
 def kind_of_scales(
     generator: str, parts: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
 ) -> tuple[bool, list[str]]:
-    """Return whether scales are logarithms, with a note if this is a guess.
+    """Return whether scales are logarithms, and a note if this was guessed.
 
     Args:
         generator: Name of the program that wrote the file, as the file states it.
@@ -171,7 +174,7 @@ def kind_of_scales(
 
 
 def _too_small(scales: NDArray[np.float32], means: NDArray[np.float32]) -> bool:
-    """Whether Gaussians would cover an object only if their scales are logarithms."""
+    """Whether the Gaussians would cover an object only if their scales are read as logarithms."""
     sound = np.isfinite(means).all(axis=1) & np.isfinite(scales).all(axis=1)
     longest, places = scales[sound].max(axis=1, initial=0), means[sound].astype(np.float64)
     if len(places) <= NEIGHBOURS:
@@ -179,7 +182,8 @@ def _too_small(scales: NDArray[np.float32], means: NDArray[np.float32]) -> bool:
     from scipy.spatial import KDTree
 
     some = slice(None, None, max(1, len(places) // SOME))
-    # On a surface, the k nearest neighbours share a disc of k times the area of one Gaussian.
+    # On a surface, the k nearest neighbours cover a disc whose area is k times that of one
+    # Gaussian.
     apart = KDTree(places).query(places[some], NEIGHBOURS + 1)[0][:, -1] / np.sqrt(NEIGHBOURS)
     spacing, length = float(np.median(apart)), float(np.median(longest[some]))
     with np.errstate(over="ignore"):

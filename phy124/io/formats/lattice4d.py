@@ -1,10 +1,11 @@
-"""Writes a clip as one small file: the first frame as SOG, and the motion of a coarse lattice.
+"""Writes a clip as one small file, with the first frame as SOG and the motion of a coarse lattice.
 
-The lattice covers the first frame; a Gaussian moves with the eight nodes around it, whose
-displacements are interpolated trilinearly. The displacements of a frame are fitted to those of the
-Gaussians by least squares. Gaussians whose error would exceed `TOLERANCE` of the object's size are
-exceptions, with a separate shift in each frame. The file states the remaining error of each
-Gaussian. Layout, little endian, with offsets from the start of the file:
+The lattice is built around the object as it is in the first frame. Each Gaussian moves by the
+trilinearly interpolated displacement of the eight nodes around it. In each frame, the nodes'
+displacements are fitted to those of the Gaussians by least squares. Gaussians whose error would
+exceed `TOLERANCE` times the object's size are exceptions, which have a separate shift in each
+frame. The file states the error that remains for each Gaussian. Layout, little endian, with offsets
+from the start of the file:
 
     bytes          content
     0 to 7         "PHY4D" 0 1 0
@@ -21,8 +22,9 @@ Gaussian. Layout, little endian, with offsets from the start of the file:
     errors         largest error of each Gaussian, uint8 in steps of error.max / 255, rounded up;
                    compressed by zlib
 
-Frames are independent, so a reader can request a range of bytes. docs/guide/p4d.md describes
-readers in Python and JavaScript. The axes are those of SOG: -y up, -z to the front.
+Frames can be decoded independently of each other, so a reader can request only a range of bytes.
+docs/guide/p4d.md describes readers in Python and JavaScript. The axes are those of SOG: -y up, -z
+to the front.
 """
 
 from __future__ import annotations
@@ -51,40 +53,41 @@ from phy124.runtime.memory import release
 
 MAGIC = b"PHY4D\0\1\0"
 TOLERANCE = 1e-3
-"""Largest error of a Gaussian's centre relative to the object's size."""
+"""Largest error of a Gaussian's centre, relative to the object's size."""
 NODES = (12, 17, 24, 34)
-"""Lattices that are tried, by their number of nodes along the longest side; the smallest file is
+"""Numbers of nodes along the longest side of the lattices that are tried; the smallest file is
 kept."""
 STIFF = 1e-4
-"""Weight of the differences between neighbouring nodes; they determine nodes that move few
-Gaussians."""
+"""Weight of the differences between neighbouring nodes in the fit; they determine nodes that move
+only few Gaussians."""
 STEP = TOLERANCE / 8
 """Quantisation step of the displacements, relative to the object's size."""
 LARGEST = 2**15 - 1
 TALLEST = 4.0
-"""Largest stored magnitude of the logarithm of a ratio of scales (a factor of exp(4) = 55); larger
-ones are clipped."""
+"""Largest magnitude of the logarithm of a ratio of scales that is stored (a factor of exp(4) = 55);
+larger values are clipped."""
 STRETCHES = 1 << 22
-"""Largest number of values from which the range of the stretch is determined."""
+"""Largest number of values from which the range of stretches is determined."""
 PERCENTILES = (1, 99)
-"""Percentiles of the stretch at the ends of its colour ramp; single outliers are ignored."""
+"""Percentiles of the stretch that correspond to the ends of its colour ramp, so that single
+outliers are ignored."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The nodes that each Gaussian follows, and their weights."""
+    """The nodes that each Gaussian follows, and the weights of these nodes."""
 
     origin: NDArray[np.float64]
     spacing: float
     shape: NDArray[np.int64]
     indices: NDArray[np.int64]
-    """Index of each node in the complete lattice [M], increasing."""
+    """Indices of the nodes in the complete lattice [M], in increasing order."""
     weights: Any
     """Trilinear weights, a sparse matrix [N,M]."""
 
     @classmethod
     def around(cls, points: NDArray[np.float64], nodes: int) -> Lattice:
-        """Build the lattice with a number of nodes along the longest side of points [N,3], m."""
+        """Build the lattice with `nodes` nodes along the longest side of points [N,3], m."""
         from scipy import sparse
 
         low = points.min(axis=0)
@@ -145,7 +148,7 @@ class Lattice:
 def write_lattice4d(
     path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent
 ) -> None:
-    """Write the object of a clip as one file, which appears whole or not at all.
+    """Write the object of a clip as one file, which appears only when it is complete.
 
     Raises:
         InputError: The clip is empty, or the file cannot be written.
@@ -163,7 +166,7 @@ def encode(
     shades: bytes = b"",
     progress: Progress = silent,
 ) -> tuple[list[bytes], float]:
-    """Return the bytes of a file, in pieces, and the error of the Gaussians' shapes.
+    """Return the bytes of a file in pieces, and the error of the Gaussians' shapes.
 
     The error is the 99th percentile, over Gaussians, of the largest relative error of the
     covariances that follow from the deformation gradient of the lattice.
@@ -171,9 +174,9 @@ def encode(
     Args:
         clip: The clip.
         mask: The Gaussians to write [N].
-        player: Further entries for the player.
+        player: Further entries of the JSON for the player.
         shades: The player's shadow maps.
-        progress: Called as progress("export", lattices tried, lattices in total).
+        progress: Function that is called as progress("export", lattices tried, lattices in total).
 
     Raises:
         InputError: The clip is empty.
@@ -226,16 +229,16 @@ def measure_size(points: NDArray[np.float64]) -> float:
 
 
 def measure(clip: Clip) -> dict[str, Any]:
-    """Measure, over all frames, the ranges of values that the player needs when it starts.
+    """Measure the ranges of values over all frames that the player needs when it starts.
 
-    The ranges are the bounding box; the range of the log ratios of scales, which is clipped to
-    +-`TALLEST`; the largest speed; and the ends of the colour ramp for stretch, which are symmetric
-    about 1. Stretch is the longest axis of a Gaussian divided by its longest axis at rest.
+    The ranges are the bounding box; the range of the log ratios of scales, clipped to +-`TALLEST`;
+    the largest speed; and the ends of the colour ramp for the stretch, which are symmetric about 1.
+    Stretch is the longest axis of a Gaussian divided by its longest axis at rest.
     """
     rest = np.maximum(clip.scales[0], 1e-9)
     some = slice(None, None, 1 + len(clip) * len(rest) // STRETCHES)
     stretch, ends = np.empty((len(clip), len(rest[some])), np.float32), []
-    # Frame by frame: a clip may be larger than the memory.
+    # Read frame by frame, because a clip may be larger than the memory.
     for index in range(len(clip)):
         means, scales = clip.means[index], clip.scales[index]
         ratios = np.log(np.maximum(scales, 1e-9) / rest)
@@ -256,8 +259,8 @@ def measure(clip: Clip) -> dict[str, Any]:
 def measure_speeds(clip: Clip) -> Iterator[NDArray]:
     """Yield the speeds of each frame [N], m/s.
 
-    The speeds come from the clip's velocities or, if the clip has none, from the positions of
-    adjacent frames.
+    The speeds are computed from the clip's velocities or, if the clip has none, from the positions
+    in adjacent frames.
     """
     if clip.velocities is not None or len(clip) < 2:
         for index in range(len(clip)):
@@ -308,8 +311,9 @@ def _centres(still: bytes) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """The motion of a clip: displacements of a lattice, and extra shifts of Gaussians with too
-    large an error.
+    """The motion of a clip: displacements of a lattice, and extra shifts of some Gaussians.
+
+    A Gaussian has an extra shift if its error would otherwise be too large.
     """
 
     lattice: Lattice
@@ -319,11 +323,11 @@ class _Motion:
     errors: NDArray[np.float64]
     """Largest error of each Gaussian [N], m."""
     moved: dict[int, NDArray[np.float64]]
-    """Displacements of the nodes [M,3], m, in each frame in which shapes are compared."""
+    """Displacements of the nodes [M,3], m, for each frame in which shapes are compared."""
 
     @property
     def size(self) -> int:
-        """Size of the motion [bytes]."""
+        """Size of the stored motion [bytes]."""
         return sum(map(len, self.frames)) + 2 * len(self.lattice.indices)
 
     @classmethod
@@ -363,9 +367,7 @@ def _compared(count: int) -> set[int]:
 
 
 def _pack(about: dict[str, Any], parts: list[bytes]) -> list[bytes]:
-    """Return a file's pieces; the JSON is padded, so that its length does not depend on the
-    offsets.
-    """
+    """Return the pieces of a file; padding makes the JSON's length independent of the offsets."""
     start = 12 + len(json.dumps(about)) + 200 + 32 * len(parts)
     offsets = start + np.cumsum([0, *map(len, parts[:-1])])
     sections = [[int(at), len(part)] for at, part in zip(offsets, parts, strict=True)]

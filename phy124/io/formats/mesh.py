@@ -1,12 +1,12 @@
 """Writes the surface of Gaussians as a watertight triangle mesh with colours.
 
-The surface is where the density of the Gaussians, the sum of opacity * exp(-d^2 / 2) with the
-Mahalanobis distance d, is 1/2. The density is sampled on a grid with `CELLS` cells along the
-longest side; Gaussians thinner than `BLUR` cells are widened to this thickness, because those of a
-surface are much thinner than a cell. The surface is at most one cell away from the surface of the
-same density on a grid four times as fine. Cavities that the surface encloses are filled. The
-triangles are those of marching cubes (Lewiner et al. 2003, by scikit-image); a vertex has the mean
-colour of the nearest Gaussians.
+The surface consists of the points at which the density of the Gaussians is 1/2. The density is the
+sum of opacity * exp(-d^2 / 2), where d is the Mahalanobis distance. The density is sampled on a
+grid with `CELLS` cells along the longest side. Gaussians on a surface are much thinner than a cell,
+so Gaussians thinner than `BLUR` cells are widened to this thickness. The surface differs by at most
+one cell from the surface that the same density has on a grid four times as fine. Cavities that the
+surface encloses are filled. The triangles are computed by marching cubes (Lewiner et al. 2003, in
+scikit-image). A vertex has the mean colour of the Gaussians nearest to it.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ CELLS = 80
 LEVEL = 0.5
 """Density at the surface."""
 BLUR = 0.3
-"""Smallest standard deviation of a Gaussian, in cells."""
+"""Smallest standard deviation that a Gaussian is given, in units of cells."""
 REACH = 2.5
-"""Distance from a Gaussian beyond which its density is neglected, in standard deviations."""
+"""Distance from a Gaussian beyond which its density is neglected, in units of its standard
+deviation."""
 WIDEST = 12
-"""Largest reach of a Gaussian along an axis, in cells."""
+"""Largest distance along an axis up to which a Gaussian contributes, in units of cells."""
 NEAREST = 4
-"""Number of nearest Gaussians whose mean colour a vertex gets."""
+"""Number of nearest Gaussians from which the mean colour of a vertex is computed."""
 BATCH = 4_000_000
 """Largest number of density values that are computed at once."""
 
@@ -45,11 +46,11 @@ class Surface:
     vertices: NDArray[np.float64]
     """Positions [V,3], m."""
     faces: NDArray[np.int64]
-    """Vertices of each triangle [F,3], anticlockwise seen from outside."""
+    """Vertex indices of each triangle [F,3], anticlockwise if seen from outside."""
     rgb: NDArray[np.float64]
-    """Colours [V,3], 0..1."""
+    """Colours of the vertices [V,3], 0..1."""
     cell: float
-    """Side of a cell of the grid [m]."""
+    """Edge length of a cell of the grid [m]."""
 
 
 def find_surface(gaussians: Gaussians, cells: int = CELLS, blur: float = BLUR) -> Surface:
@@ -57,8 +58,9 @@ def find_surface(gaussians: Gaussians, cells: int = CELLS, blur: float = BLUR) -
 
     Args:
         gaussians: The Gaussians.
-        cells: Number of cells along the longest side.
-        blur: Smallest standard deviation of a Gaussian, in cells; thinner ones are widened.
+        cells: Number of cells along the longest side of the object.
+        blur: Smallest standard deviation of a Gaussian, in units of cells; thinner Gaussians are
+            widened.
 
     Raises:
         InputError: scikit-image is not installed, or the density is below 1/2 everywhere.
@@ -79,21 +81,22 @@ def find_surface(gaussians: Gaussians, cells: int = CELLS, blur: float = BLUR) -
         raise InputError("clip", "faint", limit, "Give a clip of a visible object.")
     vertices, faces, _, _ = marching_cubes(density, LEVEL, allow_degenerate=False)
     points = corner + cell * vertices.astype(np.float64)
-    # scikit-image orders triangles for a density that falls outwards clockwise.
+    # If a density decreases outwards, scikit-image orders the vertices of triangles clockwise.
     return Surface(points, faces[:, ::-1].astype(np.int64), _colours(gaussians, points), cell)
 
 
 def sample_density(
     gaussians: Gaussians, cell: float, blur: float = BLUR
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return the density of Gaussians at the nodes of a grid [X,Y,Z], and its first node [3], m.
+    """Return the density of Gaussians at the nodes of a grid [X,Y,Z], and the first node [3], m.
 
     The outermost two layers of nodes are zero.
 
     Args:
         gaussians: The Gaussians.
         cell: Distance between nodes [m].
-        blur: Smallest standard deviation of a Gaussian, in cells; thinner ones are widened.
+        blur: Smallest standard deviation of a Gaussian, in units of cells; thinner Gaussians are
+            widened.
     """
     turns = rotation_matrices(gaussians.quats)
     spread = np.maximum(gaussians.scales / cell, blur)
@@ -123,9 +126,9 @@ def sample_density(
 
 
 def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.float32]:
-    """Return exp(-d^2 / 2) of each Gaussian at offsets from the nearest node [N,K].
+    """Return exp(-d^2 / 2) of each Gaussian at nodes around the node that is nearest to it [N,K].
 
-    The quadratic form is a product of two matrices of ten columns.
+    The quadratic form is computed as a product of two matrices with ten columns.
 
     Args:
         inverse: Inverse covariances [N,3,3], 1 / cells^2.
@@ -146,7 +149,7 @@ def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.
 
 
 def _fill_cavities(density: NDArray[np.float32]) -> None:
-    """Raise the density of all nodes inside the surface above the value at the surface."""
+    """Raise the density at all nodes inside the surface above the value at the surface."""
     from scipy import ndimage
 
     labels: Any = ndimage.label(density <= LEVEL)
@@ -172,7 +175,7 @@ def to_trimesh(surface: Surface, *, linear: bool = False) -> Any:
 
     Args:
         surface: The surface.
-        linear: Whether the colours are stored in proportion to the light, as glTF requires.
+        linear: Whether colours are stored in proportion to the light, as required by glTF.
     """
     import trimesh
 
@@ -193,11 +196,11 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False, kind: str = "glb"
 
     Args:
         gaussians: The Gaussians, in the axes of the file.
-        antialiased: Ignored; a mesh has no such property.
+        antialiased: Ignored, because a mesh has no such property.
         kind: glb, obj or ply.
 
     Raises:
-        InputError: As `find_surface`.
+        InputError: For the reasons listed at `find_surface`.
     """
     del antialiased
     data = to_trimesh(find_surface(gaussians), linear=kind == "glb").export(file_type=kind)

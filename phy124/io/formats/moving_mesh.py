@@ -1,11 +1,11 @@
 """Writes a clip as one animated GLB: a mesh with one morph target per frame.
 
-The mesh is the surface of the first frame. A user can give a textured mesh instead, such as the
-file from which the object was made. Each vertex follows the Gaussians near it, by the rigid motion
-that best fits the Gaussians' motion (Kabsch 1976). The weights of the morph targets are animated
-linearly from frame to frame, so that at most two targets are active. The axes are those of glTF (y
-up, z to the front, metres). The topology is constant; for objects that tear or flow, a mesh of each
-frame can be written instead (`phy124/io/formats/mesh.py`).
+The mesh is the surface of the first frame. Instead, a user can give a textured mesh, such as the
+file from which the object was made. Each vertex follows the Gaussians near it. It moves by the
+rigid motion that best fits the motion of these Gaussians (Kabsch 1976). The weights of the morph
+targets change linearly from frame to frame, so that at most two targets are active. The axes are
+those of glTF (y up, z to the front, metres). The topology is constant. If an object tears or flows,
+a mesh of each frame can be written instead (`phy124/io/formats/mesh.py`).
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from phy124.io.formats.mesh import find_surface, to_trimesh
 from phy124.progress import Progress, silent
 
 CELLS = 56
-"""Number of cells along the longest side of the surface of the first frame."""
+"""Number of grid cells along the longest side for the surface of the first frame."""
 NEAREST = 12
 """Number of Gaussians that a vertex follows."""
 FLOAT, VERTICES = 5126, 34962
-"""Constants of glTF: type of a number, target of a buffer view."""
+"""Constants of glTF: type of a float number, and target of a buffer view."""
 TYPES = {1: "SCALAR", 3: "VEC3"}
 
 
 def write_moving_mesh(
     path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent
 ) -> None:
-    """Write a clip as an animated GLB of its surface, which appears whole or not at all.
+    """Write the surface of a clip as an animated GLB, which appears only when it is complete.
 
     Raises:
         InputError: The clip is empty, a package is missing, or the file cannot be written.
@@ -55,13 +55,13 @@ def write_moving_mesh(
 def write_moved(
     path: str | os.PathLike[str], clip: Clip, pieces: list[Any], *, progress: Progress = silent
 ) -> None:
-    """Write meshes that follow a clip as an animated GLB.
+    """Write meshes that follow the motion of a clip as an animated GLB.
 
     Args:
-        path: The file, which appears whole or not at all.
-        clip: The clip.
+        path: The file, which appears only when it is complete.
+        clip: The clip whose motion the meshes follow.
         pieces: Meshes of the package trimesh, in the pose of the clip's first frame.
-        progress: Called as progress("export", frames done, total frames).
+        progress: Function that is called as progress("export", frames done, total frames).
     """
     import trimesh
 
@@ -94,11 +94,11 @@ def write_moved(
 
 
 def fit_to_clip(pieces: list[Any], clip: Clip, axes: tuple[str, str | None]) -> list[Any]:
-    """Return meshes scaled and shifted to the object of a clip in its first frame.
+    """Scale and shift meshes to match the object of a clip in its first frame, and return them.
 
     Args:
         pieces: Meshes of the package trimesh, in the axes and unit of their file.
-        clip: A clip of the object that was made of this file.
+        clip: A clip of the object that was made from the file of the meshes.
         axes: Up and front directions of the file.
     """
     turn = orientation(*axes)
@@ -114,7 +114,7 @@ def fit_to_clip(pieces: list[Any], clip: Clip, axes: tuple[str, str | None]) -> 
 
 
 def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield the positions [V,3] of points in each frame; in the first frame they are `points`.
+    """Yield the positions [V,3] of points in each frame; in the first frame, they are at `points`.
 
     Args:
         clip: The clip whose Gaussians the points follow.
@@ -139,7 +139,7 @@ def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float
 
 
 def _fit_rotations(correlation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotations R [V,3,3], b = R a, that best fit the sums of w a b^T [V,3,3]."""
+    """Return rotations R [V,3,3], b = R a, that best fit the sums of w a b^T [V,3,3]."""
     u, _, vt = np.linalg.svd(correlation)
     sign = np.linalg.det(u) * np.linalg.det(vt)
     u[:, :, 2] *= sign[:, None]
@@ -155,14 +155,14 @@ def _name(index: int) -> str:
 
 
 def _split(data: bytes, buffer: BinaryIO) -> dict[str, Any]:
-    """Return the JSON of a GLB file, and write its buffer to another file."""
+    """Return the JSON of a GLB file, and write the buffer of the file to another file."""
     size = int.from_bytes(data[12:16], "little")
     buffer.write(data[28 + size :])
     return json.loads(data[20 : 20 + size])
 
 
 def _join(document: dict[str, Any], buffer: BinaryIO, file: BinaryIO) -> None:
-    """Write a GLB file from a JSON and a buffer."""
+    """Write a GLB file from its JSON and its buffer."""
     length = _pad(buffer)
     document["buffers"] = [{"byteLength": length}]
     text = json.dumps(document, separators=(",", ":")).encode()
@@ -176,7 +176,7 @@ def _join(document: dict[str, Any], buffer: BinaryIO, file: BinaryIO) -> None:
 
 
 def _pad(buffer: BinaryIO) -> int:
-    """Write zeros until the length of a file is a multiple of 4; return this length [bytes]."""
+    """Append zeros until the length of a file is a multiple of 4; return the new length [bytes]."""
     buffer.write(b"\0" * (-buffer.tell() % 4))
     return buffer.tell()
 
@@ -202,7 +202,7 @@ def _append(
 
 
 def _add_targets(mesh: dict[str, Any], targets: list[dict[str, int]]) -> None:
-    """Add a morph target for each frame except the first."""
+    """Add a morph target for each frame except for the first frame."""
     if targets:
         mesh["weights"] = [0.0] * len(targets)
         for primitive in mesh["primitives"]:
@@ -228,7 +228,7 @@ def _animate(document: dict[str, Any], buffer: BinaryIO, times: NDArray[np.float
 
 
 def _unlit(document: dict[str, Any]) -> None:
-    """Show vertex colours without lights, because the colours contain the light of the picture."""
+    """Show vertex colours without lighting, because they contain the light of the picture."""
     bare = [
         primitive
         for mesh in document["meshes"]

@@ -1,9 +1,8 @@
-"""Quantises numbers to 256 codes, vectors to the entries of a palette, and quaternions to 3
-numbers.
+"""Quantises numbers to 256 codes, vectors to a palette, and quaternions to three components.
 
-The largest component of a unit quaternion is not stored. Since q and -q are the same rotation, the
-largest component can be made positive, and then follows from the length 1. The three smaller
-components of a unit quaternion are at most 1 / sqrt 2.
+The largest of the four components of a unit quaternion is not stored. Since q and -q are the same
+rotation, this component can be made positive. It then follows from the condition that the length is
+1. The magnitude of each of the other three components is at most 1 / sqrt 2.
 """
 
 from __future__ import annotations
@@ -13,18 +12,19 @@ from numpy.typing import NDArray
 
 SIZE = 256
 ROUNDS = 20
-"""Rounds of Lloyd's algorithm; the rounds after the tenth reduce the error by less than 1 %."""
+"""Number of iterations of Lloyd's algorithm; iterations after the tenth reduce the error by less
+than 1 %."""
 
 COMPONENTS = 8
-"""Number of principal components used to divide vectors into cells."""
+"""Number of principal components that are used to divide vectors into cells."""
 
 
 def make_codebook(values: NDArray) -> NDArray[np.float64]:
     """Return 256 ascending codes that minimise the mean square distance to `values [N]`.
 
-    The method is Lloyd's algorithm in one dimension: since the values are sorted, the mean of each
+    The method is Lloyd's algorithm in one dimension. Since the values are sorted, the sum over each
     cell is a difference of two cumulative sums. Half of the initial codes are quantiles, which
-    represent dense regions; the other half are evenly spaced, which represents outliers.
+    represent dense regions. The other half are evenly spaced, which represents outliers.
     """
     ordered = np.sort(np.asarray(values, np.float64))
     sums = np.concatenate([[0], np.cumsum(ordered)])
@@ -40,16 +40,17 @@ def make_codebook(values: NDArray) -> NDArray[np.float64]:
 
 
 def nearest_codes(codes: NDArray, values: NDArray) -> NDArray[np.uint8]:
-    """For each value, return the index of the nearest code."""
+    """Return, for each value, the index of the nearest code."""
     return np.searchsorted((codes[1:] + codes[:-1]) / 2, values).astype(np.uint8)
 
 
 def make_palette(vectors: NDArray, most: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return a palette that approximates `vectors [N,D]`, and the palette index of each vector.
 
-    If there are at most `most` vectors, the palette consists of the vectors. More vectors are
-    divided repeatedly, each cell at the median of its principal component of largest variance,
-    until there are `most` cells. The palette consists of the cells' means.
+    If there are at most `most` vectors, the palette consists of these vectors. Otherwise, the
+    vectors are repeatedly divided: each cell is split at the median of its principal component of
+    largest variance, until there are `most` cells. The palette then consists of the means of the
+    cells.
 
     Args:
         vectors: The vectors.
@@ -88,11 +89,11 @@ def _sort_halves(vectors: NDArray, cell: NDArray[np.int64], cells: int) -> NDArr
 
 
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""Indices of the stored components, by the index of the omitted component."""
+"""Indices of the three stored components, for each index of the component that is not stored."""
 
 
 def drop_largest(quats: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the three smallest components [N,3], and the index of the largest [N]."""
+    """Return the three smallest components [N,3], and the index of the largest component [N]."""
     quats = np.asarray(quats, np.float64)
     which = np.abs(quats).argmax(axis=1)
     sign = np.where(np.take_along_axis(quats, which[:, None], 1) < 0, -1.0, 1.0)

@@ -1,5 +1,4 @@
-"""Reads and writes SOG version 2 (PlayCanvas): a zip of lossless WebP images with one pixel per
-Gaussian.
+"""Reads and writes SOG version 2 (PlayCanvas), a zip of WebP images with one pixel per Gaussian.
 
     meta.json                     {version: 2, count, antialias, and an entry for each below}
     means: mins, maxs, files      two images: low and high byte of 16 bits between mins and maxs;
@@ -56,12 +55,12 @@ from phy124.io.formats.quantise import (
 KIND = "SOG"
 META = "meta.json"
 LONGEST = 1 << 20
-"""Largest meta.json that is read [bytes]; a usual meta.json has 20,000 bytes."""
+"""Size of the largest meta.json that is read [bytes]; meta.json usually has 20,000 bytes."""
 WIDEST = 16383
 """Largest width or height of a WebP image [pixels]."""
 ENTRIES_PER_ROW = 64
 MOST_ENTRIES = 1 << 16
-"""Largest number of entries in the palette of harmonics."""
+"""Largest number of entries in the palette of spherical harmonics."""
 COEFFICIENTS = (0, 3, 8, 15, 24)
 """Number of harmonics above degree 0, for degrees 0 to 4."""
 TAG = 252
@@ -127,7 +126,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> Content:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a SOG file; the order of the Gaussians is kept."""
+    """Return the bytes of a SOG file; the Gaussians keep their order."""
     meta: dict[str, Any] = {
         "version": 2,
         "asset": {"generator": "phy124"},
@@ -155,7 +154,7 @@ def _zip(meta: dict[str, Any], pictures: dict[str, NDArray[np.uint8]]) -> bytes:
     with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:
         for name, picture in pictures.items():
             file = io.BytesIO()
-            # `exact` preserves the colour of pixels whose alpha is 0.
+            # The option `exact` preserves the colour of pixels whose alpha is 0.
             Image.fromarray(picture).save(file, "WEBP", lossless=True, exact=True, method=2)
             archive.writestr(zipfile.ZipInfo(name), file.getvalue())
         archive.writestr(zipfile.ZipInfo(META), json.dumps(meta, allow_nan=False))
@@ -163,7 +162,7 @@ def _zip(meta: dict[str, Any], pictures: dict[str, NDArray[np.uint8]]) -> bytes:
 
 
 def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Read a member of the archive that has at most `most` bytes."""
+    """Read a file of the archive that has at most `most` bytes."""
     known = {info.filename.rpartition("/")[2]: info for info in archive.infolist()}
     if name == META and name not in known:
         limit = "it is a zip archive, but not a SOG file: it has no meta.json."
@@ -205,7 +204,7 @@ def _size(data: bytes) -> tuple[int, int]:
 
 
 def _codes(entry: dict[str, Any]) -> NDArray[np.float32]:
-    """Return the 256 values of a codebook."""
+    """Return the 256 values that a codebook contains."""
     codes = np.array(entry["codebook"], np.float64)
     if codes.shape != (256,):
         raise Malformed("a codebook does not have 256 values")
@@ -233,7 +232,7 @@ def _rotations(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
 def _harmonics(
     path: Path, archive: zipfile.ZipFile, entry: dict[str, Any], pixels: Any
 ) -> NDArray[np.float32]:
-    """Return the coefficients above degree 0 [N,K-1,3]."""
+    """Return the spherical-harmonic coefficients above degree 0 [N,K-1,3]."""
     count, each = int(entry["count"]), COEFFICIENTS[int(entry["bands"])]
     if not 0 < count <= MOST_ENTRIES or not each:
         raise Malformed("its palette of harmonics is empty or too large")

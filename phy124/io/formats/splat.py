@@ -23,7 +23,7 @@ ROW = np.dtype(
     [("centre", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)]
 )
 LOOKED_AT = 1000
-"""Number of rows that are examined to recognise a `.splat` file."""
+"""Number of rows that are examined to decide whether a file is a `.splat` file."""
 
 
 def read(path: Path) -> Content:
@@ -73,7 +73,7 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def likely(path: Path) -> bool:
-    """Whether a file without a signature is likely to contain rows of Gaussians."""
+    """Whether a file without a signature probably consists of rows of Gaussians."""
     size = path.stat().st_size
     if not size or size % ROW.itemsize:
         return False
@@ -81,7 +81,7 @@ def likely(path: Path) -> bool:
 
 
 def _sound_share(rows: NDArray) -> float:
-    """Return the share of rows with a finite centre, no negative scale and a unit quaternion."""
+    """Return the fraction of rows with a finite centre, no negative scale and a unit quaternion."""
     with np.errstate(invalid="ignore", over="ignore"):
         unit = np.abs(np.linalg.norm(_quats(rows), axis=1) - 1) < 0.1
         sound = np.isfinite(rows["centre"]).all(axis=1) & (rows["scale"] >= 0).all(axis=1)

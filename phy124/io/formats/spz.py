@@ -17,10 +17,11 @@
                            omitted; for each other component a sign and 9 bits, / 511 sqrt 2
     harmonics   9, 24, 45  of degree 1 to 3: coefficient by coefficient, (value - 128) / 128
 
-Versions 1 to 3 compress the file with gzip; version 4 compresses each section as a Zstandard
-stream. Extensions follow the sections; in version 4 they precede the table. The axes are x right,
-y up, z to the viewer, unless an extension says otherwise. Scales are quantised in steps of 6.5 %.
-As in Niantic's program, harmonics are written with 5 bits for degree 1 and 4 bits above.
+In versions 1 to 3, the file is compressed with gzip. In version 4, each section is a separate
+Zstandard stream. Extensions follow the sections, but in version 4 they are before the table. The
+axes are x right, y up, z towards the viewer, unless an extension states other axes. Scales are
+quantised with a relative increment of 6.5 %. As in Niantic's program, harmonics are written with 5
+bits for degree 1, and with 4 bits for higher degrees.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ SYSTEMS = (
     *(x + y + z for z in "BF" for y in "DU" for x in "LR"),
     *(x + y + z for y in "FB" for z in "DU" for x in "LR"),
 )
-"""Names of the coordinate systems 1 to 16; the letters are the directions of x, y and z."""
+"""Names of the coordinate systems 1 to 16; the three letters are the directions of x, y and z."""
 USUAL = "RUB"
 """The coordinate system of a file that does not state one."""
 DIRECTIONS = {"R": (1, 0, 0), "U": (0, 1, 0), "B": (0, 0, 1)}
@@ -62,7 +63,7 @@ MOST_NAMED = 8
 
 
 class Extensions(NamedTuple):
-    """The supported extensions of a file, and notes about the others."""
+    """The extensions of a file that are supported, and notes about other extensions."""
 
     system: str = USUAL
     """Directions of x, y and z, as letters: right, left, up, down, back or front."""
@@ -70,7 +71,7 @@ class Extensions(NamedTuple):
 
     @property
     def axes(self) -> tuple[str, str]:
-        """Directions of the file that point up and to the object's front (towards the viewer)."""
+        """Directions in the file that point up and to the object's front (towards the viewer)."""
         return _axis(self.system, "UD"), _axis(self.system, "BF")
 
     @property
@@ -80,7 +81,10 @@ class Extensions(NamedTuple):
 
 
 def read_extensions(data: bytes) -> Extensions:
-    """Read the records of the extensions; a damaged record is ignored and reported in a note."""
+    """Read the records of the extensions.
+
+    If a record is damaged, it is ignored and a note says so.
+    """
     system, notes, unknown, at = None, [], [], 0
     while at < len(data):
         kind, size = RECORD.unpack_from(data, at) if at + RECORD.size <= len(data) else (0, 1 << 32)
@@ -107,7 +111,7 @@ def read_extensions(data: bytes) -> Extensions:
 
 
 def _axis(system: str, letters: str) -> str:
-    """Return the signed axis for the first of two opposite directions, such as `U` (up) of `UD`."""
+    """Return the signed axis that points in the first of two opposite directions (`U` of `UD`)."""
     (at,) = (i for i, letter in enumerate(system) if letter in letters)
     return "xyz"[at] if system[at] == letters[0] else f"-{'xyz'[at]}"
 
@@ -116,7 +120,7 @@ KIND = "SPZ"
 MAGIC = b"NGSP"
 GZIP = b"\x1f\x8b"
 FOURTH = struct.pack("<I", 4)
-"""Bytes that follow the magic in a file of version 4."""
+"""Bytes that follow the signature in a file of version 4."""
 HEADER = struct.Struct("<4sIIBBBB")
 MORE = struct.Struct("<I12x")
 ENTRY = struct.Struct("<QQ")
@@ -125,20 +129,21 @@ MOST_RECORDS = 1 << 20
 """Largest number of bytes of the extensions that are read."""
 COLOUR = 0.15
 MOST_BITS = 16
-"""Number of fractional bits that are written; it is smaller if a coordinate exceeds 128 units."""
+"""Number of fractional bits with which centres are written; fewer bits are used if a coordinate
+exceeds 128 units."""
 REACH = (1 << 23) - 1
 GZIP_LEVEL = 4
-"""gzip level; level 6 takes twice as long and saves 1 %."""
+"""gzip level for writing; level 6 takes twice as long and saves 1 %."""
 LEVEL = 9
-"""Zstandard level; higher levels take longer and save hardly anything."""
+"""Zstandard level for writing; higher levels take longer and hardly reduce the size."""
 WINDOW = 1 << 27
 """Largest window of a Zstandard stream that is read [bytes]."""
 HARMONIC_BITS = (5, 4, 4)
-"""Bits written for harmonics of degree 1, 2, 3."""
+"""Numbers of bits with which harmonics of degree 1, 2 and 3 are written."""
 
 
 class Head(NamedTuple):
-    """The fields of the first 16 bytes of a file."""
+    """The fields in the first 16 bytes of a file."""
 
     magic: bytes
     version: int
@@ -150,7 +155,7 @@ class Head(NamedTuple):
 
     @property
     def sizes(self) -> list[int]:
-        """Sizes of the sections that are not empty [bytes]."""
+        """Sizes of all sections that are not empty [bytes]."""
         centre, rotation = 6 if self.version < 2 else 9, 3 if self.version < 3 else 4
         harmonics = 3 * ((self.degree + 1) ** 2 - 1)
         rows = (centre, 1, 3, 3, rotation, harmonics)
@@ -194,7 +199,7 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def encode_v4(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a file of format version 4."""
+    """Return the bytes of a file in format version 4."""
     head, sections = _pack(gaussians, 4, antialiased=antialiased)
     streams = [zstandard.ZstdCompressor(level=LEVEL).compress(section) for section in sections]
     start = HEADER.size + MORE.size
@@ -203,7 +208,7 @@ def encode_v4(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def begins(data: bytes) -> bool:
-    """Whether these first bytes belong to an SPZ file."""
+    """Whether a file with these first bytes is an SPZ file."""
     if data[:4] == MAGIC:
         return True
     try:
@@ -213,7 +218,7 @@ def begins(data: bytes) -> bool:
 
 
 def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
-    """Mirror columns along x, which turns a left-handed system into a right-handed system."""
+    """Mirror columns along x, which converts a left-handed system to a right-handed system."""
     raw["means"] *= np.array([-1, 1, 1], np.float32)
     # Mirroring along x reverses rotations about y and z.
     raw["quats"] *= np.array([1, 1, -1, -1], np.float32)
@@ -221,9 +226,10 @@ def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
 
 
 def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
-    """Return header, sections and extensions of a file of version 1, 2 or 3."""
+    """Return the header, sections and extensions of a file of version 1, 2 or 3."""
     if data[:4] == MAGIC:
-        # A browser has unpacked the file, because its server declared it as compressed by gzip.
+        # A browser may have unpacked the file, because its server declared it as compressed by
+        # gzip.
         data = _gzip(data, level=0)
     packer = zlib.decompressobj(31)
     try:
@@ -241,7 +247,7 @@ def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
 
 
 def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
-    """Return header, sections and extensions of a file of version 4."""
+    """Return the header, sections and extensions of a file of version 4."""
     head = _head(path, data[: HEADER.size], len(data), versions=(4,))
     if len(data) < HEADER.size + MORE.size:
         raise _short(path)
@@ -266,9 +272,7 @@ def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
 
 
 def _unpack(path: Path, stream: bytes, wanted: int) -> bytes:
-    """Decompress a Zstandard stream, and refuse one whose size differs from that in the file's
-    table.
-    """
+    """Decompress a Zstandard stream; refuse it if its size differs from that in the table."""
     try:
         announced = zstandard.frame_content_size(stream)
         if announced in (-1, wanted):
@@ -317,14 +321,14 @@ def _read_24_bits(data: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _from_three(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Decode quaternions wxyz of versions 1 and 2."""
+    """Decode quaternions in wxyz order (file format versions 1 and 2)."""
     vector = data.astype(np.float32) / np.float32(127.5) - 1
     scalar = np.sqrt(np.maximum(1 - np.square(vector).sum(axis=1, keepdims=True), 0))
     return np.concatenate([scalar, vector], axis=1)
 
 
 def _from_four(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Decode quaternions wxyz of version 3 and later."""
+    """Decode quaternions in wxyz order (file format version 3 and later)."""
     packed = np.ascontiguousarray(data).view("<u4")
     fields = (packed >> np.array([20, 10, 0], np.uint32)) & np.uint32(1023)
     size = (fields & 511).astype(np.float32) / np.float32(511 * np.sqrt(2))
@@ -353,7 +357,7 @@ def _pack(gaussians: Gaussians, version: int, *, antialiased: bool) -> tuple[Hea
 
 
 def _bits(means: NDArray) -> int:
-    """Return the largest number of fractional bits with which all centres fit into 24 bits."""
+    """Return the largest number of fractional bits for which all centres fit into 24 bits."""
     reach = float(np.abs(means).max(initial=1e-6))
     return int(np.clip(np.floor(np.log2(REACH / reach)), 0, MOST_BITS))
 

@@ -1,7 +1,8 @@
-"""Writes OpenUSD: a whole clip as one animated prim, ParticleField3DGaussianSplat (OpenUSD 26.03).
+"""Writes OpenUSD: a clip is one animated prim, ParticleField3DGaussianSplat (OpenUSD 26.03).
 
-Apart from `.4dgs`, no other open format stores moving Gaussians in a single file. Units and axes
-are those of phy124 (metres, z up), which the USD header declares. Opacities and scales are linear.
+Apart from `.4dgs`, this is the only open format that stores moving Gaussians in a single file. The
+units and axes are those of phy124 (metres, z up), and the USD header states this. Opacities and
+scales are linear.
 """
 
 from __future__ import annotations
@@ -23,16 +24,17 @@ from phy124.runtime.installation import install_command
 ENDINGS = (".usdc", ".usda", ".usd")
 SCHEMA = "ParticleField3DGaussianSplat"
 SAVED = 32
-"""Number of frames after which a binary file is saved."""
+"""Number of frames after which a binary file is saved to disk."""
 REACH = 3.0
 """Number of standard deviations by which a Gaussian extends the prim's bounding box."""
 
 
 def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
-    """Write a clip as .usdc (binary), .usda (text) or .usd; needs the extra `usd`.
+    """Write a clip as .usdc (binary), .usda (text) or .usd; this needs the extra `usd`.
 
-    Positions, orientations and scales are sampled in time, as are spherical harmonics if they
-    rotate with the material. One time code is one frame. The file appears whole or not at all.
+    Positions, orientations and scales are stored for each frame, and so are spherical harmonics if
+    they rotate with the material. One time code stands for one frame. The file appears only when it
+    is complete.
 
     Raises:
         InputError: If usd-core is not installed or too old, the clip is empty, or the file cannot
@@ -78,7 +80,10 @@ def _pxr() -> Any:
 
 
 def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
-    """Create a stage with all constant properties, and return it and its prim of Gaussians."""
+    """Create a stage with all constant properties.
+
+    Return the stage and the prim of its Gaussians.
+    """
     stage = pxr.Usd.Stage.CreateNew(os.fspath(path))
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.z)
     pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -97,7 +102,7 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
 
 
 def save_at_times(stage: Any, index: int) -> None:
-    """Save a stage after every `SAVED` frames, to free the memory of their values.
+    """Save a stage after every `SAVED` frames, which frees the memory of their values.
 
     A text file is saved only once, after all frames are set, because every save writes the whole
     file.
@@ -108,7 +113,7 @@ def save_at_times(stage: Any, index: int) -> None:
 
 
 def set_times(stage: Any, clip: Clip) -> None:
-    """Declare the duration of a clip; one time code is one frame."""
+    """State the duration of a clip in the stage; one time code stands for one frame."""
     stage.SetTimeCodesPerSecond(_rate(clip))
     stage.SetFramesPerSecond(_rate(clip))
     stage.SetStartTimeCode(0)
@@ -130,7 +135,7 @@ def _sample(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
 
 
 def _colour(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
-    """Set the spherical harmonics at a time code, or for all times."""
+    """Set the spherical harmonics at a time code, or as constants."""
     flat = pxr.Vt.Vec3fArray.FromNumpy(gaussians.sh.reshape(-1, 3))
     attribute = splats.CreateRadianceSphericalHarmonicsCoefficientsAttr()
     attribute.Set(flat) if code is None else attribute.Set(flat, code)

@@ -1,9 +1,9 @@
-"""Writes a clip as USDZ: the coloured surface of the first frame, and its motion.
+"""Writes a clip as USDZ: the coloured surface of the first frame, and the motion of this surface.
 
-The file is an archive with one .usdc: a mesh whose points are sampled in time, one time code per
-frame. The mesh's material shows the colours of the vertices without further light. The axes are y
-up and z to the front, in metres, as AR viewers on phones expect. The topology is constant, as in
-`phy124/io/formats/moving_mesh.py`.
+The file is an archive that contains one .usdc. This file has a mesh whose points are stored for
+each frame, with one time code per frame. The material of the mesh shows the colours of the vertices
+without further light. The axes are y up and z to the front, in metres, as AR viewers on phones
+expect. The topology is constant, as in `phy124/io/formats/moving_mesh.py`.
 """
 
 from __future__ import annotations
