@@ -1,7 +1,7 @@
-"""Plots error over time with the Pareto front, as a PNG and as a web page.
+"""Plots the error of each setting over its time, with the Pareto front, as a PNG and a web page.
 
 A setting is dominated if another setting is both faster and more accurate. Dominated settings are
-grey. The page works offline, since it contains its data and the script that draws the plot.
+grey. The page works offline, because it contains its data and the script that draws the plot.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def find_dominated(rows: Sequence[Row]) -> set[str]:
 
 
 def save_picture(report: Report, path: PathLike, *, title: str = "") -> None:
-    """Draw error over time and PSNR over time in one PNG.
+    """Draw two plots, error over time and PSNR over time, in one PNG file.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -86,7 +86,7 @@ def _draw_psnr(axes: Any, report: Report) -> None:
 
 
 def _mark(axes: Any, row: Row, value: float, colour: str, report: Report) -> None:
-    """Draw a point, with its name on the side that has more space."""
+    """Draw a point, and write its name on the side with more space."""
     times = [math.log(other.seconds) for other in report.rows]
     late = math.log(row.seconds) > (min(times) + max(times)) / 2
     axes.plot(row.seconds, value, "o" if row.level else "s", color=colour)
@@ -131,7 +131,7 @@ def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time
         }
         for row in report.rows
     ]
-    # A "</" in the data could end the script element.
+    # The characters "</" in the data could end the script element.
     data = json.dumps(points).replace("</", "<\\/")
     sentences = [*report.sentences, *(f"{n}: {s}" for n, s in report.promises.items())]
     page = PAGE.format(
@@ -144,7 +144,10 @@ def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time
 
 
 def _label(row: Row) -> str:
-    """Return the name of a setting, with the preset that has the same number of cells, if any."""
+    """Return the name of a setting.
+
+    If a preset has the same number of cells, add the preset's name.
+    """
     preset = {accuracy.cells: name for name, accuracy in PRESETS.items()}.get(row.cells)
     return f"{row.name} ({preset})" if row.level and preset else row.name
 

@@ -1,8 +1,8 @@
-"""Problems with known solutions, for the same solver that makes clips.
+"""Defines problems with known solutions, which the same solver solves that makes clips.
 
-A function simulates a problem at one grid spacing, and returns the error of the result. Bars and
-columns are one particle thick. With nu = 0, or with both sides held, no quantity varies across a
-bar or column, so one row of particles represents the whole body.
+Each function simulates a problem at one grid spacing, and returns the error of the result. Bars and
+columns are one particle thick. If nu = 0 or both sides are fixed, no quantity varies across a bar
+or column, so one row of particles represents the whole body.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def fall(position: Array, velocity: Array, time: float) -> Array:
 
 
 def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
-    """Simulate a thrown body.
+    """Simulate a body that is thrown.
 
     Returns:
         The largest position error of any particle, divided by the largest displacement.
@@ -76,7 +76,7 @@ def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
 
 @dataclass(frozen=True)
 class Spin:
-    """Absolute relative changes of conserved quantities after some rotations."""
+    """Absolute relative changes of conserved quantities after several rotations."""
 
     angular_momentum: float
     energy: float
@@ -123,9 +123,9 @@ def vibrating_bar(cells: int, *, strain: float = 1e-6, per_axis: int = 2) -> flo
     """Simulate about one period of a free bar's first longitudinal mode.
 
     Args:
-        cells: Cells along the bar.
+        cells: Number of cells along the bar.
         strain: Amplitude of the strain.
-        per_axis: Particles per cell along the bar.
+        per_axis: Number of particles per cell along the bar.
 
     Returns:
         The signed relative error of the frequency.
@@ -159,7 +159,7 @@ def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float)
     rising = np.flatnonzero((y[1:] > 0) & (y[:-1] <= 0) & (t[1:] > near / 2))
     at = int(rising[np.abs(t[rising] - near).argmin()])
     span = slice(max(at - 1, 0), at + 3)
-    # A cubic fit of time over signal is far more precise than linear interpolation.
+    # A cubic fit of time as a function of the signal is far more precise than linear interpolation.
     return float(np.polyval(np.polyfit(y[span] / np.abs(y).max(), t[span], 3), 0.0))
 
 
@@ -170,8 +170,8 @@ def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float)
 class Vortex:
     """A ring with a manufactured motion (Kamojjala et al. 2015).
 
-    In one second, each circle in the ring rotates forth and back, by an angle that depends on the
-    circle's radius.
+    In one second, each circle in the ring rotates forwards and back, by an angle that depends on
+    the circle's radius.
     """
 
     amplitude: float = 0.1
@@ -198,7 +198,7 @@ class Vortex:
         return np.stack(columns, axis=1)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return a stage for substeps: it applies the body force of the exact motion."""
+        """Return a stage for the substeps, which applies the body force of the exact motion."""
         stiffness = self.material.lame[0] / self.material.density
         middle, width = (self.inner + self.outer) / 2, self.outer - self.inner
         ring = types(model.real).vec4(middle, width, self.amplitude, stiffness)
@@ -218,10 +218,10 @@ def vortex(
     """Simulate the ring, and return the RMS position error divided by the RMS displacement.
 
     Args:
-        cells: Cells across the ring's outer diameter.
-        time: Time at which positions are compared [s].
-        per_axis: Particles per cell and axis.
-        problem: The ring; None: the default ring.
+        cells: Number of cells across the ring's outer diameter.
+        time: Time at which the positions are compared [s].
+        per_axis: Number of particles per cell along each axis.
+        problem: The ring; if None, the default ring.
     """
     problem = problem or Vortex()
     dx = 2 * problem.outer / cells
@@ -257,7 +257,7 @@ class Column:
     mean: float
     """Absolute error of the mean pressure.
 
-    It arises in the cells at the floor, so it is proportional to dx.
+    The error arises in the cells at the floor, so it is proportional to dx.
     """
     inside: float
     """RMS error of the pressure more than three cells above the floor."""
@@ -266,12 +266,12 @@ class Column:
 def hydrostatic_column(cells: int, *, per_axis: int = 2) -> Column:
     """Simulate a column of liquid until it is at rest, and measure the errors of its pressure.
 
-    The sides of the column are held. The floor lies between two planes of nodes, so it cuts the
-    kernels of the lowest particles. Kinetic damping brings the column to rest.
+    The sides of the column are fixed. The floor lies between two planes of nodes, so it cuts off a
+    part of the lowest particles' kernels. Kinetic damping brings the column to rest.
 
     Args:
-        cells: Cells along the column's height.
-        per_axis: Particles per cell along the height.
+        cells: Number of cells along the column's height.
+        per_axis: Number of particles per cell along the height.
     """
     height, material = 1.0, Fluid()
     dx = height / cells
@@ -295,7 +295,7 @@ def hydrostatic_column(cells: int, *, per_axis: int = 2) -> Column:
 def _settle(solver: Solver, crossing: float) -> None:
     """Apply kinetic damping: set velocities to zero at twelve maxima of the kinetic energy.
 
-    `crossing` is the time in which a wave crosses the column [s].
+    `crossing` is the time that a wave needs to cross the column [s].
     """
     stops, last = 0, 0.0
     while stops < 12:
@@ -336,8 +336,8 @@ class Bounce:
         """Simulate the ball, and return the positions of its particles [T,P,3], m.
 
         Args:
-            cells: Cells across the diameter.
-            spacing: Distance between neighbouring particles [m]; equal on all grids.
+            cells: Number of cells across the diameter.
+            spacing: Distance between neighbouring particles [m], which is equal on all grids.
         """
         x, dx = self.particles(spacing), self.diameter / cells
         volume, origin = np.full(len(x), spacing**3), (0, 0, -FLOOR_NODE * dx)
@@ -353,11 +353,11 @@ class Bounce:
 def bouncing_ball(cells: Sequence[int], problem: Bounce | None = None) -> list[Array]:
     """Simulate the ball on several grids, and return the positions [T,P,3], m, on each grid.
 
-    All grids have the same particles, which are two per cell and axis on the finest grid.
+    The particles are the same on all grids: two per cell along each axis on the finest grid.
 
     Args:
-        cells: Cells across the diameter on each grid.
-        problem: The ball; None: the default ball.
+        cells: Number of cells across the diameter on each grid.
+        problem: The ball; if None, the default ball.
     """
     problem = problem or Bounce()
     spacing = problem.diameter / (2 * max(cells))

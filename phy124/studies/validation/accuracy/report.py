@@ -1,4 +1,4 @@
-"""The result of a study: time and error of each setting, and the setting that it recommends."""
+"""Reports a study: the time and the error of each setting, and the recommended setting."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from phy124.particles.thickness import Proportions
 from phy124.scene import PRESETS, Scene
 
 COARSEST = 8
-"""Minimum number of cells across the object for a level to be recommended."""
+"""A level is recommended only if it has at least this number of cells across the object."""
 KNOWN = 0.5
-"""Minimum fraction of the frames whose errors must be known to recommend a level."""
+"""A level is recommended only if the errors of at least this fraction of the frames are known."""
 MOVING = 2
-"""Minimum number of frames after the first whose errors must be known to recommend a level."""
+"""A level is recommended only if the errors of at least this number of frames after the first are
+known."""
 GOOD = 0.04
-"""Maximum error of a recommended setting, as a fraction of the object's size."""
+"""Largest error of a setting that is recommended, as a fraction of the object's size."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +40,17 @@ class Row:
     """Median number of particles per axis, over all cells that contain particles."""
     substeps: int
     predicted: float | None
-    """Predicted time of simulation and shapes [s]; None without a forecast."""
+    """Predicted time of simulation and shapes [s]; None if there is no forecast."""
     seconds: float
-    """Measured time of simulation and shapes [s], without the time to split the energy loss."""
+    """Measured time of simulation and shapes [s], which does not include splitting the energy loss
+    by cause."""
     limiters: dict[str, float]
-    """Fraction of the substeps that each limit determines, by the limit's name."""
+    """Fraction of the substeps whose length each limit determines, by the limit's name."""
     energy_lost: float
-    """Energy that was lost, as a fraction of the energy supplied."""
+    """Energy that was lost, as a fraction of the energy that was supplied."""
     lost_to: dict[str, float] | None
-    """The energy lost to each cause (material, contact, numerical); None if it cannot be split."""
+    """The energy that was lost to each cause (material, contact, numerical); None if the loss
+    cannot be split."""
     angular_momentum_lost: float | None
     """Relative change of the angular momentum; None if forces or walls may change it."""
     from_finest: Difference | None = None
@@ -55,11 +58,12 @@ class Row:
     error: float | None = None
     """Estimated error as a fraction of the object's size; None if the levels do not converge."""
     pixels: float | None = None
-    """Estimated error in the video [pixels]; None without an error."""
+    """Estimated error in the video [pixels]; None if there is no error estimate."""
     torn: str = ""
-    """Reason why the grid may have torn the material; a torn setting has no error."""
+    """Reason why the grid may have torn the material; a torn setting has no error estimate."""
     stated: dict[str, Any] | None = None
-    """The `error` in the report of a run at this level; None if not a level or not thorough."""
+    """The `error` in the report of a run at this level; None if the setting is not a level or the
+    study is not thorough."""
 
     @property
     def level(self) -> bool:
@@ -73,17 +77,18 @@ class Report:
 
     rows: tuple[Row, ...]
     skipped: tuple[str, ...]
-    """Sentences about settings that were left out or are torn, with the reasons."""
+    """Sentences about settings that were skipped or are torn, with the reasons."""
     convergence: Convergence
     object_size: float
     """Longest side of the object at rest [m]."""
     recommendation: str
     promises: dict[str, str]
-    """Name of a preset -> a sentence about whether its error bound holds in this scene."""
+    """Name of a preset -> a sentence that says whether its error bound holds in this scene."""
     until: float | None = None
-    """Time up to which the errors hold [s]; None: the whole motion."""
+    """Time up to which the errors are valid [s]; None if they are valid for the whole motion."""
     closest: float | None = None
-    """Distance between the two finest levels, in object sizes; None with only one level."""
+    """Distance between the two finest levels, relative to the object's size; None if there is only
+    one level."""
     interrupted: bool = False
     """Whether a cancellation or an error ended the study before all settings had been run."""
 
@@ -116,14 +121,15 @@ class Report:
 
 
 def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> float | None:
-    """Return the error on any grid, from the errors of a study's levels.
+    """Return the error on any grid, derived from the errors of a study's levels.
 
-    On a grid between two levels, the error is that of the coarser level. On grids finer than all
-    levels, the error decreases with the observed order (clamped to `TRUSTED`), or is constant if no
-    order was observed. On grids coarser than all levels, the error is unknown (None).
+    On a grid between two levels, the error is assumed to be that of the coarser level. On grids
+    finer than all levels, the error decreases with the observed order (clamped to `TRUSTED`), or is
+    constant if no order was observed. On grids coarser than all levels, the error is unknown
+    (None).
 
     Args:
-        cells: Cells across the object on the grid.
+        cells: Number of cells across the object on the grid.
         errors: Cells across the object on a level -> the level's error.
         order: The observed order; None if no order was observed.
     """
@@ -142,7 +148,7 @@ def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int,
     Args:
         rows: The settings that were run.
         convergence: The convergence of the levels.
-        known: Number of frames after the first whose errors are known, and number of all frames
+        known: Number of frames after the first whose errors are known, and total number of frames
             after the first.
     """
     levels = [row for row in rows if row.level and not row.torn and row.cells >= COARSEST]
@@ -184,10 +190,11 @@ def kept_promises(
 
     Args:
         scene: The scene.
-        proportions: Proportions of the object; None if unknown.
+        proportions: Proportions of the object; None if they are unknown.
         rows: The settings that were run.
         convergence: The convergence of the levels.
-        until: Time up to which the errors hold [s]; None: the whole motion.
+        until: Time up to which the errors are valid [s]; None if they are valid for the whole
+            motion.
     """
     sentences = {}
     for name, accuracy in PRESETS.items():

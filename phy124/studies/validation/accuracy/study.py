@@ -1,11 +1,11 @@
 """Runs one scene with several settings, and measures the time and the error of each setting.
 
-A level is a setting that differs from the scene only in its grid spacing. All levels are
-extrapolated to zero spacing (Richardson) with the observed order. The error of a setting is its
-distance from this extrapolation, plus the uncertainty of the extrapolation (`convergence`). If the
-motions on the levels separate at some time, the errors describe only the motion up to that time. If
-the levels do not converge at all, the report has no errors, only the distance between the two
-finest levels.
+A level is a setting that differs from the scene only in its grid spacing. The results of all levels
+are extrapolated to zero spacing with the observed order (Richardson). The error of a setting is the
+distance of its result from this extrapolation, plus the uncertainty of the extrapolation
+(`convergence`). If the motions on the levels diverge from each other at some time, the errors
+describe only the motion up to that time. If the levels do not converge at all, the report contains
+no errors, but only the distance between the two finest levels.
 """
 
 from __future__ import annotations
@@ -37,13 +37,14 @@ from phy124.simulation import Simulation, Stopped, prepare
 from phy124.studies.validation.accuracy.report import Report, Row, kept_promises, recommend
 
 LEVELS = (16, 24, 32, 48)
-"""Cells across the object on each level, from coarse to fine, including those of all presets."""
+"""Number of cells across the object on each level, from coarse to fine; the levels of all presets
+are included."""
 MIN_PARTICLES_PER_AXIS = 1.5
-"""Particles per cell and axis below which finer grids are not more accurate."""
+"""If there are fewer particles per cell and axis than this, finer grids are not more accurate."""
 VARIED = 24
 """Resolution at which other options are varied, one at a time [cells across the object]."""
 SIZE = 256
-"""Maximum width and height of the compared videos [pixels]."""
+"""Maximum width and height of the videos that are compared [pixels]."""
 
 
 @dataclass
@@ -56,20 +57,22 @@ class Study:
     """Device, threads and progress.
 
     Progress is called with ("study", index of the setting, number of settings), also during a
-    setting. It may raise Cancelled, which ends the study, or Stopped, which leaves this setting
-    out.
+    setting. The callback may raise Cancelled, which ends the study, or Stopped, which skips this
+    setting.
     """
     levels: tuple[int, ...] = LEVELS
     crop: Crop = WHOLE
     thorough: bool = True
-    """Whether to vary other options, forecast each setting and compare videos, too.
+    """Whether the study also varies other options, forecasts each setting, and compares videos.
 
     A thorough study takes about three times as long.
     """
     on_row: Callable[[Row], None] = lambda row: None
-    """Called with the row of each finished setting, before errors are known."""
+    """Function that is called with the row of each finished setting, before the errors are
+    known."""
     keep: bool = False
-    """Whether finished settings are evaluated after a cancellation or a failed later setting."""
+    """Whether finished settings are evaluated if the study is cancelled or a later setting
+    fails."""
     ended: Exception | None = field(default=None, init=False)
     """The exception that ended the study early while `keep` was true; otherwise None."""
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)
@@ -84,7 +87,7 @@ class Study:
 
         Raises:
             InputError: The scene cannot be run, or has too few particles per cell and axis.
-            Cancelled: `progress` raised it, and no finished setting is kept.
+            Cancelled: The function `progress` raised it, and no finished setting is kept.
         """
         _require_particles(self.scene.resolution.particles_per_axis)
         rows, skipped = [], []
@@ -130,7 +133,7 @@ class Study:
             )
 
     def _still(self, number: int, count: int, stage: str = "study", *steps: int) -> None:
-        """Report progress during a setting, and forward the progress of compilation."""
+        """Report progress while a setting runs, and forward the progress of compilation."""
         if stage == "compile":
             self.context.progress(stage, *steps)
         self.context.progress("study", number, count)
@@ -144,7 +147,7 @@ class Study:
             return
         middle = base.model_copy(update={"cells": min(VARIED, max(self.levels))})
         here = f"at D/{middle.cells}"
-        if not self.scene.projects:  # whose substeps do not depend on cfl
+        if not self.scene.projects:  # the substeps of these scenes do not depend on cfl
             shorter = middle.model_copy(update={"cfl": middle.cfl / 2})
             yield f"half the substep {here}", self._with(shorter)
         other = "float64" if self.scene.precision == "float32" else "float32"
@@ -161,14 +164,14 @@ class Study:
         yield f"binding {binding} {here}", bound
 
     def _with(self, accuracy: Accuracy) -> Scene:
-        """Return the scene with another accuracy, and with the checks of the energy balance."""
+        """Return the scene with another accuracy, and with checks of the energy balance."""
         scene = self.scene.model_copy(update={"accuracy": accuracy})
         update = {"balance": True, "energy": self.thorough and _can_split(scene)}
         checks = self.scene.checks.model_copy(update=update)
         return scene.model_copy(update={"checks": checks})
 
     def _row(self, name: str, scene: Scene, progress: Progress) -> tuple[Row | None, str]:
-        """Run one setting.
+        """Run the scene with one setting.
 
         Returns:
             The row, which is None if the run stopped early; and a text that says why there is no
@@ -271,16 +274,16 @@ class Study:
         known: dict[str, float],
         frames: int,
     ) -> Row:
-        """Return a row with its difference from the finest level and its error.
+        """Add to a row its difference from the finest level and its error, and return the new row.
 
-        The row of a torn object is returned unchanged.
+        If the object is torn, its row is returned unchanged.
 
         Args:
-            row: The row.
+            row: The row to complete.
             levels: Clips of the levels, from coarse to fine.
             convergence: Convergence of the levels.
             known: Name of a level -> its error.
-            frames: Number of initial frames for which these errors hold.
+            frames: Number of frames from the start for which these errors are valid.
         """
         if row.torn:
             return row
@@ -302,7 +305,7 @@ class Study:
 
 
 def _can_split(scene: Scene) -> bool:
-    """Return whether the energy loss of a scene can be split by cause."""
+    """Return whether the energy that a scene loses can be split by cause."""
     try:
         scene.replaced({"checks.balance": True, "checks.energy": True})
     except InputError:
@@ -328,7 +331,7 @@ def _without_torn(rows: list[Row], convergence: Convergence) -> Convergence:
 
 
 def _require_particles(per_axis: float | None) -> None:
-    """Refuse a scene with so few particles per cell that finer grids are not more accurate."""
+    """Refuse a scene that has so few particles per cell that finer grids are not more accurate."""
     if per_axis is not None and per_axis < MIN_PARTICLES_PER_AXIS:
         limit = f"with fewer than {MIN_PARTICLES_PER_AXIS}, finer grids are not more accurate."
         remedy = f"Set {MIN_PARTICLES_PER_AXIS} or more, or leave it out."

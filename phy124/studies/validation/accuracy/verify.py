@@ -1,7 +1,7 @@
 """Compares the solver with known solutions on this machine, for `phy124 accuracy --verify`.
 
-Each check measures an error and its order of convergence, and states their permitted ranges. The
-tests run the same checks on coarse grids; slow tests run them on fine grids.
+Each check measures an error and the order at which it converges, and states the permitted ranges of
+both. The tests run the same checks on coarse grids; slow tests run them on fine grids.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ class Verdict:
     quantity: str
     """Name of the quantity whose error is measured."""
     value: float
-    """Measured error: on the finest grid, or the largest of all grids."""
+    """Measured error on the finest grid, or the largest error of all grids."""
     limit: float
-    """Maximum permitted error."""
+    """Largest permitted error."""
     levels: tuple[int, ...] = ()
-    """Cells across the body on each grid, from coarse to fine; empty for a single grid."""
+    """Number of cells across the body on each grid, from coarse to fine; empty if there is a single
+    grid."""
     order: float | None = None
     """Observed order of convergence; None if the solution is exact or no order was observed."""
     expected_order: Range | None = None
@@ -52,7 +53,7 @@ def verify(*, fine: bool = True) -> Iterator[Verdict]:
     """Run all checks, and yield their results.
 
     Args:
-        fine: True for fine grids, on which the checks take about half a minute in total.
+        fine: Whether to use fine grids, on which the checks take about half a minute in total.
     """
     for check in CHECKS:
         start = time.process_time()
@@ -64,8 +65,7 @@ def verify(*, fine: bool = True) -> Iterator[Verdict]:
 def free_fall(fine: bool) -> Iterator[Verdict]:
     """Check that a thrown body follows the exact parabola up to rounding.
 
-    An exact parabola requires that the first substep updates velocities by half a substep only
-    (leapfrog).
+    This requires that the first substep updates the velocities only by half a substep (leapfrog).
     """
     time = 0.4 if fine else 0.2
     for precision, limit in (("float64", 1e-12), ("float32", 5e-5)):
@@ -94,7 +94,7 @@ def vibrating_bar(fine: bool) -> Iterator[Verdict]:
 def vortex(fine: bool) -> Iterator[Verdict]:
     """Check that the ring's motion converges with about second order.
 
-    On finer grids, the quadrature error would dominate (Steffen, Kirby, Berzins 2008).
+    On finer grids, the error of the quadrature would dominate (Steffen, Kirby, Berzins 2008).
     """
     cells = (32, 64, 128) if fine else (16, 32, 64)
     errors = [problems.vortex(n) for n in cells]

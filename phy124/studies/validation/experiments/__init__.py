@@ -1,10 +1,10 @@
 """Compares the solver with experiments and theories from the literature.
 
 `phy124 accuracy --verify` tests whether the equations are solved correctly. `phy124 validate`
-compares results with published measurements and theories. Each experiment runs on three grids and
-has a band of permitted values for each quantity. A control run contains a deliberate mistake, which
-must move at least one quantity out of its band. `phy124 validate --docs` writes
-docs/lab/experiments.md.
+compares results with published measurements and theories. Each experiment runs on three grids, and
+states a range of permitted values for each quantity (its band). A control run contains a deliberate
+mistake, which must move at least one quantity out of its permitted range. `phy124 validate --docs`
+writes docs/lab/experiments.md.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ __all__ = ["EXPERIMENTS", "Estimate", "Experiment", "Outcome", "Quantity", "find
 
 
 def find_experiment(name: str) -> Experiment:
-    """Return the experiment with a name.
+    """Return the experiment with a given name.
 
     Raises:
-        InputError: There is no such experiment.
+        InputError: There is no experiment with this name.
     """
     for experiment in EXPERIMENTS:
         if experiment.name == name:

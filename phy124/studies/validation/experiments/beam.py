@@ -1,7 +1,7 @@
-"""Experiments: cantilevers that bend far under a weight at the tip or under their own weight.
+"""Experiments: cantilevers with a large deflection under a weight at the tip or their own weight.
 
-The exact shape is Euler's elastica. The load grows in steps, and the beam comes to rest after each
-step.
+The exact shape of the beam is Euler's elastica. The load increases in steps, and the beam comes to
+rest after each step.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from phy124.studies.validation.bodies import make_lattice_solver, plane, sheet
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
 
 LENGTH, THICKNESS = 1.2, 0.1
-"""Size of the beam [m]. It is one particle wide: with nu = 0, nothing varies across its width."""
+"""Size of the beam [m]. The beam is one particle wide, because with nu = 0 no quantity varies
+across the width."""
 E, DENSITY = 1e6, 1000.0
 STIFFNESS = E * THICKNESS**3 / 12
 """Bending stiffness E I per metre of width [N m]."""
@@ -35,9 +36,10 @@ SOFTER = 0.96 * (THICKNESS / LENGTH) ** 2
 Timoshenko's theory gives 0.8 (1 + nu) * 1.2 (h / L)^2.
 """
 PER_AXIS = 4
-"""Particles per cell and axis.
+"""Number of particles per cell along each axis.
 
-With 2, as in scenes, a beam that has moved by several cells would be softer by a further 10 %.
+With 2 particles, as in scenes, a beam that has moved by several cells would be softer by a further
+10 %.
 """
 TOO_SOFT = (
     "Beams whose tip moves by several cells are a few per cent too soft on every grid. If "
@@ -50,14 +52,16 @@ TOO_SOFT = (
     "and 9 %, and the deflection by -0.4, 0.8 and 7.3 %."
 )
 REST = 1.6
-"""Time for each load, in periods of the beam's first bending mode."""
+"""Duration of each load, in units of the period of the beam's first bending mode."""
 PIECES = 40
 """Mean number of times per period at which velocities are reduced."""
 GOLDEN = (math.sqrt(5) - 1) / 2
-"""Its multiples, modulo 1, have no period; they vary the times between two reductions."""
+"""The multiples of this number, modulo 1, never repeat; they vary the times between two
+reductions."""
 
 Bending = Callable[[float, Keyframes, Region], Force]
-"""Makes a force from the beam's width [m], the force's profile in time, and the tip's region."""
+"""Function that makes a force from the beam's width [m], the force's profile in time, and the
+region of the tip."""
 TIP_LOADS = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 """Dimensionless weights at the tip, P L^2 / E I."""
 OWN_LOADS = (2.0, 8.0, 20.0)
