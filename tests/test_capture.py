@@ -348,5 +348,5 @@ def test_file_options_require_a_file(tmp_path, capsys, options):
 
 
 def test_a_floor_is_not_forgotten_where_there_is_no_scene():
-    with pytest.raises(InputError, match="A floor becomes part of a scene"):
+    with pytest.raises(InputError, match="A floor becomes a part of the scene"):
         PlyFile("a.ply", FLOOR)()

@@ -123,7 +123,7 @@ def test_regions_in_the_units_of_the_file_are_turned_with_it(studio):
         (of(ROWS[:-5000]), "cut short: "),
         (of(head=HEAD.replace(b"1200", b"1000000000")), "states 1,000,000,000 Gaussians; the"),
         (changed(x=np.nan), "None of its Gaussians has finite values"),
-        (changed(opacity=-20), "opacity below"),
+        (changed(opacity=-20), "below 0.005"),
         (changed(x=0, y=0, z=0), "are at the same point"),
         (of(ROWS[: len(ROWS) // 1200], HEAD.replace(b"1200", b"1")), "are at the same point"),
         (DUCK.read_bytes(), "The file is not a PLY file"),

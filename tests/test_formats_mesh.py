@@ -188,7 +188,7 @@ def test_export_moves_the_mesh_of_the_user(tmp_path, spun, capsys):
 
 
 @pytest.mark.parametrize(
-    ("corner", "sentence"), [("nan 0 0", "NaN or infinite"), ("0 0 1", "have no area")]
+    ("corner", "sentence"), [("nan 0 0", "NaN or infinite"), ("0 0 1", "have no surface area")]
 )
 def test_broken_surface_is_refused(tmp_path, spun, capsys, corner, sentence):
     surface = tmp_path / "a.obj"

@@ -88,7 +88,7 @@ def test_distance_is_half_the_squared_angle_even_where_tiny():
         rows = np.array([[1.0, 0], [math.cos(angle), math.sin(angle)]]) * 7
         assert similarity.distance(rows) == pytest.approx(angle**2 / 2, rel=1e-6)
         assert similarity.cosine(rows) == pytest.approx(math.cos(angle))
-    with pytest.raises(ValueError, match="must be"):
+    with pytest.raises(ValueError, match="must have shape"):
         similarity.cosine(np.ones((1, 4)))
 
 

@@ -81,7 +81,7 @@ class Reading(Section):
         options = [f"--{option}" for option in self.model_dump(exclude_defaults=True)]
         if options:
             verb = "is" if len(options) == 1 else "are"
-            limit = f"{' and '.join(options)} {verb} only for a file of Gaussians."
+            limit = f"{' and '.join(options)} {verb} for a file of Gaussians."
             raise InputError(
                 name,
                 source,
