@@ -1,6 +1,6 @@
 """Renders the pictures of the cameras of a clip or a running simulation, for `camera_messages`.
 
-The pictures are those of `phy124 render`: they have the same camera positions, size, stage and
+The pictures equal those of `phy124 render`: they have the same camera positions, size, stage and
 gloss. In a running simulation, the later frames are unknown. The cameras therefore stand at
 `view.distance` from the object at rest, and the background is plain.
 """

@@ -388,5 +388,5 @@ COMMANDS = {
 def _status(run: LiveRun | SteeredRun) -> int:
     if run.stopped is None:
         return 0
-    log.error("The simulation stopped early; its good frames are kept. %s", run.stopped)
+    log.error("The simulation stopped early; its valid frames are kept. %s", run.stopped)
     return STOPPED_EARLY

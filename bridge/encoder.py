@@ -120,7 +120,7 @@ class FrameEncoder:
 
     def _thin(self, frame: Frame) -> Frame:
         if self._profile == "full" and frame.velocities is None:
-            self._announce("The frames have no velocities: vx, vy and vz are NaN.")
+            self._announce("The frames have no velocities, so vx, vy and vz are NaN.")
         count, limit = len(frame.gaussians), self.options.max_points
         which = evenly(count, limit)
         if which is None:

@@ -192,7 +192,7 @@ class Pacer:
         """Pause, play or change the speed.
 
         Raises:
-            InputError: The command is a different one.
+            InputError: The command neither pauses nor plays nor changes the speed.
         """
         word, *values = text.split() or [""]
         if word in ("play", "pause", "toggle") and not values:

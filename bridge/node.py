@@ -104,7 +104,7 @@ def simulate(node: Any) -> None:
         log.info("Simulating %s, scene %s. %s", source, scene, sink.audience())
         follow(map(cameras.look, run), sink, speed=speed)
     if run.stopped is not None:
-        log.error("The simulation stopped early; its good frames were shown. %s", run.stopped)
+        log.error("The simulation stopped early; its valid frames were shown. %s", run.stopped)
         raise SystemExit(STOPPED_EARLY)
     log.info("All %d frames were shown.", len(run))
 

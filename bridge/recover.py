@@ -144,7 +144,7 @@ def _inspect(file: Path) -> tuple[bool, int]:
         elif isinstance(record, Footer):
             footer = True
         elif isinstance(record, Channel) and find_recorded(record.topic) is None:
-            limit = f"It holds the topic {record.topic}, so this program did not record it."
+            limit = f"It contains the topic {record.topic}, so this program did not record it."
             raise InputError(
                 "recover", file, limit, "Use `ros2 bag reindex -s mcap` for this file."
             )

@@ -73,8 +73,8 @@ def _start(start: Callable[[], Any]) -> Any:
         said = " ".join(str(error).split())
         limit = f"ROS 2 refuses it ({said})."
         remedy = (
-            "A parameter is -p NAME:=VALUE. Quote a list, and write all of its numbers with a "
-            "decimal point, or none: -p 'translation:=[1.0, 0.0, 0.0]'."
+            "A parameter is -p NAME:=VALUE. Put a list in quotation marks, and write either all "
+            "or none of its numbers with a decimal point: -p 'translation:=[1.0, 0.0, 0.0]'."
         )
         raise InputError("--ros-args", " ".join(sys.argv[1:]), limit, remedy) from error
 

@@ -144,8 +144,8 @@ class Controls:
     clock: bool = False
     """Whether /clock is published."""
     patient: bool = True
-    """Whether frames wait for slow subscribers. If they do, the program that computes the frames is
-    delayed, too."""
+    """Whether frames wait for slow subscribers. If frames wait, the program that computes the
+    frames is delayed, too."""
     values: Callable[[], Mapping[str, Any]] = dict
     """Function that returns values that the diagnostics show in addition to the state of
     playback.

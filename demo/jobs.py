@@ -179,7 +179,7 @@ class Studio:
             name: The visitor's name.
             source: The source of the object; None if it no longer exists.
             data: The scene as plain data.
-            extras: Optional inputs in addition to the front picture, by option.
+            extras: Optional inputs in addition to the front picture, with option names as keys.
 
         Raises:
             InputError: The run would be refused.
@@ -200,7 +200,7 @@ class Studio:
             name: The visitor's name.
             source: The source of the object; None if it no longer exists.
             data: The scene as plain data.
-            extras: Optional inputs in addition to the front picture, by option.
+            extras: Optional inputs in addition to the front picture, with option names as keys.
 
         Raises:
             InputError: The run would be refused.
@@ -253,7 +253,7 @@ class Studio:
             name: The visitor's name.
             source: The object's source.
             data: The scene as plain data.
-            extras: Optional inputs in addition to the front picture, by option.
+            extras: Optional inputs in addition to the front picture, with option names as keys.
             limits: Limits of this run. If None, the limits of the page apply.
 
         Raises:
@@ -280,7 +280,7 @@ class Studio:
             name: The visitor's name.
             source: The object's source.
             data: The scene as plain data.
-            extras: Optional inputs in addition to the front picture, by option.
+            extras: Optional inputs in addition to the front picture, with option names as keys.
 
         Raises:
             InputError: The source, the scene or an input is invalid.
@@ -308,7 +308,7 @@ class Studio:
             name: The visitor's name.
             source: The source of the object; None if it no longer exists.
             scene: The scene.
-            extras: Optional inputs in addition to the front picture, by option.
+            extras: Optional inputs in addition to the front picture, with option names as keys.
         """
         visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
@@ -325,7 +325,7 @@ class Studio:
             name: The visitor's name.
             source: The source of the object; None if it no longer exists.
             scene: The scene.
-            extras: Optional inputs in addition to the front picture, by option.
+            extras: Optional inputs in addition to the front picture, with option names as keys.
         """
         visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
@@ -342,7 +342,7 @@ class Studio:
             name: The visitor's name.
             source: The source of the object; None if it no longer exists.
             scene: The scene.
-            extras: Optional inputs in addition to the front picture, by option.
+            extras: Optional inputs in addition to the front picture, with option names as keys.
         """
         ready = self._ready(name, source, scene, extras)
         return self.forecaster.study(

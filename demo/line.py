@@ -26,7 +26,7 @@ RECENT = 5
 STOPPED = "Stopped. Nothing was changed."
 FAILED = "The server failed to do this; its log has the reason. Try again, or change the scene."
 SERVER = {
-    Kind.MEMORY: "This server has too little memory for that. Choose a coarser accuracy.",
+    Kind.MEMORY: "This server has too little memory for this. Choose a coarser accuracy.",
     Kind.DISK: "The disk of this server is full. Try again later.",
 }
 """Messages for the visitor by kind of failure. All other kinds have the message `FAILED`."""
@@ -56,7 +56,8 @@ class Job:
         self.progress = Progress(expected=expected, names=stages)
         self.line: Line | None = None
         self.asked: tuple[Any, Any, Any] = (None, None, None)
-        """Source, scene and further inputs of a run. A finer run of the same motion needs them."""
+        """Source, scene and further inputs of a run. A finer run of the same motion needs these
+        values."""
         self._changed = threading.Condition()
 
     @property

@@ -87,9 +87,9 @@ def check_address(settings: Settings) -> None:
             limit, remedy = "Another program listens there.", f"Try --port {port % 65535 + 1}."
             raise InputError("port", port, limit, remedy) from None
         if error.errno == errno.EACCES:
-            limit = "This user may not listen there."
+            limit = "This user is not allowed to listen at this port."
             raise InputError("port", port, limit, "Give a port from 1024 on.") from None
-        limit = "This machine cannot listen there."
+        limit = "This machine cannot listen at this address."
         raise InputError(
             "host", host, limit, "127.0.0.1 admits only this machine, 0.0.0.0 every network."
         ) from None

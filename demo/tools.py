@@ -59,7 +59,7 @@ RUN = "The name of a run, as generate returned it."
 DESCRIPTIONS = {
     "image": f"A picture of one object, or a file of Gaussians. {FILE}",
     "accuracy": "draft is the fastest, fine the most accurate.",
-    "frames": "Number of frames; by default the preset's.",
+    "frames": "Number of frames; by default, that of the preset.",
     "changes": 'Changes of the scene by dotted path, for example {"material.E": 20000}.',
     "pick": "Point on the object, if the picture shows several: [x, y] from 0 to 1.",
     "up": "Axis that points up in a file of Gaussians, for example -y.",

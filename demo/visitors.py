@@ -179,7 +179,7 @@ class Visitors:
         each = self.room.each
         fits = size <= each and visitor.give_up(each - size - visitor.promised, keep)
         if not fits:
-            raise all_taken(size, each, "Send or ask for less.")
+            raise all_taken(size, each, "Send or request less data.")
         with self._lock:
             self._claim(size, self.room.runs if most is None else most)
             visitor.promised += size

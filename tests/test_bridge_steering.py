@@ -428,7 +428,7 @@ def test_command_steers_an_object_and_keeps_the_session(tmp_path, capsys, monkey
     monkeypatch.setattr(Live, "step", step)
     again = ["--record", str(bag), "--overwrite"]
     assert main(["live", str(clip), *arguments, *coarse, *again]) == 3
-    assert "its good frames are kept. frame 2 is not valid." in capsys.readouterr().err
+    assert "its valid frames are kept. frame 2 is not valid." in capsys.readouterr().err
     assert Scene.named(str(session)).time.frames == 2 and recover(bag).frames == 2
     assert main(["live", str(clip), *arguments]) == 3, "while the grid is chosen"
     for wrong in (["--speed", "nan"], ["--push-seconds", "-1"]):

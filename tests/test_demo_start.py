@@ -69,7 +69,7 @@ def test_setting_turns_the_tools_for_agents_off(tmp_path):
 
 @pytest.mark.parametrize("host", ["no.such.host.invalid", "192.0.2.1"])
 def test_an_address_of_another_machine_is_refused(host):
-    with pytest.raises(InputError, match="cannot listen there") as refused:
+    with pytest.raises(InputError, match="cannot listen at this address") as refused:
         check_address(Settings(host=host))
     assert refused.value.field == "host"
 

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 IDLE = 3
 """Number of reads without a message after which no message is assumed to be waiting."""
 READING, SHARE = 0.02, 0.25
-"""Longest time spent on reading before a frame [s], and as a fraction of the time since the last
-reading; the longer of the two applies. A slower run has more messages to read."""
+"""Two limits of the time spent on reading before a frame, of which the longer applies: a time [s],
+and a fraction of the time since the last reading. A slower run has more messages to read."""
 FLOOD = "Messages arrive faster than they are read: only the newest of each topic are kept."
 
 

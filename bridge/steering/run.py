@@ -154,7 +154,7 @@ class SteeredRun:
         self._must_be_paused(count)
         if not (0 <= count <= MOST_STEPS and count == int(count)):
             limit = f"it must be a whole number up to {MOST_STEPS:,}."
-            raise InputError("steps", count, limit, "Ask for fewer at once.")
+            raise InputError("steps", count, limit, "Request fewer steps at once.")
         for done in range(int(count)):
             self._must_be_paused(count)
             self.advance()

@@ -73,7 +73,9 @@ def _pose(name: str, transform: Any) -> Pose:
     length = float(np.linalg.norm(quaternion))
     if not (np.isfinite(place).all() and 0.5 < length < 2):
         limit = "its transform must be a rotation and three finite numbers."
-        raise InputError("tf", name, limit, "Publish a unit quaternion x y z w and metres.")
+        raise InputError(
+            "tf", name, limit, "Publish a unit quaternion (x y z w) and a translation in metres."
+        )
     x, y, z, w = quaternion / length
     pose = np.eye(4)
     pose[:3, :3] = (

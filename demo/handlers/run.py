@@ -68,7 +68,7 @@ def forecast_of(
         name: The visitor's name.
         source: The source of the object; None if it no longer exists.
         data: The scene as plain data.
-        extras: Optional inputs in addition to the front picture, by option.
+        extras: Optional inputs in addition to the front picture, with option names as keys.
         opened: Whether the table of accuracies is open.
     """
     try:
@@ -100,7 +100,7 @@ def with_stops(
         name: The visitor's name.
         source: The object's source; None if it no longer exists.
         data: The scene as plain data.
-        extras: Optional inputs in addition to the front picture, by option.
+        extras: Optional inputs in addition to the front picture, with option names as keys.
         estimate: The forecast.
         opened: Whether the table of accuracies is open.
 

@@ -27,8 +27,8 @@ FPS = 24.0
 """Frames per second of a live run."""
 ROOM, TIME = 0.5, 0.1
 """Two fractions that limit a saved clip. The size of the clip with the viewer's file is at most the
-first fraction of a visitor's disk space. The duration is at most the second fraction of a run's
-time limit."""
+first fraction of a visitor's disk space. The duration of the clip is at most the second fraction of
+a run's time limit."""
 FORCES = 64
 """Number of forces and boundaries that is always allowed, because each grab and each change of
 gravity needs one."""

@@ -263,7 +263,7 @@ def _shape(
 
     Args:
         part: The liquid's Gaussians.
-        field: The grid of their centres.
+        field: The grid that contains the centres of the liquid's Gaussians.
         phi: Fraction of the space in each cell that the liquid fills, smoothed.
         volumes: Volumes of the Gaussians [N], in cells.
         torn: Mask of the Gaussians in jets. Some of these Gaussians are drawn as drops, and the

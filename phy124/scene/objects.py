@@ -184,7 +184,7 @@ class Pair(Section):
 
     between: tuple[Name, Name] = Field(
         default=(ANY, ANY),
-        description="Names of the two objects; any: all objects that no other entry names.",
+        description="Names of the two objects; any means all objects that no other entry names.",
     )
     contact: Literal["separate", "sticky"] = Field(
         default="separate",

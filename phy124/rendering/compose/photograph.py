@@ -30,8 +30,8 @@ HOLE = 320
 """Longest side of the picture in which holes are inpainted [pixels]. A larger picture takes longer
 and gives no better result."""
 DISTANCES = (2.0, 1.6, 3.0)
-"""Camera distances to try, relative to the silhouette's size. The tried distances are those that
-relief and LGM assume, and the distance of a longer lens."""
+"""Camera distances to try, relative to the silhouette's size. The first two distances are assumed
+by relief and LGM, and the third is that of a longer lens."""
 RIM = 0.008
 """Width of the rim around the object that is compared, too, relative to the photograph's longest
 side."""

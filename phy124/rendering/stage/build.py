@@ -33,8 +33,8 @@ OUTLIERS = (0.5, 99.5)
 """Percentiles of the positions of `SAMPLE` Gaussians in each frame. The shadow map covers the range
 between these percentiles."""
 ROOM = 0.9
-"""Margin of the shadow map around the range of positions, relative to the object's largest height
-above the floor."""
+"""Margin of the shadow map around the range of positions, as a fraction of the object's largest
+height above the floor."""
 LARGEST = 4.0
 """Half the side of the largest shadow map, in units of the object's size."""
 PICTURE_SIDE = 1280
