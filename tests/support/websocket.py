@@ -9,6 +9,8 @@ import struct
 
 TEXT, BINARY = 1, 2
 """Kinds of messages."""
+PING, PONG = 9, 10
+"""Question of the server whether the connection is still open, and its answer."""
 
 
 class WebSocket:
@@ -33,13 +35,16 @@ class WebSocket:
             pass
 
     def frame(self) -> tuple[int, bytes]:
-        """Kind and payload of the next message."""
+        """Kind and payload of the next message; pings are answered, as by browsers."""
         first, second = self.stream.read(2)
         length = second & 0x7F
         if length >= 126:
             form = ">H" if length == 126 else ">Q"
             (length,) = struct.unpack(form, self.stream.read(struct.calcsize(form)))
-        return first & 0x0F, self.stream.read(length)
+        kind, payload = first & 0x0F, self.stream.read(length)
+        if kind == PING:
+            self.send(payload, kind=PONG)
+        return kind, payload
 
     def send(self, *payloads: bytes, kind: int = TEXT) -> None:
         """Send several messages at once, masked like those of a browser."""
