@@ -247,9 +247,11 @@ def test_percentages_have_two_significant_digits(fraction, text):
 def test_verdict_shows_the_digits_that_decide_it():
     said = check_promise(Promise(0.00801, ""), 0.00804, stated={"at_most": 0.011})
     assert said == (
-        "at most 0.801 %, measured 0.804 %: DOES NOT HOLD; the run itself states at most 1.1 %"
+        "at most 0.801 %, measured 0.804 %: the bound DOES NOT HOLD; "
+        "the run itself states at most 1.1 %"
     )
-    assert check_promise(Promise(0.008, ""), 0.008) == "at most 0.80 %, measured 0.80 %: holds"
+    said = check_promise(Promise(0.008, ""), 0.008)
+    assert said == "at most 0.80 %, measured 0.80 %: the bound holds"
 
 
 def test_error_of_several_grids_has_a_bound_above_it():

@@ -256,9 +256,9 @@ def test_a_promise_that_holds_and_one_that_does_not(monkeypatch):
     monkeypatch.setattr(report_of, "promise", lambda scene, thickness: Promise(0.06, ""))
     broken = replace(row(32, 0.08, 3), stated={"at_most": 0.09, "until": 0.5})
     said = kept_promises(scene, 0.5, (row(16, 0.05, 1), broken), result)
-    assert said["draft"] == "at most 6.0 %, measured 5.0 %: holds"
+    assert said["draft"] == "at most 6.0 %, measured 5.0 %: the bound holds"
     assert said["standard"] == (
-        "at most 6.0 %, measured 8.0 %: DOES NOT HOLD; "
+        "at most 6.0 %, measured 8.0 %: the bound DOES NOT HOLD; "
         "the run itself states at most 9.0 % in the first 0.50 s"
     )
     assert said["fine"] == "not tried"

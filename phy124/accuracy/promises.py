@@ -274,7 +274,7 @@ def check_promise(
         return f"at most {bound} was expected for {only}; {here}: {measured}{states}"
     if until is not None:
         return f"at most {bound} was expected for the whole motion; {here}: {measured}{states}"
-    verdict = "holds" if error <= promised.error else "DOES NOT HOLD"
+    verdict = "the bound holds" if error <= promised.error else "the bound DOES NOT HOLD"
     return f"at most {bound}, measured {measured}: {verdict}{states}"
 
 

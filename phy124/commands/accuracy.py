@@ -126,7 +126,7 @@ class ShowAccuracy:
         if report.convergence.error is None and bars.ended is None:
             print(self._advice(levels, report, study.scene.particles_per_axis), end="")
         for preset, said in report.promises.items():
-            print(f"expected error of {preset}: {said}")
+            print(f"expected error at accuracy {preset}: {said}")
         if note:
             print(f"note: {note}")
         print("\n".join(str(path) for path in sorted(out.glob("accuracy.*"))))

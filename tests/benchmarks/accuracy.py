@@ -105,7 +105,9 @@ def study_table(report: Report) -> str:
         f"Observed order: {order}; {result.why_not or result.note}".rstrip("; "),
         report.recommendation,
     ]
-    said += [f"Expected error of {name}: {text}." for name, text in report.promises.items()]
+    said += [
+        f"Expected error at accuracy {name}: {text}." for name, text in report.promises.items()
+    ]
     said += report.skipped
     return "\n\n".join([markdown(heads, [study_row(row) for row in report.rows]), *said])
 
