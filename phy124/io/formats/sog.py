@@ -88,8 +88,9 @@ def read(path: Path) -> Content:
 
 
 def _read(path: Path, archive: zipfile.ZipFile) -> Content:
+    described = _member(path, archive, META, LONGEST)
     try:
-        meta = json.loads(_member(path, archive, META, LONGEST))
+        meta = json.loads(described)
     except (ValueError, RecursionError) as error:
         raise Malformed(f"{META} is not JSON") from error
     if meta.get("version") != 2:
