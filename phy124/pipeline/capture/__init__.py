@@ -61,7 +61,7 @@ def capture(
     Args:
         file: The file, and how to interpret it.
         scene: The scene to prepare.
-        count: Largest number of Gaussians to keep; None: all.
+        count: Maximum number of Gaussians to keep; if it is None, all are kept.
         progress: Called as in `phy124.progress`.
 
     Raises:

@@ -57,8 +57,8 @@ def find_floor(points: NDArray, up: Vectors | None = None, *, seed: int = 0) -> 
 
     Args:
         points: Centres of the visible Gaussians [N,3].
-        up: Approximate up direction, if known; planes that are too steep, such as walls, are
-            then left out. None: up is the side of the plane with more points.
+        up: Approximate up direction, if known; planes that are too steep, such as walls, are then
+            left out. If it is None, the side of the plane with more points is up.
         seed: Seed of the random samples.
 
     Raises:
@@ -136,8 +136,8 @@ def _check(x: Vectors, floor: Floor) -> None:
 
 
 def _spread(x: Vectors) -> float:
-    """Return the median distance from the middle; outliers hardly affect it. It is 0 without
-    points.
+    """Return the median distance from the middle; outliers hardly affect it. The result is 0 if
+    there are no points.
     """
     return float(np.median(np.linalg.norm(x, axis=1))) if len(x) else 0.0
 
