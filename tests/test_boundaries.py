@@ -283,7 +283,7 @@ def test_a_clamp_lets_go_and_moves_what_it_holds():
     assert s.state.v.numpy()[:, 2].mean() == pytest.approx(-9.81 * 0.1, rel=0.2)
     with pytest.raises(ValidationError, match="swap them"):
         Held(lower=(1, 0, 0), upper=(0, 1, 1))
-    with pytest.raises(ValidationError, match="leave inside"):
+    with pytest.raises(ValidationError, match="remove `inside"):
         Container(inside=Region(lower=(0, 0, 0), upper=(1, 1, 1), cylinder="z"))
 
 

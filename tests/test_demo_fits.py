@@ -286,7 +286,7 @@ def test_undetermined_value_is_reported_with_a_remedy(studio, handlers):
         "The softness cannot be determined from this video, because nothing that was measured "
         "depends on it. This would determine it: let it oscillate "
         "freely after the load, or measure "
-        "the force on a wall, or load it with a known force in newtons."
+        "the force on a wall, or load the object with a known force in newtons."
     )
     assert files == gr.skip() and "--" not in panel["message"]
     refused = handlers.on_fit_begin(studio)(done, {}, gr.EventData(None, {}), None)

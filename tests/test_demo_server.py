@@ -298,7 +298,7 @@ def test_a_depth_map_changes_the_object_and_must_fit(client, tmp_path):
     with pytest.raises(Exception, match=r"thickness: .*a number from 0\.05 to 4"):
         generate(client, **alone, thickness=9)
     for name, near, message in (
-        ("wide", "white", "has 64 x 20 pixels, the picture"),
+        ("wide", "white", "has 64 x 20 pixels, but the picture"),
         ("fits", "blue", "near: "),
     ):
         with pytest.raises(Exception, match=message):

@@ -126,7 +126,7 @@ def test_only_videos_are_laid_on_the_object(tmp_path):
 def test_films_that_show_nothing_are_refused(tmp_path):
     with pytest.raises(InputError, match="picture 1 shows no object"):
         read_film(film_of(tmp_path / "film", [10, None]))
-    with pytest.raises(InputError, match="1 frames"):
+    with pytest.raises(InputError, match="1 readable frames"):
         read_film(film_of(tmp_path / "short", [10]))
     (tmp_path / "film.mp4").write_text("no film")
     with pytest.raises(InputError, match="not a readable video"):

@@ -172,7 +172,7 @@ range.
 The interval then covers two thirds of the range.
 """
 MODULI = ("E", "mu", "lambda", "bulk", "yield_stress", "hardening")
-FORCE = "measure the force on a wall, or load the wall with a known force in newtons"
+FORCE = "measure the force on a wall, or load the object with a known force in newtons"
 HOW = (
     " (--forces plate.csv, or a clip of a scene with wrenches = true; "
     '[[forces]] kind = "force" is a load)'
