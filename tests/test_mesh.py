@@ -218,7 +218,7 @@ def test_a_mesh_far_away_in_double_precision_keeps_its_shape(tmp_path, name):
 def test_a_mesh_whose_numbers_are_too_coarse_is_noted(tmp_path):
     body = ball()
     body.vertices += EARTH
-    with pytest.warns(UserWarning, match="steps of 0.5. With about 4 steps across"):
+    with pytest.warns(UserWarning, match="increments of 0.5. With only about 4 increments across"):
         mesh(saved(tmp_path / "far.stl", body), RED)
 
 

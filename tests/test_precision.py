@@ -68,7 +68,7 @@ def test_one_outlier_does_not_hide_that_all_others_are_far(tmp_path, row):
 def test_a_float32_file_far_away_is_called_coarse(tmp_path):
     result = read_as_is(far_ply(tmp_path, EARTH, "f4"))
     (note,) = result.remarks()
-    assert "steps of 0.5. With about 2 steps across" in note
+    assert "increments of 0.5. With only about 2 increments across" in note
     assert read_as_is(far_ply(tmp_path, EARTH / 1e4, "f4")).remarks() == []
 
 
@@ -78,7 +78,7 @@ def test_doubles_that_hold_float32_values_are_as_coarse(tmp_path):
     names = raw_table(ball(3)).dtype.names
     columns = dict(zip(names, rows.reshape(-1, len(names)).T, strict=True))
     double = ply_of(tmp_path / "b.ply", columns, kinds=dict.fromkeys(columns, "f8"))
-    assert "about 2 steps across" in read_as_is(double).remarks()[0]
+    assert "about 2 increments across" in read_as_is(double).remarks()[0]
 
 
 def test_a_float32_file_is_read_in_its_place_bit_for_bit(tmp_path):
@@ -167,7 +167,7 @@ def test_a_glb_of_far_places_in_float32_is_called_coarse(tmp_path):
         tree["nodes"][0] |= {"translation": np.roll(-EARTH, -1).tolist(), "rotation": [0, 1, 0, 0]}
 
     (tmp_path / "a.glb").write_bytes(edited((tmp_path / "a.glb").read_bytes(), change))
-    assert "about 2 steps across" in read_as_is(tmp_path / "a.glb").remarks()[0]
+    assert "about 2 increments across" in read_as_is(tmp_path / "a.glb").remarks()[0]
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1, 1e4])

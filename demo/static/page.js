@@ -82,7 +82,7 @@
     if (!state.running) document.body.classList.remove('kept');
     document.body.dataset.state = state.touching ? 'touch' : state.running ? 'running' : state.result ? 'result' : state.picture ? 'chosen' : 'first';
     document.body.dataset.picture = state.picture;
-    still('#side', state.running || state.touching);
+    still('#side', state.touching);
     still('#viewer', state.touching);
     for (const button of document.querySelectorAll('#go, #begin-touch')) button.setAttribute('aria-disabled', !state.picture);
   }
