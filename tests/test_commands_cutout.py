@@ -77,6 +77,7 @@ def test_doubtful_cutout_is_reported_before_the_work(dark, tmp_path, capsys, mon
         (["none.png"], "image = none.png: There is no such file."),
         ([str(DUCK), "--out", "a.jpg"], "out = a.jpg: A cut-out needs a format with transparency."),
         ([str(DUCK), "--out", "no/a.png"], "no file can be written to this path"),
+        ([str(DUCK), "--method", "magic"], "method = magic: This method is not known. Choose one"),
         ([str(DUCK), "--method", "magic"], "birefnet-512, isnet, u2net, u2netp, grabcut."),
     ],
 )

@@ -19,6 +19,7 @@ from phy124.scene import Scene
 from phy124.simulation.bodies import proportions_of
 from support.shapes import ball
 
+DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 SMALL = ["--frames", "2", "--size", "16", "--views", "front", "--device", "cpu"]
 
 
@@ -48,6 +49,13 @@ def test_a_dry_run_says_what_would_run_and_writes_nothing(file, tmp_path, capsys
     assert output["promise"]["error"] == promised.error
     assert output["span"][0] < output["seconds"] < output["span"][1]
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("command", "source"), [("simulate", "{file}"), ("generate", str(DUCK))])
+def test_a_dry_run_refuses_an_output_folder_that_is_a_file(command, source, file, capsys):
+    arguments = [command, source.format(file=file), "--out", str(file), *SMALL[2:]]
+    assert main([*arguments, "--dry-run"]) == 2
+    assert f"out = {file}: it is a file." in capsys.readouterr().err
 
 
 def test_forecast_omits_the_own_error_like_the_run(file, capsys, monkeypatch):

@@ -96,9 +96,14 @@ class CutOut:
         how = self.options
         with search_first(how.weights), Bars(quiet=self.json) as bars:
             deadline = Deadline(beat=partial(bars, "cut out", 0, 1))
-            cutout = cut_out(
-                self.image, how.foreground, mask=how.mask, pick=how.point, deadline=deadline
-            )
+            try:
+                cutout = cut_out(
+                    self.image, how.foreground, mask=how.mask, pick=how.point, deadline=deadline
+                )
+            except InputError as error:
+                if error.field != "foreground":
+                    raise
+                raise InputError("method", error.value, error.limit, error.remedy) from None
             bars("cut out", 1, 1)
         return cutout
 

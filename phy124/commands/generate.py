@@ -87,7 +87,7 @@ class Generate:
             return continue_run(out, self.options, scene, self._study(), self.plan)
         announce(scene, goal, self.options.device, as_json=self.options.json)
         if self.plan.dry_run:
-            with search_first(self.making.cutting.weights):
+            with pipeline.staging(out), search_first(self.making.cutting.weights):
                 return self._predict(scene)
         with (
             search_first(self.making.cutting.weights),
@@ -226,9 +226,10 @@ class Simulate:
         check_count(self.gaussians)
         announce(scene, goal, self.options.device, as_json=self.options.json)
         if self.plan.dry_run:
-            return self._predict(file, scene, study)
-        bars, place = Bars(quiet=self.options.json, keeps=True), pipeline.staging(out)
-        with bars, place:  # a folder that cannot be used is refused before any work
+            with pipeline.staging(out):
+                return self._predict(file, scene, study)
+        # A folder that cannot be used is refused before any work.
+        with Bars(quiet=self.options.json, keeps=True) as bars, pipeline.staging(out):
             context = self.options.context(bars)
             needed = kernels(scene, context.device)
             with looking_up(needed, context.device), context.watch.stage("read"):
