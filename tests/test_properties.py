@@ -226,7 +226,7 @@ def test_files_that_are_none_are_refused(tmp_path):
 def test_irregular_points_are_not_interpolated(tmp_path, rng):
     x = rng.uniform(0, 1, (50, 3))
     file = saved(tmp_path / "p.npz", points=x, E=np.full(50, 1e5))
-    with pytest.raises(InputError, match="no regular grid"):
+    with pytest.raises(InputError, match="do not form a regular grid"):
         Properties(file=file, sampling="trilinear").columns(x, x[1:], None)
 
 

@@ -1,8 +1,8 @@
-"""Boundaries of a scene: shapes that change the velocities of grid nodes inside or near them.
+"""Boundaries of a scene: shapes that change the velocities of the grid nodes in or near the shape.
 
-Each boundary is a section of the scene file. A boundary becomes one stage of the substep; a
-container becomes one stage per wall, and a gripper becomes two stages. A stage is launched only
-over the nodes that its shape can reach.
+Each boundary is a section of the scene file. A boundary adds one stage to the substep; a container
+adds one stage per wall, and a gripper adds two. The kernel of a stage runs only over the nodes that
+the shape can reach.
 """
 
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""Base class of boundaries. A boundary has a shape, and responds to material that touches it."""
+"""Base class of boundaries. A boundary has a shape, and acts on material that touches the shape."""
 
 from __future__ import annotations
 
@@ -25,23 +25,22 @@ from phy124.schema.section import Section
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
-"""Signed distance from a wall [cells] below which nodes respond one by one, not in columns.
+"""Signed distance from a wall [cells] below which each node responds alone instead of in a column.
 
-A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. For the body to
-touch the wall, this plane must therefore lie about 0.65 cells inside the wall on average. Plastic
-and fluid materials keep no such distance but sink to this plane, so `REACH` applies only to nodes
-that belong to no column.
+A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. If this plane
+lies about 0.65 cells inside the wall, the body therefore rests on the wall's surface. Plastic and
+fluid materials sink to this plane, so `REACH` applies only to nodes that belong to no column.
 """
 MARGIN = 2.0
 """Largest distance of a node in front of a wall [cells] at which the node may respond to the
 wall.
 """
 SWEEPS = 2
-"""Number of times per substep that columns respond to a wall if the columns cross. Each time, the
-columns use the changes that other columns made the time before.
+"""Number of passes per substep over columns that cross near a wall. In each pass, the columns see
+the velocities that the other columns changed in the pass before.
 """
 THINNEST = 1.0
-"""Smallest half thickness of a solid [cells], because a solid must contain nodes in order to stop
+"""Smallest half thickness of a solid [cells]; a thinner solid may contain no nodes, which stop
 material.
 """
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -49,7 +48,7 @@ Recorder = Callable[[Grid], "wp.Launch | None"]
 
 
 class Rest(Protocol):
-    """The object at rest, on which the shape of a boundary may depend."""
+    """Positions of the objects at rest, from which some boundaries determine their shape."""
 
     @property
     def rest(self) -> NDArray[np.float64]:
@@ -65,37 +64,37 @@ class Rest(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class AtRest:
-    """An object at rest that is described only by positions, without a model."""
+    """Positions of an object at rest, for use without a model."""
 
     rest: NDArray[np.float64]
     """Positions at rest [P,3], m."""
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return all positions, because this class does not distinguish objects."""
+        """Return all positions; the name is ignored."""
         return self.rest
 
 
 class Boundary(Section):
-    """Base class of all boundaries, which defines the response to material that touches a
-    boundary.
-    """
+    """Base class of all boundaries, with the fields that describe the contact with material."""
 
     shape: ClassVar[str]
     thing: ClassVar[str] = "it"
-    """Name, used in messages, of the part of the boundary that may be too thin."""
+    """Name for messages of the part of the boundary that may be too thin."""
 
     holds: ClassVar[bool] = False
     """Whether the boundary holds material in place instead of only blocking it."""
 
     contact: Contact = Field(
-        default="separate", description="sticky, slip, or separate (may leave, with friction)."
+        default="separate",
+        description="Contact with the material: sticky (no motion), slip (no normal motion), or "
+        "separate (material may leave the surface, with friction).",
     )
     friction: float = Field(default=0.4, ge=0, le=10, description="Coulomb friction coefficient.")
     object: Name | None = Field(
         default=None,
         exclude_if=lambda name: name is None,
         examples=["object"],
-        description="Name of the only object that this boundary affects; absent: all objects.",
+        description="Name of the object on which the boundary acts. Default: all objects.",
     )
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
@@ -116,13 +115,11 @@ class Boundary(Section):
         return low - margin, high + margin
 
     def at_surface(self, dx: float) -> bool:
-        """Return whether contact is enforced at the surface between nodes instead of node by
-        node.
-        """
+        """Return whether contact is enforced at the exact surface instead of node by node."""
         return self.reach(dx) is None
 
     def columns_overlap(self, dx: float) -> bool:
-        """Return whether columns of nodes overlap: a node may then be in several columns."""
+        """Return whether a node may be in several columns."""
         return self.at_surface(dx) and self.outline() not in FLAT
 
     @property
@@ -132,7 +129,7 @@ class Boundary(Section):
 
     @property
     def tracked(self) -> bool:
-        """Whether the boundary has a track, that is, whether it moves or ends."""
+        """Whether the boundary has a track, because it moves or stops acting."""
         return self.moves
 
     def kernels(self, real: Any, dx: float) -> list[Any]:
@@ -147,7 +144,7 @@ class Boundary(Section):
         return make(self.outline(), self.response(), moving, real)
 
     def gentler(self) -> dict[str, Any]:
-        """Return fields with new values that halve the boundary's strength."""
+        """Return the changed fields that halve the boundary's strength."""
         return {}
 
     def parts(self) -> list[Any]:
@@ -175,21 +172,22 @@ class Boundary(Section):
         return np.inf
 
     def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
-        """Return the depth of points [P,3] inside the solid before it moves [P], m.
+        """Return the depths [P], m, of points [P,3] inside the solid in its initial position.
 
-        The depth is negative outside, and -inf for boundaries that are not solids, such as clamps.
+        The depth is negative outside the solid, and -inf if the boundary is not a solid (such as a
+        clamp).
         """
         del model
         return np.full(len(x), -np.inf)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages of the boundary: its collider, and a second stage for nodes where
-        columns cross.
+        """Return the stages of the boundary: the wall, and a second stage for nodes where columns
+        cross.
 
         Args:
             model: The constants of the run.
             state: Not used.
-            tracks: The tracks to which the boundary's displacement is added.
+            tracks: The tracks of the run, to which the boundary's displacement is added.
 
         Raises:
             InputError: The solid is too thin for the grid.
@@ -208,23 +206,21 @@ class Boundary(Section):
         return [Stage(name, recorder, alone=alone, with_update=updating) for recorder in recorders]
 
     def _of_object(self, model: Model, recorder: Recorder) -> Recorder:
-        """Return a recording function that skips the grids of objects that the wall does not
-        affect.
-        """
+        """Return a recorder that skips the grids of objects on which the wall does not act."""
         if self.object is None:
             return recorder
         particles = model.named(self.object)
         return lambda grid: recorder(grid) if grid.particles == particles else None
 
     def spans(self, model: Model) -> bool:
-        """Return whether columns may cross the layers of nodes along x."""
+        """Return whether columns may extend over several layers of nodes along x."""
         if not self.at_surface(model.dx):
             return False
         _, normal, _ = self.geometry(model)
         return self.outline() not in FLAT or abs(normal[0]) > 0.999 * max(map(abs, normal[1:]))
 
     def refuse_thin(self, model: Model) -> None:
-        """Raise an error if the solid is so thin that something could pass through it.
+        """Check that the solid is thick enough to stop material.
 
         Raises:
             InputError: The solid is thinner than two cells.
@@ -245,8 +241,8 @@ class Boundary(Section):
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return the function that records the stage for crossing columns, which reach two cells
-        beyond the bounds.
+        """Return a function that records the stage for crossing columns, up to two cells beyond the
+        bounds.
         """
         low, high = self._swept_bounds(model)
 
@@ -263,7 +259,7 @@ class Boundary(Section):
         return bounds if track is None else swept(bounds, track)
 
     def _recorder(self, model: Model, tracks: Tracks, slot: int | None) -> Recorder:
-        """Return the function that records the launch of the wall, whose track has the given
+        """Return the function that records the kernel launch of the wall; its track has the given
         slot.
         """
         bounds, columns_overlap = self._swept_bounds(model), self.columns_overlap(model.dx)
@@ -286,9 +282,7 @@ class Boundary(Section):
         return record
 
     def _updater(self, model: Model, tracks: Tracks, slot: int | None) -> Recorder:
-        """Return the function that records a launch that combines a flat wall with the grid
-        update.
-        """
+        """Return the function that records one launch for both a flat wall and the grid update."""
         moving, bounds = slot is not None, self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -307,8 +301,8 @@ class Boundary(Section):
         return record
 
     def _wall(self, model: Model, slot: int | None) -> list[Any]:
-        """Return the inputs of a kernel that describe the wall: shape, friction, reach, and the
-        slot of its track.
+        """Return the kernel inputs that describe the wall: shape, friction, reach, and the track's
+        slot.
         """
         shape = types(model.real).mat33(*np.ravel(self.geometry(model)))
         reach = self.reach(model.dx)
@@ -316,18 +310,18 @@ class Boundary(Section):
 
 
 def _columns(model: Model, grid: Grid) -> list[Any]:
-    """Return the kernel inputs for contact in columns of nodes: the number of layers, and the
-    contact threshold.
+    """Return the kernel inputs for contact in columns: the number of layers, and the contact
+    threshold.
     """
     layers = wp.vec2i(*(grid.layers or (0, int(grid.size[0]))))
     return [layers, lightest(model), contact_mass_fraction(model), seep_distance(model)]
 
 
 class Movable(Boundary):
-    """A boundary that may follow a path or oscillate."""
+    """A boundary that may move: along a path, or in an oscillation."""
 
     motion: AnyMotion | None = Field(
-        default=None, description="Its displacement over time: path or swing. Absent: it is fixed."
+        default=None, description="Displacement over time: path or swing. Default: fixed."
     )
 
     @property
@@ -341,11 +335,10 @@ class Movable(Boundary):
 
 
 def lightest(model: Model) -> float:
-    """Return the mass of a node inside the lightest material [kg]; infinite if no bound is needed.
+    """Return the mass of a node inside the lightest material [kg]; infinite for elastic materials.
 
-    Elastic material needs no such bound, because a cell that is heavier than at rest is compressed.
-    In a material that yields, cells may contain up to 1.6 times as many particles as at rest,
-    without being compressed.
+    In a material that yields, cells may contain up to 1.6 times as many particles as at rest
+    without being compressed. A heavier cell of elastic material is always compressed.
     """
     densities = {section.density for section in model.materials}
     return min(densities) * model.dx**3 if yields(model) or len(densities) > 1 else math.inf
@@ -354,23 +347,23 @@ def lightest(model: Model) -> float:
 def contact_mass_fraction(model: Model) -> float:
     """Return the contact threshold as a fraction of the mass expected at a wall.
 
-    A body touches the wall if its mass there exceeds the threshold.
+    A body counts as touching the wall if its mass at the wall exceeds the threshold.
 
-    The fraction is 0.9 for solids, which then touch the wall 0.07 cells early: with a smaller
-    fraction solids are too stiff at first contact, and with a larger fraction columns with few
-    particles sink into the wall. The fraction is 0.8 for materials that yield, because their
-    particles are less regular; they touch the wall 0.15 cells early.
+    The fraction is 0.9 for solids, so contact begins 0.07 cells before the surfaces meet. With a
+    smaller fraction, solids are too stiff at first contact. With a larger fraction, columns with
+    few particles sink into the wall. The fraction is 0.8 for materials that yield, because their
+    particles are spaced less regularly; contact begins 0.15 cells early.
     """
     return 0.8 if yields(model) else 0.9
 
 
 def seep_distance(model: Model) -> float:
-    """Return the distance [m] below which nodes respond one by one to a wall that does not push.
+    """Return the distance [m] below which nodes respond individually to a wall that does not push.
 
-    Material that separates into drops and grains would otherwise seep through a wall, because drops
-    and grains behind the wall would move on while the rest moves away. For cohesive material the
-    distance is minus infinity, because nodes that respond one by one would stop such material
-    before it touches the wall.
+    The distance is finite for material that separates into drops or grains: otherwise, drops and
+    grains behind a wall would stay there while the rest of the material moves away. For cohesive
+    material the distance is minus infinity, because individual nodes would stop the material before
+    it touches the wall.
     """
     apart = any(section.rounds for section in model.materials)
     return REACH * model.dx if apart else -math.inf
@@ -388,14 +381,14 @@ def vector(values: Iterable[float]) -> Vector:
 
 
 def swept(corners: Corners, track: Track) -> Corners:
-    """Return the corners of a box that contains a moving box at all times [m]."""
+    """Return the corners [m] of a box that contains a moving box at all times."""
     moves = np.array([key[1] for key in track.keys])
     return corners[0] + moves.min(axis=0), corners[1] + moves.max(axis=0)
 
 
 def half_bounds(point: Vector, normal: Vector) -> Corners:
-    """Return the corners [m] of a box around the solid side of a plane if the normal is along an
-    axis, otherwise of all space.
+    """Return the corners [m] of a half-space, if its normal is along an axis, otherwise of all
+    space.
     """
     lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
     across = np.flatnonzero(np.abs(normal) > 1e-9)
@@ -406,6 +399,6 @@ def half_bounds(point: Vector, normal: Vector) -> Corners:
 
 
 def box_of(lower: Vector, upper: Vector) -> tuple[Vector, Vector, Vector]:
-    """Return the centre and the half sizes of a box [m], and a third vector that is not used."""
+    """Return the centre and the half sizes of a box [m], and an unused third vector."""
     low, high = np.array(lower), np.array(upper)
     return vector((low + high) / 2), vector((high - low) / 2), (0.0, 0.0, 0.0)

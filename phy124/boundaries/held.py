@@ -1,4 +1,4 @@
-"""Regions in which material is held; the surface of a region may lie between grid nodes."""
+"""Clamps: regions in which material is fixed."""
 
 from __future__ import annotations
 
@@ -15,17 +15,20 @@ from phy124.schema.region import AxisName, Vector, cylinder
 
 
 class Clamp(Movable):
-    """Holds material, permanently or until a given time."""
+    """Fixes material, permanently or until a given time."""
 
     holds: ClassVar[bool] = True
 
-    contact: Contact = Field(default="sticky", description="sticky holds all directions.")
+    contact: Contact = Field(
+        default="sticky",
+        description="Constrained directions of motion: sticky fixes all directions.",
+    )
     end: float | None = Field(
         default=None,
         examples=[0.5],
         ge=SHORTEST,
         le=LONGEST,
-        description="Time at which the material is released [s]; absent: never.",
+        description="Time at which the material is released [s]. Default: never.",
     )
 
     def track(self, model: Rest) -> Track | None:
@@ -43,9 +46,7 @@ class Clamp(Movable):
         return self.moves or self.end is not None
 
     def at_surface(self, dx: float) -> bool:
-        """Return whether the clamp acts exactly up to its surface instead of node by node, as
-        sticky clamps do.
-        """
+        """Return whether the clamp acts exactly up to its surface; only sticky clamps do."""
         return self.contact == "sticky"
 
     def response(self) -> str:
@@ -55,12 +56,12 @@ class Clamp(Movable):
         return "held" if self.contact == "sticky" else self.contact
 
     def reach(self, dx: float) -> float | None:
-        """Return 0 m, because exactly the nodes inside the region respond."""
+        """Return 0 m, because only nodes inside the region respond."""
         return 0.0
 
 
 class Held(Clamp):
-    """A box or cylinder in which the material is held in place, such as the foot of a stem."""
+    """A box or cylinder in which the material is fixed, such as the foot of a stem."""
 
     shape: ClassVar[str] = "box"
     kind: Literal["held"] = "held"
@@ -68,8 +69,8 @@ class Held(Clamp):
     upper: Position = Field(default=(10.0, 10.0, 0.1), description="Highest corner [m].")
     cylinder: AxisName | None = Field(
         default=None,
-        description="Axis of the cylinder inscribed in the box, if only the "
-        "cylinder is held; absent: the box.",
+        description="Axis of a cylinder that is inscribed in the box and clamps the "
+        "material instead of the box. Default: the box.",
     )
 
     @model_validator(mode="after")
@@ -98,23 +99,24 @@ class Held(Clamp):
 
 
 class Foot(Clamp):
-    """Holds the lowest part of the object in place, like a plant in its pot."""
+    """Fixes the lowest part of the object, like the part of a plant in a pot."""
 
     shape: ClassVar[str] = "half_space"
     kind: Literal["foot"] = "foot"
     fraction: float = Field(
-        default=0.15, ge=1e-6, le=1, description="Fraction of the object's height that is held."
+        default=0.15,
+        ge=1e-6,
+        le=1,
+        description="Fixed fraction of the object's height, from its lowest point.",
     )
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return a point on the plane below which material is held [m], and the normal of this
-        plane.
-        """
+        """Return a point [m] on the plane below which material is fixed, and the plane's normal."""
         z = model.rest_of(self.object)[:, 2]
         top = float(z.min() + self.fraction * np.ptp(z))
         return (0.0, 0.0, top), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
-        """Return the corners of a box that contains all space below the plane [m]."""
+        """Return the corners [m] of a box that contains all space below the plane."""
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)

@@ -1,6 +1,4 @@
-"""Declares the motions of boundaries: along a path or in an oscillation, without rotation, or
-freely.
-"""
+"""Motions of boundaries: along a path, in an oscillation, or freely."""
 
 from __future__ import annotations
 
@@ -16,11 +14,11 @@ from phy124.schema.bounds import LONGEST, Instant, Position
 from phy124.schema.section import Section
 
 EASE = 16
-"""Number of straight segments for each leg of a smooth path."""
+"""Number of straight segments between two points of a smooth path."""
 
 
 class Motion(Section):
-    """Base class of all motions, which are displacements over time."""
+    """Base class of all prescribed motions: displacements over time."""
 
     start: float = Field(
         default=0.0, ge=0, le=LONGEST, description="Time at which the motion starts [s]."
@@ -36,13 +34,18 @@ class Path(Motion):
 
     kind: Literal["path"] = "path"
     times: tuple[Instant, ...] = Field(
-        default=(0.0, 1.0), description="Times of the displacements [s]."
+        default=(0.0, 1.0),
+        description="Times at which the boundary reaches the displacements in `points` [s].",
     )
     points: tuple[Position, ...] = Field(
-        default=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), description="Displacements at these times [m]."
+        default=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), description="Displacements at `times` [m]."
     )
-    smooth: bool = Field(default=True, description="Come to a smooth stop at each point.")
-    repeat: bool = Field(default=False, description="Start again after the last point.")
+    smooth: bool = Field(
+        default=True, description="Whether the motion slows down to a stop at each point."
+    )
+    repeat: bool = Field(
+        default=False, description="Whether the path repeats after the last point."
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> Path:
@@ -63,16 +66,16 @@ class Path(Motion):
 
 
 class Swing(Motion):
-    """A sinusoidal displacement: a shaking base."""
+    """A sinusoidal displacement, for example of a shaking base."""
 
     kind: Literal["swing"] = "swing"
     amplitude: Position = Field(default=(0.0, 0.05, 0.0), description="Largest displacement [m].")
-    frequency: float = Field(default=2.0, ge=1e-5, le=1e4, description="Swings per second [Hz].")
+    frequency: float = Field(
+        default=2.0, ge=1e-5, le=1e4, description="Frequency of the oscillation [Hz]."
+    )
 
     def track(self) -> Track:
-        """Return the track of a repeated period, which begins at zero displacement and the largest
-        speed.
-        """
+        """Return the track of one period, to be repeated; it starts at zero displacement."""
         sine = Sine(frequency=self.frequency)
         times, factors = sine.table()
         return Track(
@@ -89,20 +92,18 @@ class Free(Section):
 
 AnyMotion = Annotated[Path | Swing, Field(discriminator="kind")]
 OwnMotion = Annotated[Path | Swing | Free, Field(discriminator="kind")]
-"""The motions that are available to a shape that is an object of the scene."""
+"""The motions of a rigid object of the scene."""
 
 
 def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
-    """Return times [N] in s and points [N,3] in m as keys of a track."""
+    """Return the keys of a track from times [N], s, and points [N,3], m."""
     return tuple(
         (t, (x, y, z)) for t, (x, y, z) in zip(times.tolist(), points.tolist(), strict=True)
     )
 
 
 def ease(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Divide each leg of a path into `EASE` segments, so that the motion stops smoothly at the ends
-    of the leg.
-    """
+    """Divide the path between two points into `EASE` segments with a smooth start and stop."""
     parts = np.linspace(0, 1, EASE + 1)[1:]
     fractions = (1 - np.cos(math.pi * parts)) / 2
     new_times, new_points = [times[0]], [points[0]]

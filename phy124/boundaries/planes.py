@@ -19,35 +19,37 @@ from phy124.schema.region import Region, Vector
 
 
 class Plane(Boundary):
-    """A boundary that is solid everywhere behind a plane."""
+    """Base class of boundaries that are solid everywhere behind a plane."""
 
     shape: ClassVar[str] = "half_space"
 
     def extent(self, model: Model) -> Corners:
-        """Return the corners [m] of the half-space if the normal is along an axis, otherwise of all
+        """Return the corners [m] of the half-space if its normal is along an axis, otherwise of all
         space.
         """
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)
 
     def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
-        """Return the depth of points [P,3] behind the plane before it moves [P], m."""
+        """Return the depths [P], m, of points [P,3] behind the plane in its initial position."""
         return measure_depth(self.shape, self.geometry(model), x)
 
 
 class HalfSpace(Plane, Movable):
-    """A solid that fills everything behind a plane."""
+    """A solid that fills all space behind a plane."""
 
     kind: Literal["half_space"] = "half_space"
     point: Position = Field(default=(0.0, 0.0, 0.0), description="A point on the plane [m].")
     normal: Direction = Field(
-        default=(0.0, 0.0, 1.0), description="Normal of the plane, out of the solid."
+        default=(0.0, 0.0, 1.0), description="Normal of the plane; it points out of the solid."
     )
 
     @model_validator(mode="after")
     def _points_somewhere(self) -> HalfSpace:
         if math.hypot(*self.normal) == 0:
-            raise ValueError("the normal is zero; give the direction out of the solid")
+            raise ValueError(
+                "the normal is zero; set it to the direction that points out of the solid"
+            )
         return self
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
@@ -58,7 +60,7 @@ class HalfSpace(Plane, Movable):
 
 
 class Ground(Plane, Movable):
-    """A floor at a height, on which objects stand by default."""
+    """A horizontal floor, on which objects stand by default."""
 
     kind: Literal["ground"] = "ground"
     height: float = Field(
@@ -71,7 +73,7 @@ class Ground(Plane, Movable):
 
 
 class Press(Plane):
-    """A plate that comes down on the object, rests there and goes back up."""
+    """A plate that descends onto the object, rests and goes back up."""
 
     kind: Literal["press"] = "press"
     top: float | None = Field(
@@ -79,13 +81,13 @@ class Press(Plane):
         ge=-FARTHEST,
         le=FARTHEST,
         examples=[1.2],
-        description="Initial height of the plate [m]; absent: the top of the object.",
+        description="Initial height of the plate [m]. Default: the top of the object.",
     )
     depth: float = Field(
         default=0.35,
         gt=0,
         le=0.9,
-        description="Distance that the plate descends, in object heights.",
+        description="Distance that the plate descends, relative to the object's height.",
     )
     start: float = Field(
         default=0.0, ge=0, le=LONGEST, description="Time at which the plate starts to move [s]."
@@ -94,7 +96,10 @@ class Press(Plane):
         default=0.25, ge=SHORTEST, le=LONGEST, description="Duration of the descent [s]."
     )
     hold: float = Field(
-        default=0.05, ge=0, le=LONGEST, description="Duration of the stop at the bottom [s]."
+        default=0.05,
+        ge=0,
+        le=LONGEST,
+        description="Duration of the rest at the lowest position [s].",
     )
     up: float = Field(
         default=0.2, ge=SHORTEST, le=LONGEST, description="Duration of the ascent [s]."
@@ -102,15 +107,15 @@ class Press(Plane):
 
     @property
     def moves(self) -> bool:
-        """Always True, because a press moves."""
+        """Always True: a press moves."""
         return True
 
     def gentler(self) -> dict[str, Any]:
-        """Return fields with new values that let the plate descend in twice the time."""
+        """Return the changed fields with which the plate descends in twice the time."""
         return {"down": 2 * self.down}
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return a point [m] and the unit normal of the plate, before the displacement."""
+        """Return a point [m] and the unit normal of the plate's lower side, initially."""
         height = model.rest_of(self.object)[:, 2].max() if self.top is None else self.top
         return (0.0, 0.0, float(height)), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
 
@@ -123,13 +128,13 @@ class Press(Plane):
 class Container(Movable):
     """A box that objects cannot leave: the walls of a tank, of a tray, or of the whole domain.
 
-    Each closed side is one stage. Sides that are omitted are open.
+    Each closed side adds one stage to the substep.
     """
 
     kind: Literal["container"] = "container"
     inside: Region = Field(
         default=Region(lower=(-1.0, -1.0, 0.0), upper=(1.0, 1.0, 2.0)),
-        description="Space inside the container; a side without a number is open.",
+        description="Space inside the container; a side without a coordinate is open.",
     )
 
     @model_validator(mode="after")
@@ -143,9 +148,7 @@ class Container(Movable):
         return self.sides()
 
     def part_names(self) -> list[str]:
-        """Return a name for each wall, made of its axis and its end, low or high (`z_low` is the
-        floor).
-        """
+        """Return a name for each wall: its axis and "low" or "high" (`z_low` is the floor)."""
         normals = [side.normal for side in self.sides()]
         axes = [int(np.argmax(np.abs(normal))) for normal in normals]
         return [
@@ -154,7 +157,7 @@ class Container(Movable):
         ]
 
     def sides(self) -> list[HalfSpace]:
-        """Return the walls; a side that is far outside any scene counts as open and has no wall."""
+        """Return the walls of the closed sides; a side far outside any scene counts as open."""
         walls = []
         for axis in range(3):
             for corner, sign in ((self.inside.lower, 1.0), (self.inside.upper, -1.0)):
@@ -182,11 +185,11 @@ class Container(Movable):
 
 
 def there_and_back(to: Vector, start: float, go: float, stay: float, back: float) -> Track:
-    """Return the track of a smooth displacement, a rest, and a smooth return.
+    """Return the track of a smooth displacement, a rest, and a smooth motion back.
 
     Args:
         to: Displacement during the rest [m].
-        start: Time at which the motion starts [s].
+        start: Time at which the displacement starts [s].
         go: Duration of the displacement [s].
         stay: Duration of the rest [s].
         back: Duration of the return [s].
@@ -194,6 +197,6 @@ def there_and_back(to: Vector, start: float, go: float, stay: float, back: float
     here = (0.0, 0.0, 0.0)
     times = [0.0, go, go + stay, go + stay + back] if stay > 0 else [0.0, go, go + back]
     points = (here, to, to, here) if stay > 0 else (here, to, here)
-    # The track is built without validation: each time is within its bounds, but their sum may
-    # exceed them.
+    # The track is built without validation, because the sum of valid durations may exceed the
+    # bound.
     return Path.model_construct(start=start, times=tuple(times), points=points).track()

@@ -1,4 +1,4 @@
-"""Obstacles: box, sphere, capsule, and a gripper that consists of two pads."""
+"""Solid obstacles: box, sphere and capsule; and a gripper with two pads."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Solid(Movable):
     """A solid of finite size."""
 
     def measure_depth(self, x: NDArray[np.float64], model: Rest) -> NDArray[np.float64]:
-        """Return the depth of points [P,3] inside the solid before it moves [P], m."""
+        """Return the depths [P], m, of points [P,3] inside the solid in its initial position."""
         return measure_depth(self.shape, self.geometry(model), x)
 
 
@@ -84,7 +84,7 @@ class Capsule(Solid):
     start: Position = Field(
         default=(0.0, -0.5, 0.2), description="Start of the capsule's axis [m]."
     )
-    end: Position = Field(default=(0.0, 0.5, 0.2), description="The other end [m].")
+    end: Position = Field(default=(0.0, 0.5, 0.2), description="End of the capsule's axis [m].")
     radius: float = Field(default=0.1, ge=1e-9, le=1e5, description="Radius [m].")
 
     @model_validator(mode="after")
@@ -108,28 +108,42 @@ class Capsule(Solid):
 
 
 class Gripper(Boundary):
-    """Two pads that close on the object from both sides and then lift it."""
+    """Two pads that grip the object from both sides and then lift the object."""
 
     thing: ClassVar[str] = "each pad (thick, width)"
     kind: Literal["gripper"] = "gripper"
     friction: float = Field(default=1.0, ge=0, le=10, description="Coulomb friction coefficient.")
     axis: Axis = Field(default="y", description="Direction in which the gripper closes.")
-    centre: Position = Field(default=(0.0, 0.0, 0.5), description="Point between the pads [m].")
-    opening: float = Field(default=1.2, ge=1e-9, le=1e5, description="Gap at the start [m].")
-    closed: float = Field(default=0.6, ge=1e-9, le=1e5, description="Gap when closed [m].")
-    width: float = Field(default=0.4, ge=1e-9, le=1e5, description="Edge of the square pads [m].")
+    centre: Position = Field(
+        default=(0.0, 0.0, 0.5), description="Point midway between the pads [m]."
+    )
+    opening: float = Field(
+        default=1.2, ge=1e-9, le=1e5, description="Initial gap between the pads [m]."
+    )
+    closed: float = Field(
+        default=0.6, ge=1e-9, le=1e5, description="Gap between the pads when closed [m]."
+    )
+    width: float = Field(
+        default=0.4, ge=1e-9, le=1e5, description="Side length of the square pads [m]."
+    )
     thick: float = Field(default=0.2, ge=1e-9, le=1e5, description="Thickness of the pads [m].")
     start: float = Field(
         default=0.0, ge=0, le=LONGEST, description="Time at which the gripper starts to close [s]."
     )
     close: float = Field(
-        default=0.4, ge=SHORTEST, le=LONGEST, description="Duration of closing [s]."
+        default=0.4,
+        ge=SHORTEST,
+        le=LONGEST,
+        description="Time that the gripper takes to close [s].",
     )
     lift: float = Field(
-        default=0.3, ge=0, le=1e5, description="Height by which the gripper rises afterwards [m]."
+        default=0.3,
+        ge=0,
+        le=1e5,
+        description="Height by which the gripper rises after closing [m].",
     )
     rise: float = Field(
-        default=0.5, ge=SHORTEST, le=LONGEST, description="Duration of the rise [s]."
+        default=0.5, ge=SHORTEST, le=LONGEST, description="Time that the gripper takes to rise [s]."
     )
 
     @model_validator(mode="after")
@@ -142,7 +156,7 @@ class Gripper(Boundary):
 
     @property
     def moves(self) -> bool:
-        """Always True, because a gripper moves."""
+        """Always True: a gripper moves."""
         return True
 
     def thickness(self) -> float:
@@ -154,9 +168,7 @@ class Gripper(Boundary):
         return self.pads()
 
     def part_names(self) -> list[str]:
-        """Return a name for each pad, made of the closing axis and the pad's side: `y_low`,
-        `y_high`.
-        """
+        """Return a name for each pad, made of the axis and the pad's side, for example `y_low`."""
         return [f"{self.axis}_low", f"{self.axis}_high"]
 
     def pads(self) -> list[Box]:

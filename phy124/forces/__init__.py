@@ -1,7 +1,7 @@
 """Forces of a scene, which act on some particles or on the whole body.
 
-Each force is a section of the scene file. `attach` adds the force to a run: a track with its
-strength over time and, if it acts on chosen particles, one stage of the substep.
+Each force is a section of the scene file. `attach` adds a force to a run: its strength over time (a
+track) and, if it acts on chosen particles only, one stage of the substep.
 """
 
 from __future__ import annotations

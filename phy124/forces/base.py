@@ -1,4 +1,4 @@
-"""Base class of all forces: each force has a profile, a start and an end in time, and a region."""
+"""Base class of all forces, and functions that turn forces into stages of a substep."""
 
 from __future__ import annotations
 
@@ -20,14 +20,12 @@ from phy124.schema.section import Section
 
 
 class Force(Section):
-    """Base class of all forces, with a time profile between start and end, and a region of the
-    body.
-    """
+    """Base class of all forces. A force acts on a region of the body, from `start` to `end`."""
 
     sudden: ClassVar[bool] = False
-    """Whether the force may change velocities abruptly, whatever its strength."""
+    """Whether the force may change velocities abruptly even if its strength is small."""
     in_newtons: ClassVar[bool] = False
-    """Whether the force's track is a force on each particle [N], not an acceleration [m/s^2]."""
+    """Whether the track holds a force on each particle [N] instead of an acceleration [m/s^2]."""
     strengths: ClassVar[tuple[str, ...]] = ()
     """Names of the fields that determine the strength of the force."""
     joins: ClassVar[bool] = False
@@ -41,22 +39,23 @@ class Force(Section):
         gt=0,
         le=LONGEST,
         examples=[0.5],
-        description="Time at which the force stops acting [s]; absent: never.",
+        description="Time at which the force stops acting [s]. Default: never.",
     )
     region: Region | None = Field(
         default=None,
-        description="Region that selects, by positions at rest, the particles on which the "
-        "force acts; absent: all.",
+        description="The force acts on the particles that are in this region at rest. "
+        "Default: all particles.",
     )
     object: Name | None = Field(
         default=None,
         exclude_if=lambda name: name is None,
         examples=["object"],
-        description="Name of the object on which the force acts; absent: all objects.",
+        description="Name of the object on which the force acts. Default: all objects.",
     )
     profile: AnyProfile = Field(
         default=Constant(),
-        description="Strength of the force over time: constant, ramp, sine, keyframes.",
+        description="How the strength of the force varies over time: constant, ramp, sine or "
+        "keyframes.",
     )
 
     @model_validator(mode="after")
@@ -69,14 +68,12 @@ class Force(Section):
 
     @property
     def idle(self) -> bool:
-        """Whether the strength is zero; always False for wind, which slows objects even at zero
-        speed.
-        """
+        """Whether the strength is zero; always False for wind, because still air slows objects."""
         strengths = [getattr(self, name) for name in self.strengths]
         return bool(strengths) and not np.any(strengths)
 
     def gentler(self) -> dict[str, Any]:
-        """Return fields with new values that halve the force's strength."""
+        """Return the changed fields that halve the force's strength."""
         values = {name: getattr(self, name) for name in self.strengths}
         return {
             name: [x / 2 for x in value] if isinstance(value, tuple) else value / 2
@@ -94,29 +91,27 @@ class Force(Section):
         return self.start > 0 or self.end is not None or self.profile.kind != "constant"
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return a track with the value times the profile between start and end, and zero at other
-        times.
+        """Return a track: the value times the profile between start and end, and zero otherwise.
 
         Args:
-            value: The force at full strength, in the units of the force.
-            mean: Whether each substep reads the mean over its duration instead of the current
-                value.
+            value: Value at full strength, in the unit of the force.
+            mean: Whether a substep uses the track's mean over the substep, not the current value.
         """
         end = FOREVER if self.end is None else self.end
         return Track.of_profile(value, self.profile, self.start, end, mean=mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that the force adds to each substep; a uniform acceleration adds none.
+        """Return the stages that the force adds to each substep; none for a uniform acceleration.
 
         Args:
             model: The constants of the run.
             state: The particles' arrays, which the launches change.
-            tracks: The tracks to which quantities that change over time are added.
+            tracks: The tracks of the run, to which the force adds its strength over time.
         """
         raise NotImplementedError
 
     def chosen(self, model: Model) -> wp.array:
-        """Return the indices of the particles in the force's region that may move.
+        """Return the indices of the movable particles in the force's region.
 
         Raises:
             InputError: The region holds no particle.
@@ -144,8 +139,7 @@ def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
 
 
 def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """Return the stages of an acceleration; there are none if it is uniform, because the grid
-    update adds it.
+    """Return the stages of an acceleration; none if it is uniform, because the grid update adds it.
 
     Args:
         force: The force, with its region and its strength over time.
@@ -177,7 +171,7 @@ def push(force: Force, value: Vector, model: Model, state: State, tracks: Tracks
 
 
 def per_mass(force: Force, f: Vector, model: Model) -> Vector:
-    """Return a vector divided by the total mass of the chosen particles."""
+    """Divide a vector by the total mass of the chosen particles."""
     chosen = np.asarray(force.chosen(model).numpy(), dtype=np.int64)
     total = float(np.take(model.mass.numpy(), chosen).sum(dtype=np.float64))
     return f[0] / total, f[1] / total, f[2] / total
@@ -197,22 +191,22 @@ def stage(
     over: Over = "",
     limited: bool = False,
 ) -> list[Stage]:
-    """Return a stage that changes the velocities of the chosen particles by a track.
+    """Return a stage in which a kernel changes the velocities of the chosen particles.
 
     Args:
         force: The force, with its region.
         name: Name of the stage in reports, which list its time.
-        kernel: Kernel whose arguments are the chosen particles, the track's slot, `inputs`, clock,
-            values and `read`.
+        kernel: Kernel with the arguments: chosen particles, slot of the track, `inputs`, clock,
+            values of the tracks, `read`.
         track: The strength over time.
         inputs: Constant arguments of the kernel.
         model: The constants of the run.
         state: The particles, whose velocities change.
         tracks: The tracks to which the strength is added.
         read: Arrays of the state that the kernel reads.
-        over: Interval over which a track with `mean` false is averaged.
-        limited: Whether the stage gets a separate limit, so that the track's values are not used as
-            bounds.
+        over: Interval over which the track is averaged if its `mean` is false.
+        limited: Whether the force has its own limit on substeps, which replaces the limit from the
+            track's values.
     """
     chosen = force.chosen(model)
     slot = tracks.add(track, over=over, limited=limited)
@@ -226,6 +220,6 @@ def stage(
 
 
 def within(chosen: wp.array, run: slice) -> wp.array:
-    """Return the part of a sorted list of particle indices that is in a range."""
+    """Return those of the sorted particle indices that are in a range."""
     first, last = np.searchsorted(chosen.numpy(), [run.start, run.stop]).tolist()
     return cast("wp.array", chosen[first:last])

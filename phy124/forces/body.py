@@ -28,7 +28,7 @@ class Gravity(Force):
 
 
 class Acceleration(Force):
-    """A uniform acceleration, whose effect does not depend on the number of particles."""
+    """A uniform acceleration; its effect does not depend on the number of particles."""
 
     kind: Literal["acceleration"] = "acceleration"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
@@ -41,7 +41,7 @@ class Acceleration(Force):
 
 
 class TotalForce(Force):
-    """A force in newtons on a region, which is distributed over the region's particles by mass."""
+    """A force in newtons on a region; each particle's share is proportional to its mass."""
 
     kind: Literal["force"] = "force"
     strengths: ClassVar[tuple[str, ...]] = ("f",)
@@ -54,9 +54,7 @@ class TotalForce(Force):
 
 
 class Impulse(Force):
-    """An impact that gives a region a total momentum, which does not depend on substeps or
-    profile.
-    """
+    """An impact that transfers a momentum to a region, independent of substeps and profile."""
 
     kind: Literal["impulse"] = "impulse"
     strengths: ClassVar[tuple[str, ...]] = ("p",)
@@ -79,26 +77,24 @@ class Impulse(Force):
 
     @property
     def varies(self) -> bool:
-        """Always True, because an impulse acts for a limited time."""
+        """Always True: an impulse acts for a limited time."""
         return True
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return a track with the value times the profile during the duration, and zero at other
-        times.
-        """
+        """Return a track: the value times the profile during the impulse, and zero otherwise."""
         end = self.start + self.duration
         track = Track.of_profile(value, self.profile, self.start, end, mean=mean)
         # A force that starts at time 0 is also active before time 0; an impulse at time 0 is not.
         return Track(track.keys, self.start, end, track.origin, track.period, mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Accelerate the region by p / (mass times the integral of the profile)."""
+        """Accelerate the region by p / (m I), with its mass m and the profile's time integral I."""
         x, y, z = per_mass(self, self.p, model)
         time = self.duration * self._mean()
         return accelerate(self, (x / time, y / time, z / time), model, state, tracks)
 
     def _mean(self) -> float:
-        """Return the mean of the profile over the duration."""
+        """Return the mean of the profile over the duration of the impulse."""
         times, factors = self.profile.table()
         inside = np.unique(np.clip(np.append(times, [0, self.duration]), 0, self.duration))
         at = np.interp(inside, times, factors)

@@ -1,6 +1,4 @@
-"""Forces on a group of particles as a whole; the group (part) is a ball in the object's shape at
-rest.
-"""
+"""Forces on a part of an object: a ball of particles, chosen at rest, on which one force acts."""
 
 from __future__ import annotations
 
@@ -39,25 +37,23 @@ def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.fl
 
 
 class Part(NamedTuple):
-    """The particles of a part on the device, and the sums over these particles that each substep
-    computes.
-    """
+    """The particles of a part, and the arrays for sums over these particles, on the device."""
 
     chosen: wp.array
     share: wp.array
-    """Share w m / sum(w m) of each particle, in float64."""
+    """Each particle's fraction w m / sum(w m) of the force, in float64."""
     per_force: wp.array
-    """Acceleration of each particle by a force of 1 N [1/kg]."""
+    """Acceleration of each particle due to a force of 1 N on the part [1/kg]."""
     means: wp.array
     second: wp.array
     mass: float
     """Weighted mass of the part, sum(w m) [kg]."""
     drawn: float
-    """Effective mass of the part at the start [kg]: a force on the part divided by the acceleration
-    of X.
+    """Effective mass of the part at the start [kg]: force on the part divided by the acceleration
+    of the centre X.
     """
     reach: float
-    """Distance at rest between X and the part's farthest particle [m]."""
+    """Distance between the centre X and the part's farthest particle at rest [m]."""
     inertia: float
     """Smallest moment of inertia of the part at rest [kg m^2]."""
 
@@ -70,14 +66,14 @@ class Part(NamedTuple):
         field: str,
         name: str | None = None,
     ) -> Part:
-        """Return the part of an object around a point of the object at rest.
+        """Return the part of an object within a radius of a point, at rest.
 
         Args:
             model: The model, with masses and positions at rest.
             point: Centre of the part [m]; None: the whole body.
             radius: Radius of the part [m].
             field: Name of the point's field in the scene, for messages.
-            name: Name of the object that has the part; None: any object.
+            name: Name of the object; None: the part may belong to any object.
 
         Raises:
             InputError: The part holds no particle.
@@ -90,7 +86,7 @@ class Part(NamedTuple):
                 field,
                 point,
                 f"at rest, no material is within {radius:g} m of this point.",
-                f"Give a point on the object in its initial position (the nearest material is "
+                f"Choose a point on the object in its initial position (the nearest material is "
                 f"{away:.3g} m away), or a larger radius.",
             )
         weight, device = weight[index], model.device
@@ -120,16 +116,15 @@ class Part(NamedTuple):
     def track_centre(
         self, name: str, slot: int, model: Model, state: State, tracks: Tracks, *, turned: bool
     ) -> Iterator[Stage]:
-        """Yield the stages that compute the centre of the part and the second moments about this
-        centre.
+        """Yield the stages that compute a part's centre and its second moments about the centre.
 
         Args:
             name: Name of the stages in reports, which list their time.
             slot: Slot of the track; nothing is computed while the track is inactive.
             model: The constants of the run.
             state: The particles' positions and velocities.
-            tracks: The tracks, which hold the track's value.
-            turned: Whether second moments are needed.
+            tracks: The tracks of the run.
+            turned: Whether to compute second moments.
         """
         real, (count, *parted) = model.real, shared_out(len(self.chosen), model.device)
 
@@ -154,25 +149,28 @@ class Part(NamedTuple):
 
 
 class Grab(Force):
-    """A spring and a damper that pull a point of the object to a moving target."""
+    """A spring and a damper that pull a point of the object towards a moving target."""
 
     kind: Literal["grab"] = "grab"
     strengths: ClassVar[tuple[str, ...]] = ("strength",)
     point: Position = Field(
         default=(0.0, 0.0, 0.5),
-        description="Point of the object that is held, in the object's position at rest [m].",
+        description="Point of the object that is pulled, at the object's rest position [m].",
     )
     radius: float = Field(
         default=0.15,
         ge=1e-6,
         le=1e5,
-        description="Radius within which material is held [m]; the force "
+        description="Material within this distance of the point is pulled [m]; the force "
         "decreases towards the rim.",
     )
-    times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times of the targets [s].")
+    times: tuple[Instant, ...] = Field(
+        default=(0.0, 1.0),
+        description="Times at which the target reaches the positions in `targets` [s].",
+    )
     targets: tuple[Position, ...] = Field(
         default=((0.0, 0.0, 0.5), (0.0, 0.0, 1.0)),
-        description="Positions to which the point is pulled at these times [m].",
+        description="Positions of the target at `times` [m].",
     )
     stiffness: float = Field(
         default=1e4, ge=0, le=1e12, description="Stiffness of the spring [N/m]."
@@ -191,13 +189,13 @@ class Grab(Force):
             )
         if self.profile.kind != "constant":
             raise ValueError(
-                "a grab varies over time by its targets, not by a profile; remove `profile`"
+                "the targets of a grab define how it varies over time; remove `profile`"
             )
         return self
 
     @property
     def varies(self) -> bool:
-        """Always True, because the target moves."""
+        """Always True: the target moves."""
         return True
 
     def target(self) -> Track:
@@ -227,8 +225,7 @@ class Grab(Force):
 
 
 MARGIN = 2.0
-"""Safety factor on the acceleration by a torque, because deformation may reduce the moment of
-inertia.
+"""Safety factor on the acceleration due to a torque; deformation may reduce the moment of inertia.
 """
 
 
@@ -242,14 +239,14 @@ class WrenchForce(Force):
     point: Position | None = Field(
         default=None,
         examples=[[0.0, 0.0, 0.5]],
-        description="Point at which the wrench acts, in the object's position at rest [m]; "
-        "absent: the whole object.",
+        description="Point at which the wrench acts, at the object's rest position [m]. "
+        "Default: it acts on the whole object.",
     )
     radius: float = Field(
         default=0.15,
         ge=1e-6,
         le=1e5,
-        description="Radius within which material is pushed [m]; the "
+        description="Material within this distance of the point is pushed [m]; the "
         "force decreases towards the rim.",
     )
 

@@ -1,6 +1,6 @@
-"""Forces that act on particles one by one.
+"""Forces that act on individual particles.
 
-These are a force in newtons, wind, attraction to a point, a push inside a zone of space, and
+The forces are: a force in newtons, wind, attraction to a point, a push inside a zone of space, and
 prescribed velocities.
 """
 
@@ -22,9 +22,7 @@ from phy124.schema.region import Region, Vector, cylinder
 
 
 class ParticleForce(Force):
-    """The external force of the Phy124 paper (sec. 3.2): a force in newtons on each particle, a = f
-    / m.
-    """
+    """The external force of the Phy124 paper (sec. 3.2), in newtons on each particle: a = f / m."""
 
     kind: Literal["particle_force"] = "particle_force"
     strengths: ClassVar[tuple[str, ...]] = ("f",)
@@ -37,7 +35,7 @@ class ParticleForce(Force):
 
 
 class Wind(Force):
-    """A stream of air or water that drags particles along: a = rate (wind - v)."""
+    """A stream of air or water that carries particles along: a = rate (wind - v)."""
 
     kind: Literal["wind"] = "wind"
     v: Velocity = Field(default=(0.0, 3.0, 0.0), description="Velocity of the stream [m/s].")
@@ -45,11 +43,11 @@ class Wind(Force):
         default=1.0,
         ge=1e-6,
         le=1e6,
-        description="Fraction of the relative velocity that is lost per second [1/s].",
+        description="Rate at which particles approach the stream's velocity [1/s].",
     )
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stage that drags the chosen particles along."""
+        """Return the stage that accelerates the chosen particles towards the stream's velocity."""
         track = self.track(self.v, mean=False)
         kernel, inputs = kernels.make_drag(model.real), [self.rate]
         (drag,) = stage(
@@ -57,15 +55,15 @@ class Wind(Force):
         )
 
         def limit(start: float, end: float) -> float:
-            """Return the largest acceleration that the stream gives a particle at rest [m/s^2]."""
+            """Return the largest acceleration of a particle at rest in the stream [m/s^2]."""
             return self.rate * track.largest(start, end)
 
         return [drag._replace(limit=limit, top_speed=track.largest)]
 
 
 class Attraction(Force):
-    """A point that attracts or repels material: linearly in the distance d inside its radius, as 1
-    / d^2 outside.
+    """A point that attracts or repels material: in proportion to the distance d, or to 1 / d^2
+    outside `radius`.
     """
 
     kind: Literal["attraction"] = "attraction"
@@ -77,7 +75,8 @@ class Attraction(Force):
         default=10.0,
         ge=-1e9,
         le=1e9,
-        description="Acceleration at the radius [m/s^2]; negative: repulsion.",
+        description="Acceleration at the distance `radius` from the point [m/s^2]; a negative "
+        "value repels.",
     )
     radius: float = Field(
         default=0.5,
@@ -105,7 +104,7 @@ class ZoneForce(Force):
     @model_validator(mode="after")
     def _everything(self) -> ZoneForce:
         if self.region is not None:
-            raise ValueError("a zone acts on whatever is inside it; remove `region`")
+            raise ValueError("a zone acts on all material inside it; remove `region`")
         return self
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
@@ -128,18 +127,18 @@ class ZoneForce(Force):
 
         wanted = model.named(self.object)
         moving = [model.particles(b) for b in range(model.bodies) if b not in model.held]
-        # Bodies that never move are omitted, as for all forces.
+        # Like all forces, this one skips bodies that never move.
         runs = [run for run in moving if wanted.start <= run.start and run.stop <= wanted.stop]
         recorders = [partial(record, particles=run) for run in (runs if model.held else [wanted])]
         return [Stage("zone", recorder, keeps_C=True, by_run=True) for recorder in recorders]
 
 
 UNIT: Vector = (1.0, 0.0, 0.0)
-"""Value of a track that contains only the profile."""
+"""Value at full strength of a track that contains only the profile."""
 
 
 class SetVelocity(Force):
-    """Prescribes the velocity of particles (the first kind of force in the Phy124 paper)."""
+    """Prescribes the velocities of particles (the first kind of force in the Phy124 paper)."""
 
     kind: Literal["set_velocity"] = "set_velocity"
     sudden: ClassVar[bool] = True
@@ -150,7 +149,7 @@ class SetVelocity(Force):
     )
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stage that, while active, overwrites v and C of the chosen particles."""
+        """Return the stage that overwrites v and C of the chosen particles during the motion."""
         t = types(model.real)
         slot = tracks.add(self.track(UNIT, mean=False), over="drift")
         chosen = self.chosen(model)

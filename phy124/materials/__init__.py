@@ -1,7 +1,7 @@
-"""Constitutive laws of a scene, each with its parameters in SI units and their bounds.
+"""Constitutive laws of a scene; each law declares its parameters in SI units with bounds.
 
-Each material is a section of the scene file. The device functions of materials are in
-phy124/kernels; the formulae and their sources are in docs/design/laws.md.
+Each material is a section of the scene file. The device functions of the laws are in
+phy124/kernels. docs/design/laws.md has the formulae with their sources.
 """
 
 from typing import Annotated

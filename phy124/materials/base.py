@@ -12,59 +12,57 @@ from phy124.schema.bounds import RGB
 from phy124.schema.section import Section
 
 FEW = 1.5
-"""Number of particles per cell and axis for plastic and granular materials, because these cannot
-tear. With 2 particles, a run takes 1.7 times as long and has the same error (docs/lab/accuracy.md).
+"""Number of particles per cell and axis for plastic and granular materials, which cannot tear. With
+2 particles, a run takes 1.7 times as long and its error does not change (docs/lab/accuracy.md).
 """
 FLOWING = 4.0
-"""Limit on the longest axis of a Gaussian of plastic or fluid material, relative to its longest
-axis at rest.
+"""Limit on the longest axis of Gaussians in plastic or fluid material, relative to the axis at
+rest.
 """
 
 
 SHADING = 0.3
 """`Material.shading` of most materials."""
 Tint = Annotated[RGB | None, BeforeValidator(lambda tint: None if tint == "none" else tint)]
-"""A colour; if absent or "none", the colours of the picture are used."""
+"""A colour; if None or "none", the colours of the picture are used."""
 
 
 class Material(Section):
-    """Base class of all materials, which have a density and a constitutive law on the device."""
+    """Base class of all materials. A material has a density and a constitutive law."""
 
     device_law: ClassVar[Law]
     scaled: ClassVar[int] = 0
-    """Number of leading parameters in `theta` that are proportional to E; 0 if the law has no E
-    that could vary.
+    """Number of leading parameters in `theta` that are proportional to E; 0 if E cannot vary.
     """
     particles_per_axis: ClassVar[float] = 2.0
-    """Default number of particles per cell and axis of a run. With fewer than 2 particles, elastic
-    material tears sooner.
+    """Default number of particles per cell and axis. With fewer than 2, elastic material tears
+    sooner.
     """
     may_collapse: ClassVar[bool] = False
     """Whether the material may stay flat after an impact, because its energy at J = 0 is finite."""
 
     max_stretch: ClassVar[float | None] = None
-    """Limit on a Gaussian's longest axis, relative to its longest axis at rest. None: the limit is
-    `FLOWING` for laws with a return mapping, because their F grows without bound; other laws have
-    no limit.
+    """Limit on a Gaussian's longest axis, relative to the axis at rest. If None, laws with a return
+    mapping have the limit `FLOWING`, because F grows without bound; other laws have no limit.
     """
     rounds: ClassVar[bool] = False
-    """Whether Gaussians of the material become balls instead of needles when they are stretched."""
+    """Whether stretched Gaussians of the material become balls instead of needles."""
     grains: ClassVar[bool] = False
-    """Whether the material separates into grains or drops, so that its interior must be drawn."""
+    """Whether the interior must be drawn, because the material separates into grains or drops."""
 
     scatters: ClassVar[bool] = False
-    """Whether the particles start at random positions in their cells, because the material spreads
-    in thin layers, in which rows of a lattice would be visible.
+    """Whether the particles start at random positions in their cells. This hides the rows of a
+    regular lattice in material that spreads in thin layers.
     """
 
     shade: ClassVar[float] = 0.0
-    """Variation of the brightness of grains: standard deviation relative to the mean."""
+    """Standard deviation of the brightness of grains, relative to the mean."""
 
     shading: ClassVar[float] = SHADING
-    """Fraction of their contrast in brightness that Gaussians keep under a tint."""
+    """Fraction of the contrast in brightness that Gaussians keep if they are tinted."""
 
     shines: ClassVar[bool] = False
-    """Whether films show the material's gloss (phy124/rendering/shine.py)."""
+    """Whether videos show the material's gloss (phy124/rendering/shine.py)."""
 
     sounder_law: ClassVar[str | None] = None
     """A law with the same fields that is stable in harder impacts; None if there is no such law."""
@@ -74,21 +72,21 @@ class Material(Section):
     tint: Tint = Field(
         default=None,
         examples=["snow"],
-        description="Colour of the substance, as channels from 0 to 1 or a CSS name. The picture "
-        f"keeps {SHADING:.0%} of its contrast in brightness, but liquids keep nothing of it. none: "
-        "the picture's colours.",
+        description="Colour of the material: three channels from 0 to 1, or a CSS name. The "
+        "picture's "
+        f"contrast in brightness is reduced to {SHADING:.0%}, in liquids to zero. none: "
+        "the colours of the picture.",
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Return the largest strain up to which the stiffness grows by at most a given factor.
+        """Return the largest strain for which the stiffness grows by at most the factor `growth`.
 
-        The default is the strain for fixed corotated material, which stiffens more than other
-        elastic laws. It stiffens by the factor 2 J^2 - J, where ln J is at most sqrt(3) times the
-        strain.
+        This default is for the fixed corotated law, which stiffens more than other elastic laws: by
+        the factor 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
 
         Args:
-            growth: Largest ratio of the stiffest particle's stiffness after the strain to the
-                stiffness before, above 1.
+            growth: Largest ratio (above 1) of the stiffest particle's stiffness after and before
+                the strain.
             stiffness: A / rho of the stiffest particle [m^2/s^2].
         """
         del stiffness
@@ -99,7 +97,7 @@ class Material(Section):
         raise NotImplementedError
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """Return the parameters for the grid spacing `dx` [m] and substeps of `cfl` times the
+        """Return the law's parameters for grid spacing `dx` [m] and substeps of `cfl` times the
         elastic limit.
         """
         del dx, cfl
@@ -107,8 +105,8 @@ class Material(Section):
 
     @property
     def longest(self) -> float:
-        """Limit on the longest axis of a Gaussian, relative to its length at rest: `max_stretch` or
-        the default.
+        """Limit on a Gaussian's longest axis, relative to the axis at rest: `max_stretch` or the
+        default.
         """
         if self.max_stretch is not None:
             return self.max_stretch
@@ -127,22 +125,24 @@ class Material(Section):
         return self.wave_speed()
 
     def viscous_limit(self, dx: float) -> float:
-        """Return the longest substep [s] that viscosity allows on a grid of spacing `dx` [m]."""
+        """Return the longest substep [s] that is stable with viscosity on a grid of spacing `dx`
+        [m].
+        """
         del dx
         return math.inf
 
     def cheaper(self, field: str) -> str:
-        """Return a remedy for slow runs; `field` is the material's field in the scene."""
+        """Return a remedy for slow runs, for messages; `field` is the material's field in the
+        scene.
+        """
         return f"a smaller {field}.E"
 
     def notes(self) -> list[str]:
-        """Return notes to the user about how this material is simulated."""
+        """Return notes for the user about how this material is simulated."""
         return []
 
     def notes_at(self, speed: float) -> list[str]:
-        """Return notes to the user about a run in which the material reached a given speed
-        [m/s].
-        """
+        """Return notes for the user about a run in which the largest speed was `speed` [m/s]."""
         del speed
         return []
 
@@ -150,8 +150,8 @@ class Material(Section):
 def viscous_substep(density: float, viscosity: float, dx: float) -> float:
     """Return the substep [s] in which viscosity stops a particle's strain, rho dx^2 / (8 eta).
 
-    The limit holds for an isolated particle. A substep twice as long would be unstable. If elastic
-    stress acts as well, the limit is smaller by the factor `timestep.beside_elastic`.
+    The formula is for an isolated particle; twice the substep would be unstable. If elastic stress
+    acts as well, the limit is smaller by the factor `timestep.beside_elastic`.
 
     Args:
         density: rho [kg/m^3].
@@ -162,7 +162,9 @@ def viscous_substep(density: float, viscosity: float, dx: float) -> float:
 
 
 class Elastic(Material):
-    """Materials with Young's modulus and Poisson's ratio; theta begins with mu and lambda."""
+    """Base class of materials with Young's modulus and Poisson's ratio. `theta` begins with mu and
+    lambda.
+    """
 
     scaled: ClassVar[int] = 2
 
@@ -170,10 +172,10 @@ class Elastic(Material):
         default=1e5,
         ge=1,
         le=1e13,
-        description="Young's modulus [Pa]: jelly 1e4, rubber 1e6, wood 1e10.",
+        description="Young's modulus [Pa]; for example jelly 1e4, rubber 1e6, wood 1e10.",
     )
     nu: float = Field(
-        default=0.3, ge=0, le=0.4999, description="Poisson's ratio; 0.5 is incompressible."
+        default=0.3, ge=0, le=0.4999, description="Poisson's ratio; 0.5 would be incompressible."
     )
 
     @property
@@ -187,28 +189,28 @@ class Elastic(Material):
         return self.lame
 
     def wave_speed(self) -> float:
-        """Return sqrt((3 lambda + 2 mu) / rho) [m/s], the speed that limits substeps of unstrained
-        material.
+        """Return the speed that limits substeps of unstrained material, sqrt((3 lambda + 2 mu) /
+        rho) [m/s].
 
-        A negative lambda (nu < 0) is replaced by zero, because shear is then the stiffest motion.
+        If lambda is negative (nu < 0), shear is the stiffest motion, so lambda is replaced by zero.
         """
         mu, lam = self.lame
         return math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)
 
     def sound_speed(self) -> float:
-        """Return the speed of pressure waves without strain, sqrt((lambda + 2 mu) / rho) [m/s]."""
+        """Return the speed of a pressure wave without strain, sqrt((lambda + 2 mu) / rho) [m/s]."""
         mu, lam = self.lame
         return math.sqrt((lam + 2 * mu) / self.density)
 
 
 class Logarithmic(Elastic):
-    """Materials with a stress linear in Hencky strain.
+    """Base class of materials whose stress is linear in the Hencky strain.
 
     The modulus A is at most 2 mu (1 + x) + 3 lambda for a difference x of principal strains.
     """
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Return the largest strain up to which the stiffness grows by at most a given factor.
+        """Return the largest strain for which the stiffness grows by at most the factor `growth`.
 
         A strain changes a difference x of principal strains by at most sqrt(2) times the strain.
         """

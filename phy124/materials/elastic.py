@@ -13,7 +13,7 @@ from phy124.materials.base import Elastic, Logarithmic, viscous_substep
 
 
 class Springy(Elastic):
-    """Elastic solids that may dissipate energy by viscosity (Kelvin-Voigt), such as rubber."""
+    """Base class of elastic solids, with optional Kelvin-Voigt viscosity, as in rubber."""
 
     lossless: ClassVar[Law]
     damped: ClassVar[Any]
@@ -23,31 +23,31 @@ class Springy(Elastic):
         default=0.0,
         ge=0,
         le=1e7,
-        description="Viscosity [Pa s]; an oscillation of w rad/s has the "
-        "loss tangent w damping / mu.",
+        description="Viscosity [Pa s]. At the angular frequency w [rad/s], the "
+        "loss tangent is w damping / mu.",
     )
 
     @property
     def device_law(self) -> Law:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The law with viscosity if the damping is above zero, otherwise the law without it."""
+        """The law with viscosity if `damping` is positive, otherwise the law without viscosity."""
         plain = self.lossless
         if self.damping == 0:
             return plain
         return plain._replace(name=f"{plain.name}_damped", stress=self.damped, width=3)
 
     def theta(self) -> tuple[float, ...]:
-        """Return (mu, lambda), or (mu, lambda, damping) if the damping is above zero."""
+        """Return (mu, lambda), or (mu, lambda, damping) if `damping` is positive."""
         return (*self.lame, self.damping) if self.damping else self.lame
 
     def viscous_limit(self, dx: float) -> float:
-        """Return the longest substep [s] that viscosity allows on a grid of spacing `dx` [m]."""
+        """Return the longest substep [s] that is stable with viscosity on a grid of spacing `dx`
+        [m].
+        """
         return viscous_substep(self.density, self.damping, dx)
 
 
 class NeoHookean(Springy):
-    """Compressible neo-Hookean solid with log J, which is the default law and stable in hard
-    impacts.
-    """
+    """Compressible neo-Hookean solid with log J: the default law, stable in hard impacts."""
 
     law: Literal["neo_hookean"] = "neo_hookean"
     damped: ClassVar[Any] = staticmethod(elastic.neo_hookean_damped)
@@ -60,7 +60,7 @@ class NeoHookean(Springy):
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Return the largest strain up to which the stiffness grows by at most a given factor.
+        """Return the largest strain for which the stiffness grows by at most the factor `growth`.
 
         In A = 2 mu s^2 + 3 lambda, a strain e multiplies s^2 by at most exp(2 e).
         """
@@ -70,7 +70,9 @@ class NeoHookean(Springy):
 
 
 class FixedCorotated(Springy):
-    """Fixed corotated solid (PhysGaussian's jelly); may collapse unnoticed in hard impacts."""
+    """Fixed corotated solid (PhysGaussian's "jelly"); hard impacts may flatten it without a
+    warning.
+    """
 
     law: Literal["fixed_corotated"] = "fixed_corotated"
     may_collapse: ClassVar[bool] = True
@@ -103,14 +105,14 @@ class Hencky(Logarithmic, Springy):
 
 
 FASTER = 1.5
-"""Ratio of the speed of a rigid body to `Rigid.speed` above which the user gets a note."""
+"""If a rigid body exceeds `Rigid.speed` by more than this factor, the user gets a note."""
 
 
 class Rigid(Elastic):
-    """A hard body that is just stiff enough for its deformation to be invisible.
+    """A hard body, simulated just stiff enough to make its deformation invisible.
 
     The cost of an explicit simulation grows as sqrt(E). An impact at the speed v causes the strain
-    v / c with c = sqrt(E / rho), so E = rho (v / strain)^2 limits the strain to `strain`.
+    v / c, with c = sqrt(E / rho). Therefore E = rho (v / strain)^2 limits the strain to `strain`.
     """
 
     law: Literal["rigid"] = "rigid"
@@ -121,14 +123,14 @@ class Rigid(Elastic):
         default=1e10, ge=1, le=1e13, description="Young's modulus of the real body [Pa]."
     )
     speed: float = Field(
-        default=3.0, ge=1e-3, le=1000, description="Largest speed of an impact [m/s]."
+        default=3.0, ge=1e-3, le=1000, description="Largest expected speed of an impact [m/s]."
     )
     strain: float = Field(
-        default=0.005, ge=1e-4, le=0.1, description="Largest strain in an impact at this speed."
+        default=0.005, ge=1e-4, le=0.1, description="Largest strain in an impact at `speed`."
     )
 
     def cheaper(self, field: str) -> str:
-        """Return the remedy: a smaller `speed`, which determines the stiffness."""
+        """Return a remedy for slow runs: a smaller `speed`, which determines the stiffness."""
         return f"a smaller {field}.speed, if no impact is that fast"
 
     @property
@@ -142,7 +144,7 @@ class Rigid(Elastic):
         return NeoHookean(E=self.simulated_E, nu=self.nu).lame
 
     def notes(self) -> list[str]:
-        """Return a note if the body is simulated with less than its real stiffness."""
+        """Return a note if the simulated stiffness is less than the real stiffness."""
         if self.simulated_E == self.E:
             return []
         return [
@@ -151,7 +153,7 @@ class Rigid(Elastic):
         ]
 
     def notes_at(self, speed: float) -> list[str]:
-        """Return a note if the body was faster than the speed for which its stiffness is chosen."""
+        """Return a note if the body was faster than the speed for which the stiffness is chosen."""
         if self.simulated_E == self.E or speed <= FASTER * self.speed:
             return []
         strain = speed * math.sqrt(self.density / self.simulated_E)

@@ -12,25 +12,24 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import Material, viscous_substep
 
 RINGING = 0.7
-"""Bulk viscosity as a fraction of the largest bulk viscosity that does not shorten the substep."""
+"""Bulk viscosity relative to the largest value that does not shorten the substep."""
 SUDDEN = 0.3
-"""Ratio K' / K: the relative rise of a fluid's stiffness for changes faster than the relaxation
-time.
+"""Ratio K' / K: relative increase of the stiffness for changes faster than the relaxation time.
 """
 RELAXATION = 10.0
-"""Relaxation time in units of the time in which sound crosses a cell.
+"""Relaxation time relative to the time in which sound crosses a cell.
 
-Bodies are some tens of cells deep, and the sound waves to be damped take about this long to travel
-up and down.
+In a body that is some tens of cells deep, a sound wave takes about this time to travel down and up
+again.
 """
 
 
 class Fluid(Material):
     """Weakly compressible fluid: Tait pressure and Newtonian viscosity.
 
-    Real water has a bulk modulus of 2e9 Pa, but a compression of a thousandth of a per cent looks
-    the same as a compression of a few per cent. `bulk_modulus` is therefore chosen for the scene;
-    at the depth h, the compression is rho g h / K.
+    Real water has a bulk modulus of 2e9 Pa, but its tiny compression looks no different from a
+    compression of a few per cent. `bulk_modulus` (K) is therefore chosen for the scene; at the
+    depth h, the compression is rho g h / K.
     """
 
     law: Literal["fluid"] = "fluid"
@@ -38,7 +37,7 @@ class Fluid(Material):
     rounds: ClassVar[bool] = True
     grains: ClassVar[bool] = True
     shading: ClassVar[float] = (
-        0.0  # Light and shade of the picture would flow with the liquid like a dye.
+        0.0  # Otherwise, the picture's light and shade would flow with the liquid like a dye.
     )
     shines: ClassVar[bool] = True
     device_law: ClassVar[Law] = Law(
@@ -54,22 +53,25 @@ class Fluid(Material):
         default=2e5, ge=1, le=1e12, description="Stiffness against compression [Pa]."
     )
     gamma: float = Field(
-        default=7.0, ge=1.05, le=10, description="Exponent of the Tait pressure; water 7."
+        default=7.0, ge=1.05, le=10, description="Exponent of the Tait pressure; for water 7."
     )
     viscosity: float = Field(
-        default=0.0, ge=0, le=1e5, description="Dynamic viscosity [Pa s]: water 1e-3, honey 5."
+        default=0.0,
+        ge=0,
+        le=1e5,
+        description="Dynamic viscosity [Pa s]; for example water 1e-3, honey 5.",
     )
     visibility: float | None = Field(
         default=None,
         ge=1e-6,
         le=1e6,
         examples=[0.1],
-        description="Distance over which the liquid dims light to 1/e [m], for pictures only; "
-        "absent: it is opaque.",
+        description="Distance in which the liquid attenuates light to 1/e [m], for rendering only. "
+        "Default: opaque.",
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Return the largest strain up to which the stiffness grows by at most a given factor.
+        """Return the largest strain for which the stiffness grows by at most the factor `growth`.
 
         The stiffness varies as J^-(1 + gamma), and ln J is at most sqrt(3) times the strain.
         """
@@ -77,13 +79,11 @@ class Fluid(Material):
         return math.log(growth) / (math.sqrt(3) * (1 + self.gamma))
 
     def theta(self) -> tuple[float, ...]:
-        """Return (K, gamma, eta, 0, 0, 0): the parameters without bulk viscosity zeta, K' and
-        relaxation.
-        """
+        """Return (K, gamma, eta, 0, 0, 0); the zeros are bulk viscosity, K' and relaxation."""
         return self.bulk_modulus, self.gamma, self.viscosity, 0.0, 0.0, 0.0
 
     def history(self) -> tuple[float, float]:
-        """Return the initial history variables: J = 1, and 0."""
+        """Return the initial history variables: the past value 1 of J, and an unused 0."""
         return 1.0, 0.0
 
     @property
@@ -92,12 +92,11 @@ class Fluid(Material):
         return math.sqrt(self.bulk_modulus / self.density)
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """Return the parameters with a bulk viscosity zeta and a relaxation; both damp sound.
+        """Return the law's parameters, with a bulk viscosity zeta and a relaxation that damp sound.
 
-        The relaxation damps slow changes of volume, and the viscosity zeta damps fast changes. With
-        zeta = a rho c dx, a substep of the fraction `cfl` requires (2 cfl)^2 <= 4 - 2 (12 zeta /
-        rho dx^2) dt, as in `beside_elastic`; in regions with J < 1, substeps are shorter than at
-        rest.
+        The relaxation damps slow changes of volume, and zeta damps fast changes. With zeta = a rho
+        c dx, a substep of the fraction `cfl` is stable if (2 cfl)^2 <= 4 - 2 (12 zeta / rho dx^2)
+        dt, as in `beside_elastic`. In regions with J < 1, substeps are shorter than at rest.
 
         Args:
             dx: Grid spacing [m].
@@ -113,5 +112,7 @@ class Fluid(Material):
         return math.sqrt(3 * (1 + SUDDEN)) * self._sound
 
     def viscous_limit(self, dx: float) -> float:
-        """Return the longest substep [s] that viscosity allows on a grid of spacing `dx` [m]."""
+        """Return the longest substep [s] that is stable with viscosity on a grid of spacing `dx`
+        [m].
+        """
         return viscous_substep(self.density, self.viscosity, dx)

@@ -12,15 +12,16 @@ from phy124.kernels.transfer import Law
 from phy124.materials.base import FEW, Elastic, Logarithmic
 
 PACKING = 2 / 3
-"""Largest product of snow's hardening xi and critical compression c.
+"""Largest product xi c of snow's hardening xi and critical compression c.
 
-Under isotropic compression to the stretch 1 - c, snow stores psi = 3/2 (2 mu + 3 lambda) c^2.
-Packing by d releases the energy 3 (2 mu + 3 lambda) c d, while the hardening raises psi by the
-fraction 3 xi d. The increase exceeds the released energy if xi c > 2/3.
+Under isotropic compression to the stretch 1 - c, snow stores the energy psi = 3/2 (2 mu + 3 lambda)
+c^2. Packing by d releases the energy 3 (2 mu + 3 lambda) c d, but the hardening increases psi by
+the fraction 3 xi d. If xi c > 2/3, the increase is larger than the released energy.
 """
 GENTLE, STEEPER = 30.0, 0.3
-"""Up to a repose angle of `GENTLE` [degrees], heaps come to rest at the angle at which they flow.
-Above `GENTLE`, the two angles differ by `STEEPER` per degree, as measured (docs/lab/physics.md).
+"""Up to a repose angle of `GENTLE` [degrees], heaps come to rest at the angle at which sand flows.
+For each degree above `GENTLE`, the repose angle exceeds the flow angle by another `STEEPER`
+degrees, as measured (docs/lab/physics.md).
 """
 
 
@@ -52,7 +53,7 @@ class Sand(Logarithmic):
         default=35.0,
         ge=1,
         le=60,
-        description="Angle of internal friction in triaxial compression [degrees]; heaps are up to "
+        description="Angle of internal friction in triaxial compression [degrees]. Heaps are up to "
         "5 degrees steeper.",
     )
     repose_angle: float | None = Field(
@@ -60,16 +61,16 @@ class Sand(Logarithmic):
         ge=1,
         le=60,
         examples=[34.0],
-        description="Slope of the sand's heaps [degrees]; absent: set by friction_angle.",
+        description="Slope angle of heaps [degrees]. Default: determined by friction_angle.",
     )
 
     def theta(self) -> tuple[float, ...]:
         """Return (mu, lambda, alpha); alpha is the slope of the cone.
 
         An infinitely long slope flows at constant volume if its shear stress is 3 alpha / sqrt(2)
-        times the pressure. This is the case at the angle a with tan(a) = 3 alpha / sqrt(2). A slope
-        at rest stays stable up to the angle asin(tan(a)), so steep heaps come to rest at an angle
-        larger than a. The angle a of a steep heap is therefore smaller than its repose angle.
+        times the pressure, that is, at the angle a with tan(a) = 3 alpha / sqrt(2). A slope at rest
+        stays stable up to the angle asin(tan(a)). A steep heap therefore comes to rest at an angle
+        larger than a, and a is chosen smaller than the repose angle.
         """
         if self.repose_angle is not None:
             flow = self.repose_angle - STEEPER * max(0.0, self.repose_angle - GENTLE)
@@ -102,16 +103,16 @@ class Snow(Elastic):
     )
     nu: float = Field(default=0.2, ge=0, le=0.4999, description="Poisson's ratio.")
     compression: float = Field(
-        default=0.025, ge=1e-4, le=0.5, description="Compression at which the snow starts to pack."
+        default=0.025, ge=1e-4, le=0.5, description="Compression at which snow starts to pack."
     )
     extension: float = Field(
-        default=0.0075, ge=1e-4, le=0.5, description="Stretch at which the snow starts to break."
+        default=0.0075, ge=1e-4, le=0.5, description="Stretch at which snow starts to break."
     )
     hardening: float = Field(
         default=10.0,
         ge=0,
         le=20,
-        description="Rate at which packing stiffens the snow, up to a factor e^4.",
+        description="Rate at which packing increases the stiffness, up to a factor e^4.",
     )
 
     @model_validator(mode="after")
@@ -125,7 +126,7 @@ class Snow(Elastic):
         return self
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
-        """Return the largest strain up to which the stiffness grows by at most a given factor.
+        """Return the largest strain for which the stiffness grows by at most the factor `growth`.
 
         Compaction by a strain e stiffens snow by the factor exp(hardening e).
         """

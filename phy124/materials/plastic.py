@@ -1,4 +1,4 @@
-"""Solids that flow above a yield stress: metal, plasticine, foam."""
+"""Solids that flow above a yield stress, such as metal, plasticine and foam."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ NORM = math.sqrt(2 / 3)
 class Metal(Logarithmic):
     """Von Mises metal in Hencky strain with linear isotropic hardening.
 
-    The defaults are the density and Poisson's ratio of aluminium with a lower stiffness, with which
-    the metal yields at a strain of 1 %, less than a cell resolves. Real values (E 7e10,
-    yield_stress 3e7) are allowed, but the number of substeps grows as sqrt(E). An impact at speed v
-    leaves a dent if density v^2 is of the order of the yield stress.
+    The defaults are the density and Poisson's ratio of aluminium, but a lower stiffness: the metal
+    yields at a strain of 1 %, which is less than a cell resolves. Real values (E 7e10, yield_stress
+    3e7) are allowed, but the number of substeps grows as sqrt(E). An impact at speed v leaves a
+    dent if density v^2 is of the order of the yield stress.
     """
 
     law: Literal["metal"] = "metal"
@@ -38,7 +38,10 @@ class Metal(Logarithmic):
 
     density: float = Field(default=2700.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
     E: float = Field(
-        default=2e7, ge=1, le=1e13, description="Young's modulus [Pa]: aluminium 7e10, lead 1.6e10."
+        default=2e7,
+        ge=1,
+        le=1e13,
+        description="Young's modulus [Pa]; for example aluminium 7e10, lead 1.6e10.",
     )
     nu: float = Field(default=0.33, ge=0, le=0.4999, description="Poisson's ratio.")
     yield_stress: float = Field(
@@ -48,7 +51,7 @@ class Metal(Logarithmic):
         default=0.0,
         ge=0,
         le=1e12,
-        description="Rise of the yield stress per unit of plastic strain [Pa].",
+        description="Increase of the yield stress per unit of plastic strain [Pa].",
     )
 
     def theta(self) -> tuple[float, ...]:
@@ -58,11 +61,10 @@ class Metal(Logarithmic):
 
 
 class Plasticine(Elastic):
-    """Clay with fixed corotated elasticity, which yields by von Mises and softens with plastic
-    strain.
+    """Clay: fixed corotated elasticity, von Mises yield, and softening with plastic strain.
 
-    As with fixed corotated solids, impacts near the speed of sound may leave the material flat
-    unless the material yields.
+    As in fixed corotated solids, an impact near the speed of sound may leave the material flat if
+    the material does not yield.
     """
 
     law: Literal["plasticine"] = "plasticine"
@@ -86,10 +88,14 @@ class Plasticine(Elastic):
         default=1e3,
         ge=0,
         le=1e12,
-        description="Loss of yield stress per unit of plastic strain [Pa].",
+        description="Decrease of the yield stress per unit of plastic strain [Pa].",
     )
     residual: float = Field(
-        default=0.3, ge=0.01, le=1, description="Fraction of the yield stress that is never lost."
+        default=0.3,
+        ge=0.01,
+        le=1,
+        description="Smallest yield stress after softening, as a fraction of the initial yield "
+        "stress.",
     )
 
     @model_validator(mode="after")
@@ -131,13 +137,16 @@ class Foam(Logarithmic):
         default=200.0,
         ge=0,
         le=1e12,
-        description="Uniaxial yield stress [Pa]; with 0 the foam always flows.",
+        description="Uniaxial yield stress [Pa]; if it is 0, the foam always flows.",
     )
     viscosity: float = Field(
         default=50.0, ge=1e-6, le=1e9, description="Consistency of the flow [Pa s^n]."
     )
     flow_index: float = Field(
-        default=0.7, ge=0.2, le=1, description="Exponent n: 1 Bingham, below 1 shear thinning."
+        default=0.7,
+        ge=0.2,
+        le=1,
+        description="Flow index n: 1 for a Bingham fluid, less than 1 for shear thinning.",
     )
 
     def theta(self) -> tuple[float, ...]:

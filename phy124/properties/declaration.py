@@ -1,4 +1,4 @@
-"""Declares the section `[properties]` of a scene, and evaluates it at the particles."""
+"""The section `[properties]` of a scene, and the evaluation of its values at the particles."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from phy124.schema.section import Section
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 ALIKE = 0.2
-"""Largest difference between the sides of the two bounding boxes, of the points and of the object,
+"""Largest difference between the side lengths of the points' and the object's bounding boxes,
 relative to the longest side.
 """
 
@@ -26,17 +26,20 @@ class Properties(Section):
 
     file: FileName = Field(
         examples=["materials.npz"],
-        description="Points with columns (.ply), arrays per Gaussian, point or voxel (.npz), or a "
-        "fraction of E per Gaussian (.npy).",
+        description="A .ply file with points and columns, a .npz file with arrays per Gaussian, "
+        "point or voxel, or a "
+        ".npy file with a fraction of E per Gaussian.",
     )
     sampling: Literal["nearest", "trilinear"] = Field(
-        default="nearest", description="Interpolation between points; trilinear needs voxels."
+        default="nearest",
+        description="Interpolation between points; trilinear interpolation needs voxels.",
     )
-    up: Axis = Field(default="z", description="Axis of the file's points that points up.")
+    up: Axis = Field(default="z", description="Axis of the file's coordinates that points up.")
     front: Axis | None = Field(
         default=None,
-        description="Axis that the object faces; absent: the default of "
-        "a .ply file with this up axis.",
+        description="Axis of the file's coordinates towards which the object faces. Default: as "
+        "for "
+        "a .ply file with the same up axis.",
     )
 
     def laws(self) -> frozenset[str]:
@@ -59,14 +62,15 @@ class Properties(Section):
         Args:
             x: Particles at rest [P,3], m.
             means: Centres of all Gaussians at rest [N,3], m.
-            survivors: Mask of the Gaussians that cleaning kept, over all Gaussians before cleaning;
+            survivors: Mask over all Gaussians before cleaning, of the Gaussians that cleaning kept;
                 None: all were kept.
-            is_object: Mask of the Gaussians that are not surroundings [N]; None: all.
+            is_object: Mask [N] of the Gaussians that belong to the object, not to its surroundings;
+                None: all.
 
         Raises:
             InputError: If the file cannot be read or does not fit the object.
         """
-        # Imported only here, because importing SciPy takes longer than reading most scenes.
+        # Imported here, because importing SciPy takes longer than reading most scenes.
         from phy124.properties.sampling import nearest, trilinear
 
         table = read_table(self.file)
@@ -93,7 +97,8 @@ class Properties(Section):
                 f"it holds {len(table):,} values without positions, but "
                 f"the object has {len(means):,} "
                 "Gaussians.",
-                "Give x, y, z with them, or one value per Gaussian of the gaussians.ply that a "
+                "Add x, y, z to the file, or write one value per Gaussian of the gaussians.ply "
+                "that a "
                 "run writes.",
             )
         turned = orientation(self.up, self.front).T
@@ -110,8 +115,8 @@ class Properties(Section):
                 "properties.file",
                 self.file,
                 f"its points fill a box of {_sides(scale * (high - low))} m, but the "
-                f"object fills one of {_sides(last - first)} m.",
-                "Set properties.up and properties.front to the directions of its axes.",
+                f"object fills a box of {_sides(last - first)} m.",
+                "Set properties.up and properties.front to the axes of the file.",
             )
         return (points - (low + high) / 2) * scale + (first + last) / 2
 

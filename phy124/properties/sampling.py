@@ -1,4 +1,4 @@
-"""Samples values at positions, from the nearest point or trilinearly between voxels."""
+"""Evaluates values of points at other positions: of the nearest point, or trilinearly."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 
 REGULAR = 0.05
-"""Largest distance of a point from the centre of its voxel [voxels]."""
+"""Largest distance of a point from the centre of the point's voxel [voxels]."""
 FINEST = 512
 """Largest number of voxels along an axis."""
 
@@ -19,15 +19,15 @@ FINEST = 512
 def nearest(
     x: NDArray, points: NDArray, columns: dict[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
-    """Return the values of the nearest point at each position.
+    """Return, for each position, the values of the nearest point.
 
     Args:
         x: Positions [P,3].
         points: Points [K,3].
-        columns: Value of each point [K], by column name.
+        columns: One value per point [K], keyed by column name.
 
     Returns:
-        Value at each position [P], by column name.
+        One value per position [P], keyed by column name.
     """
     at = scipy.spatial.KDTree(points).query(x)[1]
     return {name: column[at] for name, column in columns.items()}
@@ -38,16 +38,16 @@ def trilinear(
 ) -> dict[str, NDArray[Any]]:
     """Interpolate values trilinearly between the centres of voxels.
 
-    Empty voxels are ignored. A position that has no adjacent full voxel gets the value of the
-    nearest full voxel. Names of laws are not interpolated, but taken from the nearest voxel.
+    Empty voxels are ignored. A position without an adjacent full voxel gets the value of the
+    nearest full voxel. Names of laws are taken from the nearest voxel.
 
     Args:
         x: Positions [P,3].
         points: Centres of the voxels [K,3].
-        columns: Value of each voxel [K], by column name.
+        columns: One value per voxel [K], keyed by column name.
 
     Returns:
-        Value at each position [P], by column name.
+        One value per position [P], keyed by column name.
 
     Raises:
         InputError: If the points do not form a regular grid.
@@ -61,7 +61,8 @@ def trilinear(
     for name, column in columns.items():
         if name != "law":
             total = _between(column - column.min(), index, shape, at)
-            # Interpolating differences from the smallest value reproduces equal values exactly.
+            # If differences from the smallest value are interpolated, equal values are reproduced
+            # exactly.
             values[name] = np.where(
                 near, column.min() + total / np.maximum(weight, 1e-6), values[name]
             )
@@ -75,9 +76,7 @@ def _between(values: NDArray, index: NDArray, shape: tuple[int, ...], at: NDArra
 
 
 def _lattice(points: NDArray) -> tuple[NDArray[np.int_], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the grid index of each point [K,3], the spacing of the grid [3] and the centre of the
-    first voxel [3].
-    """
+    """Return the points' grid indices [K,3], the spacing [3] and the first voxel's centre [3]."""
     low = points.min(axis=0)
     spacing = np.array([_step(points[:, axis]) for axis in range(3)])
     index = np.rint((points - low) / spacing).astype(int)
@@ -85,7 +84,7 @@ def _lattice(points: NDArray) -> tuple[NDArray[np.int_], NDArray[np.float64], ND
         raise InputError(
             "properties.sampling",
             "trilinear",
-            "the file's points lie on no regular grid.",
+            "the file's points do not form a regular grid.",
             "Use nearest.",
         )
     return index, spacing, low

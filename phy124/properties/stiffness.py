@@ -1,9 +1,9 @@
 """Stiffness fields: a Young's modulus that varies continuously inside one object.
 
-The first parameters of every law are proportional to E. A field multiplies these parameters by a
-factor at each particle: E(x) = fraction(x) E, where E is the material's Young's modulus. Kernels
-then read one row of parameters per particle. In a scene without such a field, all particles share
-one row. A file of properties can also contain a fraction for each Gaussian (phy124/properties).
+A field multiplies Young's modulus E of the material at each particle: E(x) = fraction(x) E. The
+first parameters of every law are proportional to E. With a field, kernels read one row of
+parameters per particle; without a field, all particles use one row. A properties file can also
+contain a fraction for each Gaussian (phy124/properties).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from phy124.schema.bounds import FileName
 from phy124.schema.section import Section
 
 MINIMUM = 1e-4
-"""Smallest factor on E, with which waves are a hundred times slower."""
+"""Smallest factor on E; with this factor, waves are a hundred times slower."""
 Fraction = Annotated[float, Field(ge=MINIMUM, le=1)]
 
 
@@ -33,7 +33,7 @@ class _Field(Section):
         Args:
             x: Particles at rest [P,3], m.
             means: Centres of the object's Gaussians [N,3], m.
-            crop: Position of the object in the image from which it was made.
+            crop: Position of the object in the image from which the object was made.
 
         Raises:
             InputError: If a file cannot be used.
@@ -42,12 +42,14 @@ class _Field(Section):
 
 
 class Gradient(_Field):
-    """Fraction that varies linearly from one end of the object to the other, as in a plant or a
-    tail.
+    """Fraction of E that varies linearly from one end of the object to the other, for example in a
+    plant.
     """
 
     kind: Literal["gradient"] = "gradient"
-    axis: Literal["x", "y", "z"] = Field(default="z", description="Direction in which it varies.")
+    axis: Literal["x", "y", "z"] = Field(
+        default="z", description="Axis along which the stiffness varies."
+    )
     first: Fraction = Field(default=1.0, description="Fraction of E at the lowest end of the axis.")
     last: Fraction = Field(default=0.1, description="Fraction of E at the highest end of the axis.")
 
@@ -58,15 +60,15 @@ class Gradient(_Field):
 
 
 class Picture(_Field):
-    """Fraction from a grey image painted over the object's image: white is stiff, black is soft."""
+    """Fraction of E from a grey image, painted over the object's image; white is stiff."""
 
     kind: Literal["picture"] = "picture"
     file: FileName = Field(
         examples=["stiff.png"],
-        description="Grey picture file, seen from the front.",
+        description="File of a grey picture that shows the object from the front.",
     )
-    black: Fraction = Field(default=0.1, description="Fraction of E where it is black.")
-    white: Fraction = Field(default=1.0, description="Fraction of E where it is white.")
+    black: Fraction = Field(default=0.1, description="Fraction of E at black pixels.")
+    white: Fraction = Field(default=1.0, description="Fraction of E at white pixels.")
 
     def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
         """Return fractions [P] that are linear in the grey value."""

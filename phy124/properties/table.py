@@ -17,8 +17,8 @@ from phy124.properties.stiffness import MINIMUM
 COLUMNS = ("E", "nu", "density", "damping")
 """Names of the numeric columns, which are fields of a material [Pa, 1, kg/m^3, Pa s]."""
 FRACTION = "fraction"
-"""Name of the column with a factor on E, which a file may contain with or without E. An .npy file
-has only this column.
+"""Name of the column with a factor on E. A file may contain this column with or without E; an .npy
+file has no other column.
 """
 EVERY = (*COLUMNS, FRACTION, "law")
 """Names of all columns."""
@@ -31,7 +31,7 @@ NAMES = {
     "voxel_coords_world": "points",
     "query_coords_world": "points",
 }
-"""Maps the names of columns in files of VoMP, Pixie and others to the column names of phy124."""
+"""Maps the column names of VoMP, Pixie and others to the column names of phy124."""
 LAWS = {
     0: "neo_hookean",
     1: "metal",
@@ -41,11 +41,13 @@ LAWS = {
     5: "snow",
     6: "rigid",
 }
-"""Laws by their numbers in PhysGaussian and Pixie; there, number 6 means immovable, but here it
-means rigid.
+"""Laws by their numbers in PhysGaussian and Pixie. Number 6 is rigid in phy124, but immovable in
+PhysGaussian and Pixie.
 """
 MAX_POINTS = 5_000_000
-FORMS = "Give .ply with columns, or .npz with arrays of E, nu, density, damping, law or fraction."
+FORMS = (
+    "Use a .ply with columns, or a .npz with arrays of E, nu, density, damping, law or fraction."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +59,11 @@ class Table:
     names.
     """
     points: NDArray[np.float64] | None
-    """Positions in the axes and the unit of the file [K,3]; None: the values are in the order of
-    the Gaussians.
+    """Positions [K,3] in the axes and the unit of the file; None: there is one value per Gaussian,
+    in the order of the Gaussians.
     """
     whole: bool = False
-    """Whether positions are fractions of the object's bounding box, as for voxels without
-    bounds.
+    """Whether positions are relative to the object's bounding box, as for voxels without bounds.
     """
 
     def __len__(self) -> int:
@@ -70,10 +71,10 @@ class Table:
 
 
 def read_table(path: Path) -> Table:
-    """Read the points of a file and their properties.
+    """Read the points and their properties from a file.
 
     Raises:
-        InputError: If the file cannot be read, has no property, or a value is not finite.
+        InputError: If the file cannot be read or contains no property, or if a value is not finite.
     """
     raw = {NAMES.get(name, name): value for name, value in _columns_of(path).items()}
     points, whole = _places(path, raw), False
@@ -82,7 +83,11 @@ def read_table(path: Path) -> Table:
         raw, points = _voxels(path, raw)
     columns = {name: raw[name] for name in EVERY if name in raw}
     if not columns:
-        raise _refusal(path, "it holds none of E, nu, density, damping, fraction and law.", FORMS)
+        raise _refusal(
+            path,
+            "it contains none of E, nu, density, damping, fraction and law.",
+            FORMS,
+        )
     places = [] if points is None else [points[:, 0]]
     sizes = {np.shape(value) for value in (*columns.values(), *places)}
     if len(sizes) > 1 or len(size := sizes.pop()) != 1:
@@ -119,8 +124,8 @@ def _columns_of(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
-    """Return the positions of the points [K,3], from the columns x, y, z or from one array; None if
-    there are none.
+    """Return the points' positions [K,3] from columns x, y, z or from one array; None if there are
+    none.
     """
     if "points" in columns:
         points = columns["points"]
@@ -130,22 +135,22 @@ def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64]
         return None
     if points.ndim != 2 or points.shape[1] != 3:
         raise _refusal(
-            path, f"its points are an array of shape {points.shape}.", "Give points [K,3]."
+            path, f"its array of points has the shape {points.shape}.", "The shape must be [K,3]."
         )
     return _numbers(path, "points", points)
 
 
 def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.float64]]:
-    """Return the columns and the centres of the voxels in dense arrays [X,Y,Z], in which NaN marks
-    empty voxels.
+    """Return the columns and the centres of all full voxels. Arrays [X,Y,Z] have NaN in empty
+    voxels.
 
-    `lower` and `upper` are the centres of the first and last voxel. If they are missing, the voxels
-    fill a box of side 1.
+    `lower` and `upper` are the centres of the first and last voxel. Without `lower` and `upper`,
+    the voxels fill a box of side 1.
     """
     dense = {name: columns[name] for name in EVERY if name in columns}
     shape = next(iter(dense.values())).shape
     if len(shape) != 3 or any(np.shape(value) != shape for value in dense.values()):
-        remedy = "Give arrays [X,Y,Z] of the same shape."
+        remedy = "All arrays must have the same shape [X,Y,Z]."
         raise _refusal(path, "its arrays of voxels have different shapes.", remedy)
     half = 0.5 / np.array(shape)
     lower, upper = columns.get("lower", half), columns.get("upper", 1 - half)
@@ -161,10 +166,10 @@ def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArra
 
 
 def _bounds(path: Path, *ends: Any) -> list[NDArray[np.float64]]:
-    """Return the centres of the first and the last voxel [3], [3]."""
+    """Return the centres of the first voxel [3] and of the last voxel [3]."""
     if any(np.shape(end) != (3,) for end in ends):
         raise _refusal(
-            path, "lower and upper are not points.", "Give three numbers for each bound."
+            path, "its `lower` or `upper` is not a point.", "Write three numbers for each."
         )
     return [_numbers(path, "bounds", end) for end in ends]
 
@@ -192,14 +197,14 @@ def _check_fractions(path: Path, fractions: NDArray[np.float64]) -> None:
 
 
 def _laws(path: Path, values: NDArray[Any]) -> NDArray[np.str_]:
-    """Return the names of laws, which the file states as names or as numbers."""
+    """Return the names of the laws, which the file contains as names or as numbers."""
     if values.dtype.kind in "US":
         return values.astype(str)
     numbers = np.unique(values)
     unknown = [value for value in numbers.tolist() if value not in LAWS]
     if unknown:
         listed = ", ".join(f"{number} {name}" for number, name in LAWS.items())
-        raise _refusal(path, f"law {unknown[0]} is not known.", f"There are {listed}, or names.")
+        raise _refusal(path, f"law {unknown[0]} is not known.", f"Use {listed}, or names of laws.")
     named = np.array([LAWS[int(number)] for number in numbers])
     return named[np.searchsorted(numbers, values)]
 
