@@ -7,6 +7,7 @@ import pytest
 
 from phy124.boundaries import HalfSpace, Held
 from phy124.forces import Gravity
+from phy124.lattice.clamps import acts_on
 from phy124.lattice.coupled import CoupledSolver
 from phy124.materials import NeoHookean
 from phy124.mpm import Model, Pair, State
@@ -95,6 +96,15 @@ def bury(**changes):
     data |= {"accuracy": {"cells": 6, "solver": "lattice"}, "wrenches": True, **changes}
     data["time"]["frames"] = 12
     return Scene.from_data(data)
+
+
+def test_shapes_of_walls_depend_on_all_bodies():
+    plates = [{"kind": "press"}, {"kind": "press", "object": "sand"}]
+    scene = bury(boundaries=plates)
+    solver = Simulation(prepare(surface_of_ball(100), scene, RunContext(threads=1))).solver
+    for plate in scene.boundaries:
+        assert plate.geometry(solver.lattice.model) == plate.geometry(solver.model)
+    assert not acts_on(plate, solver.lattice.model, solver.lattice.lattice.body).any()
 
 
 def test_coupled_run_resumes_bit_for_bit_and_reports():

@@ -215,6 +215,8 @@ def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool
     """Return, for each of K bodies, whether a simple wall acts on the body [K]."""
     if part.object is None:
         return np.ones(len(body), bool)
+    if part.object not in model.names:
+        return np.zeros(len(body), bool)
     return np.asarray(body == model.names.index(part.object))
 
 

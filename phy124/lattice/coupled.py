@@ -331,4 +331,5 @@ def _part_of(model: Model, bodies: Sequence[int], still: Sequence[int]) -> Model
         held=frozenset(place for place, body in enumerate(bodies) if body in still),
         wet=frozenset(),
         names=names,
+        whole=model,
     )

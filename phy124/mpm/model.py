@@ -86,6 +86,10 @@ class Model:
     """Indices of the bodies that consist of liquid, which another solver moves."""
     names: tuple[str, ...] = ()
     """Names of the bodies; empty if they have none."""
+    whole: Model | None = None
+    """The model of all bodies, if this model contains only some of them. The shapes of boundaries
+    depend on all bodies.
+    """
     least_stiffness: float = 1.0
     """Smallest factor by which Young's modulus E of a particle is multiplied."""
     respond: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
@@ -195,9 +199,10 @@ class Model:
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
         """Return the rest positions [Q,3], m, of a body's particles, or of all particles if the
-        name is None.
+        name is None; also of bodies that only the whole model contains.
         """
-        return self.rest[self.named(name)]
+        model = self if self.whole is None else self.whole
+        return model.rest[model.named(name)]
 
     @property
     def moves(self) -> NDArray[np.bool_]:
