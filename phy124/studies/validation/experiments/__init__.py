@@ -1,10 +1,10 @@
 """Compares the solver with experiments and theories from the literature.
 
 `phy124 accuracy --verify` tests whether the equations are solved correctly. `phy124 validate`
-compares results with published measurements and theories. Each experiment runs on three grids, and
-states a range of permitted values for each quantity (its band). A control run contains a deliberate
-mistake, which must move at least one quantity out of its permitted range. `phy124 validate --docs`
-writes docs/lab/experiments.md.
+compares results with published measurements and theories. Each experiment runs on three grids. For
+each quantity, the experiment declares a range of permitted values, called the band. A control run
+contains a deliberate mistake, which must move at least one quantity out of its band. `phy124
+validate --docs` writes docs/lab/experiments.md.
 """
 
 from __future__ import annotations
@@ -61,4 +61,4 @@ def find_experiment(name: str) -> Experiment:
         if experiment.name == name:
             return experiment
     names = ", ".join(experiment.name for experiment in EXPERIMENTS)
-    raise InputError("name", name, "there is no such experiment.", f"Use one of: {names}.")
+    raise InputError("name", name, "there is no experiment of this name.", f"Use one of: {names}.")

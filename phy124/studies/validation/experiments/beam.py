@@ -1,4 +1,4 @@
-"""Experiments: cantilevers with a large deflection under a weight at the tip or their own weight.
+"""Experiments: large deflections of cantilevers, under a weight at the tip or under gravity.
 
 The exact shape of the beam is Euler's elastica. The load increases in steps, and the beam comes to
 rest after each step.
@@ -25,8 +25,10 @@ from phy124.studies.validation.bodies import make_lattice_solver, plane, sheet
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
 
 LENGTH, THICKNESS = 1.2, 0.1
-"""Size of the beam [m]. The beam is one particle wide, because with nu = 0 no quantity varies
-across the width."""
+"""Size of the beam [m].
+
+The beam is one particle wide: with nu = 0, nothing varies across the width.
+"""
 E, DENSITY = 1e6, 1000.0
 STIFFNESS = E * THICKNESS**3 / 12
 """Bending stiffness E I per metre of width [N m]."""
@@ -38,30 +40,30 @@ Timoshenko's theory gives 0.8 (1 + nu) * 1.2 (h / L)^2.
 PER_AXIS = 4
 """Number of particles per cell along each axis.
 
-With 2 particles, as in scenes, a beam that has moved by several cells would be softer by a further
-10 %.
+With 2 particles, the default of scenes, a beam that has moved by several cells would be another 10
+% softer.
 """
 TOO_SOFT = (
-    "Beams whose tip moves by several cells are a few per cent too soft on every grid. If "
+    "Beams are a few per cent too soft on every grid if their tip moves by several cells. If "
     "the tip moves by only two cells (PL²/EI = 0.2), the deflection is correct. The "
     "stress balances the load, but the bending in F is too small, because F follows an "
     "affine fit of the motion instead of the motion's gradient. For PL²/EI = 1, 2 cells "
-    "across the thickness, and 8, 4 and 2 particles per cell and axis, the bending of the "
-    "positions exceeds the bending in F by 7, 13 and 29 %. The deflection is then 1.9, "
-    "5.8 and 14 % too large. With accuracy.gradient = spline, the bending differs by 0, 1 "
-    "and 9 %, and the deflection by -0.4, 0.8 and 7.3 %."
+    "across the thickness, and 8, 4 and 2 particles per cell and axis, the bending computed from "
+    "positions exceeds the bending computed from F by 7, 13 and 29 %. The deflection is then 1.9, "
+    "5.8 and 14 % too large. With accuracy.gradient = spline, the two values differ by 0, 1 "
+    "and 9 %, and the error of the deflection is -0.4, 0.8 and 7.3 %."
 )
 REST = 1.6
 """Duration of each load, in units of the period of the beam's first bending mode."""
 PIECES = 40
-"""Mean number of times per period at which velocities are reduced."""
+"""Mean number of velocity reductions per period of the beam's first mode."""
 GOLDEN = (math.sqrt(5) - 1) / 2
-"""The multiples of this number, modulo 1, never repeat; they vary the times between two
-reductions."""
+"""Its multiples, modulo 1, never repeat, and therefore vary the times between velocity reductions.
+"""
 
 Bending = Callable[[float, Keyframes, Region], Force]
-"""Function that makes a force from the beam's width [m], the force's profile in time, and the
-region of the tip."""
+"""Function that creates a force from the beam's width [m], a profile and the tip's region.
+"""
 TIP_LOADS = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 """Dimensionless weights at the tip, P L^2 / E I."""
 OWN_LOADS = (2.0, 8.0, 20.0)
@@ -69,7 +71,7 @@ OWN_LOADS = (2.0, 8.0, 20.0)
 
 
 def elastica_drop(load: float) -> float:
-    """Return the tip deflection divided by the length, for a weight at the tip.
+    """Return the tip deflection divided by the beam's length, for a weight at the tip.
 
     The deflection is computed with elliptic integrals (Bisshopp and Drucker 1945).
 
@@ -89,7 +91,7 @@ def elastica_drop(load: float) -> float:
 
 
 def heavy_elastica_drop(load: float) -> float:
-    """Return the tip deflection divided by the length, for a beam under its own weight.
+    """Return the tip deflection divided by the beam's length, for a beam under its own weight.
 
     The deflection is computed from theta'' = -load (1 - s) cos theta by the shooting method.
 
@@ -109,7 +111,7 @@ def heavy_elastica_drop(load: float) -> float:
 
 
 def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return a load P at the beam's tip; the values of the profile are P L^2 / (E I).
+    """Return a load P at the beam's tip; the profile contains values of P L^2 / (E I).
 
     Args:
         width: Width of the beam [m].
@@ -121,7 +123,7 @@ def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
 
 
 def load_all(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return gravity on the whole beam; the values of the profile are rho g A L^3 / (E I).
+    """Return gravity on the whole beam; the profile contains values of rho g A L^3 / (E I).
 
     Args:
         width: Not used.
@@ -136,17 +138,18 @@ def load_all(width: float, profile: Keyframes, end: Region) -> Force:
 def make_band(
     loads: Sequence[float], exact: Callable[[float], float], name: str, stretch: float = 0.0
 ) -> tuple[Quantity, ...]:
-    """Return the tip deflection for each load, with its band.
+    """Return the published tip deflection and its band for each load.
 
-    The band extends from the deflection without shear to the deflection with twice this beam's
+    The band extends from the deflection without shear to the deflection with twice the beam's
     shear.
 
     Args:
         loads: Dimensionless loads.
-        exact: Returns the tip deflection of a slender beam for a load, divided by the length.
+        exact: Function that returns the tip deflection of a slender beam for a load, divided by the
+            length.
         name: Symbol of the load.
-        stretch: Mean pull on the beam, as a fraction of the load, by which a beam that hangs is
-            longer; 0: the band neglects this.
+        stretch: Mean tension in the hanging beam, as a fraction of the load; the tension makes the
+            beam longer. 0: the band neglects this stretch.
     """
     longer = stretch / 12 * (THICKNESS / LENGTH) ** 2
     pairs = [(load, exact(load)) for load in loads]
@@ -157,7 +160,7 @@ def make_band(
 
 
 def first_frequency() -> float:
-    """Return a slender cantilever's lowest frequency, 1.875^2 sqrt(E I / rho A L^4) [rad/s]."""
+    """Return the lowest frequency of a slender beam, 1.875^2 sqrt(E I / rho A L^4) [rad/s]."""
     return 1.8751**2 * math.sqrt(STIFFNESS / (DENSITY * THICKNESS)) / LENGTH**2
 
 
@@ -169,18 +172,18 @@ def measure_drops(
     stiffer: float = 1.0,
     gradient: str = "affine",
 ) -> Values:
-    """Measure the tip deflection of the beam at rest for each load, divided by the length.
+    """Measure the tip deflection of the beam at rest for each load, relative to the beam's length.
 
     Args:
         cells: Cells across the beam's thickness.
         loads: Factors of the force, in ascending order.
-        bending: Makes the force.
+        bending: Function that creates the force.
         stiffer: Factor on E, for the control.
-        gradient: Source of the velocity gradient, an option of `Model.of`.
+        gradient: Method for the velocity gradient, an option of `Model.of`.
     """
     dx = THICKNESS / cells
     spacing, clamped = dx / PER_AXIS, 3 * PER_AXIS
-    # The load acts on the last cell of particles, whose centre is the end of the beam.
+    # The load acts on the last cell of particles; the cell's centre is the end of the beam.
     counts = (round(LENGTH / spacing) + clamped + PER_AXIS // 2, PER_AXIS * cells)
     x = sheet(counts, spacing, (-clamped * spacing, 0, 0))
     end = Region(lower=(LENGTH - dx / 2 - 1e-9, -1, -1), upper=(LENGTH + dx / 2 + 1e-9, 1, 1))
@@ -207,14 +210,15 @@ def measure_lattice_drops(
     stiffer: float = 1.0,
     beyond: float = 0.0,
 ) -> Values:
-    """Measure the tip deflections by the lattice solver, for a beam as wide as it is thick.
+    """Measure the tip deflections with the lattice solver, for a beam as wide as it is thick.
 
     Args:
         cells: Cells across the beam's thickness.
         loads: Factors of the force, in ascending order.
-        bending: Makes the force.
+        bending: Function that creates the force.
         stiffer: Factor on E, for the control.
-        beyond: Length of the beam beyond its end, so that a load acts on a cell around it [cells].
+        beyond: Extra length of the beam [cells], so that a load acts on a cell around the beam's
+            end.
     """
     dx = THICKNESS / cells
     root, clamped = beyond * dx, 3
@@ -238,7 +242,7 @@ def measure_lattice_drops(
 
 
 def _steps(loads: Sequence[float], hold: float) -> Keyframes:
-    """Return a profile that applies the loads one after another, each for the time `hold` [s].
+    """Return a profile with one load after another, each for the time `hold` [s].
 
     In the first third of the time `hold`, the factor rises to the load. It then stays constant.
     """
@@ -250,12 +254,12 @@ def _steps(loads: Sequence[float], hold: float) -> Keyframes:
 
 
 def _settle(solver: Solver | LatticeSolver, until: float) -> None:
-    """Advance with critical damping of the first mode, which prevents oscillations."""
+    """Advance with critical damping of the first mode, to prevent oscillations."""
     omega, number = first_frequency(), 0
     while solver.clock.time < until - 1e-9:
         before, number = solver.clock.time, number + 1
-        # Equal pieces could be in resonance with fast vibrations, which would then grow: velocities
-        # are half a substep behind positions.
+        # Velocities are half a substep behind positions. With equal intervals between velocity
+        # reductions, fast vibrations could therefore be in resonance and grow.
         piece = (0.75 + 0.5 * (number * GOLDEN % 1)) * 2 * math.pi / omega / PIECES
         solver.advance(min(before + piece, until))
         slower = math.exp(-2 * omega * (solver.clock.time - before))
@@ -272,10 +276,10 @@ ELASTICA = Experiment(
     name="elastica",
     title="Elastica: a dead weight on the end of a cantilever",
     source="Euler's elastica by elliptic integrals, as tabulated by Bisshopp and Drucker 1945",
-    measured="Tip deflection divided by the length, at rest, for seven weights. The linear theory "
+    measured="Tip deflection at rest, divided by the length, for seven weights. The linear theory "
     "of small bending overestimates the deflection by 11 % at PL²/EI = 1 and by 311 % at 10.",
     band="from the deflection without shear to the deflection with twice the shear of this beam, "
-    "which is 12 times as long as it is thick",
+    "whose length is 12 times its thickness",
     published=partial(make_band, TIP_LOADS, elastica_drop, "PL²/EI"),
     run=partial(measure_drops, loads=TIP_LOADS, bending=load_tip),
     control=partial(measure_drops, loads=TIP_LOADS, bending=load_tip, stiffer=1.2),
@@ -299,7 +303,7 @@ SPLINE_ELASTICA = replace(
     seconds=150,
     reason="Few cells make the beam slightly too stiff, and few particles make it slightly too "
     "soft. With 8 particles per cell and axis, the deflection at the smallest load is "
-    "1.0, 0.7 and 0.5 % too small on 2, 3 and 4 cells, so it converges. With 4 particles, "
+    "1.0, 0.7 and 0.5 % too small on 2, 3 and 4 cells, so the error converges. With 4 particles, "
     "the two errors cancel, which the extrapolation cannot detect.",
 )
 _on_tip = partial(measure_lattice_drops, loads=TIP_LOADS, bending=load_tip, beyond=0.5)
@@ -309,7 +313,7 @@ LATTICE_ELASTICA = replace(
     title="Elastica on the lattice solver",
     measured='The loads of `elastica`, with accuracy.solver = "lattice".',
     published=partial(make_band, TIP_LOADS, elastica_drop, "PL²/EI", 1.0),
-    band="as for `elastica`, with the upper end raised by the stretch of a hanging beam",
+    band="as for `elastica`, but the upper end also includes the stretch of a hanging beam",
     run=_on_tip,
     control=partial(_on_tip, stiffer=1.2),
     seconds=50,
@@ -320,7 +324,7 @@ HEAVY_ELASTICA = replace(
     name="heavy-elastica",
     title="Heavy elastica: a cantilever under its own weight",
     source="θ'' = −β (1 − s) cos θ, integrated numerically",
-    measured="Tip deflection divided by the length, at rest, for three strengths of gravity.",
+    measured="Tip deflection at rest, divided by the length, for three strengths of gravity.",
     published=partial(make_band, OWN_LOADS, heavy_elastica_drop, "ρgAL³/EI"),
     run=partial(measure_drops, loads=OWN_LOADS, bending=load_all),
     control=partial(measure_drops, loads=OWN_LOADS, bending=load_all, stiffer=1.4),
@@ -335,7 +339,7 @@ LATTICE_HEAVY_ELASTICA = replace(
     title="Heavy elastica on the lattice solver",
     measured='The loads of `heavy-elastica`, with accuracy.solver = "lattice".',
     published=partial(make_band, OWN_LOADS, heavy_elastica_drop, "ρgAL³/EI", 0.5),
-    band="as for `elastica`, with the upper end raised by the stretch of a hanging beam",
+    band="as for `elastica`, but the upper end also includes the stretch of a hanging beam",
     run=_on_all,
     control=partial(_on_all, stiffer=1.4),
     quick=True,

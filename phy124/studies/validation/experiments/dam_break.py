@@ -17,18 +17,18 @@ from phy124.studies.validation.experiments.liquids import fill, solver_of
 INVISCID = ((1.2, 1.75), (1.6, 2.18), (2.0, 2.68), (2.5, 3.37), (3.0, 4.12))
 """(Time t sqrt(2 g / a), position of the front / a) of an inviscid liquid without a gate.
 
-Computed by a separate two-dimensional solver (APIC and pressure projection with a ghost-fluid
-surface, 128 cells across a), whose results with 64 cells are at most 0.01 smaller.
+The values come from a separate two-dimensional solver (APIC and pressure projection with a
+ghost-fluid surface, 128 cells across a). Its results with 64 cells are at most 0.01 smaller.
 """
 HEIGHTS = (1.28, 2.0, 2.7)
 """Dimensionless times t sqrt(g / a) at which the height of the water at the wall is measured."""
 PASSAGE = (1.5, 3.5)
 """Positions / a between which the front's mean speed is measured.
 
-Unlike positions at given times, this speed does not depend on a delay of the start.
+Unlike the front's position at a given time, this speed does not depend on a delay of the start.
 """
 PERIOD = (1.2, 3.0)
-"""Two dimensionless times t sqrt(2 g / a); the front's mean speed between them is measured."""
+"""Dimensionless times t sqrt(2 g / a) between which the front's mean speed is measured."""
 FRONT_2_25 = (
     (0.832, 1.217),
     (1.219, 1.474),
@@ -88,24 +88,24 @@ HEIGHT_TABLE = (
 The values are as published with Ocellaris.
 """
 READ = 0.02
-"""Maximum error of a tabulated height, and of a position / a of the front.
+"""Maximum error of a tabulated height / initial height, and of a front position / a.
 
-The steps between tabulated heights are 0.05 to 0.06. A distance between two positions has an error
-of at most twice this value.
+Tabulated heights differ by steps of 0.05 to 0.06. The distance between two positions has at most
+twice this error.
 """
 SAMPLE = 0.1
-"""Interval of the dimensionless time t sqrt(2 g / a) at which front and height are sampled."""
+"""Sampling interval of the front and the height, in dimensionless time t sqrt(2 g / a)."""
 PASTE = 630.0
 """Viscosity of the control [Pa s]; its Reynolds number a sqrt(2 g a) / nu is 7."""
 
 
 def mean_speeds(time: NDArray[np.float64], front: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the front's mean speed dZ/dT, once between the positions `PASSAGE` and once during
+    """Return two mean speeds dZ/dT of the front: between the positions in `PASSAGE`, and during
     `PERIOD`.
 
     Args:
         time: Times T = t sqrt(2 g / a).
-        front: Positions Z of the front / a at these times, which increase.
+        front: Increasing positions Z of the front / a at these times.
     """
     start, end = np.interp(PASSAGE, front, time)
     low, high = np.interp(PERIOD, time, front)
@@ -140,9 +140,10 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def release(cells: int, viscosity: float) -> Values:
-    """Simulate the collapse of a column in a smooth channel, and measure its front and height.
+    """Simulate the collapse of a column in a smooth channel, and measure the column's front and
+    height.
 
-    The column is 1 m wide (a = 1 m) and twice as high.
+    The column is 1 m wide (a = 1 m) and 2 m high.
 
     Args:
         cells: Cells across the column's width.
@@ -179,14 +180,14 @@ EXPERIMENT = Experiment(
     measured="A projected liquid in a smooth channel. The experiment measures the position Z of "
     "the front divided by the column's width a at dimensionless times T = t √(2g/a), the front's "
     "mean speed dZ/dT between two positions and between two times, and the height of the water "
-    "at the wall divided by the initial height at times T/√2. The front ends at the first gap "
+    "at the wall divided by the initial height at times T/√2. The front is at the first gap "
     "wider than a cell.",
     band="inviscid front: ±3 %; speeds: from the lowest to the highest of the three data sets, "
-    "widened by 2 %, since positions were read to 0.02; heights: ±0.02, since the table's heights "
-    "have steps of 0.05 to 0.06. The front's positions are not compared with the experiment, in "
-    "which the opening of the gate and the friction of the floor delay the water: at each time, "
-    "the front is 9 to 20 % less far. A delay of T = 0.25 explains this to within 2 %. The "
-    "front's speeds are therefore compared; they agree best between two positions",
+    "widened by 2 %, since positions were read to within 0.02; heights: ±0.02, since the table's "
+    "heights have steps of 0.05 to 0.06. The front's positions are not compared with the "
+    "experiment. There, the gate and the friction of the floor delay the water: at each time, its "
+    "front has travelled 9 to 20 % less. A delay of T = 0.25 explains this to within 2 %. The "
+    "speeds of the front are therefore compared; they agree best between two positions",
     published=publish,
     run=lambda cells: release(cells, 0.0),
     control=lambda cells: release(cells, PASTE),

@@ -1,10 +1,12 @@
-"""Finite elements for an elastic ball on a rigid smooth plate, beyond the limits of Hertz's theory.
+"""Finite elements for an elastic ball on a rigid smooth plate, for indentations too large for
+Hertz.
 
 Hertz's theory treats the ball near its contact as a half-space with small strain. The finite
-elements describe the whole ball with the same neo-Hookean law as the particles. The solution is
-static and axisymmetric. The linear quadrilaterals are smaller near the contact (Bonet and Wood
-2008, chapter 9), and the contact uses an active set (Alart and Curnier 1991). The code is
-independent of the material point method, and can therefore serve as its reference.
+elements cover the whole ball and use the same neo-Hookean law as the particles. The solution is
+static and axisymmetric. The elements are linear quadrilaterals (Bonet and Wood 2008, chapter 9),
+smaller near the contact. The contact is solved with an active set (Alart and Curnier 1991). This
+code is independent of the material point method and therefore serves as a reference for this
+method.
 """
 
 from __future__ import annotations
@@ -20,22 +22,23 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
-"""Corners of the reference square."""
+"""Corners of the reference element, a square."""
 PAIRS = np.array([[0, 0, 1, 1, 2], [0, 1, 0, 1, 2]])
-"""Row and column indices of the nonzero components of F: rr, rz, zr, zz, and circumferential."""
+"""Row and column indices of the nonzero components of F: rr, rz, zr, zz, and the hoop component."""
 FINER = 3.5
 """Grading of the mesh towards the contact; 0 would be a uniform mesh."""
 LARGEST_STEP = 0.02
-"""Maximum step of the plate, in radii."""
+"""Maximum step of the plate, relative to the ball's radius."""
 DEPTHS = (0.01, 0.03, 0.05, 0.08, 0.11, 0.15)
-"""Depths at which the force is computed to fit a law, in radii."""
+"""Indentation depths, relative to the radius, to which a force law is fitted."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """The force of a ball on a plate as a function of the depth.
+    """Contact force of a ball on a plate as a function of the indentation depth.
 
-    The force is Hertz's force times 1 + a s + b s^2 + ..., where s^2 is the depth in radii.
+    The force is Hertz's force times 1 + a s + b s^2 + ..., where s^2 is the depth divided by the
+    radius.
     """
 
     nu: float
@@ -44,24 +47,24 @@ class Law:
     """Coefficients a, b, ...; empty for Hertz's law, which treats both bodies as half-spaces."""
 
     def force(self, depth: float) -> float:
-        """Return the force divided by E R^2, at a depth in radii."""
+        """Return the force divided by E R^2; `depth` is relative to the radius."""
         powers = (term * depth ** (k / 2) for k, term in enumerate((1.0, *self.terms)))
         return 4 / 3 / (1 - self.nu**2) * depth**1.5 * sum(powers)
 
     def slope(self, depth: float) -> float:
-        """Return the derivative of `force` with respect to the depth in radii."""
+        """Return the derivative of `force` with respect to the relative depth."""
         terms = enumerate((1.0, *self.terms), start=3)
         return 2 / 3 / (1 - self.nu**2) * sum(k * a * depth ** (k / 2 - 1) for k, a in terms)
 
 
 @cache
 def fit_law(nu: float, *, whole: bool) -> Law:
-    """Fit a law to finite-element forces of a neo-Hookean ball, up to a depth of 0.15 radii.
+    """Fit a contact-force law to finite-element results for a neo-Hookean ball.
 
     Args:
         nu: Poisson's ratio.
-        whole: True for a ball on one plate, which its inertia pushes against the plate; False for
-            a ball between two plates.
+        whole: True for a ball on one plate, pressed against the plate by its inertia; False for a
+            ball between two plates.
     """
     s = np.sqrt(DEPTHS)
     hertz = [Law(nu).force(depth) for depth in DEPTHS]
@@ -72,7 +75,7 @@ def fit_law(nu: float, *, whole: bool) -> Law:
 
 @dataclass(frozen=True)
 class Mesh:
-    """A mesh of the cross-section of a ball with radius 1, which touches the plate z = 1."""
+    """A mesh of the cross-section of a ball of radius 1; the plate is at z = 1."""
 
     x: Array
     """Nodes [N,2]: distance from the axis, and height."""
@@ -85,7 +88,7 @@ class Mesh:
 
 
 def make_mesh(fine: int, *, whole: bool) -> Mesh:
-    """Divide the cross-section into quadrilaterals along circles and rays.
+    """Divide the ball's cross-section into quadrilaterals along circles and rays.
 
     Args:
         fine: Number of elements along the radius.
@@ -105,18 +108,18 @@ def make_mesh(fine: int, *, whole: bool) -> Mesh:
 
 
 def _towards_zero(count: int) -> Array:
-    """Return count + 1 positions from 0 to 1, which are closer together near 0."""
+    """Return count + 1 positions from 0 to 1, with smaller spacing near 0."""
     return np.sinh(FINER * np.linspace(0, 1, count + 1)) / math.sinh(FINER)
 
 
 @dataclass(frozen=True)
 class Elements:
-    """The elements of a mesh, with two by two integration points each."""
+    """The elements of a mesh; each element has two by two integration points."""
 
     gradient: Array
-    """Matrices that map displacements [M,8] to the five components of F - 1 [M,4,5,8]."""
+    """Matrices [M,4,5,8] that map displacements [M,8] to the five components of F - 1."""
     volume: Array
-    """Volume of each integration point, revolved around the axis [M,4]."""
+    """Volume of each integration point, revolved around the ball's axis [M,4]."""
     dofs: NDArray[np.int64]
     """Indices of each element's displacements [M,8]."""
     weights: Array
@@ -124,7 +127,7 @@ class Elements:
 
     @classmethod
     def of(cls, make_mesh: Mesh) -> Elements:
-        """Return the elements of a mesh."""
+        """Create the elements of a mesh."""
         at = CORNERS / math.sqrt(3)
         shape = np.prod(1 + at[:, None] * CORNERS, axis=-1) / 4
         slope = CORNERS * (1 + at[:, None] * CORNERS)[..., ::-1] / 4
@@ -170,12 +173,12 @@ class Elements:
 
 
 def plate_forces(depths: Sequence[float], nu: float, *, whole: bool, fine: int = 16) -> Array:
-    """Return the force on the plate divided by E R^2, at each depth.
+    """Return the force on the plate divided by E R^2, for each depth.
 
     Args:
-        depths: Displacements of the plate towards the middle of the ball, in radii, in ascending
-            order. The middle is the centre of mass of a whole ball, which its weight or inertia
-            pushes against the plate, or the symmetry plane of a ball between two plates.
+        depths: Ascending displacements of the plate towards the middle of the ball, relative to the
+            radius. The middle of a whole ball is its centre of mass; the middle of a ball between
+            two plates is the symmetry plane.
         nu: Poisson's ratio.
         whole: True for a whole ball on one plate, False for a ball between two plates.
         fine: Number of elements along the radius.
@@ -198,7 +201,7 @@ def plate_forces(depths: Sequence[float], nu: float, *, whole: bool, fine: int =
 def _press(
     make_mesh: Mesh, elements: Elements, u: Array, lame: tuple[float, float], depth: float
 ) -> tuple[Array, float]:
-    """Solve for equilibrium at a depth with Newton's method and an active set.
+    """Find the equilibrium at a given depth with Newton's method and an active set.
 
     The last unknown is the body force that keeps the middle of the ball in place.
 
@@ -238,4 +241,4 @@ def _press(
         K = coo_array((values, places), shape=(size, size)).tocsr()
         change[free] = np.asarray(spsolve(K[free][:, free].tocsc(), -(off + K @ change)[free]))
         u = u + change
-    raise RuntimeError(f"the ball is not at rest at depth {depth:g} R")
+    raise RuntimeError(f"no equilibrium of the ball found at depth {depth:g} R")

@@ -1,4 +1,4 @@
-"""Defines an experiment: published values, simulation, and outcome on three grids."""
+"""An experiment: published values, simulation, and outcome on three grids."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from phy124.accuracy.convergence import richardson
 
 Values = tuple[float, ...]
-"""One number per quantity; NaN for a quantity that a control does not measure."""
+"""One number per quantity; NaN if a control does not measure the quantity."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A published value, and its band of permitted values."""
+    """A published value with a band of permitted values."""
 
     name: str
     published: float
@@ -29,7 +29,7 @@ class Quantity:
 
     @classmethod
     def within(cls, name: str, value: float, part: float, at: float | None = None) -> Quantity:
-        """Return a quantity with a band that is symmetric about its published value.
+        """Return a quantity whose band is symmetric about the published value.
 
         Args:
             name: Name of the quantity.
@@ -43,7 +43,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Experiment:
-    """A comparison of simulations with published values, and its texts for tables and plots."""
+    """A comparison of simulations with published values, with texts for tables and plots."""
 
     name: str
     """Name on the command line."""
@@ -55,11 +55,12 @@ class Experiment:
     band: str
     """Description of the bands, with the reason for their width."""
     published: Callable[[], tuple[Quantity, ...]]
-    """Returns the published values, in the order of the values from `run`."""
+    """Returns the published values, in the same order as `run` returns the simulated values."""
     run: Callable[[int], Values]
-    """Returns the values that are simulated with N cells across the length `across`."""
+    """Simulates with N cells across the length `across`, and returns the measured values."""
     control: Callable[[int], Values]
-    """Returns values simulated with a deliberate mistake; at least one must leave its band."""
+    """Returns values simulated with a deliberate mistake; at least one must be outside its band.
+    """
     mistake: str
     """Description of the control's mistake."""
     grids: tuple[int, int, int]
@@ -79,7 +80,7 @@ class Experiment:
 
 
 def find_root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Return the zero of a function in an interval; the signs at its ends must differ.
+    """Return the zero of a function in an interval; the function must change its sign there.
 
     Args:
         function: Function of one number.
@@ -101,9 +102,9 @@ class Estimate:
     control: float
     """The value of the control, on the coarsest grid; NaN if it was not measured."""
     value: float
-    """Richardson's extrapolation, or the finest grid's value if the grids do not converge."""
+    """The value by Richardson extrapolation, or on the finest grid if the grids do not converge."""
     error: float
-    """Estimated error of `value`; without convergence, the spread of the values on all grids."""
+    """Estimated error of `value`; if the grids do not converge, the spread of their values."""
     order: float | None
     """Observed order of convergence; None if the grids agree or do not converge."""
 
@@ -117,12 +118,12 @@ class Estimate:
 
     @property
     def inside(self) -> bool:
-        """Whether `value` is within its band, extended by `error` on both sides."""
+        """Whether `value` is within the band, extended by `error` on both sides."""
         return self.quantity.low - self.error <= self.value <= self.quantity.high + self.error
 
     @property
     def by_its_error(self) -> bool:
-        """Whether `value` is within its band only because the band is extended by `error`."""
+        """Whether `value` is outside the band, but by less than `error`."""
         return self.inside and not self.quantity.low <= self.value <= self.quantity.high
 
     @property
@@ -134,12 +135,12 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The estimates of an experiment, or the messages of its failed runs."""
+    """The estimates of an experiment, and the messages of failed runs."""
 
     experiment: Experiment
     estimates: tuple[Estimate, ...] = ()
     seconds: float = 0.0
-    """CPU time of all runs [s]."""
+    """Total CPU time of all runs [s]."""
     failures: tuple[str, ...] = field(default=())
     """Error messages of failed runs."""
 
@@ -150,7 +151,7 @@ class Outcome:
 
     @property
     def control_holds(self) -> bool:
-        """Whether the mistake is detected: some value of the control is outside its band."""
+        """Whether the experiment detects the control's mistake: some value is outside its band."""
         return any(each.control_outside for each in self.estimates)
 
     @property
@@ -160,20 +161,20 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether no run failed, the control left a band, and every deviation has a reason."""
+        """Whether no run failed, the mistake is detected, and values outside their bands are
+        explained.
+        """
         explained = not self.missed or bool(self.experiment.reason)
         return not self.failures and self.control_holds and explained
 
     @property
     def verdict(self) -> str:
-        """The result in a few words."""
+        """Short description of the result."""
         if self.failures:
             return "FAILED"
         inside = f"{self.inside} of {len(self.estimates)} in the band"
         return (
-            inside
-            if self.control_holds
-            else f"{inside}, but the CONTROL stays in its bands as well"
+            inside if self.control_holds else f"{inside}, but the CONTROL also stays in all bands"
         )
 
 

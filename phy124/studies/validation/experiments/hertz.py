@@ -19,11 +19,12 @@ from phy124.studies.validation.experiments.experiment import Experiment, Quantit
 RADIUS, E, NU = 0.5, 1e5, 0.3
 """Radius [m], Young's modulus [Pa] and Poisson's ratio of the pressed ball."""
 DEPTHS = (0.03, 0.05)
-"""Depths to which each plate presses the ball [m]."""
+"""Indentation depths of each plate in the ball [m]."""
 PLACES = (0.0, 0.5)
-"""Final positions of the plate between two nodes [cells]; the force is averaged over them."""
+"""Final positions of the plate relative to a node [cells]; the forces are averaged.
+"""
 MOVE, HOLD = 0.4, 0.4
-"""Durations for which the plate moves, and then holds its position [s]."""
+"""Duration for which the plate moves, and duration for which it then rests [s]."""
 
 
 def hertz(depth: float) -> float:
@@ -40,7 +41,7 @@ def press(
     per_axis: int = 2,
     phase: float = 0.5,
 ) -> float:
-    """Measure the mean force of a plate on the ball [N], by simulating an eighth of the ball.
+    """Simulate an eighth of the ball, and measure the mean force of a plate on the whole ball [N].
 
     Args:
         cells: Cells across the radius.
@@ -48,7 +49,7 @@ def press(
         stiffer: Factor on E, for the control.
         precision: float32 or float64.
         per_axis: Particles per cell and axis.
-        phase: Final position of the plate between two nodes [cells], 0 to 1.
+        phase: Final position of the plate relative to a node [cells], 0 to 1.
     """
     dx = RADIUS / cells
     x, volume = ball_of_shells(RADIUS, dx / per_axis)
@@ -86,7 +87,7 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def turning_time(of: Law) -> float:
-    """Return the turning time of a bouncing ball with a force law, relative to Hertz's law.
+    """Return the turning time of a bouncing ball for a force law, relative to Hertz's law.
 
     The turning time starts when the ball still moves down at half its initial speed, and ends when
     the ball moves up at half its initial speed.
@@ -129,12 +130,11 @@ EXPERIMENT = Experiment(
     title="Hertz: force on a pressed ball, and contact time of a bouncing ball",
     source="finite elements of the whole neo-Hookean ball, which approach Hertz's law (1882) for "
     "small depths (`phy124/studies/validation/experiments/elastic_ball.py`)",
-    measured="The force on the plate at two depths, from the plate's impulses; each force is the "
-    "mean for two positions of the plate between nodes. The contact time is the time in which a "
-    "bouncing ball's velocity changes from half the initial speed downwards to half the initial "
-    "speed upwards. "
-    "All values are relative to Hertz's theory, which treats both bodies as half-spaces "
-    "with small strain.",
+    measured="The force on the plate at two depths is computed from the plate's impulses; each "
+    "force is the mean for two positions of the plate between nodes. The contact time is the time "
+    "in which a bouncing ball's velocity changes from half the initial speed downwards to half "
+    "the initial speed upwards. All values are relative to Hertz's theory, which treats both "
+    "bodies as half-spaces with small strain.",
     band="forces: ±5 %; time: ±1 %",
     published=publish,
     run=run,

@@ -1,4 +1,4 @@
-"""Experiment: Coulomb friction of a block on an incline, aligned with the grid or oblique to it."""
+"""Experiment: Coulomb friction of a block on an incline, aligned with or oblique to the grid."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from phy124.studies.validation.bodies import lattice, mean_along
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
-"""Slope tan(angle) and coefficient of friction of each case; the last block does not slide."""
+"""Slope tan(angle) and coefficient of friction of each case; in the last case, nothing slides."""
 SIZE, SETTLING, SLIDING = 0.4, 1.4, 0.4
 """Edge of the block [m], and the durations of settling and sliding [s]."""
 SAMPLES = 41
-"""Number of instants to which a parabola is fitted; this averages over the block's rocking."""
+"""Number of instants to which a parabola is fitted, to average over the block's rocking.
+"""
 
 
 def acceleration(slope: float, friction: float) -> float:
-    """Return the exact acceleration in units of gravity, max(0, sin - mu cos)."""
+    """Return the exact acceleration relative to gravity, max(0, sin - mu cos)."""
     angle = math.atan(slope)
     return max(0.0, math.sin(angle) - friction * math.cos(angle))
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the exact accelerations, first with gravity tilted and then with the wall tilted."""
+    """Return the exact accelerations, first for tilted gravity and then for a tilted wall."""
     return tuple(
         Quantity(f"tan θ = {slope:g}, μ = {mu:g}, {how}", exact, exact - 0.002, exact + 0.002)
         for how in ("along the grid", "across it")
@@ -68,7 +69,7 @@ def slide(cells: int, slope: float, friction: float, *, across: bool) -> float:
 
 
 def measure(cells: int, more: float) -> Values:
-    """Measure all accelerations; `more` is added to the correct coefficient of friction."""
+    """Measure all accelerations, with `more` added to the correct coefficient of friction."""
     return tuple(
         slide(cells, slope, mu + more, across=across)
         for across in (False, True)

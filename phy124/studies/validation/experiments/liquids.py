@@ -18,22 +18,23 @@ from phy124.studies.validation.accuracy.problems import GRAVITY
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 DEPTH, WAVE, PERIODS = 0.5, 0.05, 5
-"""Depth of the tank and amplitude of the wave, in tank lengths; and number of periods."""
+"""Depth of the tank and amplitude of the wave, relative to the tank's length; number of periods."""
 SAMPLES = 60
-"""Samples per period."""
+"""Number of samples per period of the wave."""
 GAP, NU, PULL, FALL = 0.5, 0.1, 2.0, 0.5
-"""Distance of the plates [m], kinematic viscosity [m^2/s], acceleration [m/s^2], duration [s]."""
+"""Distance of the plates [m], kinematic viscosity [m^2/s], gravity [m/s^2], duration [s].
+"""
 RADIUS, THICK, LONGER = 6.0, 0.45, 4.0
 """Radius of the heap [m], its kinematic viscosity [m^2/s], and ratio of the last time to the first.
 
-The heap is 1 m high at the start, and gravity is 1 m/s^2, so inertia changes the flow by 3 %.
+The heap is initially 1 m high, and gravity is 1 m/s^2. Inertia then changes the flow by 3 %.
 """
 SIMILARITY = (1024 / (81 * np.pi**3)) ** 0.125
 """Prefactor of the radius of a spreading heap, 0.894 (Huppert 1982, eq. 2.31)."""
 
 
 def fill(size: tuple[float, float, float], cells: int) -> NDArray[Any]:
-    """Return particles [P,3], m, eight per cell, in a box with a corner at the origin.
+    """Return positions [P,3], m, of eight particles per cell in a box with a corner at the origin.
 
     Args:
         size: Sides of the box [m].
@@ -47,11 +48,11 @@ def fill(size: tuple[float, float, float], cells: int) -> NDArray[Any]:
 def solver_of(
     x: NDArray, v: NDArray, cells: int, walls: list[Boundary], g: float, viscosity: float = 0.0
 ) -> LiquidSolver:
-    """Return the solver of a liquid of 1000 kg/m^3.
+    """Create a solver for a liquid with the density 1000 kg/m^3.
 
     Args:
         x: Positions of the particles [P,3], m.
-        v: Their velocities [P,3], m/s.
+        v: Velocities of the particles [P,3], m/s.
         cells: Cells per metre.
         walls: The walls.
         g: Acceleration downwards [m/s^2].
@@ -70,7 +71,7 @@ def frequency() -> float:
 
 
 def slosh(cells: int, depth: float) -> Values:
-    """Start the first mode in a tank of 1 m, and measure its frequency and the final height.
+    """Excite the first mode in a tank 1 m long, and measure its frequency and the final height.
 
     Args:
         cells: Cells across the tank's length.
@@ -99,7 +100,8 @@ def slosh(cells: int, depth: float) -> Values:
 
 
 def fall(cells: int, viscosity: float) -> Values:
-    """Let a slab fall between sticky plates, and measure its speed in the middle and near a plate.
+    """Let a liquid slab fall between no-slip plates; measure its speed in the middle and near a
+    plate.
 
     Args:
         cells: Cells across the gap.
@@ -121,7 +123,7 @@ def fall(cells: int, viscosity: float) -> Values:
 
 
 def started_flow() -> tuple[float, float]:
-    """Return the exact speed in the middle fifth, and the mean speed [m/s]."""
+    """Return the exact speed in the middle fifth of the gap, and the mean speed [m/s]."""
     k = np.arange(1, 60, 2)
     waves = 4 * PULL * GAP**2 / (np.pi**3 * NU) / k**3
     waves *= 1 - np.exp(-((k * np.pi / GAP) ** 2) * NU * FALL)
@@ -131,11 +133,11 @@ def started_flow() -> tuple[float, float]:
 
 
 def spread(cells: int, viscosity: float, longer: float = LONGER) -> Values:
-    """Let a heap spread on a sticky floor; return the prefactor and the exponent of its radius.
+    """Let a heap spread on a no-slip floor; return the prefactor and the exponent of its radius.
 
-    The heap starts at time t0 with the height (1 - r^2 / R^2)^(1/3) of the similarity solution. The
-    heap's radius is computed from the particles' root mean square distance from the axis, times
-    sqrt(7/3), which is exact for this profile of heights. One quarter of the heap is simulated.
+    The heap starts at time t0 from the similarity solution, with the height (1 - r^2 / R^2)^(1/3).
+    The heap's radius is sqrt(7/3) times the root mean square of the particles' distances from the
+    axis; this is exact for the similarity solution. One quarter of the heap is simulated.
 
     Args:
         cells: Cells across the height at the start.
@@ -162,10 +164,11 @@ SLOSHING = Experiment(
     name="sloshing",
     title="Sloshing in a tank",
     source="Linear theory of waves (Lamb 1932, § 228): ω² = g k tanh(k h), k = π / L",
-    measured="Water in a smooth tank, half as deep as the tank is long, oscillates in its first "
-    "mode with an initial amplitude of 5 % of the length. The experiment measures the frequency "
-    "over 5 periods [Hz], and the final height of the centre of mass divided by the depth.",
-    band="±1 %; a wave of this height is slower than a small one by about 0.3 %",
+    measured="The water in a smooth tank is half as deep as the tank is long. It oscillates in "
+    "its first mode with an initial amplitude of 5 % of the length. The experiment measures the "
+    "frequency over 5 periods [Hz], and the final height of the centre of mass divided by the "
+    "depth.",
+    band="±1 %; a wave of this height is about 0.3 % slower than a small wave",
     published=lambda: (
         Quantity.within("frequency", frequency(), 0.01),
         Quantity.within("height of the centre / depth", 0.5, 0.01),
@@ -182,11 +185,10 @@ CHANNEL = Experiment(
     name="channel",
     title="Viscous liquid that falls between two plates",
     source="Started flow between plates (Batchelor 1967, § 4.3): g y (H - y) / (2 ν) less a series",
-    measured="A slab with a viscosity of 0.1 m²/s falls with 2 m/s² between sticky plates that are "
-    "0.5 m apart. "
-    "The slab's speed after 0.5 s is measured in the middle fifth of the gap and across the "
-    "gap [m/s].",
-    band="±5 %, since the slab has ends, but the theory is for an infinitely long one",
+    measured="A liquid slab with a viscosity of 0.1 m²/s falls between no-slip plates that are "
+    "0.5 m apart; gravity is 2 m/s². The slab's speed after 0.5 s is measured in the middle fifth "
+    "of the gap and across the gap [m/s].",
+    band="±5 %, since the slab is finite, but the theory assumes an infinitely long slab",
     published=lambda: tuple(
         Quantity.within(name, speed, 0.05)
         for name, speed in zip(("speed in the middle", "mean speed"), started_flow(), strict=True)
@@ -203,12 +205,12 @@ SPREADING = Experiment(
     name="spreading",
     title="Spreading of a viscous heap",
     source="Huppert 1982: r = 0.894 (g V³ / 3ν)^(1/8) t^(1/8), which his experiments confirm",
-    measured="A heap six times as wide as high spreads on a sticky floor, from the shape of the "
-    "similarity solution until four times the time at which this solution has the heap's height. "
-    "In the second half of the spreading (on a logarithmic scale of time), the prefactor and the "
-    "exponent of the heap's radius are measured.",
-    band="prefactor: ±2 %, exponent: ±5 %; inertia and the slope of the surface, which the theory "
-    "leaves out, change the rate of spreading by about 3 %",
+    measured="A heap six times as wide as it is high spreads on a no-slip floor. It starts with "
+    "the shape of the similarity solution at the time t₀ when this solution has the heap's "
+    "height, and spreads until 4 t₀. The prefactor and the exponent of the heap's radius are "
+    "measured in the second half of this time (on a logarithmic scale).",
+    band="prefactor: ±2 %, exponent: ±5 %; the theory neglects inertia and the slope of the "
+    "surface, which change the rate of spreading by about 3 %",
     published=lambda: (
         Quantity.within("prefactor", SIMILARITY, 0.02),
         Quantity.within("exponent", 0.125, 0.05),

@@ -17,7 +17,7 @@ from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 EDGES = (0.6, 0.4, 0.2)
-"""Edges of the body [m]; the intermediate moment of inertia is about the second edge's axis."""
+"""Edge lengths of the body [m]; the second edge is along the axis of intermediate inertia."""
 SPIN = (1.0, 6.0, 0.0)
 """Initial angular velocity [rad/s]."""
 DURATION = 4.0
@@ -109,7 +109,7 @@ def tumble(cells: int, edges: Sequence[float]) -> Values:
 def _spin(solver: Solver) -> tuple[NDArray[np.float64], float]:
     """Return the angular velocity in the body's axes [3], rad/s, and twice the rotational energy.
 
-    The energy is computed for particles of unit mass, since only ratios of energies are used.
+    The energy is that of particles of unit mass, since only ratios of energies are used.
     """
     x, v = (a.numpy().astype(float) for a in (solver.state.x, solver.state.v))
     x, v, rest = x - x.mean(axis=0), v - v.mean(axis=0), solver.model.rest
@@ -122,12 +122,12 @@ def _spin(solver: Solver) -> tuple[NDArray[np.float64], float]:
 
 
 def run(cells: int) -> Values:
-    """Measure with the correct body."""
+    """Measure the correct body."""
     return tumble(cells, EDGES)
 
 
 def control(cells: int) -> Values:
-    """Control: measure with a body whose second edge is a quarter longer."""
+    """Control: measure a body whose second edge is a quarter longer."""
     return tumble(cells, (EDGES[0], 1.25 * EDGES[1], EDGES[2]))
 
 

@@ -20,22 +20,22 @@ SHADES = ("#c9d8ea", "#8fb0d6", "#5a8bc2")
 
 
 def refuse_missing_plots() -> None:
-    """Refuse plots if the package for drawing them is missing.
+    """Check that the package for drawing plots is installed.
 
     Raises:
         InputError: matplotlib is not installed.
     """
     if find_spec("matplotlib") is None:
-        limit = "this needs matplotlib, which is not installed."
-        remedy = f"Run `{install_command('plots')}`, or leave --out and --docs out."
+        limit = "plots need matplotlib, which is not installed."
+        remedy = f"Run `{install_command('plots')}`, or omit --out and --docs."
         raise InputError("plots", "SVG", limit, remedy)
 
 
 def save_plot(outcome: Outcome, path: PathLike) -> None:
     """Draw the outcome of an experiment.
 
-    The plot is a curve if the quantities have positions on an axis; otherwise, it has one row per
-    quantity.
+    The plot is a curve if the quantities have positions on an axis; otherwise, the plot has one row
+    per quantity.
 
     Args:
         outcome: Outcome of the experiment.
@@ -56,14 +56,14 @@ def save_plot(outcome: Outcome, path: PathLike) -> None:
     axes = figure.subplots()
     (_draw_curve if curve else _draw_rows)(axes, outcome)
     axes.legend(fontsize=8, frameon=False, loc="best")
-    # Make equal outcomes give equal files.
+    # With this setting, equal outcomes give equal files.
     fixed: Any = {"svg.hashsalt": outcome.experiment.name}
     with replacing(path) as temporary, matplotlib.rc_context(fixed):
         figure.savefig(temporary, format="svg", metadata={"Date": None})
 
 
 def _draw_curve(axes: Any, outcome: Outcome) -> None:
-    """Plot the published and the simulated values against the position of each quantity."""
+    """Plot the published and the simulated values over the quantities' positions."""
     experiment, estimates = outcome.experiment, outcome.estimates
     places = [each.quantity.at for each in estimates]
     low, high = ([getattr(f.quantity, side) for f in estimates] for side in ("low", "high"))
@@ -82,9 +82,9 @@ def _draw_curve(axes: Any, outcome: Outcome) -> None:
 
 
 def _draw_rows(axes: Any, outcome: Outcome) -> None:
-    """Draw a row for each quantity, with the relative deviations from its published value [%].
+    """Draw, in one row per quantity, the simulated values' deviations from the published value [%].
 
-    If the published value is zero, the deviation is absolute.
+    The deviations are relative, but absolute if the published value is zero.
     """
     experiment, estimates = outcome.experiment, outcome.estimates
     rows = range(len(estimates))
@@ -137,13 +137,13 @@ HEAD = """# Comparison with published experiments
 
 
 def summary(outcome: Outcome) -> str:
-    """Return a line of text about an experiment."""
+    """Describe the outcome of an experiment in one line."""
     name, verdict = outcome.experiment.name, outcome.verdict
     return f"{name:<16}{verdict:<22}{outcome.seconds:7.1f} s"
 
 
 def details(outcome: Outcome) -> list[str]:
-    """Return an experiment's failed runs and its quantities as lines of text."""
+    """Describe an experiment's failed runs and quantities, one per line."""
     rows = [f"    {failure}" for failure in outcome.failures]
     for each in outcome.estimates:
         seen = "" if math.isnan(each.control) else _number(each.control)
@@ -159,7 +159,7 @@ def details(outcome: Outcome) -> list[str]:
 
 
 def data(outcome: Outcome) -> dict[str, Any]:
-    """Return the outcome as plain data."""
+    """Return the outcome as data for JSON."""
     return {
         "name": outcome.experiment.name,
         "verdict": outcome.verdict,
@@ -189,13 +189,13 @@ def _row(each: Estimate) -> dict[str, Any]:
 def save_page(
     outcomes: Sequence[Outcome], page: PathLike, plots: PathLike, *, machine: str
 ) -> None:
-    """Write the page, and one plot per experiment.
+    """Write the Markdown page, and one plot per experiment.
 
     Args:
         outcomes: Outcomes of the experiments.
         page: The Markdown file.
         plots: Folder of the SVG files.
-        machine: A sentence about the computer.
+        machine: A sentence that describes the computer.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -235,7 +235,7 @@ def _worst(outcome: Outcome) -> str:
 
 
 def _section(outcome: Outcome, link: str) -> str:
-    """Return the section of the page about an experiment."""
+    """Return the section of the page that describes an experiment."""
     e = outcome.experiment
     lines = [
         f"## {e.title}\n",

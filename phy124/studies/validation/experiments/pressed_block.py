@@ -1,4 +1,4 @@
-"""Experiment: a block between smooth plates, which measures Poisson's ratio and three moduli.
+"""Experiment: a block between smooth plates, to measure Poisson's ratio and three moduli.
 
 The moduli are Young's modulus, the confined modulus and the bulk modulus.
 """
@@ -23,9 +23,9 @@ E, NU, SIZE = 1e5, 0.3, 1.0
 Only an eighth of the block is simulated.
 """
 STRAIN = 0.01
-"""Strain that the plates impose."""
+"""Strain imposed by the plates."""
 PRESS, HOLD = 0.5, 1.0
-"""Durations for which the plates move, and then hold their position [s]."""
+"""Duration for which the plates move, and duration for which they then rest [s]."""
 
 
 def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
@@ -45,8 +45,7 @@ def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
 def publish() -> tuple[Quantity, ...]:
     """Return Poisson's ratio, and the exact stress / (E strain).
 
-    The three stresses are those of a block with free sides, with held sides, and under hydrostatic
-    pressure.
+    The block has, in turn, free sides, fixed sides, and hydrostatic pressure.
     """
     axial = 1 - STRAIN
     free = find_root(lambda lateral: stress(axial, lateral)[1], 1.0, 1.02)
@@ -66,8 +65,8 @@ def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]
 
     Args:
         cells: Cells across half the block.
-        moving: Number of axes with moving plates, in the order z, y, x.
-        fixed: Number of further axes with fixed plates, in the same order.
+        moving: Number of axes with moving plates: z, then y, then x.
+        fixed: Number of axes with fixed plates, which follow the axes with moving plates.
         nu: Poisson's ratio.
 
     Returns:
@@ -93,7 +92,7 @@ def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]
 
 
 def _plate(axis: int, *, moves: bool) -> HalfSpace:
-    """Return a smooth plate on the positive side of the block along an axis."""
+    """Return a smooth plate on the block's positive side along an axis."""
     normal = -np.eye(3)[axis]
     low = tuple((STRAIN * SIZE / 2 * normal).tolist())
     path = Path(times=(0.0, PRESS), points=((0.0, 0.0, 0.0), low)) if moves else None
@@ -102,7 +101,7 @@ def _plate(axis: int, *, moves: bool) -> HalfSpace:
 
 
 def measure(cells: int, nu: float) -> Values:
-    """Measure Poisson's ratio, and stress / (E strain) for the three cases of `publish`."""
+    """Measure Poisson's ratio, and stress / (E strain) in the three cases of `publish`."""
     free, ratio = press(cells, 1, 0, nu)
     confined, _ = press(cells, 1, 2, nu)
     bulk, _ = press(cells, 3, 0, nu)
@@ -125,7 +124,7 @@ EXPERIMENT = Experiment(
     source="the neo-Hookean law in closed form; for small strain, it gives ν, E, "
     "E(1−ν)/(1+ν)(1−2ν) and E/(1−2ν)",
     measured="A block between smooth plates is compressed by 1 % in three ways: with free sides, "
-    "with held sides, and hydrostatically. Strains are measured from the particles, and "
+    "with fixed sides, and hydrostatically. Strains are measured from the particles, and "
     "forces from the impulses of a plate.",
     band="±0.5 %",
     published=publish,

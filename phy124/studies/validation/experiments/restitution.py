@@ -1,6 +1,6 @@
 """Experiment: the speed of a viscoelastic ball after a slow bounce on a floor.
 
-The speed from the solver is compared with the speed from a force law.
+The simulated speed is compared with the speed that follows from a force law.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from phy124.studies.validation.experiments.experiment import Experiment, Quantit
 RADIUS, DENSITY, E = 0.5, 1000.0, 1e6
 """Radius [m], density [kg/m^3] and Young's modulus [Pa] of the ball.
 
-With nu = 0, the ball's viscous stress is the rate of its elastic stress times damping / mu. The
-force law F + loss dF/dt is therefore exact for a quasi-static contact.
+With nu = 0, the viscous stress is damping / mu times the rate of the elastic stress. The force law
+F + loss dF/dt is therefore exact for a quasi-static contact.
 """
 SHALLOW, DEEP = 0.06, 0.12
-"""Maximum depths of the contact by Hertz's law, in radii, which determine the initial speed.
+"""Maximum contact depths by Hertz's law, relative to the radius; they determine the initial speed.
 
-The contact time is measured with a shallow contact, as Hertz's law requires. The loss is measured
-with a deep contact, which extends over more cells.
+The contact time is measured for a shallow contact, as Hertz's law requires. The energy loss is
+measured for a deep contact, because this contact covers more cells.
 """
 SAMPLES = 300
 """Number of samples per run."""
 FLIGHT = 2.2
-"""Duration of a run, in Hertz's contact times."""
+"""Duration of a run, in units of Hertz's contact time."""
 
 
 @dataclass(frozen=True)
@@ -57,18 +57,18 @@ class Bounce:
 
 
 def _crossing(times: NDArray, speeds: NDArray, level: float) -> float:
-    """Return the time at which the velocity first exceeds a level, by linear interpolation."""
+    """Return the time at which the velocity first exceeds a level; interpolate linearly."""
     after = int(np.argmax(speeds > level))
     return float(np.interp(level, speeds[after - 1 : after + 1], times[after - 1 : after + 1]))
 
 
 def speed(depth: float) -> float:
-    """Return the initial speed [m/s] for which Hertz's law gives a maximum depth, in radii."""
+    """Return the initial speed [m/s] for which Hertz's law gives a maximum depth / radius."""
     return math.sqrt(0.8 * depth**2.5 * E / (DENSITY * math.pi))
 
 
 def duration(depth: float) -> float:
-    """Return Hertz's contact time [s], 2.94 depth / speed, for a maximum depth in radii."""
+    """Return Hertz's contact time [s], 2.94 depth / speed; `depth` is relative to the radius."""
     return 2.9432 * depth * RADIUS / speed(depth)
 
 
@@ -76,8 +76,8 @@ def solve_theory(loss: float, depth: float, law: Law) -> Bounce:
     """Integrate the motion of a ball under the contact force max(0, F + loss dF/dt).
 
     Args:
-        loss: damping / mu, in Hertz's contact times.
-        depth: Maximum depth by Hertz's law without loss, in radii.
+        loss: damping / mu, in units of Hertz's contact time.
+        depth: Maximum depth by Hertz's law without loss, relative to the radius.
         law: The force F.
     """
     from scipy.integrate import solve_ivp
@@ -101,7 +101,7 @@ def bounce(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bo
 
     Args:
         cells: Cells across the radius.
-        loss: damping / mu, in Hertz's contact times.
+        loss: damping / mu, in units of Hertz's contact time.
         depth: Maximum depth by Hertz's law without loss, in radii.
         stiffer: Factor on E, for a control.
     """
@@ -126,11 +126,11 @@ def bounce(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bo
 
 
 LOSSES = (0.0, 0.02, 0.05)
-"""Values of damping / mu, in Hertz's contact times."""
+"""Values of damping / mu, in units of Hertz's contact time."""
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the coefficients of restitution according to theory."""
+    """Return the theoretical coefficients of restitution."""
     ball = fit_law(0.0, whole=True)
     return tuple(
         Quantity.within(f"η/μ = {loss:g} t", solve_theory(loss, DEEP, ball).restitution, 0.02, loss)

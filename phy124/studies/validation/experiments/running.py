@@ -1,4 +1,4 @@
-"""Runs experiments in parallel processes, with one run per grid and one run for each control."""
+"""Runs experiments in parallel processes: one run per grid, and one for the control."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from phy124.studies.validation.experiments.experiment import Experiment, Outcome
 
 
 class Run(NamedTuple):
-    """A simulation of an experiment on one grid, as plain data for another process."""
+    """One simulation of an experiment on one grid, as plain data for another process."""
 
     experiment: str
     cells: int
@@ -35,14 +35,14 @@ class Measured(NamedTuple):
 
 
 def list_runs(experiment: Experiment) -> list[Run]:
-    """Return the runs of an experiment: the grids from fine to coarse, then the control."""
+    """Return the runs of an experiment: one per grid, from fine to coarse, then the control."""
     coarse, *_ = experiment.grids
     grids = [Run(experiment.name, cells, False) for cells in reversed(experiment.grids)]
     return [*grids, Run(experiment.name, coarse, True)]
 
 
 def measure_run(run: Run) -> Measured:
-    """Make a run and return its result; an exception becomes an error message in the result."""
+    """Execute a run and return the result; an exception becomes an error message in the result."""
     experiment, before = find_experiment(run.experiment), time.process_time()
     try:
         values = (experiment.control if run.control else experiment.run)(run.cells)
@@ -60,7 +60,7 @@ def run_all(
 
     Args:
         experiments: The experiments to run.
-        jobs: Number of processes; 1: all runs are made in this process.
+        jobs: Number of processes; 1: all runs are executed in this process.
         progress: Called with ("validate", finished runs, all runs); may raise Cancelled.
     """
     longest = sorted(experiments, key=lambda experiment: -experiment.seconds)
@@ -100,9 +100,9 @@ def conclude(experiment: Experiment, measured: Sequence[Measured]) -> Outcome:
 
 
 def _run_all(todo: Sequence[Run], jobs: int, progress: Progress) -> Generator[Measured, None, None]:
-    """Make all runs, and yield each result as soon as its run has ended.
+    """Execute all runs, and yield each result as soon as the run has ended.
 
-    If the caller stops early, processes that are still working are stopped.
+    If the caller stops early, processes that are still running are stopped.
     """
     if jobs == 1:
         yield from map(measure_run, todo)

@@ -19,7 +19,8 @@ ASPECTS = (0.5, 1.0, 2.0, 4.0, 8.0)
 LUBE = (1.2, 1.9, 2.3)
 """Coefficients (l1, l2, a0) of the run-out law for sand, rice and sugar.
 
-For an aspect ratio a, the run-out in widths is l1 a if a < a0, and l2 a^(2/3) otherwise.
+For an aspect ratio a, the run-out relative to the column's width is l1 a if a < a0, and l2 a^(2/3)
+otherwise.
 """
 LAJEUNESSE = (1.8, 2.3, 3.0)
 """Coefficients of the run-out law for glass beads, as for `LUBE`."""
@@ -28,9 +29,9 @@ WIDTH = 0.1
 SLOPE = 31.0
 """Angle of friction of the sand in the channel, in plane strain [degrees]."""
 STIFF = 300.0
-"""Ratio of E to the pressure at the column's base.
+"""Ratio of Young's modulus to the pressure at the column's base.
 
-With this ratio, gravity compresses the sand at the base by a third of a per cent.
+With this ratio, gravity compresses the sand at the base by about 0.3 %.
 """
 DURATION = 6.0
 """Duration of a run, in units of sqrt(H / g); the collapse takes about 3 units."""
@@ -51,7 +52,7 @@ def plane_strain(angle: float) -> float:
 
 
 def run_out(aspect: float, law: tuple[float, float, float]) -> float:
-    """Return the run-out of a column in an experiment, in widths.
+    """Return the experimental run-out of a column, relative to its width.
 
     Args:
         aspect: Initial height / width.
@@ -62,7 +63,7 @@ def run_out(aspect: float, law: tuple[float, float, float]) -> float:
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the run-out of each column by Lube's law for sand, with a band.
+    """Return the run-out of each column by Lube's law for sand, with its band.
 
     The band extends from 0.9 times this run-out to the run-out by Lajeunesse's law for glass beads.
     """
@@ -74,7 +75,7 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def collapse(cells: int, aspect: float, angle: float) -> float:
-    """Measure the run-out of a column, in widths.
+    """Measure the run-out of a column, relative to its width.
 
     Args:
         cells: Cells across a square with the column's area.
@@ -109,14 +110,14 @@ EXPERIMENT = Experiment(
     title="Sand columns: run-out in a channel, in both regimes",
     source="Lube et al. 2005 (sand, rice, sugar) and Lajeunesse et al. 2005 (glass beads), as "
     "compared by Lagrée, Staron and Popinet 2011",
-    measured="Run-out of the heap in widths of the column, measured up to the first gap wider than "
-    "a cell. For an aspect ratio a, experiments give 1.2 a to 1.8 a for low columns, and "
-    "1.9 a^(2/3) to 2.3 a^(2/3) for high columns.",
+    measured="Run-out of the heap divided by the column's width, measured up to the first gap "
+    "wider than a cell. For an aspect ratio a, experiments give 1.2 a to 1.8 a for low columns, "
+    "and 1.9 a^(2/3) to 2.3 a^(2/3) for high columns.",
     band="from 0.9 times the run-out by Lube's law to the run-out by Lajeunesse's law",
     published=publish,
     run=run,
     control=control,
-    mistake="friction_angle = 50°, which sand does not have in a channel",
+    mistake="friction_angle = 50°, too large for sand in a channel",
     grids=(10, 14, 20),
     across="a square of the column's area",
     axis="height / width",

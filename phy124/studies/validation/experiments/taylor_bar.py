@@ -19,7 +19,7 @@ COPPER = Metal(E=117e9, nu=0.35, density=8930, yield_stress=400e6, hardening=100
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the published final length, and the final radius of the impact face [mm]."""
+    """Return the published final length of the bar and the final radius of its impact face [mm]."""
     return (Quantity("length", 21.43, 21.42, 21.48), Quantity("radius", 7.22, 7.11, 7.24))
 
 
@@ -45,7 +45,7 @@ def strike(cells: int, copper: Metal) -> Values:
     solver.advance(DURATION)
     end = solver.state.x.numpy().astype(float)
     F = solver.state.deformation.numpy().astype(float)
-    # A particle extends half a deformed cube beyond its centre.
+    # The volume of a particle is a deformed cube, which extends half its edge beyond the centre.
     half = dx / 4
     last = model.rest[:, 2] > LENGTH - 0.4 * dx
     length = end[last, 2].mean() + half

@@ -14,7 +14,7 @@ from phy124.studies.validation.bodies import lattice, mean_along
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 RATE, STREAM = 5.0, 1.0
-"""Rate of the drag [1/s], and upward speed u of the stream [m/s]."""
+"""Rate of the drag [1/s], and upward speed u of the air stream [m/s]."""
 TIMES = (0.5, 1.0, 2.0, 6.0)
 """Times of the measurements, in units of 1 / rate."""
 LIMIT = STREAM - GRAVITY / RATE

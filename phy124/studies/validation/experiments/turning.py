@@ -1,7 +1,7 @@
-"""Experiment: the moment of inertia of a ball that rolls and of a plate that swings.
+"""Experiment: the moments of inertia of a rolling ball and of a swinging plate.
 
-The lattice solver simulates ball and plate (`accuracy.solver = "lattice"`). Lumped nodes add dx^2 /
-2 to the moment of inertia per mass about each axis.
+The lattice solver simulates the ball and the plate (`accuracy.solver = "lattice"`). Because mass is
+lumped at nodes, the moment of inertia per mass about each axis is too large by dx^2 / 2.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ RADIUS, SLOPE, FRICTION = 0.1, 0.3, 0.8
 SETTLING, ROLLING = 0.15, 0.35
 """Time before the ball's motion is measured, and duration of the measurement [s]."""
 PLATE = (0.4, 0.0125, 0.1)
-"""Edges of the plate [m]; it swings in its plane, about a point on its longest axis."""
+"""Edges of the plate [m]. The plate swings in its own plane about a point on its longest axis."""
 HINGE, GRIP = 0.15, 0.04
-"""Distance of the hinge from the plate's centre, and radius of the material that it holds [m]."""
+"""Distance of the hinge from the plate's centre, and radius of the fixed material [m].
+"""
 ANGLE = 0.1
 """Amplitude of the swing [rad]."""
 STIFFNESS = 1e6
@@ -35,7 +36,7 @@ SAMPLES = 60
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the exact acceleration, in units of gravity, and the exact period [s]."""
+    """Return the ball's exact acceleration / gravity, and the plate's exact period [s]."""
     rolling = 5 / 7 * math.sin(math.atan(SLOPE))
     return (
         Quantity.within("acceleration of the ball [g]", rolling, 0.01),
@@ -51,7 +52,7 @@ def exact_period() -> float:
 
 
 def roll(cells: int, gravity: float) -> float:
-    """Measure a ball's acceleration down a slope, in units of the standard gravity.
+    """Measure a ball's acceleration down a slope, relative to standard gravity.
 
     Args:
         cells: Cells across the ball.

@@ -1,6 +1,6 @@
-"""Stress tests: extreme inputs and motions, whose results must stay within bounds.
+"""Stress tests: extreme inputs and motions, for which the results must stay within bounds.
 
-`phy124 stress` runs all cases on this machine's devices, and the tests run the same cases.
+`phy124 stress` runs all cases on the devices of this machine; the test suite runs these cases too.
 docs/lab/stability.md lists the bounds with their reasons.
 """
 
@@ -68,8 +68,8 @@ def settings(device: str | None = None, *, long: bool = False) -> list[Setting]:
     """Return a setting for each precision and device.
 
     Args:
-        device: Warp's name of the only device; None: the CPU and each CUDA device.
-        long: True for cases at full length.
+        device: Warp's name of one device; None: the CPU and all CUDA devices.
+        long: Whether the cases run at full length.
     """
     devices = [device] if device else ["cpu", *map(str, wp.get_cuda_devices())]
     return [Setting(d, p, long) for d in devices for p in ("float32", "float64")]

@@ -19,7 +19,7 @@ SMALL: dict[str, Any] = {
 }
 LONG: dict[str, Any] = {"frames": 400, "fps": 24.0, "budget": 1e8}
 EXCESS = 1.4
-"""Ratio of a scene's estimated time to its time budget, for which every device refuses it."""
+"""Ratio of estimated time to time budget at which a scene is refused on every device."""
 REFUSED: dict[str, dict[str, Any]] = {
     "stiff": {"material": {"law": "neo_hookean", "E": 1e12}, "time": LONG},
     "rubbing": {"material": {"law": "neo_hookean", "damping": 1e7}, "time": LONG},
@@ -27,13 +27,14 @@ REFUSED: dict[str, dict[str, Any]] = {
     "ceiling": {"time": {**LONG, "substep": 1e-8}},
     "rigid": {"material": {"law": "rigid", "speed": 1000.0, "strain": 1e-4}, "time": LONG},
 }
-"""Scenes that are refused once their time budget is below their estimated time."""
+"""Scenes that are refused if the time budget is less than the estimated time."""
 TOO_LONG = 2.5
-"""Multiple of the stable substep at which a run becomes unstable; users cannot set it."""
+"""Multiple of the stable substep that makes a run unstable; users cannot choose this value.
+"""
 
 
 def advice(setting: Setting) -> list[Check]:
-    """Check each remedy of refused and stopped runs, one at a time."""
+    """Check the remedies that are suggested for refused and stopped runs, one at a time."""
     checks = []
     for name, changes in REFUSED.items():
         scene = _with_short_budget(Scene.from_data({**SMALL, **changes}), setting)
@@ -44,7 +45,7 @@ def advice(setting: Setting) -> list[Check]:
 
 
 def _check_accepted(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Check that a scene is refused, and is accepted with each of the remedies."""
+    """Check that a scene is refused, and that each suggested remedy makes it acceptable."""
     try:
         _run(scene, setting)
     except InputError as refusal:
@@ -56,7 +57,7 @@ def _check_accepted(name: str, scene: Scene, setting: Setting) -> Iterator[Check
 
 
 def _with_short_budget(scene: Scene, setting: Setting) -> Scene:
-    """Return the scene with a time budget below its estimated time on the device."""
+    """Return the scene with a time budget that is less than the estimated time on the device."""
     context = RunContext(device=setting.device)
     seconds = prepare(surface_of_ball(40), scene, context).estimate.seconds
     return scene.replaced({"time.budget": seconds / EXCESS})
@@ -71,7 +72,7 @@ def _is_accepted(scene: Scene, remedy: Remedy, setting: Setting) -> bool:
 
 
 def _check_stop(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Check that a run stops early, and makes more frames with each of the remedies."""
+    """Check that a run stops early, and that each suggested remedy allows more frames."""
     stopped = _run(scene, setting)
     stopped.run()
     yield equal(f"{name}: it stops", stopped.stopped is not None)
@@ -84,9 +85,9 @@ def _check_stop(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
 
 
 def _check_budget(scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Check that a run exceeds its time budget, and that each remedy helps.
+    """Check that a run exceeds its time budget, and that each suggested remedy helps.
 
-    A remedy must reduce the number of substeps, or raise the budget enough for the run to finish.
+    A remedy must reduce the number of substeps, or increase the budget until the run can finish.
     """
     name, stopped = "outruns its time budget", _run(scene, setting)
     stopped.run()
@@ -116,7 +117,7 @@ def _run(scene: Scene, setting: Setting) -> Simulation:
 
 
 def _make_exploding(setting: Setting) -> Scene:
-    """Return a scene with particles, in which substeps are proportional to `cfl`."""
+    """Return a scene on the particle solver, whose substeps are proportional to `cfl`."""
     scene = Scene.from_data({**SMALL, "object": {"spin": [0.0, 0.0, 3.0]}, "forces": []})
     update = {"cfl": TOO_LONG, "precision": setting.precision, "solver": "mpm"}
     wrong = scene.resolution.model_copy(update=update)
@@ -126,7 +127,7 @@ def _make_exploding(setting: Setting) -> Scene:
 def _make_violent(setting: Setting) -> Scene:
     """Return a scene that takes much longer than estimated.
 
-    The object's speed limits its substep, but the estimate considers only its stiffness.
+    The object's speed limits the substep, but the estimate considers only the stiffness.
     """
     accuracy = {**SMALL["accuracy"], "precision": setting.precision}
     scene = {

@@ -19,7 +19,7 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 Array = NDArray[np.float64]
 REORDERED = {"float32": 1e-5, "float64": 1e-12}
-"""Maximum relative difference that another order of summation causes in a short run."""
+"""Maximum relative difference in a short run due to a different order of summation."""
 DX = 0.125
 """Grid spacing of the bodies [m]; a power of two."""
 JELLY = NeoHookean(E=1e4, nu=0.3)
@@ -28,7 +28,7 @@ JELLY = NeoHookean(E=1e4, nu=0.3)
 def body(
     x: Array, setting: Setting, material: Material = JELLY, *, size: float = 0.375, **options: Any
 ) -> Solver:
-    """Create a solver for particles that share the volume of a cube equally.
+    """Create a solver for particles with equal volumes, which add up to the volume of a cube.
 
     Args:
         x: Positions [P,3], m.
@@ -116,14 +116,14 @@ def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None
 
 
 def relative(value: Array, reference: Array) -> float:
-    """Return the largest absolute difference, divided by the reference's largest absolute value."""
+    """Return the largest absolute difference divided by the reference's largest absolute value."""
     return float(np.abs(value - reference).max() / max(np.abs(reference).max(), math.ulp(0.0)))
 
 
 def alike(what: str, value: Array, reference: Array, setting: Setting) -> Check:
     """Check that two results are equal.
 
-    On a CPU, the results must be bitwise equal. On a GPU, whose order of summation varies, the
+    On a CPU, the results must be bitwise equal. On a GPU, the order of summation varies, so the
     results must be equal up to rounding.
 
     Args:
@@ -143,7 +143,7 @@ def _scalar(solver: Solver) -> type:
 
 
 class Meter:
-    """Measures the energy and the momenta of a run at intervals.
+    """Measures the energy and the momenta of a run in chosen substeps.
 
     Positions are half a substep ahead of velocities. The kinetic energy at the time of the
     positions is therefore the mean of the kinetic energies half a substep before and after.

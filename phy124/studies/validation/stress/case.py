@@ -1,4 +1,4 @@
-"""Defines a case of the stress tests: its setting, its measurement and its bounds."""
+"""A case of the stress tests: its setting, measurement and bounds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Setting(NamedTuple):
     device: str = "cpu"
     precision: str = "float32"
     long: bool = False
-    """Whether a case runs at full length, which takes minutes instead of seconds."""
+    """Whether a case runs at full length (minutes instead of seconds)."""
 
     @property
     def double(self) -> bool:
@@ -32,13 +32,13 @@ class Setting(NamedTuple):
 
 
 class Check(NamedTuple):
-    """A measured value and its bound."""
+    """A measured value with its bound."""
 
     what: str
     measured: float
     limit: float
     at_least: bool = False
-    """Whether the limit is a lower bound."""
+    """Whether `limit` is a lower bound instead of an upper bound."""
 
     @property
     def holds(self) -> bool:
@@ -52,13 +52,13 @@ class Check(NamedTuple):
 
 
 class Case(NamedTuple):
-    """A case of the stress tests; `measure` runs the case and returns its checks."""
+    """A case of the stress tests; `measure` runs the case and returns the checks."""
 
     number: int
     name: str
     measure: Callable[[Setting], list[Check]]
     precise: bool = True
-    """Whether the table states precision and device after the name of the case."""
+    """Whether the table shows precision and device after the name of the case."""
 
 
 class Row(NamedTuple):
@@ -73,7 +73,7 @@ class Row(NamedTuple):
 def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
     """Run a case, and return its row and its checks.
 
-    An exception counts as a failure of the case, so the other cases still run.
+    An exception counts as a failure of the case, and the other cases still run.
     """
     name = f"{case.number:>2} {case.name}"
     if case.precise:
@@ -102,5 +102,5 @@ def at_least(what: str, measured: SupportsFloat, limit: float) -> Check:
 
 
 def equal(what: str, holds: bool) -> Check:
-    """Check a condition that is true or false."""
+    """Check that a condition is true."""
     return Check(what, float(holds), 1.0, at_least=True)

@@ -39,9 +39,9 @@ def rest(setting: Setting) -> list[Check]:
 
 
 def units(setting: Setting) -> list[Check]:
-    """Check that the motion does not depend on the units, which here differ by powers of two.
+    """Check that the motion does not change if the units are changed by powers of two.
 
-    An absolute threshold in the solver would change the motion.
+    If the solver had an absolute threshold, the motion would change.
     """
     paths = []
     for L, M, T in ((1.0, 1.0, 1.0), (2.0**-17, 2.0**-60, 2.0**-8)):
@@ -68,10 +68,9 @@ def units(setting: Setting) -> list[Check]:
 
 
 def free_fall(setting: Setting) -> list[Check]:
-    """Check that a falling body follows the exact parabola up to rounding.
+    """Check that a falling body follows the exact parabola, up to rounding.
 
-    An exact parabola requires that the first substep updates velocities by half a substep only
-    (leapfrog).
+    This requires that the first substep updates velocities by only half a substep (leapfrog).
     """
     x = block()
     s = body(x, setting, forces=[Gravity()])
@@ -83,7 +82,7 @@ def free_fall(setting: Setting) -> list[Check]:
 
 
 def spin(setting: Setting) -> list[Check]:
-    """Check that a body conserves angular momentum and energy in eight rotations."""
+    """Check that a body conserves angular momentum and energy during eight rotations."""
     x = block()
     s = body(x, setting, NeoHookean(E=1e5), **turning(x, (0, 0, 2 * np.pi)))
     start = diagnose(s)
@@ -132,7 +131,7 @@ def _endure(setting: Setting, fraction: float, count: int) -> Meter:
 
 
 def slow_drift(setting: Setting) -> list[Check]:
-    """Check that a very slow body keeps moving, although rounding in float32 could stop it."""
+    """Check that rounding in float32 does not stop a very slow body."""
     x = block(2, 0.125, middle=(0.7, 0.7, 0.7))
     s = body(x, setting, size=0.125, v=np.tile([1e-3, 0, 0], (8, 1)))
     count = 100_000 if setting.long else 10_000
@@ -147,11 +146,12 @@ def slow_drift(setting: Setting) -> list[Check]:
 FLAT = (0.01, 0.01, 1e-4)
 """Scales of a flat Gaussian with an aspect ratio of 100 [m]."""
 APART = 0.05
-"""Minimum relative difference between two axes' lengths for well-defined directions."""
+"""Two axes have defined directions if their lengths differ by at least this fraction.
+"""
 
 
 def _whirl(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver, Gaussians]:
-    """Return a body that rotates and vibrates, and Gaussians, one on each particle."""
+    """Return a body that rotates and vibrates, with one Gaussian on each particle."""
     x = block(4, 0.25)
     spin, stretch = turning(x, (0.5, 1.0, 3.0)), vibrating(x, 1.0)
     s = body(x, setting, size=0.25, **{name: spin[name] + stretch[name] for name in spin})
@@ -164,9 +164,9 @@ def _whirl(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver
 
 
 def covariances(setting: Setting) -> list[Check]:
-    """Check that covariances equal F Sigma0 F^T in double precision after a long motion.
+    """Check that covariances of flat Gaussians equal F Sigma0 F^T after a long motion.
 
-    The Gaussians are flat.
+    The expected covariances are computed in double precision.
     """
     s, flat = _whirl(setting, FLAT)
     carry = Deformer(flat, device=setting.device)
@@ -213,7 +213,7 @@ def _distinct(gaussians: Gaussians) -> np.ndarray:
 
 
 def _turn(first: Gaussians, other: Gaussians) -> Array:
-    """Return the angle between the two orientations of each Gaussian [N], degrees."""
+    """Return the angles between two sets of orientations [N], degrees."""
     a, b = rotation_matrices(first.quats), rotation_matrices(other.quats)
     trace = np.einsum("nij,nij->n", a, b)
     return np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1)))

@@ -39,7 +39,7 @@ class Impact(NamedTuple):
 
 
 def throw_at_floor(mach: float, material: Elastic, setting: Setting) -> Impact:
-    """Throw a cube face-on at a frictionless floor.
+    """Simulate the impact of a cube, face-on, on a frictionless floor.
 
     Args:
         mach: Speed of the cube divided by its speed of sound.
@@ -64,7 +64,7 @@ def throw_at_floor(mach: float, material: Elastic, setting: Setting) -> Impact:
     def watch() -> None:
         nonlocal min_J, max_energy, before
         after = diagnose(s)
-        # Elastic and kinetic energy at the same time, as in `Meter`.
+        # Measure elastic and kinetic energy at the same instant, as in `Meter`.
         energy = before.elastic + (before.kinetic + after.kinetic) / 2
         max_energy = max(max_energy, energy / first if math.isfinite(energy) else math.inf)
         min_J, before = min(min_J, after.min_J), after
@@ -91,7 +91,7 @@ def check_impacts(setting: Setting) -> list[Check]:
 
 
 def release(setting: Setting) -> list[Check]:
-    """Check that a body recovers its shape after an axial stretch of 4 and of 0.05."""
+    """Check that a body recovers its shape after axial stretches of 4 and 0.05."""
     checks = []
     for name, F in (("stretch 4", np.diag([1, 1, 4.0])), ("squeeze 0.05", np.diag([1, 1, 0.05]))):
         rest = block(8, 0.25)
@@ -115,9 +115,9 @@ def release(setting: Setting) -> list[Check]:
 
 
 def push_hard(setting: Setting) -> list[Check]:
-    """Check that the momentum equals the impulse of a force of 1e6 times a particle's weight.
+    """Check that momentum equals impulse for a force of 1e6 times the weight of a particle.
 
-    The force acts on one particle of a body.
+    The force acts on a single particle of a body.
     """
     x = block()
     chosen = x[100]
@@ -125,7 +125,8 @@ def push_hard(setting: Setting) -> list[Check]:
     region = Region(lower=tuple(chosen - 1e-3), upper=tuple(chosen + 1e-3))
     s = body(x, setting, forces=[ParticleForce(f=(1e6 * weight, 0, 0), region=region)])
     s.advance(1e-3)
-    # Velocities are half a substep behind positions, so they lack the last half substep's impulse.
+    # Velocities are half a substep behind positions, so the impulse of the last half substep is
+    # missing.
     impulse = 1e6 * weight * (s.clock.time - s.clock.last_dt / 2)
     momentum = diagnose(s).momentum
     limited = sum(s.clock.limiters.get(name, 0) for name in ("speed", "gradient", "force"))
@@ -137,12 +138,12 @@ def push_hard(setting: Setting) -> list[Check]:
 
 
 LOST = {"float32": 1e-5, "float64": 1e-11}
-"""Largest relative change of momentum and angular momentum due to rounding in a short run."""
+"""Largest relative change of momentum and angular momentum that rounding causes in a short run."""
 SHAPES = {"sphere": (0.2, 0.2, 0.2), "box": (0.25, 0.2, 0.15), "capsule": (0.15, 0.3, 0.15)}
 
 
 def free(setting: Setting) -> list[Check]:
-    """Check conservation when a spinning free solid hits a block off-centre.
+    """Check conservation in the off-centre impact of a spinning free solid on a block.
 
     Momentum and angular momentum must be conserved, and the energy must not grow.
     """

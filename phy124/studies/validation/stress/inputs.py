@@ -1,4 +1,4 @@
-"""Cases 14 and 16 to 18: unusual contents of files, and negative positions."""
+"""Cases 14 and 16 to 18: files with unusual values, and negative positions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def quick(setting: Setting, **changes: object) -> Scene:
 
 
 def broken_numbers(setting: Setting) -> list[Check]:
-    """Check that a file's Gaussians with NaN, infinite or huge values are dropped and counted."""
+    """Check that Gaussians with NaN, infinite or huge values are dropped and counted."""
     table = raw_table(surface_of_ball())
     names = [name for name in table.dtype.names or () if not name.startswith("n")]
     poisons = [(name, value) for name in names for value in (math.nan, math.inf, -math.inf, 1e38)]
@@ -54,7 +54,8 @@ def broken_numbers(setting: Setting) -> list[Check]:
 
 
 def _read(table: NDArray[Any], poisons: dict[int, tuple[str, float]]) -> tuple[Gaussians, int]:
-    """Read a file with invalid values in some rows; return its Gaussians and the number dropped.
+    """Read a file with invalid values in some rows; return the Gaussians and the number of dropped
+    rows.
 
     `poisons` maps a row to the name of a column and the invalid value for this column.
     """
@@ -76,9 +77,9 @@ def _sound(gaussians: Gaussians) -> bool:
 
 
 def below_zero(setting: Setting) -> list[Check]:
-    """Check that a body's motion is equal at positive and negative coordinates and at the origin.
+    """Check that a body's motion does not depend on its distance from the origin.
 
-    Cell indices must be rounded down, not towards zero.
+    At negative coordinates, cell indices must be rounded down instead of towards zero.
     """
 
     def run(cells: int) -> Array:
@@ -99,10 +100,10 @@ def below_zero(setting: Setting) -> list[Check]:
 
 
 def sizes(setting: Setting) -> list[Check]:
-    """Check that Gaussians keep their scales without deformation.
+    """Check that Gaussians keep their scales if there is no deformation.
 
-    The Gaussians' sizes are 1 nm, 1 m and 1 km. Some of the Gaussians are flat, and some are
-    needles with an aspect ratio of 10,000.
+    The Gaussians' sizes are 1 nm, 1 m and 1 km. Some Gaussians are flat, and some are needles with
+    an aspect ratio of 10,000.
     """
     rng = np.random.default_rng(0)
     shapes = np.array([[1, 1, 1], [1, 1e-4, 1e-4], [1, 1, 1e-2], [1, 0.3, 1e-3]])
@@ -128,7 +129,7 @@ def sizes(setting: Setting) -> list[Check]:
 
 
 def odd_gaussians(setting: Setting) -> list[Check]:
-    """Check the particles' mass for unusual Gaussians.
+    """Check the mass of particles from unusual Gaussians.
 
     The cases are Gaussians with opacities 0 and 1, Gaussians at a single point, and a single
     Gaussian.

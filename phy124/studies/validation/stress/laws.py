@@ -25,7 +25,7 @@ from phy124.studies.validation.stress.bodies import Array, assign, body, finite,
 from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
 
 MATERIALS: list[Material] = [kind() for kind in LAWS.by_name.values() if kind is not Rigid]
-"""A material of each law, except rigid solids, which are stiff neo-Hookean solids."""
+"""One material per law; rigid solids are omitted because they are stiff neo-Hookean solids."""
 IMPOSSIBLE = {
     "inverted": np.diag([1, 1, -0.5]),
     "flat": np.diag([1, 1, 0.0]),
@@ -66,7 +66,7 @@ def probe(material: Material, F: Array, setting: Setting) -> tuple[Array, Array,
 
 
 def every_deformation(setting: Setting) -> list[Check]:
-    """Check that the results of each law are finite for all deformation gradients."""
+    """Check that the results of every law are finite for all deformation gradients."""
     rng = np.random.default_rng(0)
     wild = rng.normal(size=(200, 3, 3)) * 10.0 ** rng.uniform(-3, 3, (200, 1, 1))
     F = np.concatenate([np.stack(list(IMPOSSIBLE.values())), wild])
@@ -84,7 +84,7 @@ def sand(setting: Setting) -> list[Check]:
 
 
 def thrown_sand(setting: Setting) -> list[Check]:
-    """Check that expanding sand is free of stress, so each particle follows its own parabola."""
+    """Check that expanding sand is free of stress: each particle must follow a parabola."""
     x = block(middle=(0, 0, 1))
     spread = 0.1 * np.diag([1.0, 0.8, 1.2])
     v = (x - [0, 0, 1]) @ spread.T + [0.5, 0, 3.0]
@@ -110,19 +110,19 @@ HEAP = 0.4
 def heap(setting: Setting) -> list[Check]:
     """Check that heaps of sand come to rest with the angle of repose.
 
-    The initial cones are five degrees steeper than the angle of repose. A cone that is 20 degrees
-    too steep must collapse to less than the angle of repose, since inertia makes its heap flatter.
+    The initial cones are five degrees steeper than the angle of repose. If a cone is 20 degrees too
+    steep, inertia makes the heap flatter than the angle of repose.
     """
     checks, cells = [], 20 if setting.long else 12
-    # On finer grids, gentle heaps creep for longer: by 0.0037 R in 0.2 s after 1 s at 20 degrees.
+    # On finer grids, heaps of 20 degrees still creep after 1 s, by 0.0037 R in 0.2 s.
     end = 1.6 if setting.long else 1.0
     for angle in (20.0, 25.0, 30.0, 35.0, 40.0) if setting.long else (25.0, 35.0):
         s = cone(angle, angle + 5, cells, setting)
         s.advance(end - 0.2)
         earlier = host(s.state.x)
         s.advance(end)
-        # Compare positions instead of speeds, since an elastic heap vibrates long after it stops
-        # flowing.
+        # Compare positions instead of speeds, since an elastic heap still vibrates when it no
+        # longer flows.
         moved = float(np.quantile(np.linalg.norm(host(s.state.x) - earlier, axis=1), 0.99))
         result = slope(s)
         checks += [
@@ -138,7 +138,7 @@ def heap(setting: Setting) -> list[Check]:
 
 
 def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver:
-    """Create a quarter of a cone of sand on a rough floor, between two smooth walls.
+    """Create a quarter of a sand cone on a rough floor, between two smooth walls.
 
     Args:
         angle: Angle of repose [degrees].
@@ -159,7 +159,7 @@ def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver
 
 
 def slope(heap: Solver) -> float:
-    """Measure the slope of a heap [degrees] that was a cone of radius `HEAP`.
+    """Measure the slope [degrees] of a heap that was initially a cone of radius `HEAP`.
 
     The height of the surface in each ring around the axis is the mean of the three highest
     particles. The top and the foot of the heap are excluded.
@@ -190,7 +190,7 @@ def friction_angle(setting: Setting) -> list[Check]:
 
 
 def series_strain(setting: Setting) -> list[Check]:
-    """Check the Hencky stress, computed without an SVD, against the exact stress.
+    """Check that the Hencky stress computed without an SVD equals the exact stress.
 
     The principal strains are at most 20 %.
     """
@@ -216,9 +216,9 @@ FRAMES = (NeoHookean(E=1e4), Hencky(E=1e4), Metal(E=1e4), Sand(), Fluid(bulk_mod
 def impossible(setting: Setting) -> list[Check]:
     """Check unphysical deformations.
 
-    The stress of each law must be finite for all unphysical deformations. A body with one
-    unphysically deformed particle must stay finite and keep its energy balance, and the particle's
-    neighbours must hardly move.
+    The stress of each law must be finite for all unphysical deformations. In a body with one
+    unphysically deformed particle, all values must stay finite, energy must be balanced, and the
+    particle's neighbours must hardly move.
     """
     checks = every_deformation(setting)
     for material in FRAMES:
@@ -241,9 +241,8 @@ def _reset_particle(
 ) -> tuple[float, float, bool]:
     """Simulate one frame of a body in which one particle has the deformation gradient F.
 
-    Returns:
-        The smallest J, the largest displacement divided by the body's size, and whether the state
-        is finite and the watchdog found no problem.
+    Returns: The smallest J, the largest displacement divided by the body's size, and whether the
+    state is finite and accepted by the watchdog.
     """
     x = block(4, 0.25)
     external = ExternalWork()

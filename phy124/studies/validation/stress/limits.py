@@ -33,10 +33,10 @@ POISSON = (0.0, 0.3, 0.45, 0.49)
 
 
 def check_isolated(setting: Setting) -> list[Check]:
-    """Check the limit dx / sqrt(A / rho) for a single particle.
+    """Check the stability limit dx / sqrt(A / rho) of a single particle.
 
-    The particle must be stable with substeps of 0.95 of the limit, and soon become unstable with
-    substeps of 1.10 of the limit.
+    The particle must be stable with substeps of 0.95 times the limit, and soon become unstable with
+    substeps of 1.10 times the limit.
     """
     checks = []
     for nu in POISSON:
@@ -46,7 +46,7 @@ def check_isolated(setting: Setting) -> list[Check]:
 
 
 def check_coincident(setting: Setting) -> list[Check]:
-    """Check that the limit for a single particle also holds for a hundred at one point."""
+    """Check that the limit for a single particle also holds for 100 particles at one point."""
     points = np.tile([[0.013, 0.021, 0.017]], (100, 1))
     return _around_the_limit("100 in one point", points, 0.3, setting)
 
@@ -68,9 +68,10 @@ def _around_the_limit(name: str, x: Array, nu: float, setting: Setting) -> list[
 def disturb(
     x: Array, nu: float, fraction: float, setting: Setting, count: int
 ) -> tuple[int, float]:
-    """Disturb a body at rest, and measure whether its strain grows.
+    """Disturb a body at rest, and measure whether the strain grows.
 
-    The disturbance excites all modes, and most strongly the volumetric mode, which is the stiffest.
+    The disturbance excites all modes, most strongly the volumetric mode, which is the stiffest
+    mode.
 
     Args:
         x: Positions [P,3], m.
@@ -80,8 +81,9 @@ def disturb(
         count: Number of substeps.
 
     Returns:
-        The number of substeps for which the body stays finite; and the ratio of the largest strain
-        in the second half of the substeps to that in the first half, infinite if unstable.
+        The number of substeps for which all values stay finite; and the largest strain in the
+        second half of the substeps divided by the largest strain in the first half, infinite if
+        unstable.
     """
     material = NeoHookean(E=1e4, nu=nu)
     dt = fraction * DX * math.sqrt(material.density) / _stiffness(material)
@@ -110,7 +112,7 @@ def _stiffness(material: NeoHookean) -> float:
 
 
 def stiff(setting: Setting) -> list[Check]:
-    """Check the number of substeps, and that values are finite, for E from 1e2 to 1e13 Pa."""
+    """Check that values are finite and the number of substeps is right for E of 1e2 to 1e13 Pa."""
     checks = []
     for E in (1e2, 1e7, 1e9, 1e12, 1e13):
         x = block(4, 0.25)
@@ -127,7 +129,7 @@ def stiff(setting: Setting) -> list[Check]:
 
 
 def poisson(setting: Setting) -> list[Check]:
-    """Check that nearly incompressible bodies are stable, and invalid ratios are refused."""
+    """Check that nearly incompressible bodies are stable, and invalid Poisson's ratios refused."""
     checks = []
     for nu in (0.0, 0.3, 0.49, 0.4999):
         x = block(4, 0.25)
@@ -154,7 +156,7 @@ def _is_refused(nu: float) -> bool:
 
 
 def user_substep(setting: Setting) -> list[Check]:
-    """Check that a user's maximum substep above the stability limit has no effect."""
+    """Check that a user-defined maximum substep has no effect if it exceeds the stability limit."""
 
     def run(ceiling: float) -> tuple[Array, dict[str, int]]:
         x = block(middle=(0, 0, 0.2))
@@ -177,7 +179,7 @@ def user_substep(setting: Setting) -> list[Check]:
 
 
 class Stack(NamedTuple):
-    """Smallest and largest J, and number of substeps, of a block on another block."""
+    """Smallest and largest J, and number of substeps, for a block on another block."""
 
     min_J: float
     max_J: float
@@ -215,7 +217,7 @@ def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
 
 
 def mass_ratio(setting: Setting) -> list[Check]:
-    """Check that a block can rest on another block that is 1, 100 and 10,000 times lighter."""
+    """Check that a block can rest on a block whose mass is 1, 100 or 10,000 times smaller."""
     checks = []
     for ratio in (1.0, 1e2, 1e4):
         stack = heavy_on_light(ratio, setting, 0.4 if setting.long else 0.02)

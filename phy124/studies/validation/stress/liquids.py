@@ -26,7 +26,7 @@ WATER = Fluid(density=1000.0)
 
 
 def tanks(setting: Setting) -> list[Check]:
-    """Check that a liquid stays in its tank and gains no energy, whatever pushes it."""
+    """Check that a liquid stays in its tank and gains no energy, for all kinds of forces."""
     still, pool = (), _block((0, 0, 0), (1, 1, 0.375))
     upwards = Region(lower=(0.25, 0.25, 0.0), upper=(0.75, 0.75, 0.5))
     blow = ZoneForce(place=upwards, a=(0.0, 0.0, 20.0))
@@ -99,21 +99,21 @@ def _model(setting: Setting, x: Array, materials: list[Any], **options: Any) -> 
 
 
 class Balance(MeanWork):
-    """Compares energy and momentum of a liquid with work and impulse of forces and walls."""
+    """Compares a liquid's energy and momentum with the work and impulse of forces and walls."""
 
     energy = momentum = 0.0
-    """Largest energy without work, as a fraction of the work that lifts the liquid by half a metre;
-    largest momentum without impulse, as a fraction of all impulses.
+    """Largest unexplained energy, relative to the work that lifts the liquid by half a metre;
+    largest unexplained momentum, relative to all impulses.
     """
 
     def follow(self, solver: LiquidSolver) -> None:
-        """Start the comparison in the present state."""
+        """Start the comparison in the current state."""
         self.bind(solver)
         self.open(solver.clock)
         self._solver, self._first = solver, diagnose(solver)
 
     def compare(self) -> None:
-        """Compare the present state with the first."""
+        """Compare the current state with the first state."""
         now, first = diagnose(self._solver), self._first
         exchange = self.total(self._solver.clock, now.middle - first.middle, now.momentum)
         lift = 0.5 * 9.81 * self._solver.model.total_mass
@@ -146,8 +146,8 @@ def _join(setting: Setting, water: Array, body: Array, material: NeoHookean) -> 
 def _advance(
     solver: LiquidSolver | MixedSolver, time: float, after: Callable[[], None] = lambda: None
 ) -> float:
-    """Simulate a duration [s] in frames, and call a function after each; return the largest speed
-    in its last quarter [m/s].
+    """Simulate a duration [s], call a function after each frame, and return the largest speed in
+    the last quarter [m/s].
     """
     fastest, frames = 0.0, round(24 * time)
     for frame in range(frames):
@@ -159,6 +159,6 @@ def _advance(
 
 
 def _energy(solver: MixedSolver) -> float:
-    """Return kinetic energy and potential energy over the floor [J]."""
+    """Return the kinetic energy, and the potential energy relative to the floor [J]."""
     mass, x, v = (host(a) for a in (solver.model.mass, solver.state.x, solver.state.v))
     return float(mass @ (9.81 * x[:, 2] + (v**2).sum(axis=1) / 2))

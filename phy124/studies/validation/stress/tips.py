@@ -20,9 +20,9 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most
 DEEPEST = 0.3
 """Maximum permitted depth of a Gaussian below the floor [cells]."""
 LOOSE = 0.4
-"""Maximum depth below the floor on a lattice [cells]: for standing shapes, hairs, and `fine`.
+"""Maximum depth below the floor with the lattice solver [cells]: standing shapes, hairs, `fine`.
 
-Hairs that fall from 0.3 m are 0.25 to 0.37 cells deep if all substeps change by 5 %. See
+If all substeps are changed by 5 %, hairs that fall from 0.3 m sink in by 0.25 to 0.37 cells. See
 docs/design/lattice.md.
 """
 PIERCED = 2.5
@@ -53,14 +53,14 @@ def edge(x: Array) -> NDArray[np.bool_]:
 
 
 def table(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a table whose four legs are as thick as 6 % of its size."""
+    """Return whether points are in a table; the thickness of its four legs is 6 % of its size."""
     across = np.abs(x[:, :2])
     leg = (np.abs(across - 0.33).max(axis=1) < 0.03) & (x[:, 2] < 0.6)
     return leg | ((across.max(axis=1) < 0.4) & (np.abs(x[:, 2] - 0.57) < 0.07))
 
 
 def hairs(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a ball with 61 hairs as thick as 4 % of its size."""
+    """Return whether points are in a ball with 61 hairs; the hairs' thickness is 4 % of its size."""
     ways = np.random.default_rng(1).normal(size=(60, 3))
     ways = np.vstack([(0, 0, -1), ways / np.linalg.norm(ways, axis=1, keepdims=True)])
     from_middle = x - (0, 0, 0.5)
@@ -86,7 +86,7 @@ def cloud(inside: Inside) -> Gaussians:
 
 
 def solvers(setting: Setting) -> tuple[str, ...]:
-    """Return the solvers of elastic objects that a scene may choose in a setting."""
+    """Return the solvers for elastic objects that are available in a setting."""
     fast = (setting.device, setting.precision) == ("cpu", "float32")
     return ("mpm", "lattice") if fast else ("mpm",)
 
@@ -95,9 +95,9 @@ def drop(inside: Inside, setting: Setting, solver: str, options: dict[str, Any])
     """Prepare a simulation of twelve frames in which a shape falls.
 
     Args:
-        inside: Returns the mask of the points [N,3] inside the shape.
+        inside: Function that returns the mask of the points [N,3] inside the shape.
         setting: Device and precision.
-        solver: Solver of elastic objects.
+        solver: Solver for elastic objects.
         options: Changes to the preset `drop`, by field name.
     """
     scene = Scene.named("drop").replaced({"time.frames": 12, **options})
@@ -108,14 +108,14 @@ def drop(inside: Inside, setting: Setting, solver: str, options: dict[str, Any])
 
 
 def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting, solver: str) -> Check:
-    """Check the largest depth of a shape's Gaussians below the floor [cells].
+    """Check how deep a shape's Gaussians sink below the floor [cells].
 
     Args:
-        inside: Returns the mask of the points [N,3] inside the shape.
+        inside: Function that returns the mask of the points [N,3] inside the shape.
         lift: Height from which the shape is dropped [m].
         accuracy: Name of the accuracy preset.
         setting: Device and precision.
-        solver: Solver of elastic objects.
+        solver: Solver for elastic objects.
     """
     run = drop(inside, setting, solver, {"object.lift": lift, "accuracy": accuracy})
     depth = -float(run.run().means[:, :, 2].min()) / run.scene.dx
@@ -128,13 +128,13 @@ def depth_in_body(inside: Inside, accuracy: str, setting: Setting, solver: str) 
     """Return the largest depth of a shape's Gaussians in a cushion of the same material [cells].
 
     Each Gaussian's position is mapped to the undeformed cushion, and its depth is measured there. A
-    dent in the cushion therefore does not count as penetration.
+    dent in the cushion is therefore not counted as penetration.
 
     Args:
-        inside: Returns the mask of the points [N,3] inside the shape.
+        inside: Function that returns the mask of the points [N,3] inside the shape.
         accuracy: Name of the accuracy preset.
         setting: Device and precision.
-        solver: Solver of elastic objects.
+        solver: Solver for elastic objects.
     """
     material = Scene.named("drop").material
     cushion = {"name": "cushion", "shape": "box", "sides": CUSHION, "material": material}
@@ -168,7 +168,7 @@ def tips(setting: Setting) -> list[Check]:
 
 
 def tips_on_body(setting: Setting) -> list[Check]:
-    """Check that tips, edges and hairs penetrate another body by at most the known depth."""
+    """Check that tips, edges and hairs penetrate another body by at most a known depth."""
     return [
         at_most(
             f"depth of {inside.__name__} at {accuracy} by {solver} in a cushion [cells]",

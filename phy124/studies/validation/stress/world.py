@@ -1,4 +1,4 @@
-"""Cases 15, 26 to 29 and 31: the grid's window, particle order, orientation, threads and walls."""
+"""Cases 15, 26 to 29 and 31: grid window, particle order, orientation, threads and walls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 
 def far_away(setting: Setting) -> list[Check]:
-    """Check that distant and very fast particles move freely, and are counted as outliers.
+    """Check that distant and very fast particles move freely and are counted as outliers.
 
     The distant particles are about a thousand kilometres away.
     """
@@ -64,7 +64,7 @@ def permute(setting: Setting) -> list[Check]:
 
 
 def window(setting: Setting) -> list[Check]:
-    """Check that a window that follows the particles gives the same result as one large grid."""
+    """Check that a grid window that follows the particles gives the result of one large grid."""
     x = block()
     C = 1.0 * np.eye(3) + np.array([[0, -1.0, 0], [1, 0, 0], [0, 0, 0]])
     motion: dict[str, Any] = {
@@ -90,7 +90,7 @@ def window(setting: Setting) -> list[Check]:
 
 
 def repeats(setting: Setting) -> list[Check]:
-    """Check that repeated runs are equal, and that results depend little on the thread count."""
+    """Check that repeated runs give equal results, which depend little on the number of threads."""
     x = block(8, 0.5, middle=(0, 0, 0.4))
     v = np.random.default_rng(0).normal(size=x.shape)
 
@@ -170,7 +170,7 @@ def flow(setting: Setting) -> list[Check]:
 def _drop(
     setting: Setting, material: Material, lift: float, walls: list[Boundary], time: float = 0.8
 ) -> Solver:
-    """Release a cube of a material at the height `lift` [m], and simulate `time` seconds."""
+    """Drop a cube of a material from the height `lift` [m], and simulate `time` seconds."""
     x = block(8, SIZE, (0.0, 0.0, SIZE / 2 + lift))
     origin = (0.0, 0.0, -0.75 * DX)
     s = body(x, setting, material, size=SIZE, forces=[Gravity()], boundaries=walls, origin=origin)
