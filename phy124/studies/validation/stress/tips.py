@@ -60,7 +60,7 @@ def table(x: Array) -> NDArray[np.bool_]:
 
 
 def hairs(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a ball with 61 hairs; the hairs' thickness is 4 % of its size."""
+    """Return whether points are in a ball with 61 hairs, each as thick as 4 % of the ball."""
     ways = np.random.default_rng(1).normal(size=(60, 3))
     ways = np.vstack([(0, 0, -1), ways / np.linalg.norm(ways, axis=1, keepdims=True)])
     from_middle = x - (0, 0, 0.5)
