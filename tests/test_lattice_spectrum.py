@@ -80,3 +80,15 @@ def test_slow_motion_of_flat_material_is_no_shock(damping, speed, shock):
     solver.nodes_state.v.assign(solver.lattice.x * [0, 0, -rate])
     solver.measure_if_due()
     assert solver.clock.in_shock == shock
+
+
+def test_a_shock_of_one_substep_ends_within_a_few():
+    clock = make(block((0.2, 0.2, 0.2))).clock
+    clock.closing, shocks = 1.25 * clock.calm, []
+    for _ in range(8):
+        clock.since_measured = 1
+        clock.limit_by(clock.extremes, complete=True)
+        shocks.append(clock.in_shock)
+        clock.closing = 0.0
+    assert shocks == sorted(shocks, reverse=True)
+    assert 3 <= sum(shocks) <= 6

@@ -37,6 +37,10 @@ UNSEEN = 0.6
 """Longest distance that a point may move after its velocity was last measured [cells]. At a wall,
 several short substeps together squeeze the point as much as a long substep.
 """
+FORGET = 4
+"""Factor by which earlier frequencies and closing rates are forgotten faster than in the default
+solver, because both are those of a few points that are squeezed for a short time.
+"""
 COLLAPSED = 1e-6
 """Fraction of the undeformed body's substep; the motion is no longer sound if substeps are shorter.
 """
@@ -80,7 +84,7 @@ class LatticeClock(Clock):
 
     def limit_by(self, extremes: Extremes, *, complete: bool, acceleration: float = 0.0) -> None:
         """Use measured values as limits, as in `Clock`; `closing` must already be set."""
-        self.lasting = max(self.closing, decay(self.lasting, self.since_measured))
+        self.lasting = max(self.closing, decay(self.lasting, FORGET * self.since_measured))
         super().limit_by(extremes, complete=complete, acceleration=acceleration)
 
     def stable(self) -> Substep:

@@ -21,7 +21,14 @@ from phy124.lattice.energies import Energies
 from phy124.lattice.meetings import Meetings
 from phy124.lattice.motion import make_nodes
 from phy124.lattice.rest import RestLattice
-from phy124.lattice.shock import COLLAPSED, STALLED, LatticeClock, in_shock_only, largest_calm_rate
+from phy124.lattice.shock import (
+    COLLAPSED,
+    FORGET,
+    STALLED,
+    LatticeClock,
+    in_shock_only,
+    largest_calm_rate,
+)
 from phy124.lattice.solids import Solids
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
@@ -50,10 +57,6 @@ TRAVEL = 3.0
 """Distance by which points may approach walls before all distances are measured again [cells]."""
 VIOLENT = 0.35
 """Strain rate times substep length above which the limits are measured before every substep."""
-FORGET = 4
-"""Factor by which an earlier frequency is forgotten faster than in the default solver, because the
-fastest vibration is that of a few points that are squeezed for a short time.
-"""
 KEPT = ("u", "residue", "v", "lagging")
 """Names of the node arrays that belong to the state."""
 PARTS = ("walls", "meetings", "pairs", "free", "clock", "spectrum")
