@@ -69,17 +69,17 @@ GENERATORS: dict[str, Callable[..., Generator]] = {
 }
 """Factories of generators by name; a factory imports its generator only when it is called.
 
-The keywords of a factory are the fields of `GeneratorOptions` that its generator supports. If the
-user can choose the device on which the generator runs, `device` is also a keyword.
+The keywords of a factory are the fields of `GeneratorOptions` that the generator supports, and
+`device` if the device can be chosen.
 """
 WEIGHTS = {name: package.WEIGHTS for package in NEURAL for name in package.GENERATORS}
 """Names of the trained weights that each generator loads (keys of `weights.store.KNOWN`)."""
 
 
 def is_present(name: str) -> bool:
-    """Whether the weights and packages that a generator's network needs are present.
+    """Return whether the weights and packages that a generator needs are installed.
 
-    False if the generator is unknown.
+    The result is False if the generator is unknown.
     """
     package = next((package for package in NEURAL if name in package.GENERATORS), None)
     return bool(getattr(package, "is_present", lambda: False)())
@@ -170,12 +170,12 @@ def _describe(chosen: str | Generator) -> str:
 
 
 def is_command(chosen: str | Generator) -> bool:
-    """Whether a generator is an external command (phy124/generators/command.py)."""
+    """Return whether a generator is an external command (phy124/generators/command.py)."""
     return isinstance(chosen, str) and re.match(r"\s*cmd[\s:]", chosen) is not None
 
 
 def needs_image(chosen: str | Generator) -> bool:
-    """Whether a generator uses the image; a generator that reads a file does not use it."""
+    """Return whether a generator uses the image; a generator that reads a file does not."""
     from phy124.io.formats import is_file_of_gaussians
 
     return not isinstance(chosen, str) or is_command(chosen) or not is_file_of_gaussians(chosen)

@@ -4,9 +4,9 @@
 
 The command gets a PNG file with transparency, and writes Gaussians or a mesh. To write a mesh, add
 its extension to the output name (for example {out}.glb). The command may use a Python environment
-of its own. The command is run without a shell, and may take up to half an hour. A prefix such as
-`cmd 120: ...` sets another limit, here two minutes. If the time limit is exceeded or the run is
-cancelled, the command and all processes that it started are killed.
+of its own. The command is run without a shell, and its time limit is half an hour. The prefix `cmd
+120: ...` sets a limit of 120 seconds. If the time limit is exceeded or the run is cancelled, the
+command and all processes that it started are killed.
 """
 
 from __future__ import annotations
@@ -41,8 +41,7 @@ LONGEST = 1800.0
 BEAT = 0.2
 """Time between two checks whether the command has ended or the run has been cancelled [s]."""
 LONGEST_MESSAGE = 300
-"""Length of the excerpt in the error message if a command fails: the last characters of its
-output."""
+"""Number of characters of a failed command's output that the error message quotes."""
 USAGE = (
     'Write "cmd: PROGRAM {image} {out}"; {seed} is replaced by the seed, and `cmd 120:` sets a '
     "time limit of 120 seconds."
@@ -87,8 +86,7 @@ class Command:
             picture.convert("RGBA").save(picture_file)
             names = {"{image}": str(picture_file), "{out}": str(output_file), "{seed}": str(seed)}
             self._run([_fill(word, names) for word in words], seconds, Path(folder), progress)
-            # Programs that choose the format of a mesh by the file's extension write to a name such
-            # as {out}.glb.
+            # Some programs choose the format of a mesh by the extension of {out}.glb.
             written = sorted(Path(folder).glob(f"{output_file.name}*"))
             if not written:
                 raise self._failure(
@@ -97,7 +95,7 @@ class Command:
             return PlyFile(str(written[0]), self.reading)(progress=progress)
 
     def _parse(self) -> tuple[list[str], float]:
-        """Return the words of the command and its time limit [s]."""
+        """Return the arguments of the command line and the time limit [s]."""
         match = FORM.fullmatch(self.text.strip())
         try:
             words = shlex.split(match["words"]) if match else []

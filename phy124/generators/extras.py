@@ -24,8 +24,7 @@ from phy124.schema.section import Section
 from phy124.weights.store import require
 
 ASPECT = 0.02
-"""Largest relative difference allowed between the aspect ratio of the depth map and that of the
-image."""
+"""Largest allowed relative difference between the aspect ratios of depth map and image."""
 
 
 class DepthMap(Section):
@@ -51,13 +50,11 @@ class DepthMap(Section):
 
     @property
     def path(self) -> Path | None:
-        """Path of the depth map; None if the depth is estimated by a network, or not used."""
+        """Path of the depth map; None if a network estimates the depth, or if no depth is used."""
         return None if self.depth in ("auto", "off", *NETWORKS) else Path(self.depth)
 
     def bind(self, generator: Any, name: str) -> Any:
-        """Bind the depth map to a generator.
-
-        If there is no map, bind the network that estimates the depth.
+        """Bind the depth map, or the network that estimates the depth, to a generator.
 
         Raises:
             InputError: If the generator cannot use a depth map, or the file of the map is unusable.
@@ -127,7 +124,7 @@ def _array(path: Path) -> NDArray:
 
 
 class OtherViews(Section):
-    """Options for images of other sides, and for the look of the back, thickness and highlights."""
+    """Options for images of other sides, the look of the back, the thickness and highlights."""
 
     side: Path | None = Field(
         default=None,
@@ -168,7 +165,7 @@ class OtherViews(Section):
 
     @property
     def pictures(self) -> dict[str, Path]:
-        """Paths of the images; each key is the name of the option that sets the image."""
+        """Paths of the images, by the name of the option."""
         files = {"side": self.side, "back": self.back}
         return {name: path for name, path in files.items() if path is not None}
 

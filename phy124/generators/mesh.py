@@ -43,15 +43,16 @@ MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
 """Time limit for reading a mesh file."""
 COUNT, OBJECT_COUNT = 24_000, 50_000
-"""Approximate numbers of Gaussians for a mesh that is a further object of a scene, and for a mesh
-that is the first object. The first number is just large enough to make edges look straight."""
+"""Approximate numbers of Gaussians of a mesh that is a further or the first object of a scene.
+
+With the smaller number, edges just look straight.
+"""
 GREY = (0.7, 0.7, 0.7)
 """Colour of a mesh whose file contains no colours."""
 FAR = 100.0
-"""If the distance of a mesh from the origin exceeds this multiple of the mesh's size, float32
-positions are too coarse."""
+"""If a mesh is farther from the origin than this multiple of its size, float32 is too coarse."""
 LARGEST_HEADER = 1 << 20
-"""Number of bytes at the start of a file that are examined to decide whether it is a mesh."""
+"""Number of bytes at the start of a file that are examined to detect a mesh."""
 SMALLEST = 1e-6
 """Smallest surface area of a mesh, relative to the square of its longest side."""
 Drawn = tuple[NDArray[np.float64], NDArray[np.float64], "NDArray[np.float64] | None"]
@@ -113,7 +114,7 @@ def load_pieces(path: Path) -> tuple[list[Trimesh], tuple[str, str | None]]:
 
 
 def is_mesh(path: Path) -> bool:
-    """Whether a file contains triangles but no Gaussians, judged by its first bytes and name."""
+    """Return whether a file is a mesh without Gaussians, judged by its first bytes and name."""
     kind = path.suffix.lower()
     if kind in MESH_ENDINGS:
         return True
@@ -155,7 +156,7 @@ def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[
 
 
 def _read_apart(path: Path, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function that reads a mesh; the call runs in a separate process with a time limit.
+    """Call a function that reads a mesh in a separate process with a time limit.
 
     Raises:
         InputError: If the function takes too long, or raises ValueError("limit; remedy").
@@ -226,7 +227,7 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
 
 
 def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | None]:
-    """Sample points on a mesh and check its resolution; call this function in a separate process.
+    """Sample points on a mesh and check its resolution; this runs in a separate process.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".

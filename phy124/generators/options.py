@@ -71,18 +71,18 @@ UNCHANGED = GeneratorOptions()
 
 
 ROUNDS = 2
-"""Number of times each kind of operation is repeated and timed, after a warm-up."""
+"""Number of timed repetitions of each kind of operation, after a warm-up."""
 
 
 class Work(NamedTuple):
-    """Numbers of floating-point operations of each kind, or rates in operations per second."""
+    """Numbers of floating-point operations of each kind, or their rates [1/s]."""
 
     linear: float
     convolution: float
     attention: float
 
     def at(self, speed: Work) -> float:
-        """Return the time that this work takes if the rates are `speed` [s]."""
+        """Return the time [s] that this work takes at the rates `speed`."""
         return sum(work / rate for work, rate in zip(self, speed, strict=True))
 
     def times(self, count: float) -> Work:

@@ -31,10 +31,9 @@ MIN_OPACITY = 0.005
 """Smallest opacity of Gaussians that are kept; LGM also drops Gaussians below this opacity when it
 saves a file."""
 TAIL = 0.005
-"""Fraction of the total opacity that lies outside the object's core, at each end of each axis."""
+"""Fraction of the total opacity outside the object's core, at each end of each axis."""
 MARGIN = 0.5
-"""Gaussians up to this distance from the core belong to the object; the distance is relative to the
-core's size."""
+"""Largest distance from the core of a Gaussian of the object, relative to the core's size."""
 
 
 class Reading(Section):
@@ -102,16 +101,15 @@ class Opened(NamedTuple):
     rotation: NDArray[np.float64]
     """Rotation from the file's axes to those of phy124 [3,3]."""
     cleaning: list[str]
-    """Sentences that say why Gaussians were dropped, one sentence per reason."""
+    """Sentences that explain why Gaussians were removed."""
     axes: tuple[str, str | None] = Y_DOWN
     """Up and front directions that the file or its format states."""
     notes: tuple[str, ...] = ()
-    """Sentences about columns that were ignored or read in an unusual way, and about the object's
-    surroundings."""
+    """Sentences about ignored columns, unusual columns, and the object's surroundings."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin of the Gaussians' coordinates, in the file's axes and unit."""
     coarse: bool = False
-    """Whether the object is so far from the origin that the positions in the file are imprecise."""
+    """Whether positions in the file are imprecise because the object is far from the origin."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +162,7 @@ class PlyFile:
         orientation(*axes)  # raise an error for bad options before the file is read
         box = self._box()
         path = Path(self.path)
-        # the box may contain only few of many Gaussians
+        # the box may contain only a small part of the Gaussians
         with for_run() if box is None else nullcontext():
             content = read_mesh(path) if is_mesh(path) else read_as_is(path)
         self._hint(content)
@@ -208,7 +206,7 @@ class PlyFile:
         )
 
     def _hint(self, content: Content) -> None:
-        """Warn if the file seems to have an unusual dialect and no option about axes is set."""
+        """Warn if the file seems to use an unusual dialect and no option about axes is set."""
         axes = self.reading.model_dump(include={"up", "front", "dialect", "rotate"})
         if axes != NO_AXES or content.axes != Y_DOWN or recognise(Path(self.path)).name != "ply":
             return
@@ -268,8 +266,8 @@ def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np
     """Return the smallest and largest coordinates [3], [3] of the centres, ignoring outliers.
 
     The core excludes a fraction `TAIL` of the total opacity at each end of each axis. The bounds
-    include all Gaussians within `MARGIN` core sizes of the core. For an object without outliers,
-    the bounds are therefore exact.
+    include all Gaussians within `MARGIN` core sizes of the core, so the bounds are exact if there
+    are no outliers.
     """
     means = gaussians.means.astype(np.float64)
     low = weighted_quantile(means, gaussians.opacities, TAIL)

@@ -117,7 +117,7 @@ def _spread(points: NDArray) -> NDArray[np.float64]:
 
 
 def _area(half: NDArray) -> float:
-    """Return the area of a box with half sides [3] [m^2], an upper bound for all other shapes."""
+    """Return the area [m^2] of a box with half sides [3]; other shapes have less area."""
     a, b, c = 2 * half
     return float(2 * (a * b + b * c + c * a))
 

@@ -1,8 +1,8 @@
 """Detects whether a file of Gaussians shows, besides an object, a background or a sky.
 
-A capture of an object often contains the surroundings of the object. The object's size is
-determined from the bounding box, of which the object would then be only a small part. In addition,
-the object and its surroundings would move as a single body.
+A capture often contains the surroundings of the object. This has two disadvantages. The object's
+size follows from the bounding box, which would be much too large, and the object and its
+surroundings would move as a single body.
 """
 
 from __future__ import annotations
@@ -18,11 +18,9 @@ from phy124.particles import clean, visible_area
 SAMPLE = 100_000
 """Number of Gaussians that are examined; they are chosen at even intervals."""
 MOST = 0.8
-"""Fraction of the visible area, or of the inner Gaussians, that is assumed to belong to the
-object."""
+"""Fraction of the visible area, or of the inner Gaussians, that belongs to the object."""
 SMALL = 0.3
-"""If the ratio of the object's longest side to that of the bounding box is at most this, the rest
-is assumed to be background."""
+"""Largest side of an object with a background, relative to the side of the bounding box."""
 AROUND = 1.25
 """Size of the recommended crop box relative to the object."""
 TAIL = 1e-3
@@ -30,14 +28,18 @@ TAIL = 1e-3
 ROUNDS = 4
 """Number of iterations that refine the centre of the object."""
 FAR = 3.0
-"""Smallest distance of a sky from the centre, relative to the radius that contains the fraction
-`MOST` of the Gaussians inside the sky."""
+"""Smallest distance of a sky from the centre, relative to the radius of the object.
+
+The radius of the object contains the fraction `MOST` of the inner Gaussians.
+"""
 THIN = 0.2
 """Largest standard deviation of the distances of a sky's Gaussians from the centre, relative to
 their mean distance."""
 MANY = 0.01
-"""Minimum fraction that is used twice. A sky must contain this fraction of all Gaussians, and each
-of at least seven octants must contain this fraction of the sky's Gaussians."""
+"""A sky must contain at least this fraction of all Gaussians.
+
+In addition, each of at least seven octants must contain this fraction of the sky's Gaussians.
+"""
 
 
 def surroundings(

@@ -1,15 +1,15 @@
 """Runs the whole chain: picture -> foreground -> Gaussians -> moving Gaussians -> files.
 
 `generate` makes Gaussians from a picture (`make_gaussians` in phy124/pipeline/gaussians.py) and
-calls `simulate`. `simulate` prepares the scene (`phy124.simulation.prepare`) and runs it, and
-`RunFolder.fill` (phy124/pipeline/run_folder.py) saves each frame, then writes clip, films
-(`phy124.rendering.film`) and report. `go_on` continues an interrupted run with the same steps.
+calls `simulate`. `simulate` prepares the scene (`phy124.simulation.prepare`) and runs it.
 
-Every function here reports its progress and the durations of its stages. A run that is refused or
-cancelled leaves no files. A run that stops early keeps its finished frames; a cancelled run keeps
-them if `keep` is set. If a run ends in any other way (an error, lack of disk space or memory, a
-kill), the finished frames stay on disk, so that `go_on` can continue the run. The clip also stays
-on disk once it is complete.
+`RunFolder.fill` (phy124/pipeline/run_folder.py) saves each frame, then writes the clip, the videos
+(`phy124.rendering.film`) and the report. `go_on` continues an interrupted run. All these functions
+report their progress and the duration of each stage. A run that is refused leaves no files. A
+cancelled run saves its finished frames only if `keep` is set. A run that the solver stops early
+always saves its finished frames. If a run ends in any other way (an error, lack of disk space or
+memory, a kill), the finished frames stay on disk, and `go_on` can continue the run. A complete clip
+also stays on disk.
 """
 
 from __future__ import annotations
@@ -76,17 +76,17 @@ def generate(
     """Turn a picture into moving Gaussians, and write them, videos and a report into a folder.
 
     Args:
-        image: The picture, or a picture for each object of the scene; ignored by a generator that
+        image: The picture, or one picture for each object of the scene; not used if the generator
             is a .ply file.
         scene: The scene to simulate.
         out: The folder to write.
         context: Device, threads, progress and stopwatch.
         goal: Largest error or longest time; the accuracy is chosen to meet it
             (`phy124.accuracy.choose`).
-        forecaster: Predicts the time of the run; the report compares it with the time taken.
+        forecaster: Predicts the time of the run; the report states both times.
         keep: Whether a cancelled run keeps its frames, so that `go_on` can continue it.
-        error: Whether the run's own error is estimated, if that is cheap.
-        **making: `device`, `threads` and `progress`, if there is no context; and options of
+        error: Whether the error of the run is estimated if this takes little time.
+        **making: `device`, `threads` and `progress` if there is no context, and options of
             `phy124.pipeline.gaussians.make_object`.
 
     Raises:
@@ -148,7 +148,7 @@ def simulate(
         cutout: The cut-out, to be saved with the results.
         goal: Largest error or longest time; the accuracy is chosen to meet it
             (`phy124.accuracy.choose`).
-        forecaster: Predicts the time of the run; the report compares it with the time taken.
+        forecaster: Predicts the time of the run; the report states both times.
         keep: Whether a run that `progress` cancels saves and films its frames, so that `go_on` can
             continue it.
         films: Whether videos are made.

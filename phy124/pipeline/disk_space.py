@@ -13,11 +13,11 @@ from phy124.simulation import Simulation
 PLY = 4 * 17
 """Size of a Gaussian in a PLY file [bytes]; each further colour coefficient adds 12 bytes."""
 PARTICLE = 48
-"""Size per frame of a particle that carries Gaussians [bytes]."""
+"""Size of a particle in one frame [bytes], in clips that store particles instead of Gaussians."""
 EXPORTED = {"usd": BYTES_PER_GAUSSIAN, "ply": PLY, "html": 8}
-"""Name of a file format -> size of a Gaussian in one frame [bytes]."""
+"""Size of a Gaussian in one frame [bytes], by file format."""
 PIXEL = {"png": 1.0, "gif": 0.5, "webp": 0.1, "mp4": 0.05, "webm": 0.05, "mov": 2.0}
-"""Name of a video format -> approximate size of a rendered pixel [bytes]."""
+"""Approximate size of a rendered pixel [bytes], by video format."""
 OUTPUT = 6
 """Approximate size of a pixel in an additional output such as depth [bytes]."""
 
@@ -38,10 +38,10 @@ def warn_of_disk_space(run: Simulation, out: Path, *, films: bool) -> None:
 
 
 def estimate_size(run: Simulation, *, films: bool) -> float:
-    """Estimate the total size of a run's files [bytes]; the estimate is rough for films.
+    """Estimate the total size of a run's files [bytes]; the estimate is rough for videos.
 
-    Until a run ends, a file holds its frames. The file contains the Gaussians or, in a light run,
-    only the particles.
+    The estimate includes the temporary file of frames, which contains the Gaussians or, in a light
+    run, only the particles.
     """
     scene, count, frames = run.scene, len(run.setup.shown), run.scene.time.frames
     colours = 12 * (run.setup.shown.sh.shape[1] - 1)

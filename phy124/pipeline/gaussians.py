@@ -53,11 +53,11 @@ class StaticObject:
     crop: Crop
     """Position of the first object in its picture."""
     cutout: Cutout | None
-    """The cut-out of the first object; None if there is no picture."""
+    """The cut-out of the first object, or None if there is no picture."""
     about: dict[str, Any]
     """Entries for the report that name the cut-out methods and the generator."""
     effort: Effort | None
-    """Forecast of the generator's time; None if the generator is fast."""
+    """Predicted time of the generator, or None if the generator is fast."""
 
 
 class Objects(NamedTuple):
@@ -66,7 +66,7 @@ class Objects(NamedTuple):
     gaussians: Gaussians
     """Gaussians of these objects, with `object_id` if there are several."""
     scene: Scene
-    """The scene. Each object in it stores its position in its picture."""
+    """The scene. Each of its objects stores the position of the object in its picture."""
     about: dict[str, Any]
     """Entries for the report that describe how the objects were made."""
 
@@ -77,16 +77,16 @@ def make_gaussians(
     context: RunContext | None = None,
     **making: Any,
 ) -> StaticObject:
-    """Turn a picture, or one for each object of a scene, into static Gaussians.
+    """Turn one picture, or a picture for each object of a scene, into static Gaussians.
 
     Args:
-        image: The picture of the first object, or several pictures: the first object's, then those
-            of the scene's `objects` that name no picture, file or shape, in order. An object
-            without a picture is a copy of the first object.
+        image: The picture of the first object, or several pictures. The further pictures are used,
+            in order, for the scene's `objects` that name no picture, file or shape. If there are
+            not enough pictures, the remaining objects are copies of the first object.
         scene: The scene that the Gaussians are made for; None: the default scene.
         context: Device of the generator, progress and stopwatch.
         **making: Options of `make_object` for the first object, and fields of the context. The
-            other objects share its generator, number of Gaussians and `on_cutout`.
+            options `generator`, `count` and `on_cutout` also apply to the other objects.
 
     Raises:
         InputError: A picture or the options cannot be used, or there are too many pictures.
@@ -124,21 +124,20 @@ def make_object(
     """Turn the picture of one object into static Gaussians.
 
     Args:
-        image: The picture; ignored by a generator that is a .ply file.
+        image: The picture; not used if the generator is a .ply file.
         scene: The scene that the Gaussians are made for.
         context: Device of the generator, progress and stopwatch.
-        generator: Name, path of a .ply file, or a generator itself.
+        generator: Name of a generator, path of a .ply file, or a generator.
         options: How much work the generator does.
         reading: How to interpret the generator's .ply file, and whether to detect a floor in it.
         method: Method of segmentation, see `phy124.imaging.cutout.foreground`.
         mask: Picture that is white where the object is.
-        pick: A point on the object, if the picture shows several.
+        pick: A point on the object, if the picture shows several objects.
         depth: Depth map of the picture, for `relief`.
         views: Further pictures of the object, for `relief`.
         on_cutout: Called with each cut-out, before the slow steps begin.
         on_estimate: Called with the forecast of a slow generator before the generator starts.
-        preview_with_relief: Whether `relief` replaces a slow generator because only a forecast is
-            needed.
+        preview_with_relief: Whether a slow generator is replaced by `relief`, for a forecast.
         count: Largest number of Gaussians.
 
     Raises:
@@ -210,7 +209,7 @@ def with_others(
     count: int | None = None,
     on_cutout: Callable[[Cutout], object] = lambda cutout: None,
 ) -> Objects:
-    """Return the first object together with the other objects that are made from pictures or files.
+    """Return the first object together with the other objects, made from pictures or files.
 
     Args:
         first: The Gaussians of the first object, or of several objects, with `object_id`.
@@ -275,7 +274,7 @@ def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLik
 
 
 def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
-    """Refuse the further pictures if they outnumber the further objects that need a picture.
+    """Refuse the further pictures if there are more of them than objects that need a picture.
 
     Raises:
         InputError: There are too many pictures.
@@ -294,7 +293,7 @@ def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
 
 
 def at_rest(path: PathLike) -> Gaussians:
-    """Return the object of a clip as it is in the first frame.
+    """Return the object of a clip in the first frame.
 
     Raises:
         InputError: The file is not a clip, or the clip has several objects.

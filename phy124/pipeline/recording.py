@@ -1,8 +1,8 @@
-"""Records a run on disk: each frame as soon as it is computed, and the solver's state at intervals.
+"""Records a run on disk: writes each computed frame, and the solver's state at intervals.
 
-If anything ends the run (kill -9, lack of memory, an error), `resume` can continue from the last
-saved state. Each frame is written only once, to the file that becomes the clip. The intervals are
-so long that writing the state takes at most a hundredth of the run's time.
+If the run ends early (kill -9, lack of memory, an error), `resume` continues from the last saved
+state. Each frame is written only once, to the file that becomes the clip. The intervals are so long
+that writing states takes at most a hundredth of the run's time.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from phy124.simulation import Simulation
 PAUSE = "pause.safetensors"
 """Name of the file from which an interrupted run continues."""
 FRAMES = "pause-{}.frames"
-"""Name of the file that contains the frames of a run that is in progress or was killed."""
+"""Name of the frame file of a run that is in progress or was killed."""
 COST = 0.01
-"""Largest fraction of a run's time that may be spent on writing the solver's state."""
+"""Largest fraction of a run's time that may be used for writing the solver's state."""
 GUESS = 4e8
-"""Speed at which the state is assumed to be written, until a speed has been measured [bytes/s]."""
+"""Assumed speed of writing the state until the speed has been measured [bytes/s]."""
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 HEADER, PER_FRAME = 32_000, 120
-"""Space that is reserved in the clip's file [bytes]: for the report, and for the report's entries
-about each frame.
+"""Space in the clip's file that is reserved for the report, and for each frame's entries in it
+[bytes].
 """
 
 
@@ -61,21 +61,21 @@ class Recording:
         Args:
             out: The folder of the run; None: nothing is written.
             about: Entries of the report that are known before the run ends.
-            files: Name -> content of further result files, which are saved together with the state.
-            frames: The frame file of the run that is continued, if it has one.
-            saved: Number of frames already computed by the run that is continued.
+            files: Contents of further result files by name; they are saved together with the state.
+            frames: The frame file of the run that is continued, or None.
+            saved: Number of frames that the continued run has already computed.
         """
         self.out, self.path = out, (out or Path()) / PAUSE
         self.about, self.files, self.frames = about, files, frames
         self.failed = out is None or not disk.LOCKS_AVAILABLE
-        """True if nothing more will be written."""
+        """Whether recording has ended because nothing can be written."""
         self.resumed, self.saved = saved > 0, saved
         """Number of frames that would be kept if the run ended now."""
         self._run: Simulation | None = None
         self._put, self._last, self._cost = 0, time.perf_counter(), 0.0
 
     def see(self, run: Simulation) -> None:
-        """Write the new frames; if enough time has passed, also write the solver's state."""
+        """Write the new frames; also write the solver's state if enough time has passed."""
         if run is not self._run:
             self._begin(run)
         if self.failed:
@@ -100,10 +100,9 @@ class Recording:
         warnings.warn(f"{what}, so a kill would lose {lost} ({error})", stacklevel=3)
 
     def pause(self, run: Simulation) -> None:
-        """Write the state that the solver has after the last frame.
+        """Write the state of the solver after the last frame.
 
-        Raises:
-            OSError: It cannot be written.
+        Raises: OSError: The state cannot be written.
         """
         if self.failed or self.frames is None or run.scene.unregistered:
             return
@@ -115,7 +114,7 @@ class Recording:
         self._cost = self._last - begun
 
     def finish(self, clip: Clip, path: Path, packed: Packed | None) -> None:
-        """Complete the clip's file, either from its packed motion or from the frames on disk.
+        """Complete the clip's file from the packed motion or from the frames on disk.
 
         Raises:
             OSError: The disk is full.
@@ -127,22 +126,20 @@ class Recording:
         clip.save(path, packed)
 
     def discard(self) -> None:
-        """Remove the saved state and the frame file; in a read-only folder, both files stay."""
+        """Remove the saved state and the frame file, unless the folder is read-only."""
         if self.out is not None:
             with suppress(OSError):
                 self.path.unlink(missing_ok=True)
         self.close()
 
     def close(self) -> None:
-        """Remove the frame file; call this if its frames are saved elsewhere or are not needed."""
+        """Remove the frame file, whose frames are saved elsewhere or are not needed."""
         if self.frames is not None:
             self.frames.remove()
         self.frames, self.failed = None, True
 
     def drop(self) -> None:
-        """Remove the files of this run; if it continues an earlier run, keep the files of the
-        earlier run.
-        """
+        """Remove the files of this run, but not those of the earlier run that it continues."""
         if self.resumed or not self.saved:
             self.leave()
         else:
@@ -174,8 +171,8 @@ class Recording:
             self.frames, self._put, self.saved = None, 0, 0
 
     def _write_frames(self, run: Simulation) -> None:
-        """Write the new frames to the file. They are then read from the memory-mapped file, which
-        saves memory.
+        """Write the new frames to the frame file, and free their memory. The frames are then read
+        from the memory-mapped file.
         """
         for place in range(self._put, run.count):
             frame, turns = run.frames[place], run.rotations[place] if run.rotations else None
@@ -188,7 +185,7 @@ class Recording:
             if turned is not None:
                 run.rotations[place] = turned
             if place and run.rotations:
-                # Of the rotated colours, only those of the last frame are needed again.
+                # Only the rotated colours of the last frame are needed again.
                 before = run.frames[place - 1]
                 plain = replace(before.gaussians, sh=run.setup.shown.sh)
                 run.frames[place - 1] = replace(before, gaussians=plain)
@@ -233,7 +230,7 @@ def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, R
 
 def sweep(out: Path) -> None:
     """Remove the frame files of killed runs from a folder. If the folder contains a saved state,
-    keep the frame file that this state needs.
+    the frame file of this state is kept.
     """
     leftover = list(out.glob(FRAMES.format("*")))
     if not leftover:

@@ -1,7 +1,7 @@
 """Declares the keys of report.json; every run writes this file and stores it in its clip.
 
-A `NotRequired` key is present only if the option or field named in its description requests it. A
-user's observer may add keys. Keys are stable: the changelog names each key that a release removes.
+A `NotRequired` key is present only if a run uses the option named in the key's description. A
+user's observer may add keys. If a release removes a key, the changelog names this key.
 """
 
 from typing import Any
@@ -21,11 +21,11 @@ class CutOut(TypedDict):
     touches: list[str]
     """Edges of the picture that the object touches."""
     unseen: float
-    """Fraction of the outline that lies on the edge of the picture."""
+    """Fraction of the object's outline that lies on the edge of the picture."""
     alike: float
     """Fraction of the background whose colours are similar to the object's."""
     undecided: float
-    """Fraction of pixels that are half transparent although they are not near the outline."""
+    """Fraction of the pixels that are half transparent but not near the outline."""
     frames: int
     """Number of frames, if the picture is an animation; only the first frame is used."""
     objects: int
@@ -33,9 +33,9 @@ class CutOut(TypedDict):
     touching: bool
     """Whether the cut-out may contain two objects that touch each other."""
     warnings: list[str]
-    """Reasons to doubt the cut-out."""
+    """Reasons why the cut-out may be wrong."""
     notes: list[str]
-    """Parts of the picture file that were ignored."""
+    """Sentences about parts of the picture file that were ignored."""
 
 
 class Substep(TypedDict):
@@ -48,7 +48,7 @@ class Substep(TypedDict):
     split: bool
     """Whether the substeps are shorter than `asked`."""
     fractions: dict[str, float]
-    """Name of a limit -> fraction of the substeps whose length this limit determined."""
+    """Fraction of the substeps whose length was determined by each limit."""
     rejected: int
     """Number of substeps that were repeated with a shorter length."""
     retried: list[int]
@@ -72,8 +72,8 @@ class Balance(TypedDict):
     """Results of the watchdog."""
 
     energy_gain: float | None
-    """Energy created by numerical errors, as a fraction of the supplied energy. It is negative if
-    energy was lost, and null if the energy balance was not computed.
+    """Energy created by numerical errors, as a fraction of the supplied energy. A negative value
+    means a loss; null means that the energy balance was not computed.
     """
     momentum_gain: float | None
     """Momentum created by numerical errors, as a fraction of the exchanged momentum; null if the
@@ -97,21 +97,21 @@ class Promise(TypedDict):
     """Error bound of the clip; docs/results/accuracy.md explains it."""
 
     error: float | None
-    """Upper bound of the error, as a fraction of the object's size. It is null if no similar scene
-    was measured, or if the material tore or the run stopped early.
+    """Upper bound of the error, as a fraction of the object's size. The value is null if no similar
+    scene was measured, if the material tore, or if the run stopped early.
     """
     why: str
-    """Sentence that explains where the value of `error` comes from, or why it is null."""
+    """Sentence that explains how `error` was obtained, or why it is null."""
     unmeasured: str
-    """Kind of the scene, if `error` is null because no scene of this kind was measured."""
+    """Kind of the scene, if no scene of this kind was measured and `error` is therefore null."""
     about: float | None
-    """Error that was estimated on this scene itself, as a fraction of the object's size; null if
-    there is no such estimate.
+    """Error estimated from this scene, as a fraction of the object's size; null if there is no
+    estimate.
     """
     seconds: float | None
-    """Time up to which the bound holds [s]; null if it holds for the whole clip."""
+    """Time up to which the bound holds [s]; null if the bound holds for the whole clip."""
     unestimated: str
-    """Reason why the run did not estimate its own error; empty if it did."""
+    """Reason why the run did not estimate its error; empty if the error was estimated."""
 
 
 class OwnError(TypedDict):
@@ -122,9 +122,9 @@ class OwnError(TypedDict):
     unknown.
     """
     at_most: float | None
-    """Upper bound of the error that `about` states."""
+    """Upper bound of the error."""
     until: float | None
-    """Time from which the motion depends on the grid, so that `about` no longer holds [s]; null if
+    """Time after which `about` no longer holds, because the motion depends on the grid [s]; null if
     it holds for the whole clip.
     """
     cells: int | None
@@ -132,7 +132,7 @@ class OwnError(TypedDict):
     grid.
     """
     cost: float | None
-    """Predicted time of the run on the coarser grid, as a fraction of the time of the dynamics."""
+    """Predicted time of the run on the coarser grid, as a fraction of the simulation's time."""
     why_not: str
     """Reason why the error is unknown."""
 
@@ -151,23 +151,21 @@ class Goal(TypedDict):
     fraction: float | None
     """Estimated error as a fraction of the object's size."""
     levels: list[int]
-    """Cells across the object of each grid that was simulated."""
+    """Number of cells across the object for each simulated grid."""
     errors: list[float]
-    """Estimated error on each grid."""
+    """Estimated error for each simulated grid."""
     seconds: list[float]
     """Time of the run on each grid [s]."""
     order: float
-    """Observed order of convergence."""
+    """Measured order of convergence."""
     refined: bool
-    """Whether the search added a finer grid after the first estimate of the error."""
+    """Whether a finer grid was added after the first estimate of the error."""
     met: bool
     """Whether the target is met."""
     why_not: str
     """Reason why the target is not met; empty if it is."""
     torn: list[int]
-    """Cells across the object of the grids that were ignored because the material may have torn on
-    them.
-    """
+    """Cells across the object for grids that were ignored because the material may have torn."""
     particles_per_axis: float
     """Number of particles per cell and axis."""
 
@@ -178,7 +176,7 @@ class Forecast(TypedDict):
     predicted: float
     """Predicted time [s]."""
     span: list[float]
-    """Shortest and longest time that were expected [s]."""
+    """Lower and upper limit of the predicted time [s]."""
     spent: float
     """Actual time [s]."""
     ratio: float
@@ -188,7 +186,7 @@ class Forecast(TypedDict):
     substeps: int
     """Predicted number of substeps."""
     limiters: dict[str, int]
-    """Name of a limit -> predicted number of substeps whose length this limit determines."""
+    """Predicted number of substeps whose length is determined by each limit."""
     caveat: str | None
     """Reason why the prediction may be wrong."""
 
@@ -197,11 +195,9 @@ class Energy(TypedDict):
     """Energy balance of the run [J]."""
 
     turnover: float
-    """Maximum over time of the energy at the start plus the energy supplied since then."""
+    """Energy at the start plus the energy supplied since the start; the maximum over time."""
     lost: float
-    """Energy that was lost since the start; it is the sum of `material`, `contact` and
-    `numerical`.
-    """
+    """Energy lost since the start: the sum of `material`, `contact` and `numerical`."""
     material: float
     """Energy lost to viscosity and plasticity inside the material."""
     contact: float
@@ -210,12 +206,12 @@ class Energy(TypedDict):
     """Energy lost by the numerical method; negative if the method created energy."""
     kinetic: NotRequired[float]
     """Change of the kinetic energy. The keys `kinetic`, `forces` and `walls` are present for
-    lattices and for liquids whose pressure is projected. `kinetic` plus `elastic` equals the sum of
-    all work minus `lost`.
+    lattices and projected liquids. `kinetic` plus `elastic` equals the sum of all work minus
+    `lost`.
     """
     elastic: NotRequired[float]
-    """Change of the elastic energy. This key and the following keys up to `unexplained` are present
-    for lattices.
+    """Change of the elastic energy. The keys from `elastic` to `unexplained` are present for
+    lattices.
     """
     forces: NotRequired[float]
     """Work done by gravity and other forces."""
@@ -226,11 +222,11 @@ class Energy(TypedDict):
     solids: NotRequired[float]
     """Work done by rigid solids that move freely, including friction at these solids."""
     stiffening: NotRequired[float]
-    """Energy that changes of Young's modulus added."""
+    """Energy added by changes of Young's modulus."""
     friction: NotRequired[float]
     """Part of `contact`: energy lost to friction at walls."""
     impacts: NotRequired[float]
-    """Part of `contact`: energy lost along the normals of walls, and where parts are seized."""
+    """Part of `contact`: energy lost in normal impacts on walls, and when parts are gripped."""
     pairs: NotRequired[float]
     """Part of `contact`: energy lost in contact between objects."""
     itself: NotRequired[float]
@@ -240,12 +236,10 @@ class Energy(TypedDict):
     substeps: NotRequired[float]
     """Part of `numerical`: elastic energy lost because substeps have a finite length."""
     unexplained: NotRequired[float]
-    """Part of `numerical`: the sum of all work minus `kinetic`; this difference is a rounding
-    error.
-    """
+    """Part of `numerical`: the rounding error of the energy balance."""
     projection: NotRequired[float]
-    """Part of `numerical`: energy lost in solving the pressure equation. This key and the following
-    keys are present for liquids whose pressure is projected.
+    """Part of `numerical`: energy lost in solving the pressure equation. The keys from `projection`
+    to `transfers` are present for projected liquids.
     """
     density: NotRequired[float]
     """Part of `numerical`: potential energy lost to the displacements that restore the density."""
@@ -261,13 +255,11 @@ class Report(TypedDict):
     stopped: str | None
     """Reason why the simulation stopped early."""
     interrupted: bool
-    """Whether Ctrl-C or SIGTERM ended the run; `--resume` can then continue it."""
+    """Whether Ctrl-C or SIGTERM ended the run; such a run can be continued with `--resume`."""
     files: list[str]
-    """Files and folders that the run wrote; the next run in this folder removes them."""
+    """Files and folders that the run wrote; the next run in the same folder removes these files."""
     remedies: list[dict[str, Any]]
-    """Changes of the scene that would have prevented the stop, as field and value. Each single
-    change suffices.
-    """
+    """Changes of the scene (field and value), each of which would have prevented the stop."""
     foreground: str | None
     """Method that cut the object out of the picture; null if there is no picture."""
     cutout: CutOut | None
@@ -275,7 +267,7 @@ class Report(TypedDict):
     generator: str | None
     """Name of the generator, or the file of Gaussians."""
     effort: NotRequired[dict[str, Any]]
-    """Settings and predicted seconds of a slow generator, which takes minutes."""
+    """Settings and predicted time [s] of a slow generator."""
     gaussians: int
     """Number of Gaussians."""
     grains: int
@@ -290,13 +282,11 @@ class Report(TypedDict):
     mass: float
     """Mass of all particles [kg]."""
     thickness: float | None
-    """Local thickness relative to the object's size; nine tenths of the object's volume are thicker
-    than this value.
+    """Local thickness, relative to the object's size, that is exceeded in nine tenths of the
+    object's volume.
     """
     compliance: float | None
-    """Deflection of the object, treated as a beam, if its weight acted sideways
-    (docs/lab/own-error.md).
-    """
+    """Deflection of the object, modelled as a beam under its weight (docs/lab/own-error.md)."""
     objects: NotRequired[dict[str, Any]]
     """Counts, mass [kg] and position [m] of each object, and poses of free rigid objects."""
     pairs: NotRequired[dict[str, Any]]
@@ -308,7 +298,7 @@ class Report(TypedDict):
     """Per constitutive law: the largest axis ratios of a Gaussian (`needle`, `axis_ratio`), and its
     `opacity`.
 
-    If filming a long clip is cancelled or fails, only the filmed frames are included."""
+    If rendering a long clip is cancelled or fails, only the rendered frames count."""
     shine: dict[str, Any]
     """Per constitutive law: index ranges of the Gaussians that are drawn with gloss."""
     liquids: list[dict[str, Any]]
@@ -318,32 +308,29 @@ class Report(TypedDict):
     static: int
     """Number of Gaussians of static parts, which are not simulated."""
     sleep: dict[str, Any] | None
-    """First frame in which the scene is at rest (`since`), number of `frames` at rest, and number
-    of `substeps` that were skipped.
+    """First frame at rest (`since`), number of `frames` at rest, and number of skipped `substeps`.
     """
     walls: dict[str, Any] | None
-    """Largest and last force [N] and torque [N m] on each wall, if the run has `wrenches` or
-    `contacts`."""
+    """Largest and last force [N] and torque [N m] on each wall, with `wrenches` or `contacts`."""
     cleaning: list[str]
-    """Sentences about Gaussians that were dropped or repaired."""
+    """Sentences about Gaussians that were removed or repaired."""
     notes: list[str]
     """Sentences with further remarks about files, materials and the run."""
     unregistered: list[str]
-    """Classes of the scene that only the program which made the run defines."""
+    """Classes of the scene that are defined only by the program that made the run."""
     capture: NotRequired[dict[str, Any]]
     """For a capture: the rotation from the file's axes, and with `--floor` the detected floor."""
     playback: NotRequired[dict[str, Any]]
     """Pictures per second (`fps`), `speed` (1 is real time) and `seconds` of the videos."""
     departures: NotRequired[list[dict[str, Any]]]
-    """Views in which the object leaves the picture, and the camera distance that would show all of
-    it."""
+    """Views in which the object leaves the picture, and the camera distance that would avoid it."""
     grid: dict[str, Any]
-    """Cell width `dx` [m], and number of nodes in the grid's last `window`."""
+    """Cell width `dx` [m], and number of nodes in the last `window` of the grid."""
     threads: int
-    """Number of CPU threads. Runs with equal numbers of threads give equal results, bit for bit."""
+    """Number of CPU threads. Runs with the same number of threads are equal bit for bit."""
     limiters: dict[str, int]
-    """Name of a limit (elastic, speed, gradient, viscous or user) -> number of substeps whose
-    length this limit determined.
+    """Number of substeps whose length was determined by each limit (elastic, speed, gradient,
+    viscous, user).
     """
     substep: Substep
     """Length of the substeps."""
@@ -352,10 +339,12 @@ class Report(TypedDict):
     energy: NotRequired[Energy]
     """Energy balance of the run, if `checks.energy` is set."""
     effects: dict[str, Any]
-    """Effects that were computed (`ran`), and effects that were not (`left_out`, with the reason
-    and the saved seconds)."""
+    """Effects that were computed (`ran`) and that were not computed (`left_out`).
+
+    Each entry of `left_out` states the reason and the time saved [s].
+    """
     error: NotRequired[OwnError]
-    """The error of the run, estimated on the run's own scene."""
+    """Error of the run, estimated from the same scene on a coarser grid."""
     promise: Promise
     """Upper bound of the clip's error."""
     forecast: NotRequired[Forecast]
@@ -373,4 +362,4 @@ class Report(TypedDict):
     processor: str
     """Name of the machine's processor."""
     versions: dict[str, str]
-    """Versions of phy124 and of the libraries that it uses for computing."""
+    """Versions of phy124 and of its numerical libraries."""

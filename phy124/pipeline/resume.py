@@ -1,7 +1,7 @@
 """Saves a paused simulation as a safetensors file, and continues it later.
 
-On a CPU, the continued run equals an uninterrupted run bit for bit. On a GPU, both runs are equal
-within rounding, because a GPU adds numbers in no fixed order.
+On a CPU, the continued run equals an uninterrupted run bit for bit. On a GPU, the two runs differ
+by rounding errors, because a GPU adds numbers in no fixed order.
 """
 
 from __future__ import annotations
@@ -55,9 +55,8 @@ def save(
         run: The run.
         path: The file to write.
         about: Further entries to save; `read_about` returns them.
-        frames: The frame file in the same folder. If it is None, the frames are also written to
-            `path`.
-        files: Name -> content of result files; `read_files` returns them.
+        frames: The frame file in the same folder. If it is None, the frames are written to `path`.
+        files: Contents of result files by name; `read_files` returns them.
 
     Raises:
         InputError: The folder is missing, or a file cannot be created in it.
@@ -101,11 +100,11 @@ def load(
 
     Args:
         path: The file.
-        context: Device, threads, progress and stopwatch. If it sets no number of threads, the run
-            continues bit for bit with its previous number of threads. With another number, the
-            result is equal within rounding, and a note is added to the report. The seconds spent
-            before the pause are added to the stopwatch.
-        frames: The run's frame file, if it is already open (`frames_of`).
+        context: Device, threads, progress and stopwatch. If it sets no number of threads, the
+            previous number is used, and the result is equal bit for bit. With another number, the
+            result differs by rounding errors, and a note is added to the report. The time before
+            the pause is added to the stopwatch.
+        frames: The frame file of the run, if it is already open (`frames_of`).
         observers: Classes of observers, as for `prepare`.
 
     Raises:
@@ -137,8 +136,7 @@ def load(
 
 
 def frames_of(path: str | os.PathLike[str]) -> Growing | None:
-    """Open the frame file of a paused run; return None if the frames are in the file of the saved
-    state.
+    """Open the frame file of a paused run; return None if there is no separate frame file.
 
     Raises:
         InputError: The file is missing, or another process is continuing the run.
@@ -148,14 +146,12 @@ def frames_of(path: str | os.PathLike[str]) -> Growing | None:
 
 
 def read_frames(path: str | os.PathLike[str]) -> dict[str, Any] | None:
-    """Return the description of a separate frame file; None if the frames are in the file of the
-    saved state.
-    """
+    """Return the description of the frame file; None if there is no separate frame file."""
     return _read(Path(path), tensors=False)[0]["frames"].get("growing")
 
 
 def read_files(path: str | os.PathLike[str]) -> dict[str, bytes]:
-    """Return the result files that were saved with a run, as a map from name to content."""
+    """Return the contents, by name, of the result files that were saved with a run."""
     tensors = _read(Path(path))[1]
     files = {name: array for name, array in tensors.items() if name.startswith(FILE)}
     return {name.removeprefix(FILE): array.tobytes() for name, array in files.items()}
@@ -181,17 +177,13 @@ def _threads_differ(before: int, now: int) -> list[str]:
 
 
 def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the `scene` of a saved run, the number of `frames` so far, and the caller's
-    entries.
-    """
+    """Return the `scene` of a saved run, the number of its `frames`, and the entries `about`."""
     metadata, _ = _read(Path(path), tensors=False)
     return {**metadata["about"], "scene": metadata["scene"], "frames": metadata["frames"]["count"]}
 
 
 def _plain(tree: Any, tensors: Tensors, name: str) -> Any:
-    """Return a snapshot without its arrays; add the arrays to `tensors`, with their paths as
-    keys.
-    """
+    """Return a snapshot without its arrays; add the arrays to `tensors` under their paths."""
     if isinstance(tree, dict):
         return {key: _plain(value, tensors, f"{name}.{key}") for key, value in tree.items()}
     if isinstance(tree, (np.ndarray, wp.array)):
@@ -250,9 +242,7 @@ def _put_frames(run: Simulation, kept: Tensors) -> None:
 
 
 def _turn_last(run: Simulation) -> None:
-    """Rotate the last frame's colours with the material, because a run at rest repeats this
-    frame.
-    """
+    """Rotate the colours of the last frame with the material; a run at rest repeats this frame."""
     if run.frames and run.rotations:
         last = run.frames[-1]
         turned = replace(last.gaussians, sh=rotate_sh(last.gaussians.sh, run.rotations[-1]))
@@ -284,9 +274,7 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
 
 
 def _checksum(tensors: Tensors) -> int:
-    """Return the CRC-32 of all arrays, in the order of their names. Files of older versions have no
-    checksum.
-    """
+    """Return the CRC-32 of all arrays, sorted by name. Files of older versions have no checksum."""
     total = 0
     for name in sorted(tensors):
         total = zlib.crc32(np.ascontiguousarray(tensors[name]).data, total)

@@ -1,8 +1,8 @@
 """Writes the folder of a run. Either all files are written (clip, Gaussians, scene, videos,
 report), or none.
 
-Results of an earlier run are removed after the new results are written. Only files that the earlier
-report lists are removed; files of the user stay.
+After the new results are written, the results of an earlier run are removed. Only files that are
+listed in the earlier report are removed.
 """
 
 from __future__ import annotations
@@ -72,22 +72,22 @@ class RunFolder:
     about: dict[str, Any]
     """Entries that are added to the report, in addition to the run's own entries."""
     keep: bool
-    """Whether the frames so far are saved if the context's `progress` cancels the run."""
+    """Whether the finished frames are saved if the context's `progress` cancels the run."""
     cutout: bytes | None = None
     """Content of the cut-out's PNG file, which is saved with the results."""
     films: bool = True
     """Whether videos are rendered."""
     frames: Growing | None = None
-    """The frame file of the run that is being continued, if it has one."""
+    """The frame file of the run that is being continued, or None."""
     continued: int = 0
     """Number of frames that the run had computed before it was continued."""
     rescues: bool = True
     """Whether finished frames are saved if the run fails or its folder has no space."""
     predicted: Forecast | None = None
     error: bool = True
-    """Whether the run's own error is estimated, if that is cheap (`phy124.accuracy.companion`)."""
+    """Whether the error is estimated if this takes little time (`phy124.accuracy.companion`)."""
     packing: Future[Packed | None] = field(init=False)
-    """The packed motion of the clip, which another thread computes."""
+    """The packed motion of the clip, computed in another thread."""
 
     def __post_init__(self) -> None:
         self.files = {CUTOUT: self.cutout} if self.cutout is not None else {}
@@ -96,14 +96,15 @@ class RunFolder:
         )
 
     def fill(self, simulate: Callable[[], tuple[Simulation, Clip]]) -> Result:
-        """Simulate the scene, save the results and film the clip. A folder that cannot be written
-        is refused before the simulation.
+        """Simulate the scene, save the results and render the videos.
+
+        A folder that cannot be written is refused before the simulation.
 
         Raises:
             Incomplete: Not everything could be made or written; the message names the saved files.
             Cancelled: The context's `progress` raised it, and `keep` is not set.
         """
-        before = list_results(self.out) - {PAUSE}  # this run may write a file of that name itself
+        before = list_results(self.out) - {PAUSE}  # this run may write a file with the same name
         try:
             with staging(self.out) as folder:
                 sweep(self.out)
@@ -119,10 +120,10 @@ class RunFolder:
     def _save_and_film(
         self, folder: Path, before: set[str], run: Simulation, clip: Clip, interrupted: bool
     ) -> Result:
-        """Save the results of the run, then film the clip.
+        """Save the results of the run, then render the videos.
 
         Args:
-            folder: Temporary folder in which files are written first.
+            folder: Temporary folder for the files.
             before: Names of the files of an earlier run.
             run: The run.
             clip: The clip of the run.
@@ -134,13 +135,13 @@ class RunFolder:
         remove_results(self.out, before.difference(made) if made else ())
         if self.keep and self.films and not interrupted:
             with suppress(OSError, InputError):
-                self.recording.pause(run)  # allows --resume if the filming is killed
+                self.recording.pause(run)  # allows --resume if rendering is killed
         saved = folder / CLIP if (folder / CLIP).exists() else self.out / CLIP
         cut, problem = self._film(clip, run.scene, folder)
         if cut and not interrupted:
             interrupted = self._pause(folder, run)
         made |= {path.name for path in folder.glob("[!.]*")} | {REPORT}
-        if "shapes" not in report:  # complete films have computed all frames
+        if "shapes" not in report:  # complete videos have computed all frames
             report |= run.shapes_of(clip, every=not cut and problem is None)
         report = self._update(report, made, interrupted=cut or interrupted)
         with suppress(OSError, InputError):  # if the disk is full, the earlier report stays
@@ -154,9 +155,7 @@ class RunFolder:
         return Result(self.out, tuple(self.out / name for name in sorted(made)), report)
 
     def _with_error(self, run: Simulation, clip: Clip, interrupted: bool) -> Clip:
-        """Return the clip. Its report contains the run's own error, or the reason why no error was
-        estimated.
-        """
+        """Return the clip after adding the estimated error, or the reason for its absence."""
         omit, goal = why_broken(self.about).rstrip("."), self.about.get("goal")
         if interrupted:
             return with_own_error(run, clip, omit="the run was interrupted")
@@ -191,10 +190,9 @@ class RunFolder:
             raise
 
     def _film(self, clip: Clip, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
-        """Film all views; return whether filming was interrupted, and the exception if filming
-        failed.
+        """Render the videos; return whether this was interrupted, and the exception if it failed.
 
-        Finished films stay in both cases.
+        Videos that are already finished are kept in both cases.
         """
         if not self.films:
             return False, None
@@ -211,7 +209,7 @@ class RunFolder:
         return False, None
 
     def _save(self, folder: Path, run: Simulation, clip: Clip, interrupted: bool) -> dict[str, Any]:
-        """Write everything except the films, the most important files first; return the report."""
+        """Write all files except the videos, the most important files first; return the report."""
         try:
             return self._write(folder, run, clip, interrupted)
         except Exception as error:
@@ -261,9 +259,7 @@ class RunFolder:
             write_json(listed, report)
 
     def _pause(self, folder: Path, run: Simulation) -> bool:
-        """Write the state of a run that ends early; return whether the run can be continued from
-        this state.
-        """
+        """Write the state of a run that ends early; return whether the run can be continued."""
         try:
             resume.save(run, folder / PAUSE, about=self.about, files=self.files)
         except (OSError, InputError):
@@ -273,9 +269,7 @@ class RunFolder:
         return True
 
     def _elsewhere(self, run: Simulation, clip: Clip, interrupted: bool) -> Incomplete:
-        """Write the results to a temporary folder instead of the run's folder; return an exception
-        that names the temporary folder.
-        """
+        """Write the results to a temporary folder; return an exception that names this folder."""
         folder = None
         try:
             folder = Path(tempfile.mkdtemp(prefix="phy124-kept-"))
@@ -319,7 +313,7 @@ class RunFolder:
     def _update(
         self, report: dict[str, Any], made: Iterable[str], *, interrupted: bool
     ) -> dict[str, Any]:
-        """Return the report, updated with the time spent and the files written so far."""
+        """Return the report, updated with the time and the list of files."""
         report = {**report, **environment_info(self.context), "files": sorted(made)}
         if self.predicted is not None:
             report["forecast"] = self.predicted.compare(self.context.watch.seconds)
@@ -329,7 +323,7 @@ class RunFolder:
 
 
 def _scene_file(scene: Scene) -> str:
-    """Format a scene as TOML, without the user's own classes, which a file cannot name."""
+    """Format a scene as TOML, without classes that only the user's program defines."""
     if not scene.unregistered:
         return scene.to_toml()
     left_out = ", ".join(scene.unregistered)
@@ -338,21 +332,21 @@ def _scene_file(scene: Scene) -> str:
 
 
 def _without_films(out: Path, made: Iterable[str], *, resumes: bool) -> Incomplete:
-    """Return the exception for a run whose clip was saved, but was neither filmed nor exported."""
+    """Return the exception for a run whose clip was saved but neither rendered nor exported."""
     names = ", ".join(sorted(made))
     more = ", or the same command with --resume makes the missing files" if resumes else ""
     return Incomplete(f"kept in {out}: {names}. `phy124 render {out / CLIP}` films it{more}")
 
 
 def _after_error(out: Path, frames: int) -> Incomplete:
-    """Return the exception for a run that failed after this number of frames was saved."""
+    """Return the exception for a run that failed after some frames were saved."""
     return Incomplete(
         f"{frames} frames are kept in {out}; the same command with --resume continues from there"
     )
 
 
 def list_results(folder: Path) -> set[str]:
-    """Return the file names in the report of a folder; the set is empty if there is no report."""
+    """Return the file names listed in the report of a folder; empty if there is no report."""
     path = folder / REPORT
     try:
         large = path.stat().st_size > LARGEST_REPORT
@@ -373,9 +367,7 @@ def remove_results(folder: Path, names: Iterable[str]) -> None:
 
 
 def _is_plain(name: str) -> bool:
-    """Return whether a file name stays within its folder, because a report may come from an
-    untrusted source.
-    """
+    """Return whether a file name stays within its folder; a report may be untrusted."""
     return name not in ("", ".", "..") and "\0" not in name and Path(name).name == name
 
 
@@ -387,9 +379,7 @@ def _source_notes(about: dict[str, Any]) -> list[str]:
 
 
 def view_report(clip: Clip, view: View) -> dict[str, Any]:
-    """Return the report's entries about films: playback rate, notes, and views in which the object
-    leaves the picture.
-    """
+    """Return the report's entries about videos, such as the playback rate."""
     seen = describe_framing(clip, view)
     return {
         "playback": describe_playback(clip, view),
@@ -399,9 +389,7 @@ def view_report(clip: Clip, view: View) -> dict[str, Any]:
 
 
 def environment_info(context: RunContext) -> dict[str, Any]:
-    """Return the report's entries about machine and time: device, versions, and duration of each
-    stage.
-    """
+    """Return the report's entries about the device, the versions and the duration of each stage."""
     packages = ("phy124", "numpy", "warp-lang", "opencv-python-headless", "imageio-ffmpeg")
     versions = {}
     for package in packages:

@@ -1,6 +1,4 @@
-"""Compiles the kernels of some scenes ahead of time, so that no run has to wait for the
-compiler.
-"""
+"""Compiles the kernels of scenes ahead of time, so that no run has to wait for the compiler."""
 
 from __future__ import annotations
 
@@ -29,8 +27,8 @@ module.
 RELIEF = (INFLATED.project, HULL.project, push)
 """One kernel from each module that the generator `relief` uses; `relief` runs on the CPU."""
 FEW = {"accuracy.cells": 8, "time.frames": 2, "time.fps": 240.0}
-"""Changes that shorten the run of any scene. They keep the precision and the solver, because the
-kernels depend on both.
+"""Changes of a scene that shorten its run. Precision and solver stay unchanged, because the kernels
+depend on both.
 """
 
 
@@ -39,11 +37,11 @@ def warm(scenes: Sequence[Scene], context: RunContext) -> int:
 
     Args:
         scenes: The scenes.
-        context: Device, and progress: called with ("compile", modules done, modules) if any
-            modules are missing, and with ("try", scenes done, scenes) for the trial runs.
+        context: Device and progress. `progress` is called with ("compile", modules done, modules)
+            if any modules are missing, and with ("try", scenes done, scenes) for the trial runs.
 
     Returns:
-        Number of modules that were missing.
+        Number of modules that were compiled.
     """
     device, progress = context.device, context.progress
     drawn = STAGE["cpu" if device == "cpu" else "cuda"]

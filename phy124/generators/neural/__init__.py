@@ -1,4 +1,4 @@
-"""Contains the generators with trained networks; other modules import them by name only.
+"""Generators with trained networks; other modules load these generators by name only.
 
 Each generator is a package whose `__init__` declares two variables. `GENERATORS` holds factories by
 name, and `WEIGHTS` lists the weights that the generator loads (keys of

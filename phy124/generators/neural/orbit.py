@@ -1,8 +1,8 @@
 """Cameras of the generative networks: OpenGL axes with y up, and the object's front at +z.
 
 LGM, ImageDream and DreamGaussian were all trained with these axes. A camera with *positive*
-elevation is *below* the object, which is the opposite of the convention in `phy124.camera`. A
-camera with an azimuth of 90 degrees looks at the object's left side (+x).
+elevation is *below* the object, unlike in `phy124.camera`. A camera with an azimuth of 90 degrees
+looks at the object's left side (+x).
 """
 
 from __future__ import annotations

@@ -13,14 +13,14 @@ from phy124.runtime.memory import free_memory
 SPARE = 0.8
 """Largest fraction of the free memory that a network may use."""
 FLAGS = ("avx512_bf16", "amx_bf16")
-"""CPU features that include the multiplication of bfloat16 numbers, by their names in Linux and in
-torch."""
+"""CPU features with instructions that multiply bfloat16 numbers, by their names in Linux and torch.
+"""
 
 
 def torch_device(name: str | None) -> str:
     """Return torch's name of a usable device.
 
-    If `None` is passed, a GPU is chosen if torch can use one.
+    None selects a GPU if torch can use one.
     """
     usable = torch.cuda.is_available()
     if name is None:
@@ -36,10 +36,10 @@ def torch_device(name: str | None) -> str:
 def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dtype:
     """Return the requested precision.
 
-    By default, the fastest accurate precision that fits into memory.
+    If there is no request, return the fastest accurate precision that fits into memory.
 
     Args:
-        precision: Precision that the user requested; None if there is no request.
+        precision: Precision that the user requested, or None.
         device: Device on which the network runs.
         numbers: Number of the network's parameters.
     """
@@ -52,13 +52,13 @@ def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dt
 
 
 def is_short(needed: float, device: str = "cpu") -> bool:
-    """Whether `needed` bytes exceed the fraction of a device's free memory that may be used."""
+    """Return whether `needed` bytes exceed the part of a device's free memory that may be used."""
     gpu = device.startswith("cuda")
     return needed > SPARE * (torch.cuda.mem_get_info(device)[0] if gpu else free_memory())
 
 
 def multiplies_bfloat16() -> bool:
-    """Whether this CPU has instructions that multiply bfloat16 (AVX512-BF16, AMX)."""
+    """Return whether this CPU has instructions that multiply bfloat16 (AVX512-BF16, AMX)."""
     # older releases of torch lack this function
     features = getattr(torch.cpu, "get_capabilities", dict)()
     if features:

@@ -1,10 +1,9 @@
 """A differentiable rasteriser of 3D Gaussians, used to fit Gaussians to images.
 
 Sources: Kerbl et al. 2023, "3D Gaussian Splatting"; the projection follows Zwicker et al. 2002
-(EWA). This reference implementation is written in plain torch and processes one tile after the
-other. It is suited to small images, and to gradients on the CPU. On CUDA devices, gsplat (the extra
-`gpu`) is used instead if it is installed. The images of films are rendered by
-`phy124.rendering.render` instead.
+(EWA). This reference implementation uses plain torch and processes the tiles one after the other.
+Use it for small images and for gradients on the CPU. On CUDA devices, gsplat (the extra `gpu`) is
+used instead if it is installed. Video frames are rendered by `phy124.rendering.render`.
 """
 
 from __future__ import annotations
@@ -27,10 +26,12 @@ narrower than about a pixel."""
 NEAR = 0.01
 ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.99
 STOP = 1e-4
-"""Compositing of a pixel ends once its transmittance is below this value."""
+"""Compositing of a pixel ends when the pixel's transmittance falls below this value."""
 GUARD = 1.3
-"""The Jacobian of the projection is evaluated at most this far from the image centre, relative to
-half the field of view. Farther out, the Jacobian would become very large."""
+"""Largest distance from the image centre at which the Jacobian of the projection is evaluated.
+
+The unit is half the field of view. Farther out, the Jacobian would become very large.
+"""
 
 
 SLOW = (
@@ -53,21 +54,23 @@ class View:
 
 @dataclass(frozen=True)
 class Rendering:
-    """A rendered image, and the data that densification needs."""
+    """A rendered image, and the data that are needed for densification."""
 
     rgb: Tensor
     """Colours [H,W,3], composited over the background."""
     alpha: Tensor
     """Alpha [H,W], 0..1."""
     centres: Tensor
-    """Projected centres [N,2], pixels; the backward pass stores the gradient of the loss in this
-    tensor."""
+    """Projected centres [N,2], pixels.
+
+    The backward pass stores the gradient of the loss in this tensor.
+    """
     radii: Tensor
     """Radius on screen that corresponds to three standard deviations [N], pixels; 0 for invisible
     Gaussians."""
 
     def screen_gradients(self) -> Tensor:
-        """Return the loss gradients with respect to the centres [N,2], per half image side."""
+        """Return the gradients [N,2] of the loss for the centres, in units of half the image."""
         height, width = self.alpha.shape
         gradient = self.centres.grad
         if gradient is None:
@@ -84,7 +87,7 @@ def rasterize(
     view: View,
     background: Tensor,
 ) -> Rendering:
-    """Render Gaussians; gradients flow back to all parameters of the Gaussians.
+    """Render Gaussians; the result is differentiable with respect to all their parameters.
 
     Args:
         means: Centres [N,3].
@@ -170,14 +173,14 @@ def _conics(covariances: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _on_screen(centres: Tensor, radii: Tensor, view: View) -> Tensor:
-    """Whether the bounding square of each Gaussian overlaps the image [N]."""
+    """Return whether the bounding square of each Gaussian overlaps the image [N]."""
     size = centres.new_tensor([view.width, view.height])
     low, high = centres - radii[:, None], centres + radii[:, None]
     return ((high > 0) & (low < size)).all(dim=1)
 
 
 def _reach(covariances: Tensor, opacities: Tensor) -> Tensor:
-    """Return half the sides [N] of the squares outside which alpha is below ALPHA_MIN."""
+    """Return half the side [N] of each Gaussian's square outside which alpha is below ALPHA_MIN."""
     variance = covariances.diagonal(dim1=1, dim2=2).amax(dim=1)
     return (2 * torch.log((opacities / ALPHA_MIN).clamp(min=1)) * variance).sqrt()
 
@@ -271,7 +274,7 @@ def _with_gsplat(
 
 
 def orbit_view(elevation: float, azimuth: float, radius: float, size: int) -> View:
-    """Return a square view from a pose on the networks' orbit (`phy124.generators.neural.orbit`).
+    """Return a square view from a camera pose of `phy124.generators.neural.orbit`.
 
     Args:
         elevation: Elevation, degrees; a positive angle is below the object.

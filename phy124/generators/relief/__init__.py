@@ -1,10 +1,10 @@
 """Generator `relief`: inflates an image with alpha into a closed shell of flat Gaussians.
 
-The generator needs no trained weights. The shape is not reconstructed but guessed: it is the most
-plausible solid for the silhouette (`phy124.generators.relief.solids`). The front shows the image,
-and the look of the back is invented (`phy124.generators.relief.back`). If there is an image from
-the side, it determines the depth instead (`phy124.generators.relief.hull`). docs/lab/relief.md
-compares the results with objects whose shape is known from all sides.
+The generator needs no trained weights. The shape is not reconstructed. It is the most plausible
+solid for the silhouette (`phy124.generators.relief.solids`). The front shows the image, and the
+look of the back is invented (`phy124.generators.relief.back`). If there is an image from the side,
+the depth follows from this image (`phy124.generators.relief.hull`). docs/lab/relief.md compares the
+results with objects whose shape is known from all sides.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ def relief(
     """Inflate the opaque part of an image to the closed shell of an object.
 
     The object faces +x. A camera at the distance `VIEW_DISTANCE` in front of the shell sees the
-    shell's silhouette in the plane x = 0, where its longest side is 1 m. If the object is longer in
-    the image from the side than in the front image, its longest side in the side image is 1 m
-    instead. The same seed always gives the same Gaussians.
+    silhouette of the image. In the plane x = 0, the longest side of the silhouette is 1 m. If the
+    object is longer in the side image, its longest side there is 1 m instead. The same seed always
+    gives the same Gaussians.
 
     Args:
         image_rgba: The image [H,W,4].
@@ -66,10 +66,10 @@ def relief(
         back_look: Look of the back if there is no image from behind. "mirror": the mirrored front;
             "plain": the materials of the front without its features; "auto": plain if the
             silhouette is symmetric, otherwise mirrored.
-        thickness: Factor by which the depth guessed from the silhouette is multiplied; None stands
-            for 1.
-        highlights: "keep" paints the highlights on the object, with which they move; "remove"
-            removes them from the images first.
+        thickness: Factor by which the depth guessed from the silhouette is multiplied; None means
+            1.
+        highlights: "keep": highlights are painted on the object and move with it; "remove":
+            highlights are removed from the images first.
 
     Raises:
         InputError: If an image has no opaque pixels, the depth map does not fit the image, or the

@@ -22,15 +22,19 @@ from phy124.generators.relief.height import nearest_of
 Field = NDArray[np.float64]
 BackLook = Literal["auto", "mirror", "plain"]
 SYMMETRIC = 0.86
-"""A silhouette is assumed to show the object's front if its overlap (IoU) with its mirror image is
-at least this."""
+"""Smallest overlap (IoU) of a silhouette with its mirror image if the image shows the front."""
 HANDLE, BODY = 0.4, 0.75
-"""Largest thickness of a part that counts as thin, relative to the thickest part; and smallest
-fraction of the silhouette's area that must remain without the thin parts."""
+"""Limits of thin parts such as handles.
+
+The first number is the largest thickness of a thin part, relative to the thickest part. The second
+number is the smallest fraction of the silhouette's area that remains without the thin parts.
+"""
 UPPER, OUTLINE, FACE = 0.4, 0.65, 0.75
-"""Upper fraction of the height that may contain a face. To count as a face, this part must overlap
-with its mirror image (IoU) by at least the second value, and its brightness must correlate with
-that of the mirror image by at least the third."""
+"""Upper fraction of the height that may contain a face.
+
+In a face, the overlap (IoU) with the mirror image is at least the second value, and the correlation
+between the brightness of image and mirror image is at least the third value.
+"""
 LARGE, FEWEST = 20.0, 50
 """Standard deviation of the filter that removes the shading [pixels], and smallest number of pixels
 for a comparison."""
@@ -40,21 +44,26 @@ INSET = 0.03
 """Distance from the rim at which the colours near the rim are read, relative to the image's
 size."""
 SHORTER = 6.0
-"""The colour of a pixel on the back is a mean of its row's and its column's colour, weighted by the
-ratio of their lengths to this power. The shorter of the two has more weight."""
+"""Exponent in the weights of rows and columns.
+
+The colour of a pixel on the back is a weighted mean of colours interpolated along its row and its
+column; the shorter of the two has the larger weight.
+"""
 COARSE = 3.0
 """Standard deviation of the filter that separates colours from fine texture [pixels]."""
 PATCH, STEP, OFFSET = 20, 10, 3
 """Side of a square patch of texture, spacing of the patches on the back, and spacing of the patches
 on the front from which they are copied [pixels]."""
 QUIET, STRONG = 0.4, 0.07
-"""Fraction of the front's patches that may be copied; the patches with the least texture are taken
-first. The second value is the standard deviation above which texture is weakened, because such
-texture shows the edges of features."""
+"""Fraction of the front's patches that may be copied, beginning with the least texture.
+
+The second value is the standard deviation above which texture is weakened, because strong texture
+shows the edges of features.
+"""
 BINS = 10
 """Number of bins per channel of the histogram that counts the colours of a flat card."""
 ALIKE = 6
-"""Number of front patches with the most similar colours; one of them is chosen at random."""
+"""Number of front patches with similar colours from which one is chosen at random."""
 
 
 def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
@@ -81,7 +90,7 @@ def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
 def _body(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a silhouette [H,W] without thin parts such as handles, cropped to its columns.
 
-    If the thin parts are large, return the silhouette unchanged.
+    If the thin parts are large, they are not removed.
     """
     depth = nearest_of(~np.pad(solid, 1))[0][1:-1, 1:-1]
     radius = HANDLE * float(depth.max())
@@ -93,9 +102,9 @@ def _body(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _fold(solid: NDArray[np.bool_]) -> tuple[float, int]:
-    """Return the largest overlap (IoU) of a silhouette with its mirror image, and the axis for it.
+    """Return the largest overlap (IoU) of a silhouette with its mirror image, and the mirror axis.
 
-    The axis is returned as twice its distance from the middle of the image [pixels].
+    The axis is stated as twice its distance from the middle of the image [pixels].
     """
     width, area = solid.shape[1], np.count_nonzero(solid)
     best, axis = 0.0, 0
@@ -158,7 +167,7 @@ def _texture(
     fine = picture - coarse
     window = np.sin(np.pi * (np.arange(PATCH) + 0.5) / PATCH) ** 2
     window = np.outer(window, window)
-    # Only patches that lie wholly inside the silhouette are used.
+    # Only patches that lie entirely inside the silhouette are used.
     whole = cv2.erode(np.pad(inside, 1).astype(np.uint8), np.ones((PATCH, PATCH), np.uint8))[
         1:-1, 1:-1
     ]
@@ -215,7 +224,7 @@ def most_common(colours: Field) -> Field:
 def smooth_back(
     picture: Field, inside: NDArray[np.bool_], size: int, turned: bool = False
 ) -> Field:
-    """Interpolate the back [H,W,3] between colours near the rim, along rows and columns.
+    """Return the back [H,W,3]: colours near the rim, interpolated along rows and columns.
 
     Stripes therefore continue around the object. Features inside the silhouette, such as eyes or a
     beak, do not appear on the back.
@@ -255,11 +264,9 @@ def _thickness(depth: Field) -> Field:
 
 
 def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tuple[Field, Field]:
-    """Interpolate colours [H,W,3] along each row's runs of inside pixels.
+    """Interpolate colours [H,W,3] along runs of inside pixels in rows; return also the lengths.
 
-    Also return the run lengths.
-
-    The colours of thin features, such as a beak, get less weight with increasing distance.
+    The weight of the colours of thin features, such as a beak, falls with distance.
     """
     columns = np.arange(inside.shape[1])
     before = np.maximum.accumulate(np.where(inside, 0, columns), axis=1)

@@ -19,8 +19,11 @@ from phy124.generators.relief.surface import View
 
 Field = NDArray[np.float64]
 TOLERANCES, OVERLAP = (0.01, 0.007, 0.004), 0.98
-"""Tolerances that are tried for the distance of the outline from the hexagon, relative to the
-outline's length; and smallest overlap (IoU) of the silhouette with the hexagon."""
+"""Limits for a hexagon that approximates the silhouette.
+
+The first numbers are tolerances, relative to the outline's length, which are tried in turn. The
+last number is the smallest overlap (IoU).
+"""
 YAWS, PITCHES = (20.0, 45.0, 70.0), (-2.0, -25.0, -50.0)
 """View directions from which the fit starts [degrees]; boxes are assumed to be seen from above."""
 MISFIT = 7.0
@@ -54,7 +57,7 @@ class Cuboid:
         half = np.maximum(self.half - DRAWN_IN, self.half / 2)
         area = 8 * (half.prod() / half).sum()
         pitch = float(np.sqrt(area / count))
-        edge = pitch * (4 / 3) ** 0.25  # of the triangles, whose points have the area pitch^2 each
+        edge = pitch * (4 / 3) ** 0.25  # each point of the lattice has the area pitch^2
         points, normals = [], []
         for axis in range(3):
             u, v = (axis + 1) % 3, (axis + 2) % 3
@@ -83,7 +86,7 @@ class Cuboid:
         Args:
             points: Projected points [N,3].
             normals: Unit normals [N,3].
-            seen: Colours that the image has at these points [N,3].
+            seen: Colours of the image at these points [N,3].
         """
         eye = np.array([0.0, 0.0, self.view.distance])
         visible = ((eye - points) * normals).sum(axis=1) > 0
@@ -97,7 +100,7 @@ class Cuboid:
 
 
 def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
-    """Return the box whose outline is a given silhouette [H,W]; None if no box has this outline."""
+    """Return the box with a given silhouette [H,W], or None if there is no such box."""
     corners = _hexagon(object_mask)
     if corners is None:
         return None
@@ -131,20 +134,14 @@ def _hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
 
 
 def _project(values: Field, distance: float) -> Field:
-    """Project a box, given as rotation, log sizes, x and y.
-
-    Return its corners in the image [8,2].
-    """
+    """Return the image positions [8,2] of the corners of a box (rotation, log sizes, x, y)."""
     turn = scipy.spatial.transform.Rotation.from_rotvec(values[:3]).as_matrix()
     points = (CORNERS * np.exp(values[3:6])) @ turn.T + [*values[6:], 0.0]
     return points[:, :2] / (1 - points[:, 2:] / distance)
 
 
 def _fit(corners: Field, yaw: float, pitch: float, distance: float) -> tuple[Field, float] | None:
-    """Fit a box to corners [6,2], starting from a direction.
-
-    Return its parameters and misfit [pixels].
-    """
+    """Fit a box to corners [6,2] from a start direction; return parameters and misfit [pixels]."""
     turn = scipy.spatial.transform.Rotation.from_euler("yx", [yaw, pitch], degrees=True)
     size = np.ptp(corners, axis=0)
     values = np.array([*turn.as_rotvec(), *[np.log(size.mean() / 3.5)] * 3, *corners.mean(axis=0)])

@@ -14,10 +14,11 @@ from phy124.generators.relief.surface import Surface, View
 
 Field = NDArray[np.float64]
 SEEN = 0.7
-"""The height of the plane of a flat end is a weighted mean of two heights. The height of the
-object's front edge, which is the lowest line of the object in the image, has this weight. The
-height of the end's corners has the remaining weight. (If the end consists of separate feet, the
-weight of the front edge is 1.)"""
+"""Weight of the front edge in the height of a flat end.
+
+The front edge is the lowest line of the object in the image. The height of the end's corners has
+the remaining weight. If the end consists of separate feet, the weight of the front edge is 1.
+"""
 STRIP, BLUR = 8, 12.0
 """Height of the strip of the image along an end from which the end's colours are taken, and
 standard deviation of the filter that blurs them [pixels]."""
@@ -41,7 +42,7 @@ class Plane:
     """1 for the bottom of the object, -1 for its top."""
 
     def rows(self, columns: Field, z: Field) -> tuple[Field, NDArray[np.bool_]]:
-        """Return the row of the plane or bevel [N], before projection, and whether it is the bevel.
+        """Return the row [N] of the plane or the bevel, and whether it is the bevel.
 
         Args:
             columns: Columns of the points before projection [N].
@@ -63,7 +64,7 @@ class Plane:
         return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     def includes(self, points: Field, by: float) -> NDArray[np.bool_]:
-        """Whether points before projection [N,3] are inside the plane by at least `by` pixels."""
+        """Return whether points [N,3] are inside the plane by at least `by` pixels."""
         x, y, z = points.T
         return (self.rows(x, z)[0] - y) * self.sign * self.view.k(z) >= by
 

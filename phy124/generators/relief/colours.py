@@ -16,11 +16,15 @@ from phy124.runtime.cores import cores
 
 Field = NDArray[np.float64]
 REACH = 0.2
-"""Depth behind the rim over which the colours change from the mirrored image to the back, relative
-to the image's size."""
+"""Depth behind the rim over which colours change from the mirrored image to the back.
+
+It is relative to the image's size.
+"""
 STRETCH, BLURS = 1.0, (0.0, 1.5, 3.0, 6.0)
-"""Blur of the image where a steep surface stretches it, per unit of stretch, and available levels
-of blur [pixels]."""
+"""Blur of the image per unit of stretch, and available levels of blur [pixels].
+
+Steep surfaces stretch the image.
+"""
 FRINGE = 2.0
 """Width of the silhouette's edge in which colours are ignored [pixels]."""
 
@@ -123,7 +127,7 @@ raised to this power."""
 HIDDEN = 0.02
 """Factor by which the weight of an image is multiplied if the point is hidden in this image."""
 BEHIND = 8.0
-"""A point is hidden if it is farther than this behind the visible surface [pixels]."""
+"""A point is hidden if its distance behind the visible surface exceeds this value [pixels]."""
 CELL = 2.0
 """Size of the cells in which the visibility of points is tested [pixels]."""
 

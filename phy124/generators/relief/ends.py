@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
 MIRRORED = 0.25
-"""Height of the mirror image, relative to the image's height; more height would hardly change the
-object."""
+"""Height of the mirror image, relative to the image's height; a larger value changes little."""
 FLAT = 0.2
 """Smallest width of a flat end, as a fraction of the object's width."""
 ARC = 0.15
@@ -27,14 +26,18 @@ CURVED, STRAIGHT = 4, 2
 """Smallest height of a lower edge that counts as an arc, and largest height of an edge that counts
 as a straight line [pixels]."""
 CORNERED = 0.92
-"""Smallest ratio of the width at the start of the arc to the width twice as high above the end; for
-a ball, this ratio is 0.74."""
+"""Smallest ratio of the width at the start of the arc to the width at twice the height.
+
+For a ball, this ratio is 0.74.
+"""
 RAGGED = 0.03
 """Gaps between the parts of an end are real if they are deeper than this fraction of the end's
 width. Shallower gaps are assumed to be irregularities of the mask."""
 TALL = 0.8
-"""Smallest ratio of the height to the width of the object above a flat end; flatter objects are
-assumed to lie, not to stand."""
+"""Smallest ratio of the height to the width of an object with a flat end.
+
+Flatter objects are assumed to lie, not to stand.
+"""
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class End:
     """A flat end of the object, described by rows of the image, which are counted from the top."""
 
     corner: float
-    """Row at which the sides end and the arc begins; the silhouette is mirrored at this row."""
+    """Row at which the arc begins; the silhouette is mirrored at this row."""
     outermost: float
     """Row at which the arc ends."""
     sign: int
@@ -51,7 +54,7 @@ class End:
     """Whether the end shows the outlines of several round feet instead of a single arc."""
 
     def beyond(self, y: Field, by: float = 0.0) -> NDArray[np.bool_]:
-        """Whether each row lies beyond the end by more than `by` pixels."""
+        """Return whether each row lies beyond the end by more than `by` pixels."""
         return (y - self.outermost) * self.sign > by
 
 
@@ -108,10 +111,10 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
 
 
 def stands(solid: NDArray[np.bool_]) -> bool:
-    """Whether the outline is that of an upright cylinder.
+    """Return whether the outline is that of an upright cylinder.
 
-    Such an outline has arcs at the top and the bottom, and straight lines at the sides. (A lying
-    cylinder has its arcs at the left and right.)
+    Such an outline has arcs at the top and the bottom, and straight lines at the sides. The arcs of
+    a lying cylinder are at the left and right.
     """
     arcs = _arc(solid), _arc(solid[::-1])
     sides = _arc(solid.T), _arc(solid.T[::-1])
@@ -119,12 +122,10 @@ def stands(solid: NDArray[np.bool_]) -> bool:
 
 
 def _arc(solid: NDArray[np.bool_]) -> int:
-    """Return the height, in rows, of the arc at the silhouette's lower end.
+    """Return the height, in rows, of the arc at the lower end; 0 if the end is not flat.
 
-    0 if the end is not flat.
-
-    A flat end has corners. Above the corners of a flat end, the sides are steep, so the width
-    hardly changes.
+    A flat end has corners. The sides above the corners are steep, so the width hardly changes
+    there.
     """
     solid = solid[::-1][np.flatnonzero(solid[::-1].any(axis=1))[0] :]
     widths = np.count_nonzero(solid, axis=1)
@@ -145,18 +146,18 @@ def _widest(row: NDArray[np.bool_]) -> int:
 
 
 def _divides(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether any row of the lower end has more separate runs of pixels than its first row."""
+    """Return whether any row of the lower end has more runs of pixels than the first row."""
     runs = _count_runs(solid, rows)
     return bool(runs.max() > runs[0])
 
 
 def _is_parted(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether any row of the lower end consists of several separate parts, such as two legs."""
+    """Return whether any row of the lower end consists of several parts, such as two legs."""
     return bool(_count_runs(solid, rows).max() > 1)
 
 
 def _count_runs(solid: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
-    """Count the parts in each row of the lower end that are separated by deep gaps."""
+    """Count, in each row of the lower end, the parts that are separated by deep gaps."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     first = last - rows + 1
     depth = round(RAGGED * _widest(solid[first]))
@@ -165,7 +166,7 @@ def _count_runs(solid: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
 
 
 def _rises(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Whether the object above its lower end is at least `TALL` times as high as it is wide."""
+    """Return whether the object is at least `TALL` times as high as it is wide."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     row = solid[last - rows + 1]
     columns = solid[: last - rows + 2, row][::-1]

@@ -1,4 +1,4 @@
-"""Solves Laplace's equation inside a silhouette, whose rim is the contour alpha = 1/2."""
+"""Solves Laplace's equation inside a silhouette. The rim is the contour alpha = 1/2."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 Field = NDArray[np.float64]
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 THETA_MIN = 0.1
-"""Lower bound on the distance to the rim [pixels], which keeps the matrix well conditioned."""
+"""Lower bound of the distance to the rim [pixels]; it keeps the matrix well conditioned."""
 
 
 class Factors:
-    """Sparse LU factors of a matrix, which are computed, used and freed in a thread of their own.
+    """Sparse LU factors of a matrix, which are computed, used and freed in a separate thread.
 
-    The thread is needed because SciPy frees the memory of factors only in the thread that created
-    them.
+    SciPy frees the memory of factors only in the thread that created them.
     """
 
     def __init__(self, matrix: Any) -> None:
@@ -114,7 +113,7 @@ class Silhouette:
             count += np.roll(weight > 0, (dy, dx), (0, 1))
         ghost = count > 0
         outside = np.where(ghost, total / np.maximum(count, 1), 0)
-        # Farther out, only the sign of the result and its direction towards the rim are used.
+        # Farther out, only the sign of the result and the direction of its gradient matter.
         far, nearest = nearest_of(ghost)
         return np.where(self.inside, u, outside[nearest] * (1 + far))
 

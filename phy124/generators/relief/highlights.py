@@ -1,4 +1,4 @@
-"""Removes highlights from an image, because they would be painted on the object and move with it.
+"""Removes highlights from an image; otherwise, the highlights would move with the object.
 
 A highlight is white light that is added to the colour of the surface. It appears as a small spot
 that is brighter than its surroundings by equal amounts of red, green and blue, unless a channel is
@@ -68,7 +68,7 @@ def _white(rgb: NDArray[np.float32], under: NDArray[np.float32]) -> NDArray[np.b
     added, full = rgb - under, rgb > FULL
     light = np.where(full, -np.inf, added).max(axis=2, keepdims=True)
     light = np.where(np.isfinite(light), light, added.max(axis=2, keepdims=True))
-    # In a clipped channel, the added light is known only as a lower bound.
+    # In a clipped channel, only a lower bound of the added light is known.
     apart = np.where(full, np.maximum(added - light, 0), np.abs(added - light)).max(axis=2)
     most = added.max(axis=2)
     coloured = np.ptp(under, axis=2) > COLOURED * np.maximum(under.max(axis=2), 1e-3)

@@ -30,7 +30,7 @@ OUTSIDE = -4.0
 TOLERANCE = 0.25
 """Largest distance of a point from the surface [pixels]."""
 BEYOND = 3
-"""Number of rows that the fields have above the object, and below it."""
+"""Number of extra rows of the fields above the object, and below the object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,13 +89,13 @@ class Hull(Implicit):
         offsets = np.stack(np.meshgrid(*[np.arange(COARSE)] * 3, indexing="ij"), -1).reshape(-1, 3)
         corners = (corners[:, None] + offsets * pitch).reshape(-1, 3)
         points = corners + pitch * rng.random(corners.shape)
-        # If each cube gets one random point, the points within half a pitch of the surface number
-        # one per pitch^2 of its area.
+        # With one random point per cube, there is one point within half a pitch of the surface per
+        # pitch^2 of its area.
         points = self.project(points[self._near(points, pitch / 2)], rounds=4)
         return points[self.is_near(points)]
 
     def is_near(self, points: Field) -> NDArray[np.bool_]:
-        """Whether each point [N,3] is within `TOLERANCE` of the surface."""
+        """Return whether each point [N,3] is within `TOLERANCE` of the surface."""
         value, gradient = self.gradient(points)
         near = np.abs(value) < TOLERANCE * np.linalg.norm(gradient, axis=1)
         return near & (np.abs(points) <= self._reach()).all(axis=1)
@@ -112,10 +112,10 @@ class Hull(Implicit):
         return corners[self._near(corners + size / 2, 1.3 * size)]
 
     def _near(self, points: Field, distance: float) -> NDArray[np.bool_]:
-        """Whether each point [N,3] is within about `distance` of the surface."""
+        """Return whether each point [N,3] is within about `distance` of the surface."""
         value, gradient = self.gradient(points)
         # If the field is r^2 - |p|^2, the distance is value / (r + |p|). Deep inside the object,
-        # the norm of the gradient alone would be too small a divisor.
+        # dividing by the norm of the gradient alone would be inaccurate.
         slope = np.sqrt((gradient**2).sum(axis=1) / 4 + np.abs(value))
         return np.abs(value) <= 2 * distance * slope
 
@@ -145,6 +145,6 @@ def spread_over(
 
     points = settle(hull, points, spacing_at, alive)
     points, spacing = relax(hull, points, spacing_at)
-    is_near = hull.is_near(points)  # this is true for all points except a few
+    is_near = hull.is_near(points)  # almost all points are near the surface
     points, spacing = points[is_near], spacing[is_near]
     return points, hull.normals(points), spacing

@@ -1,10 +1,10 @@
-"""Estimates the light in an image from the shading of the front, to shade the unseen back.
+"""Estimates the light from the shading in an image; the unseen back is shaded with this light.
 
 The brightness of a pixel is modelled as albedo * exp(s . n). Here n is the unit normal of the
-guessed solid, and s is one vector for the whole image. The model is a first-order approximation of
-a Lambertian surface under distant lights (Ramamoorthi, Hanrahan 2001). Pixels of similar hue are
-assumed to have the same albedo. The vector s follows from a robust linear fit to the logarithm of
-the brightness. Since n and the albedo may be correlated, s is reduced towards 0 and limited.
+guessed solid, and s is a constant vector. The model is a first-order approximation of a Lambertian
+surface under distant lights (Ramamoorthi, Hanrahan 2001). Pixels of similar hue are assumed to have
+the same albedo. The vector s follows from a robust linear fit to the logarithm of the brightness.
+Since n and the albedo may be correlated, the fit favours small s, and its length is limited.
 """
 
 from __future__ import annotations
@@ -28,15 +28,23 @@ DARKEST = 0.03
 PRIOR, SAMPLES = 0.3, 60.0
 """Expected length of the light vector s, and number of independent samples in an image."""
 LIMIT, FRONTAL = 0.3, 0.2
-"""Largest length of the part of s across the view, and largest component of s towards the camera.
+"""Largest length of s across the view, and largest component of s towards the camera.
+
 The component towards the camera is not negative, because photographs are rarely lit only from
-behind."""
+behind.
+"""
 CERTAIN = (0.08, 0.16)
-"""Two lengths of s. Below the smaller length, s is ignored, because colours may be the cause of it;
-above the larger length, s is used fully."""
+"""Two lengths of s.
+
+A vector s below the smaller length is ignored, because it may be caused by colours. A vector s
+above the larger length is used fully.
+"""
 THICK = (8.0, 18.0)
-"""Two half thicknesses of the object [pixels]. Below the smaller value, the normals are uncertain,
-so s is ignored; above the larger value, the normals are reliable."""
+"""Two half thicknesses of the object [pixels].
+
+Below the smaller value, the normals are uncertain, and s is ignored. Above the larger value, the
+normals are reliable.
+"""
 ROUNDS = 4
 
 

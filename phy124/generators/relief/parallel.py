@@ -1,9 +1,9 @@
 """Removes the perspective from the front and side images, as if their cameras were at infinity.
 
 In the front image, a row of the object appears larger if it is nearer to the camera. The side image
-shows how near the row at the same height is, and vice versa. The distance of a row is measured at
-the point where the row appears thickest. At a flat end, the distance is measured at the edge that
-is nearer to the camera.
+shows the distance of each row from the front camera, and the front image shows the distance from
+the side camera. The distance is measured where the row is thickest or, at a flat end, at the edge
+nearer to the camera.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Profile:
     """Whether the top is flat, and whether the bottom is flat."""
 
     def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
-        """Return, per row, how near its thickest point and nearest edge are to the other camera.
+        """Return how near each row's thickest point and nearest edge are to the other camera.
 
         Args:
             y: Rows relative to the object's centre [N].
@@ -109,7 +109,7 @@ def match_heights(front: Profile, side: Profile, distance: float) -> tuple[Field
 
 
 def _ends(front: Profile, side: Profile, y: Field) -> NDArray[np.bool_]:
-    """Whether each height [N] is within `END` of a flat end."""
+    """Return whether each height [N] is within `END` of a flat end."""
     reach = (y[-1] - y[0]) * END
     top, bottom = (any(flat) for flat in zip(front.ends, side.ends, strict=True))
     return (top & (y < y[0] + reach)) | (bottom & (y > y[-1] - reach))

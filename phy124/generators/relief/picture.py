@@ -61,8 +61,7 @@ def work_picture(
     scale = scale or WORK / (1 + max(right - left, bottom - top))
     size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))
     # Both filters have no negative lobes, because colours must not overshoot where alpha is clipped
-    # at 1. The Hamming filter is sharper, but tiny images would show their enlarged pixels as
-    # squares.
+    # at 1. The Hamming filter is sharper, but would show the pixels of tiny images as squares.
     sharp, smooth = Image.Resampling.HAMMING, Image.Resampling.BILINEAR
     picture = picture.resize(size, sharp if scale < 2 else smooth)
     rgba = np.asarray(picture, dtype=np.float64) / 255

@@ -51,8 +51,7 @@ def from_sides(
         look: Look of the back if there is no image from behind.
         count: Approximate number of points.
         rng: Random number generator.
-        step: Function that is called with the number of finished steps, also while a step is
-            running.
+        step: Function that is called with the number of finished steps, and also during a step.
 
     Raises:
         InputError: If the silhouettes contradict each other.

@@ -17,8 +17,10 @@ value, neighbours overlap without holes."""
 BACK_REACH = 1.25
 """Factor by which the standard deviation along the surface is multiplied on the back."""
 NORMAL = 0.12
-"""Standard deviation across the surface, relative to the points' spacing; it is small so that the
-outline is sharp."""
+"""Standard deviation across the surface, relative to the points' spacing.
+
+A small value makes the outline sharp.
+"""
 OPACITY = 0.97
 DRAWN_IN = 1.35
 """Depth below the surface at which the centres are placed [pixels]. Gaussians that are seen edge-on

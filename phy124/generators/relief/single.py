@@ -39,11 +39,12 @@ from phy124.generators.relief.solids import (
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
 
 CARD = 0.12
-"""Largest half thickness of an object that counts as a card, relative to the image's size; thicker
-slabs count as blocks."""
+"""Largest half thickness of a card, relative to the image's size; thicker slabs are blocks."""
 BLOCK = 0.8
-"""Largest depth behind the rim of a block over which the colours change from the mirrored image to
-the back, relative to half of the block's depth."""
+"""Largest depth behind a block's rim over which colours change from the mirrored image to the back.
+
+It is relative to half the block's depth.
+"""
 
 Field = NDArray[np.float64]
 Step = Callable[[int], None]
@@ -70,8 +71,7 @@ def from_front(
         picture: Image of the front.
         count: Approximate number of points.
         rng: Random number generator.
-        step: Function that is called with the number of finished steps, also while a step is
-            running.
+        step: Function that is called with the number of finished steps, and also during a step.
         depth: Depth map of the image; if None, the front is inflated like the back.
         back: Image of the object from behind.
         look: Look of the back if there is no image from behind.
@@ -168,10 +168,7 @@ def _points(
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Field, Field, Field, list[Cap]]:
-    """Return points, normals and spacing, for the walls and then the caps.
-
-    And the caps themselves.
-    """
+    """Return points, normals and spacing (first the walls, then the caps), and the caps."""
     points, normals, spacing, pitch = spread(surface, work.ends, count, rng, alive)
     caps = [make_cap(surface, view, end, work.object_mask, pitch) for end in work.ends]
     kept = np.ones(len(points), bool)

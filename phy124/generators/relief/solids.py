@@ -2,9 +2,9 @@
 
 Round parts are as deep as they are wide. The solid is the union of all balls that fit inside, so a
 disc becomes a ball and a limb becomes a cylinder. An object is assumed to be a solid of revolution
-if each row is a single run of pixels about a common axis and the outline has a waist. Each row is
-then as deep as it is wide. A shape with straight edges and without shading is assumed to be a flat
-slab. If there is a depth map, it replaces the guessed shape of the front.
+if the outline has a waist and each row is a single run of pixels, centred on a common axis. Each
+row is then as deep as it is wide. A shape with straight edges and without shading is assumed to be
+a flat slab. If there is a depth map, it replaces the guessed shape of the front.
 """
 
 from __future__ import annotations
@@ -28,33 +28,28 @@ largest width."""
 EVERY = 0.97
 """Smallest fraction of the rows that must match a solid of revolution."""
 WAISTED = 0.97
-"""A silhouette has a waist if the ratio of its area to the area of its convex hull is at most
-this."""
+"""A silhouette has a waist if its area is at most this fraction of its convex hull's area."""
 COMPACT = 1.25
 """Largest ratio of the longer to the shorter side of a convex shape that is assumed to be a solid
 of revolution. Longer shapes may lie on their side, so `stands` must be true for them."""
 OVERHANG = 3.0
-"""Largest ratio of depth to height of a brim; this ratio limits the depth of thin features such as
-wings."""
+"""Largest ratio of depth to height of a brim; it limits the depth of features such as wings."""
 STRAIGHT = 0.98
-"""An outline has straight edges if its overlap (IoU) with a polygon of few corners is at least
-this."""
+"""Smallest overlap (IoU) of an outline with a polygon of few corners if its edges are straight."""
 CORNERS = 12
 BOXED = 0.95
-"""Smallest fraction of its bounding rectangle that a rectangle with rounded corners fills."""
+"""A rectangle with rounded corners fills at least this fraction of its bounding rectangle."""
 ROUNDED = 0.1
 """Radius of the rounded edges of a block, relative to half the block's width."""
 RIM = 3.0
 """Width of the rounded rim of a foot's outline [pixels]."""
 SHADED = 0.1
-"""Smallest change of brightness across a round object that counts as shading, relative to the mean
-brightness."""
+"""Smallest change of brightness across a shaded round object, relative to the mean brightness."""
 FRAME, LEAST_FRAME = 0.2, 4.0
 """Largest width of a frame, relative to half the object's width, and lower bound of this width
 [pixels]."""
 NOISE, ROUNDS = 0.01, 10
-"""Noise of the brightness, relative to the mean brightness; and number of iterations of the fit
-that follows most pixels."""
+"""Noise relative to the mean brightness, and number of iterations of `_fit_most`."""
 
 
 def inflate(
@@ -147,7 +142,7 @@ def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size
     u = silhouette.poisson(4.0)
     ratio = np.clip(wanted / np.maximum(u, 1e-9), low, high)
     width = max(1.0, SMOOTHING * size)
-    # At the rim, both numbers are almost 0, so their ratio is inexact.
+    # At the rim, numerator and denominator are almost 0, so their ratio is inaccurate.
     weight = np.minimum(silhouette.distance, width)
     return u * smooth(ratio, weight, width)
 
@@ -168,7 +163,7 @@ def _balls(silhouette: Silhouette) -> Field:
 
 
 def is_turned(object_mask: NDArray[np.bool_]) -> bool:
-    """Whether a silhouette [H,W] is assumed to be a solid of revolution with a vertical axis."""
+    """Return whether a silhouette [H,W] may be a solid of revolution with a vertical axis."""
     rows = np.flatnonzero(object_mask.any(axis=1))
     low, high = (
         object_mask[rows].argmax(axis=1),
@@ -217,9 +212,7 @@ def _solidity(object_mask: NDArray[np.bool_]) -> float:
 
 
 def _polygonal(object_mask: NDArray[np.bool_]) -> bool:
-    """Whether the outline consists of at most `CORNERS` straight lines, or is a rectangle with
-    rounded corners.
-    """
+    """Return whether the outline is a polygon of few corners or a rounded rectangle."""
     outline = _outline(object_mask)
     width, height = cv2.minAreaRect(outline)[1]
     if np.count_nonzero(object_mask) > BOXED * (width + 1) * (height + 1):
@@ -231,7 +224,7 @@ def _polygonal(object_mask: NDArray[np.bool_]) -> bool:
 
 
 def _is_shaded(picture: Continued, round_: Field) -> bool:
-    """Whether the brightness changes across the object in the same way as on a shaded round object.
+    """Return whether the brightness changes in the same way as on a shaded round object.
 
     A linear function of the round solid's normals is fitted to the brightness. Only the component
     of the normals towards the camera is used; on a round object, it is largest in the middle. On a
@@ -294,7 +287,7 @@ def make_slab(picture: Continued, view: View, thickness: float = 1.0) -> Surface
     inside = picture.alpha > 0.5
     distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
     h = float(distance.max() * aspect**3 * full) * thickness
-    # the front is nearer to the camera than the centre and therefore appears larger
+    # the front appears larger, because it is nearer to the camera than the centre
     h /= 1 + h / view.distance
     # The camera sees the front edges of the walls at the rim, and the front hides the walls behind
     # these edges.
@@ -316,8 +309,7 @@ MIXED_RIM = 8.0
 """Width of the zone along the rim in which depth maps mix the depths of object and background
 [pixels]."""
 PLANE = 0.01
-"""If the standard deviation of the depth is below this fraction of the map's range, the front is
-assumed to be flat."""
+"""The front is flat if the standard deviation of the depth is below this fraction of its range."""
 THINNEST = 2.0
 """Smallest half thickness away from the rim [pixels]."""
 
@@ -344,8 +336,8 @@ def apply_depth(surface: Surface, depth: Field, object_mask: NDArray[np.bool_]) 
     """Replace the front of a surface with a depth map [H,W] in 0..1, in which 1 is nearest.
 
     The scale and the offset of the depth map are unknown. The map is therefore scaled and shifted
-    to the mean and standard deviation of the inflated front, unless the map is flat. The back is
-    unchanged.
+    to have the mean and the standard deviation of the inflated front, unless the map is flat. The
+    back is unchanged.
     """
     far, _ = nearest_of(~object_mask)
     known = far > min(MIXED_RIM / 2, 0.5 * float(far.max()))

@@ -24,8 +24,7 @@ from phy124.kernels import implicit
 from phy124.runtime.cores import cores
 
 VIEW_DISTANCE = 2.0
-"""Distance of the front camera, relative to the object's longest side; this camera sees the
-image."""
+"""Distance of the front camera, which sees the image, relative to the object's longest side."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +72,7 @@ TRIAL = 2.0
 ROUNDS = 6
 """Number of relaxation rounds; after five rounds, the spacing is even to about 10 %."""
 ALIKE = 3
-"""Number of rounds after which the neighbours are searched again, because the search takes most of
-the time."""
+"""The slow search for neighbours is repeated only after this number of rounds."""
 
 
 def smooth(values: Field, weights: NDArray, width: float) -> Field:
@@ -243,7 +241,7 @@ def spread(
 
 
 def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.bool_]:
-    """Whether each point lies between the ends of the object, or at most `by` pixels beyond."""
+    """Return whether each point lies between the object's ends or at most `by` pixels beyond."""
     kept = np.ones(len(points), bool)
     for end in ends:
         kept &= ~end.beyond(points[:, 1], by)
@@ -254,8 +252,8 @@ def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
     """Return random points near the surface, on average one per area of pitch^2 on the front.
 
     Each cube that the surface intersects gets one candidate point. A plane with normal n intersects
-    |nx| + |ny| + |nz| cubes per square. Candidates are therefore dropped at random, so that their
-    number is reduced by this factor.
+    |nx| + |ny| + |nz| cubes per square. Candidates are therefore removed at random, so that their
+    number falls by this factor.
     """
     corner, low, high = _columns(surface.w, pitch)
     first, last = np.floor(low / pitch).astype(int), np.floor(high / pitch).astype(int)
@@ -342,7 +340,7 @@ def relax(
 
 def neighbours(points: Field) -> Neighbours:
     """Return the indices of the seven nearest neighbours of each point [N,7], nearest first."""
-    # this halves the time to build the tree
+    # these options halve the time to build the tree
     tree = scipy.spatial.KDTree(points, leafsize=16, balanced_tree=False)
     near = tree.query(points, k=min(8, len(points)), workers=-1)[1]
     return np.ascontiguousarray(np.asarray(near)[:, 1:], np.int32)

@@ -1,8 +1,8 @@
-"""Turns a 3DGS capture of a real place into an object that stands on the detected floor.
+"""Turns a 3DGS capture of a real place into an object that stands on its floor.
 
-The floor is scenery: it is visible but never moves. The object itself touches the scene's ground,
-which is at the same height. The object's longest side becomes the scene's `object.size`, whatever
-the file's unit.
+The floor is detected in the capture. It is visible but never moves. Contact is computed between the
+object and the scene's ground, which is at the same height as the floor. The object is scaled so
+that its longest side is the scene's `object.size`.
 """
 
 from __future__ import annotations
@@ -29,34 +29,36 @@ from phy124.schema.region import EVERYWHERE, PartRegion
 from phy124.simulation.placing import placing
 
 VISIBLE = 0.1
-"""Smallest opacity of the Gaussians from which the floor is detected."""
+"""The floor is detected from Gaussians with at least this opacity."""
 NEIGHBOURS = 8
 USUAL, LONG = 6.0, 3.0
-"""The distance of a floater to its 8th neighbour is at least the first number times the median of
-this distance, and at least the second number times the floater's own largest standard deviation."""
+"""Two thresholds for the distance from a Gaussian to its eighth neighbour.
+
+A Gaussian is a floater if this distance is at least `USUAL` times the median over all Gaussians and
+at least `LONG` times the Gaussian's largest standard deviation.
+"""
 
 
 @dataclass(frozen=True)
 class Capture:
-    """Gaussians ready to be simulated, with their scene."""
+    """The Gaussians of a capture, ready to be simulated, and their scene."""
 
     gaussians: Gaussians
     """Gaussians of the object, followed by those of the floor."""
     scene: Scene
-    """The scene; the floor is a static part of it, and all regions are in metres."""
+    """The scene. The floor is a static part of the scene, and all regions are in metres."""
     cleaning: list[str]
-    """Sentences about dropped Gaussians."""
+    """Sentences about the Gaussians that were removed."""
     about: dict[str, Any]
     """Entries of the report about the file's rotation and the detected floor."""
     notes: tuple[str, ...] = ()
-    """Sentences about those parts of the file that are ignored or interpreted."""
+    """Sentences about parts of the file that were ignored or that had to be interpreted."""
 
 
 def capture(
     file: PlyFile, scene: Scene, *, count: int | None = None, progress: Progress = silent
 ) -> Capture:
-    """Read a file for a scene, and place the object on its floor if the file's `reading` requests
-    this.
+    """Read Gaussians from a file, and place the object on its floor if there is one.
 
     Args:
         file: The file, and how to interpret it.
@@ -79,8 +81,7 @@ def capture(
 
 
 def adapt_scene(file: PlyFile, scene: Scene, *, count: int | None = None) -> Scene:
-    """Return the scene after the changes of `capture`; the file is read only if the result depends
-    on it.
+    """Return the scene that `capture` would return; the file is read only if necessary.
 
     Raises:
         InputError: The file cannot be read, or no floor is found.
@@ -91,7 +92,7 @@ def adapt_scene(file: PlyFile, scene: Scene, *, count: int | None = None) -> Sce
 
 
 def in_file_units(scene: Scene) -> bool:
-    """Return whether the region of any part is in the units of the object's file."""
+    """Return whether the region of any part is stated in the units of the object's file."""
     return any(part.region and part.region.units == "file" for part in scene.parts)
 
 
@@ -99,12 +100,12 @@ def in_file_units(scene: Scene) -> bool:
 class _Read:
     """Gaussians with the default position and size.
 
-    A position y in the file becomes x = scale * rotation @ (y - origin) + offset.
+    A position y in the file was mapped to x = scale * rotation @ (y - origin) + offset.
     """
 
     gaussians: Gaussians
     count: int
-    """Number of Gaussians of the object; the Gaussians of the floor follow them."""
+    """Number of Gaussians of the object; the Gaussians of the floor come after the object's."""
     rotation: NDArray[np.float64]
     scale: float
     offset: NDArray[np.float64]
@@ -113,7 +114,7 @@ class _Read:
 
 
 def _alone(opened: Opened, name: str) -> _Read:
-    """Return all Gaussians as the object, with no floor."""
+    """Return all Gaussians as the object, without a floor."""
     scale, offset = unit_transform(opened.gaussians, name)
     placed = opened.gaussians.transform(scale, offset)
     about = {"rotation": opened.rotation.tolist(), "floor": None}
@@ -151,9 +152,7 @@ def _on_floor(opened: Opened, *, has_up: bool) -> _Read:
 
 
 def find_floaters(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Return a mask of the floaters [N]: Gaussians that are far from others compared with their
-    size.
-    """
+    """Return a mask [N] of floaters: Gaussians that are small and far from other Gaussians."""
     few = min(NEIGHBOURS, len(gaussians) - 1)
     means = gaussians.means.astype(np.float64)
     near = scipy.spatial.KDTree(means).query(means, few + 1)[0].reshape(len(means), -1)[:, -1]
@@ -173,7 +172,7 @@ def _describe_floor(floor: Floor, opened: Opened, lies: NDArray[np.bool_]) -> di
 
 
 def _with_floor(scene: Scene, read: _Read) -> Scene:
-    """Return the scene; the floor's Gaussians are a static part of it that belongs to no object."""
+    """Return the scene with the floor's Gaussians as a static part that belongs to no object."""
     if read.count == len(read.gaussians):
         return scene
     floor = Part(static=True, surroundings=True, gaussians=(read.count, len(read.gaussians)))
@@ -181,7 +180,7 @@ def _with_floor(scene: Scene, read: _Read) -> Scene:
 
 
 def _in_metres(scene: Scene, read: _Read, origin: tuple[float, float, float]) -> Scene:
-    """Return the scene, with regions in the file's units converted to rotated boxes in metres.
+    """Return the scene after converting regions in the file's units to rotated boxes in metres.
 
     Args:
         scene: The scene.
@@ -207,10 +206,10 @@ def _in_metres(scene: Scene, read: _Read, origin: tuple[float, float, float]) ->
 
 
 def _shift(region: PartRegion, origin: tuple[float, float, float]) -> PartRegion:
-    """Return the region relative to an origin that is in the file's axes and units."""
+    """Return the region relative to `origin`, a position in the file's axes and units."""
     if not any(origin):
         return region
-    # The corners are given in the region's own, rotated axes.
+    # The corners are stated in the rotated axes of the region.
     shift = rotation_matrices(np.array([region.turn]))[0].T @ origin
     ends = {name: tuple(getattr(region, name) - shift) for name in ("lower", "upper")}
     return region.model_copy(update=ends)
@@ -224,7 +223,7 @@ def _region_in_metres(
     number: int,
 ) -> PartRegion:
     """Return the box or cylinder of a part, rotated with the file's axes and shifted, in metres."""
-    # The region's own rotation comes first: rotation @ (scale * turn @ box) + offset.
+    # The rotation `turn` of the region is applied first: rotation @ (scale * turn @ box) + offset.
     both = rotation @ rotation_matrices(np.array([region.turn]))[0]
     corners = scale * np.array([region.lower, region.upper]) + both.T @ offset
     corners = np.clip(corners, -EVERYWHERE, EVERYWHERE)

@@ -1,9 +1,9 @@
-"""Finds the floor: the plane on which most of a captured scene lies, by random sampling (RANSAC).
+"""Finds the floor of a captured scene by random sampling (RANSAC).
 
 Fischler and Bolles 1981, "Random sample consensus": each trial plane passes through three random
-points, and the plane with most points near it is chosen. The chosen plane is then fitted to its
-points by least squares. The scatter of the plane's points determines the distance within which a
-point belongs to the plane.
+points, and the plane with the most points near it is chosen. The chosen plane is then fitted to
+these points by least squares. The scatter of the points around the plane determines which points
+belong to the floor.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ TRIALS = 2000
 SAMPLE = 4000
 """Number of points with which each trial plane is tested."""
 THICKNESS = 0.02
-"""Distance within which points belong to a trial plane, relative to the scene's spread."""
+"""Largest distance of a point that belongs to a trial plane, relative to the scene's spread."""
 SIGMAS = 3.0
-"""Distance within which points belong to the final floor, in standard deviations of its points."""
+"""Largest distance of a point from the final floor, in standard deviations of the distances."""
 MIN_FRACTION = 0.1
-"""Smallest fraction of the points that a floor must contain."""
+"""Smallest fraction of all points that a floor must contain."""
 NEAR = 0.7071
 """Cosine of the largest angle between the floor's normal and a known up direction."""
 
@@ -34,7 +34,7 @@ Vectors = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Floor:
-    """The plane normal . x = offset, and the thickness of the floor's points."""
+    """The plane normal . x = offset, and the thickness of the layer of points around the plane."""
 
     normal: Vectors
     """Unit vector that points up [3]."""
@@ -57,12 +57,12 @@ def find_floor(points: NDArray, up: Vectors | None = None, *, seed: int = 0) -> 
 
     Args:
         points: Centres of the visible Gaussians [N,3].
-        up: Approximate up direction, if known; planes that are too steep, such as walls, are then
-            left out. If it is None, the side of the plane with more points is up.
+        up: Approximate up direction, or None. If it is known, planes that are too steep, such as
+            walls, are rejected. If it is None, up is the side of the plane with more points.
         seed: Seed of the random samples.
 
     Raises:
-        InputError: No plane contains enough points, or the plane is smaller than the object on it.
+        InputError: No plane contains enough points, or the plane is smaller than the object on top.
     """
     x = np.asarray(points, np.float64)
     middle = np.median(x, axis=0)
@@ -93,7 +93,7 @@ def _trials(x: Vectors, up: Vectors | None, rng: np.random.Generator) -> tuple[V
     a, b, c = x[rng.integers(0, len(x), (3, TRIALS))]
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
-    # Three points nearly on a line define no plane.
+    # Three points that lie nearly on a line do not define a plane.
     good = length > 1e-3 * np.linalg.norm(b - a, axis=1) * np.linalg.norm(c - a, axis=1)
     good &= length > 0
     normals = normals[good] / length[good, None]
@@ -109,7 +109,7 @@ def _near(x: Vectors, normal: Vectors, offset: float, tolerance: float) -> int:
 
 
 def _fit(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, float]:
-    """Return the least-squares plane of the points near a plane, and the final distance limit."""
+    """Fit a plane to the points near `(normal, offset)`; return it and the distance limit."""
     tolerance = THICKNESS
     for _ in range(12):
         on = x[np.abs(x @ normal - offset) <= tolerance]
@@ -117,7 +117,7 @@ def _fit(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, fl
         fitted = np.linalg.eigh(np.cov((on - centre).T))[1][:, 0]
         normal = fitted if fitted @ normal > 0 else -fitted
         offset = float(normal @ centre)
-        # The median is not affected by objects that stand on the floor.
+        # Objects that stand on the floor do not affect the median.
         deviation = 1.4826 * float(np.median(np.abs(on @ normal - offset)))
         tolerance = min(max(SIGMAS * deviation, 1e-4), 3 * THICKNESS)
     return normal, offset, tolerance
@@ -136,8 +136,8 @@ def _check(x: Vectors, floor: Floor) -> None:
 
 
 def _spread(x: Vectors) -> float:
-    """Return the median distance from the middle; outliers hardly affect it. The result is 0 if
-    there are no points.
+    """Return the median distance of the points from their middle, or 0 if there are no points.
+    Outliers hardly affect the median.
     """
     return float(np.median(np.linalg.norm(x, axis=1))) if len(x) else 0.0
 

@@ -1,8 +1,8 @@
-"""The first stage of DreamGaussian: fits Gaussians to one image and to a guidance model.
+"""The first stage of DreamGaussian: fits Gaussians to an image and to the guidance's loss.
 
 Tang et al. 2024, "DreamGaussian: Generative Gaussian Splatting for Efficient 3D Content Creation".
-The generator optimises Gaussians for each object and in practice needs a GPU. Results of the
-original program can be read as PLY (docs/guide/plugins.md).
+In practice, this generator needs a GPU. PLY files of the original program can be read as well
+(docs/guide/plugins.md).
 """
 
 from __future__ import annotations
@@ -49,17 +49,16 @@ class Settings:
     points: int = 5000
     ball_radius: float = 0.5
     radius: float = 2.0
-    """Distance of the cameras; at distance 2, the result extends to about +-0.9."""
+    """Distance of the cameras from the origin. At distance 2, the result extends to about +-0.9."""
     known_size: int = 256
-    """Side of the known view [pixels]; 0: no known view."""
+    """Side of the known view [pixels]; 0 if there is no known view."""
     rgb_weight: float = 10_000.0
     alpha_weight: float = 1_000.0
     guidance_weight: float = 1.0
     elevations: tuple[int, int] = (-30, 30)
     """Range of elevations of the guided views [degrees]; positive is below the object."""
     sizes: tuple[int, ...] = (128, 256, 512)
-    """Sides of the guided views [pixels]: in the first 30 % of the steps, up to 60 %, and after
-    that."""
+    """Sides of the guided views [pixels]: first 30 % of the steps, next 30 %, and the rest."""
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
     final_extent: float = 1.0
@@ -79,8 +78,8 @@ WITH_IMAGEDREAM = Settings(
 )
 """The settings of DreamGaussian's imagedream.yaml, for the guidance `MultiView`.
 
-With an empty prompt, the only prompt used in phy124, the original program silently disables the
-guidance; phy124 keeps it enabled.
+phy124 always uses an empty prompt. In this case, the original program switches the guidance off;
+phy124 does not.
 """
 
 
@@ -88,7 +87,7 @@ class DreamGaussian:
     """Turns an image into Gaussians by optimisation.
 
     `guidance` is a function that creates the guidance for an image [3,S,S] over white. By default,
-    the guidance is Zero123 with the weights that `phy124.weights.store` locates.
+    the guidance is Zero123 with the weights of `phy124.weights.store`.
     """
 
     def __init__(
@@ -114,7 +113,7 @@ class DreamGaussian:
     ) -> Gaussians:
         """Make Gaussians of the segmented `image_rgba [H,W,4]`, with a longest side of 1 m.
 
-        `progress` is called before every step; a Cancelled exception that it raises is passed on.
+        `progress` is called before every step. If it raises Cancelled, the exception is passed on.
 
         Raises:
             InputError: If weights are missing, `image_rgba` has no alpha or no opaque pixel, or no
@@ -135,7 +134,7 @@ class DreamGaussian:
         return normalise_size(splats.gaussians(), "DreamGaussian")
 
     def _zero123(self, image: Tensor) -> Guidance:
-        require("zero123", self.weights)  # checked before the imports, which take seconds
+        require("zero123", self.weights)  # checked first: the imports take seconds
         from phy124.generators.neural.dreamgaussian.zero123 import Zero123, load_trained
 
         dtype = torch.float16 if self.device.startswith("cuda") else torch.float32
@@ -177,7 +176,7 @@ def fit(
         loss = _known_loss(splats, settings, ratio, known)
         guided, renderings = _guided_loss(splats, guidance, settings, ratio, draw)
         (loss + settings.guidance_weight * guided).backward()
-        # As in the original program, only the last rendering of a step counts.
+        # Only the last rendering of a step is used, as in the original program.
         if view.start <= step <= view.end:
             pull.add_rendering(renderings[-1])
         splats.step()
@@ -193,7 +192,7 @@ def fit(
 def _known_loss(
     splats: Splats, settings: Settings, ratio: float, known: tuple[Tensor, Tensor] | None
 ) -> Tensor:
-    """Return the loss against the known image, with a weight that grows over time."""
+    """Return the loss against the known image; its weight grows during the optimisation."""
     zero = splats.parameters["xyz"].new_zeros(())
     if known is None or not settings.known_size:
         return zero
@@ -229,10 +228,10 @@ def _guided_loss(
 
 
 def frame_cutout(image_rgba: NDArray[np.uint8], size: int = 256) -> NDArray[np.uint8]:
-    """Centre the cut-out [H,W,4] in a square [size,size,4], as DreamGaussian's process.py does.
+    """Centre an image [H,W,4] in a square [size,size,4], as DreamGaussian's process.py does.
 
-    Unlike LGM's function `frame_cutout`, this function resamples 8-bit values. Colours are
-    multiplied by alpha, as in the output of rembg.
+    Unlike the function of LGM, this function resamples 8-bit values. Colours are multiplied by
+    alpha, as in the output of rembg.
 
     Raises:
         InputError: If there is no alpha channel or nothing is opaque.

@@ -1,4 +1,4 @@
-"""Guidance for DreamGaussian: score distillation, a loss for the unseen sides.
+"""Guidance for DreamGaussian: score distillation, a loss for sides that the image does not show.
 
 Poole et al. 2023, "DreamFusion": noise is added to images, a diffusion model predicts the noise,
 and the difference is the gradient. A guidance is any callable with the signature of `Guidance`.
@@ -15,8 +15,7 @@ from torch import Tensor
 STEPS = 1000
 T_MIN, T_MAX = 20, 980
 BETAS = (0.00085, 0.012)
-"""First and last beta of Stable Diffusion's schedule, in which the square root of beta is
-linear."""
+"""First and last beta of Stable Diffusion's schedule; the square root of beta varies linearly."""
 
 
 class Pose(NamedTuple):
@@ -30,19 +29,19 @@ class Pose(NamedTuple):
 
 
 class Guidance(Protocol):
-    """Computes a loss for `views` images at a time; if `views` is 4, they are 90 degrees apart."""
+    """Computes a loss for `views` images at a time; four images are 90 degrees apart."""
 
     views: int
 
     def __call__(
         self, images: Tensor, poses: Sequence[Pose], ratio: float, draw: torch.Generator
     ) -> Tensor:
-        """Return the loss (a scalar) of `images [B,3,S,S]` in 0..1 seen from `poses`.
+        """Return the loss (a scalar) of rendered images.
 
         Args:
-            images: The images.
+            images: The images [B,3,S,S], 0..1.
             poses: Camera poses of the images.
-            ratio: Progress of the optimisation, 0..1; the noise level falls with it.
+            ratio: Progress of the optimisation, 0..1; the noise level falls as the progress rises.
             draw: Random number generator for normal samples.
         """
         ...
@@ -54,14 +53,14 @@ def timestep(ratio: float) -> int:
 
 
 def alphas_cumprod() -> Tensor:
-    """Return the remaining fraction of signal at each of 1000 noise levels, float64 [1000]."""
+    """Return the fraction [1000] of the signal that remains at each of 1000 noise levels."""
     first, last = (beta**0.5 for beta in BETAS)
     betas = torch.linspace(first, last, STEPS, dtype=torch.float64) ** 2
     return torch.cumprod(1 - betas, dim=0)
 
 
 def add_noise(latents: Tensor, noise: Tensor, level: int) -> Tensor:
-    """Add noise to latents, at one noise level; the latents' variance stays 1."""
+    """Add noise to latents at one noise level; latents of variance 1 keep this variance."""
     alpha = float(alphas_cumprod()[level])
     return alpha**0.5 * latents + (1 - alpha) ** 0.5 * noise
 

@@ -1,7 +1,7 @@
 """Guidance by ImageDream: score distillation for four views at a time, 90 degrees apart.
 
-Wang & Shi 2023, "ImageDream". As in DreamGaussian's program, the noise difference has weight 1, and
-the loss is divided by the number of views.
+Wang & Shi 2023, "ImageDream". The noise difference has weight 1, and the loss is divided by the
+number of views, as in DreamGaussian's program.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class MultiView:
         rows = [pose_row(pose.elevation, pose.azimuth) for pose in poses]
         cameras = torch.tensor([*rows, [0.0] * 16]).to(self.condition.cameras)
         condition = replace(self.condition, cameras=cameras)
-        # The U-Net replaces the fifth frame by the image; the noise of this frame is not used.
+        # The U-Net replaces the fifth frame by the image; the noise predicted for it is not used.
         frames = torch.cat([latents, self.condition.latents])
         return predict_guided(self.unet, frames, torch.tensor(level), condition, self.guidance)[
             : self.views

@@ -1,4 +1,4 @@
-"""The Gaussians that DreamGaussian optimises: raw parameters and their Adam optimiser.
+"""The Gaussians that DreamGaussian optimises: parameters and their Adam optimiser.
 
 Kerbl et al. 2023, "3D Gaussian Splatting", section 5, with the learning rates of Tang et al. 2024,
 "DreamGaussian". Colours do not depend on the direction (spherical harmonics of degree 0).
@@ -22,13 +22,13 @@ Parameters = dict[str, Tensor]
 """xyz [N,3]; f_dc [N,1,3] harmonics; opacity [N,1] logits; scaling [N,3] logs; rotation [N,4]."""
 NEIGHBOURS = 3
 SMALLEST = 1e-7
-"""Lower bound of the mean squared distance to neighbours, which keeps its logarithm finite."""
+"""Lower bound of the mean squared distance to neighbours; it keeps the logarithm finite."""
 START_OPACITY = 0.1
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates of Adam; that of the centres decreases from `xyz` to `xyz_last`."""
+    """Learning rates of Adam; the rate of the centres decreases from `xyz` to `xyz_last`."""
 
     xyz: float = 0.01
     xyz_last: float = 0.0002
@@ -61,9 +61,7 @@ class Splats:
 
     @classmethod
     def from_points(cls, points: Tensor, colors: Tensor, rates: Rates | None = None) -> Splats:
-        """Create spheres at `points [N,3]`, as wide as the neighbours' distance; colours 0..1
-        [N,3].
-        """
+        """Create spherical Gaussians whose scales are the mean distances to neighbours."""
         n = len(points)
         mean = neighbour_distances(points).clamp(min=SMALLEST)
         parameters = {
@@ -99,13 +97,13 @@ class Splats:
         )
 
     def set_step(self, step: int) -> None:
-        """Set the centres' learning rate for this step."""
+        """Set the learning rate of the centres for a step."""
         for group in self.optimizer.param_groups:
             if group["name"] == "xyz":
                 group["lr"] = self.rates.position(step)
 
     def step(self) -> None:
-        """Take one step of Adam with the current gradients, and clear them."""
+        """Take one step of Adam with the current gradients, then clear the gradients."""
         self.optimizer.step()
         self.optimizer.zero_grad()
 
@@ -130,7 +128,7 @@ class Splats:
         self._replace({name: (value, torch.zeros_like)})
 
     def _replace(self, changes: dict) -> None:
-        """Replace parameters in Adam; `changes`: name -> (value, function of each moment)."""
+        """Replace parameters in Adam; `changes[name]` is (value, function of each moment)."""
         for group in self.optimizer.param_groups:
             if group["name"] not in changes:
                 continue
@@ -156,7 +154,7 @@ class Splats:
 
 
 def neighbour_distances(points: Tensor) -> Tensor:
-    """Return for each point [N,3] the mean squared distance to its three nearest neighbours [N]."""
+    """Return the mean squared distance [N] of each point to its three nearest neighbours."""
     squared = torch.cdist(points, points).square().fill_diagonal_(math.inf)
     return squared.topk(min(NEIGHBOURS, len(points) - 1), largest=False).values.mean(dim=1)
 
@@ -172,9 +170,9 @@ def ball(count: int, radius: float, draw: torch.Generator) -> Tensor:
 
 CHILDREN = 2
 SHRINK = 0.8 * CHILDREN
-"""Ratio of a parent's scales to those of its children after a split."""
+"""Ratio of a Gaussian's scales to the scales of the two Gaussians that replace it in a split."""
 TOO_LARGE = 0.1
-"""Largest scale divided by the extent; larger Gaussians are removed."""
+"""Gaussians are removed if their largest scale, divided by the extent, exceeds this value."""
 RESET = 0.01
 Draw = Callable[[Tensor], Tensor]
 """Function that maps standard deviations [M,3] to normal samples [M,3]."""
@@ -192,14 +190,14 @@ class Density:
     extent: float = 4.0
     """Size of the scene."""
     percent_dense: float = 0.01
-    """Up to this scale, divided by the extent, Gaussians are cloned; larger ones are split."""
+    """Largest scale, divided by the extent, of Gaussians that are cloned; larger ones are split."""
     opacity_min: float = 0.01
     reset_every: int = 700
-    """Steps between resets of the opacity; no reset happens within the default 500 steps."""
+    """Number of steps between resets of the opacity; there is no reset in the default 500 steps."""
 
 
 class Pull:
-    """Mean screen gradient of each Gaussian over the renderings that were added."""
+    """Mean screen gradient of each Gaussian over several renderings."""
 
     def __init__(self, count: int, device: torch.device | str = "cpu") -> None:
         self.total = torch.zeros(count, device=device)
@@ -212,7 +210,7 @@ class Pull:
         self.seen += visible
 
     def add_rendering(self, rendering: Rendering) -> None:
-        """Add the gradients of a rendering after the backward pass."""
+        """Add the gradients of a rendering; call this method after the backward pass."""
         self.add(rendering.screen_gradients(), rendering.radii > 0)
 
     @property
@@ -222,7 +220,7 @@ class Pull:
 
 
 def normal_draw(generator: torch.Generator) -> Draw:
-    """Return a function that draws normal samples on the CPU, so that devices do not differ."""
+    """Return a function that draws normal samples on the CPU, equal for all devices."""
     return lambda std: std * torch.randn(std.shape, generator=generator).to(std)
 
 
@@ -246,7 +244,7 @@ def densify(splats: Splats, pull: Tensor, density: Density, draw: Draw) -> None:
 
 
 def _split(splats: Splats, mask: Tensor, draw: Draw) -> None:
-    """Replace each Gaussian in `mask [N]` by two smaller Gaussians."""
+    """Replace each Gaussian where `mask [N]` is true by two smaller Gaussians."""
     parents = {
         k: v[mask].repeat(CHILDREN, *[1] * (v.ndim - 1)) for k, v in splats.parameters.items()
     }
@@ -267,5 +265,5 @@ def prune(splats: Splats, *, opacity_min: float, extent: float) -> None:
 
 @torch.no_grad()
 def reset_opacity(splats: Splats) -> None:
-    """Cap all opacities at `RESET`; the optimisation then raises the opacities that images need."""
+    """Limit all opacities to `RESET`; the optimisation then raises opacities again where needed."""
     splats.overwrite("opacity", torch.logit(splats.opacities.clamp(max=RESET))[:, None])

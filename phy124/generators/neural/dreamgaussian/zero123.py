@@ -1,6 +1,6 @@
 """Guidance by Zero123: a diffusion model that predicts the view from a relative camera pose.
 
-Liu et al. 2023, "Zero-1-to-3"; weights in the layout of diffusers.
+Liu et al. 2023, "Zero-1-to-3". The weight files have the layout of diffusers.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class CameraProjection(nn.Module):
 def pose_embedding(poses: Sequence[Pose], *, stable: bool = False, elevation: float = 0) -> Tensor:
     """Return relative poses [B,1,4]: elevation, sine and cosine of the azimuth, radius.
 
-    Stable Zero123 expects, in place of the radius, the polar angle of the known view, whose
-    elevation is `elevation` degrees.
+    For Stable Zero123, the radius is replaced by the polar angle of the known view, which follows
+    from `elevation` [degrees].
     """
     rows = [
         (
@@ -72,7 +72,7 @@ def pose_embedding(poses: Sequence[Pose], *, stable: bool = False, elevation: fl
 
 
 class Zero123:
-    """Score distillation for a single known image; tests may pass in their own networks."""
+    """Score distillation for a single known image."""
 
     views = 1
 
@@ -101,7 +101,7 @@ class Zero123:
         with torch.no_grad():
             pixels = encoders.clip_pixels(image)[None].to(self.place)
             self.embedding = networks["vision"](pixels).image_embeds[:, None]
-            # Not scaled, unlike the latents that are denoised.
+            # These latents are not scaled, unlike the latents that are denoised.
             self.latents = self._latents(image[None], torch.Generator().manual_seed(0))
             self.latents = self.latents / self.vae.config.scaling_factor
 
@@ -123,7 +123,7 @@ class Zero123:
         return (posterior.mean + posterior.std * noise) * self.vae.config.scaling_factor
 
     def _noise(self, latents: Tensor, level: int, poses: Sequence[Pose]) -> Tensor:
-        """Return the guided noise; the first half of the batch is conditioned on the image."""
+        """Return the noise predicted with classifier-free guidance."""
         count = len(latents)
         pose = pose_embedding(poses, stable=self.stable, elevation=self.elevation).to(self.place)
         context = self.projection(torch.cat([self.embedding.expand(count, -1, -1), pose], dim=-1))
@@ -158,7 +158,7 @@ def vision(path: Path | None = None, **changes: Any) -> CLIPVisionModelWithProje
 def load_trained(
     weights: str | os.PathLike[str] | None, device: str, dtype: torch.dtype
 ) -> dict[str, Any]:
-    """Load the public networks, by the names that `Zero123` uses.
+    """Load the public networks; return them by the names that `Zero123` uses.
 
     Raises:
         InputError: If a file is missing.
@@ -172,5 +172,5 @@ def load_trained(
             CameraProjection, files["clip_camera_projection"], "", "Zero123's camera projection"
         ),
     }
-    # diffusers' own `to` is bypassed: it warns about mixed precision, which does not occur here.
+    # diffusers' method `to` would warn about mixed precision, which does not occur here.
     return {k: nn.Module.to(n, device=device, dtype=dtype) for k, n in networks.items()}

@@ -1,7 +1,7 @@
 """Attention layers of the multi-view U-Net: over all frames, to the text, and to the image.
 
 Shi et al. 2023, "MVDream", section 3.1; Wang & Shi 2023, "ImageDream", section 3.2. Submodules have
-the names of the public checkpoints.
+the same names as in the public checkpoints.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ class CrossAttention(nn.Module):
     """Multi-head attention from x [B,L,C] to a context [B,M,D], or to x itself.
 
     If `picture_tokens` > 0, the last `picture_tokens` tokens of the context come from the image and
-    have separate keys and values. The results for text and image are added; the image's result is
-    multiplied by `picture_weight`.
+    have separate keys and values. The attention to text and the attention to the image, multiplied
+    by `picture_weight`, are added.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class CrossAttention(nn.Module):
 
 
 class Geglu(nn.Module):
-    """Linear layer with GEGLU activation: half of its outputs gate the other half."""
+    """Linear layer with GEGLU activation: one half of the outputs gates the other half."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -83,7 +83,7 @@ class FeedForward(nn.Module):
 
 
 class TransformerBlock(nn.Module):
-    """Attention over all frames, attention to the context per frame, feed-forward."""
+    """Attention over all frames, attention from each frame to the context, then feed-forward."""
 
     def __init__(
         self, channels: int, context: int, heads: int, picture_tokens: int, picture_weight: float
@@ -138,7 +138,7 @@ class SpatialTransformer(nn.Module):
 
 
 class ResBlock(nn.Module):
-    """Two convolutions, between which the embedding of time and camera [B*F,E] is added."""
+    """Two convolutions; the embedding [B*F,E] of time and camera is added between them."""
 
     def __init__(self, inputs: int, outputs: int, embedding: int) -> None:
         super().__init__()
@@ -186,9 +186,7 @@ class Upsample(nn.Module):
 
 
 class Stage(nn.ModuleList):
-    """Layers in sequence. Each layer gets only the inputs that it needs (embedding, context,
-    frames).
-    """
+    """A sequence of layers; each layer is called with only the inputs that it needs."""
 
     def __init__(self, *layers: nn.Module) -> None:
         super().__init__(layers)

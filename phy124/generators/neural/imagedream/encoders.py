@@ -1,8 +1,8 @@
-"""The frozen networks of ImageDream, apart from its U-Net: text and image encoder, autoencoder.
+"""The text encoder, the image encoder and the autoencoder of ImageDream.
 
-The architectures of these networks come from transformers (CLIP) and diffusers (VAE). The sizes,
-which are those of Stable Diffusion 2.1 and CLIP ViT-H/14, are stated here, so that only weight
-files are needed, and no config files.
+The architectures of these networks come from transformers (CLIP) and diffusers (VAE). The sizes are
+those of Stable Diffusion 2.1 and CLIP ViT-H/14. They are stated here, so that no configuration
+files are needed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ HEADS, HEAD_WIDTH = 12, 64
 
 
 class PerceiverAttention(nn.Module):
-    """Attention from latents [B,K,C] to the image's tokens and to the latents themselves."""
+    """Attention from latents [B,K,C] to the image tokens and to the latents themselves."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -40,8 +40,8 @@ class PerceiverAttention(nn.Module):
         x, latents = self.norm1(x), self.norm2(latents)
         k, v = self.to_kv(torch.cat([x, latents], dim=1)).chunk(2, dim=-1)
         q, k, v = (t.unflatten(-1, (HEADS, -1)).transpose(1, 2) for t in (self.to_q(latents), k, v))
-        # Half precision would overflow. To avoid this, queries and keys are each multiplied by the
-        # square root of the scale, and the softmax is computed in float32.
+        # To avoid an overflow in half precision, queries and keys are both multiplied by the square
+        # root of the scale, and the softmax is computed in float32.
         scale = HEAD_WIDTH**-0.25
         weights = ((q * scale) @ (k * scale).transpose(-2, -1)).float().softmax(dim=-1).to(v.dtype)
         return self.to_out((weights @ v).transpose(1, 2).flatten(2))
@@ -71,7 +71,7 @@ class Resampler(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """Start from learnt latents, and attend to the image's tokens `depth` times."""
+        """Start from learnt latents, and let them attend to the image tokens `depth` times."""
         latents = self.latents.expand(len(x), -1, -1)
         x = self.proj_in(x)
         for layer in self.layers:
@@ -107,9 +107,12 @@ VISION: dict[str, Any] = {
     "patch_size": 14,
 }
 EMPTY_PROMPT = (49406, 49407, *([0] * 75))
-"""Tokens of the prompt '': start, end, padding. No other prompt is used: no tokenizer is needed."""
+"""Tokens of the empty prompt: start, end, padding.
+
+No other prompt is used, so no tokenizer is needed.
+"""
 SPARE = ("position_ids", "visual_projection.weight", "text_projection.weight", "logit_scale")
-"""Tensors for other uses of CLIP that some files contain."""
+"""Tensors of some CLIP files that ImageDream does not need."""
 CLIP_SIZE = 224
 CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
 CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
@@ -137,8 +140,8 @@ def image_encoder(path: Path | None = None, **changes: Any) -> CLIPVisionModel:
 def build_filled(build: Callable[[], Any], path: Path | None, prefix: str, name: str) -> Any:
     """Build a network and, if `path` is set, load its weights in the file's precision.
 
-    Missing or extra tensors are an error. Names in the files begin with `prefix`; in memory, they
-    have no prefix in transformers 5, but keep it in older releases.
+    Missing or unknown tensors raise an error. The names in the files begin with `prefix`. In
+    memory, the names have this prefix only before transformers 5.
 
     Args:
         build: Function that creates the network.
@@ -159,7 +162,7 @@ def build_filled(build: Callable[[], Any], path: Path | None, prefix: str, name:
     fill(network, {k: v for k, v in tensors.items() if not k.endswith(SPARE)}, name)
     for module in network.modules():
         for key, buffer in module.named_buffers(recurse=False):
-            if buffer.is_meta:  # position_ids, which current files do not contain
+            if buffer.is_meta:  # a buffer of older versions, which current files do not contain
                 positions = torch.arange(buffer.shape[-1])[None]
                 module.register_buffer(key, positions, persistent=False)
     return network.eval().requires_grad_(False)
@@ -174,13 +177,13 @@ def empty_prompt(encoder: CLIPTextModel) -> Tensor:
 
 @torch.inference_mode()
 def picture_tokens(encoder: CLIPVisionModel, image: Tensor) -> Tensor:
-    """Return tokens [1,257,1280] of `image [3,H,W]` in 0..1: the next-to-last layer, raw."""
+    """Return CLIP's image tokens [1,257,1280]: the next-to-last layer's output, not normalised."""
     pixels = clip_pixels(image)[None].to(encoder.device, encoder.dtype)
     return encoder(pixels, output_hidden_states=True).hidden_states[-2]
 
 
 def clip_pixels(image: Tensor, size: int = CLIP_SIZE) -> Tensor:
-    """Return CLIP's input [3,S,S] for `image [3,H,W]` in 0..1: bicubic, cropped, normalised."""
+    """Resize `image [3,H,W]`, crop and normalise it for CLIP; return the result [3,S,S]."""
     pixels = (image.permute(1, 2, 0).cpu().float().numpy() * 255).astype(np.uint8)
     height, width = pixels.shape[:2]
     scale = size / min(height, width)

@@ -1,7 +1,7 @@
-"""Sampling of ImageDream: one image to four views of its object.
+"""ImageDream's sampling: makes four views of an object from one image.
 
 Wang & Shi 2023, "ImageDream"; classifier-free guidance (Ho & Salimans 2022). A fifth frame contains
-the image itself. The fifth frame is denoised like the four views, and LGM drops the fifth frame.
+the image itself. This frame is denoised like the four views, but LGM does not use it.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ SCHEDULE = {**NOISE, "clip_sample": False, "set_alpha_to_one": False}
 
 
 def scheduler_of(sampler: Sampler, steps: int) -> Any:
-    """Return a diffusers scheduler that is set to a number of steps."""
+    """Return a diffusers scheduler for a number of steps."""
     if sampler == "ddim":
         scheduler: Any = DDIMScheduler(**SCHEDULE)
     else:
-        # Its last step ends at the same low noise level as DDIM's last step.
+        # This setting ends at the same low noise level as DDIM.
         scheduler = DPMSolverMultistepScheduler(
             **{**NOISE, "timestep_spacing": "linspace"},
             use_lu_lambdas=True,
@@ -61,23 +61,24 @@ AZIMUTHS = (0, 90, 180, 270)
 
 
 def cameras(elevation: float = 0.0) -> NDArray[np.float32]:
-    """Return camera-to-world transforms of the four views, and zeros for the image's frame [5,16].
+    """Return the camera-to-world transforms [5,16] of the four views; the image's row is zero.
 
-    Transforms are flattened row by row. As in all these networks, a positive elevation [degrees] is
-    below the object.
+    Transforms are flattened row by row. A camera with a positive elevation [degrees] is below the
+    object.
     """
     rows = [pose_row(elevation, azimuth) for azimuth in AZIMUTHS]
     return np.array([*rows, [0.0] * 16], dtype=np.float32)
 
 
 def pose_row(elevation: float, azimuth: float) -> list[float]:
-    """Return a camera-to-world transform at distance 1 as 16 numbers, for a world with z up."""
+    """Return the camera-to-world transform (16 numbers) of a camera at distance 1; z is up."""
     pose = orbit(elevation, azimuth, 1.0)[[0, 2, 1, 3]]
     return (pose * np.array([1.0, -1.0, 1.0, 1.0])[:, None]).reshape(16).tolist()
 
 
 SPARE_UNETS = 2.0
-"""The image encoder is kept if more than this multiple of the U-Net's size is free in memory."""
+"""The image encoder stays in memory if the free memory exceeds this multiple of the U-Net's size.
+"""
 FRAMES = 5
 """Number of frames: four views and the image."""
 SIZE = 256
@@ -86,10 +87,10 @@ SIZE = 256
 
 @dataclass(frozen=True)
 class Condition:
-    """Conditions of the noise prediction, for the passes without and with the image."""
+    """Conditions for predicting the noise without and with the image."""
 
     text: Tensor
-    """Text tokens [2,77,D]: negative prompt, prompt."""
+    """Text tokens [2,77,D] of the negative prompt and of the prompt."""
     tokens: Tensor
     """Image tokens [1,257,1280]; the pass without the image uses zeros."""
     latents: Tensor
@@ -120,9 +121,8 @@ class Parts(Protocol):
 class TrainedParts:
     """Loads the public networks: the encoders first, and the U-Net when it is needed.
 
-    The image encoder is kept for the next image if it fits into memory together with the U-Net.
-    If memory does not suffice, the image encoder is released after use. The text is always the same
-    and is encoded once.
+    If memory suffices, the image encoder is kept for the next image; if not, it is released after
+    use. The prompt is always empty, so it is encoded only once.
     """
 
     def __init__(
@@ -197,9 +197,9 @@ class ImageDream:
     def __call__(self, image: Tensor, *, seed: int = 0, progress: Progress = silent) -> Tensor:
         """Return views [5,3,256,256] in 0..1 of the object in `image [3,H,W]` over white.
 
-        The views are at azimuths 0, 90, 180 and 270 degrees; the fifth is the image. Equal seeds
-        give equal views on every device, up to rounding. `progress` is called before each step and
-        may raise an exception to cancel.
+        The azimuths of the first four views are 0, 90, 180 and 270 degrees; the fifth view is the
+        image. Equal seeds give equal views on every device, up to rounding. `progress` is called
+        before each step; it may raise an exception to cancel the call.
         """
         progress("imagedream", 0, self.steps)
         if self.parts is None:
@@ -237,7 +237,7 @@ def look(
 
 
 def encode(vae: Any, image: Tensor, draw: torch.Generator | None = None) -> Tensor:
-    """Return latents [1,4,32,32] of `image [3,H,W]` in 0..1: a scaled sample of the posterior."""
+    """Return the latents [1,4,32,32] of `image [3,H,W]`: a scaled sample of the posterior."""
     square = interpolate(image[None], (SIZE, SIZE), mode="bilinear", align_corners=False)
     posterior = vae.encode(2 * square - 1).latent_dist
     noise = torch.randn(posterior.mean.shape, generator=draw).to(posterior.mean)
@@ -245,7 +245,7 @@ def encode(vae: Any, image: Tensor, draw: torch.Generator | None = None) -> Tens
 
 
 def decode(vae: Any, latents: Tensor) -> Tensor:
-    """Decode latents [F,4,h,w] to images [F,3,H,W] in 0..1, one at a time to save memory."""
+    """Decode latents [F,4,h,w] to images [F,3,H,W] in 0..1, one by one to save memory."""
     pictures = [vae.decode(z[None] / vae.config.scaling_factor).sample[0] for z in latents]
     return (torch.stack(pictures) / 2 + 0.5).clamp(0, 1)
 
@@ -279,9 +279,9 @@ def denoise(
 def predict_guided(
     unet: Any, latents: Tensor, t: Tensor, condition: Condition, guidance: float
 ) -> Tensor:
-    """Return the noise [5,4,h,w] by classifier-free guidance, with and without the image.
+    """Predict the noise [5,4,h,w] by classifier-free guidance.
 
-    The result is extrapolated from the prediction without the image through the one with it.
+    The result is extrapolated from two predictions, without and with the image.
 
     Args:
         unet: Network that predicts the noise.
@@ -295,7 +295,7 @@ def predict_guided(
 
 
 def predict(unet: Any, latents: Tensor, t: Tensor, condition: Condition) -> Tensor:
-    """Predict the noise [10,4,h,w]: of five frames without the image, then of five with it.
+    """Predict the noise [10,4,h,w] of five frames without the image, then with the image.
 
     Args:
         unet: Network that predicts the noise.

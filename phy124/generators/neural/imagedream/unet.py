@@ -1,4 +1,4 @@
-"""The multi-view U-Net of ImageDream; without image condition, it is that of MVDream.
+"""The multi-view U-Net of ImageDream; without an image condition, it equals the U-Net of MVDream.
 
 The network is a latent diffusion U-Net (Rombach et al. 2022). The self-attention spans all views of
 an object, and the time embedding includes each view's camera. Wang & Shi 2023, "ImageDream"; Shi et
@@ -36,7 +36,7 @@ ORIGINAL_PREFIX = "model.diffusion_model."
 
 @dataclass(frozen=True)
 class Config:
-    """Sizes of the network; defaults are ImageDream's, names are those of its config.json."""
+    """Sizes of the network; the names and default values are those of ImageDream's config.json."""
 
     in_channels: int = 4
     out_channels: int = 4
@@ -53,13 +53,13 @@ class Config:
     """Number of image tokens; 0 for MVDream."""
     ip_weight: float = 1.0
     image_size: int = 32
-    """Side of the latents in training; has no effect."""
+    """Side of the latents during training; this setting has no effect."""
     use_checkpoint: bool = False
-    """Whether training recomputes activations; has no effect."""
+    """Whether activations are recomputed during training; this setting has no effect."""
 
 
 class MultiViewUNet(nn.Module):
-    """Predicts the noise in the latents of F views of each object: [B*F,4,h,w] to the same."""
+    """Predicts the noise in the latents [B*F,4,h,w] of F views of each object."""
 
     def __init__(self, config: Config) -> None:
         super().__init__()
@@ -101,7 +101,7 @@ class MultiViewUNet(nn.Module):
         return layers
 
     def _build_inputs(self, embedding: int) -> tuple[int, list[int]]:
-        """Append the descending stages; return the last width and the widths of all skips."""
+        """Append the downsampling stages; return the last width and the widths of all skips."""
         c = self.config
         channels, skips = c.model_channels, [c.model_channels]
         for level, factor in enumerate(c.channel_mult):
@@ -116,7 +116,7 @@ class MultiViewUNet(nn.Module):
         return channels, skips
 
     def _build_outputs(self, channels: int, skips: list[int], embedding: int) -> int:
-        """Append the ascending stages; return the last width."""
+        """Append the upsampling stages; return the last width."""
         c = self.config
         for level in reversed(range(len(c.channel_mult))):
             for i in range(c.num_res_blocks + 1):
@@ -144,7 +144,7 @@ class MultiViewUNet(nn.Module):
             x: Latents [B*F,4,h,w]; the views of an object are adjacent.
             timesteps: Noise levels [B*F], 0 to 999.
             context: Text tokens [B*F,77,context_dim].
-            num_frames: Number of frames F, including the image's frame if `ip` is set.
+            num_frames: Number of frames F, including the frame of the image if `ip` is set.
             camera: Camera-to-world transforms [B*F,16], row by row; zeros for the image's frame.
             ip: CLIP tokens of the image [B*F,257,1280].
             ip_img: Latents of the image [B,4,h,w], which replace each object's last frame.
@@ -169,14 +169,14 @@ class MultiViewUNet(nn.Module):
 
 
 def with_picture(x: Tensor, ip_img: Tensor, num_frames: int) -> Tensor:
-    """Return `x [B*F,4,h,w]` with each object's last frame replaced by `ip_img [B,4,h,w]`."""
+    """Return `x [B*F,4,h,w]`, but replace the last frame of each object by `ip_img [B,4,h,w]`."""
     x = x.clone()
     x[num_frames - 1 :: num_frames] = ip_img.to(x.dtype)
     return x
 
 
 def timestep_embedding(timesteps: Tensor, width: int) -> Tensor:
-    """Return sinusoids [N,width] of `timesteps [N]`: cosines, then sines, float32."""
+    """Return the sinusoidal embedding [N,width] of `timesteps [N]`: cosines, then sines."""
     half = width // 2
     steps = torch.arange(half, dtype=torch.float32, device=timesteps.device)
     angles = timesteps[:, None].float() * torch.exp(-math.log(10000) * steps / half)
@@ -194,16 +194,16 @@ def load_unet(
     dtype: torch.dtype = torch.float32,
     **config: Any,
 ) -> MultiViewUNet:
-    """Build the network and load its weights; missing or extra tensors are an error.
+    """Build the network and load its weights; raise an error if tensors are missing or unknown.
 
-    Names may be those of the diffusers repository or of the authors' checkpoint. Tensors without an
-    image condition are loaded as MVDream.
+    The tensors may be named as in the diffusers repository or as in the authors' checkpoint. If the
+    tensors of the image condition are missing, the network is MVDream's.
 
     Args:
         state_dict_or_path: Tensors by name, or a file of tensors.
         device: Device of the network.
         dtype: Precision of the network.
-        **config: Fields of `Config` that differ from ImageDream's.
+        **config: Fields of `Config` that differ from the default values.
 
     Raises:
         InputError: If a field is unknown or the tensors do not fit this network.

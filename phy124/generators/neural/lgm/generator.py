@@ -1,4 +1,4 @@
-"""The generator LGM: from a segmented image to four views, and from these to Gaussians.
+"""The generator LGM: makes four views from a segmented image, and Gaussians from the views.
 
 Tang et al. 2024, "LGM". The four views come from ImageDream or from the user.
 """
@@ -40,11 +40,11 @@ from phy124.progress import Progress, silent
 from phy124.weights.store import is_complete, require
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Mean and standard deviation of ImageNet's colours, which normalise the input."""
+"""Mean and standard deviation of ImageNet's colours; the input is normalised with them."""
 OPACITY_MIN = 0.005
-"""Smallest opacity; Gaussians below it are dropped, as the original program does when it saves."""
+"""Gaussians with a lower opacity are removed, as the original program does when it saves a file."""
 VIEW_ORDER = (1, 2, 3, 0)
-"""Indices of ImageDream's views in LGM's order; LGM's front is ImageDream's second view."""
+"""Indices of ImageDream's views in LGM's order: LGM's first view is ImageDream's second view."""
 OLD_GENERATION = (
     "These LGM weights are of the first generation, whose quaternions have no meaning: the "
     "Gaussians are not rotated, as in the renderer of that generation. "
@@ -52,7 +52,7 @@ OLD_GENERATION = (
     "corrected ones."
 )
 WORK = Work(98.8e9, 1486.6e9, 194.9e9)
-"""Work of the option `big`, counted as in `phy124.generators.neural.imagedream`."""
+"""Work of the option `big`, with the same units as in `phy124.generators.neural.imagedream`."""
 MEMORY = 650_000_000
 """Number of values that the option `big` keeps in memory: weights and activations."""
 Views = Callable[..., Tensor]
@@ -60,12 +60,12 @@ Views = Callable[..., Tensor]
 
 
 class Lgm:
-    """Turns an image into Gaussians; weights are loaded on the first call and kept.
+    """Turns an image into Gaussians; weights are loaded on the first call and stay in memory.
 
-    `model` and `multiview` may be passed in for tests or for other weights; by default, weights are
-    located by `phy124.weights.store`. With `align`, the result is rotated to match the image
-    (`find_front`). The alignment needs a small rendering every `align_step` degrees, and a second
-    pass. `steps`, `sampler` and `precision` are those of ImageDream's diffusion
+    By default, the weights are those of `phy124.weights.store`; pass `model` and `multiview` to use
+    other networks. With `align`, the result is rotated to match the image (`find_front`). For the
+    alignment, small images are rendered every `align_step` degrees, and LGM runs a second time.
+    `steps`, `sampler` and `precision` are those of ImageDream's diffusion
     (`phy124.generators.options`).
     """
 
@@ -89,7 +89,8 @@ class Lgm:
         self.steps = steps or STEPS
         self.sampler: Sampler = sampler or SAMPLER
         self.device = torch_device(device)
-        # float32 on a CPU: LGM takes little time, and low precision would show in its positions.
+        # On a CPU, LGM uses float32: it takes little time, and low precision would distort
+        # positions.
         gpu = self.device.startswith("cuda")
         self.dtype = dtype or (torch.float16 if gpu else torch.float32)
         self.diffusion_dtype = dtype_of(precision, self.device, PARAMETERS)
@@ -105,7 +106,7 @@ class Lgm:
     ) -> Gaussians:
         """Make Gaussians of the segmented `image_rgba [H,W,4]`, with a longest side of 1 m.
 
-        A Cancelled exception raised by `progress` is passed on.
+        If `progress` raises Cancelled, the exception is passed on.
 
         Raises:
             InputError: If weights are missing, or `image_rgba` has no alpha or no opaque pixel.
@@ -120,10 +121,10 @@ class Lgm:
     def from_views(
         self, views: Tensor, *, image: Tensor | None = None, progress: Progress = silent
     ) -> Gaussians:
-        """Make Gaussians from `views [4,3,H,W]` over white in 0..1: front, then 90 degrees apart.
+        """Make Gaussians from four views [4,3,H,W] over white: the front, then 90 degrees apart.
 
-        The longest side is 1 m. Alignment compares renderings with `image [3,H,W]`; if it is None,
-        the result is not aligned.
+        The longest side is 1 m. Colours are in 0..1. The result is rotated to match `image
+        [3,H,W]`, unless `image` is None.
 
         Raises:
             InputError: If weights are missing.
@@ -165,7 +166,7 @@ class Lgm:
         return path
 
     def _prepare_multiview(self) -> None:
-        """Check that all weights exist before ImageDream loads any; LGM's are loaded last."""
+        """Check that all weights exist, and create ImageDream; LGM's weights are loaded later."""
         if self.multiview is not None:
             return
         require("imagedream", self.weights)
@@ -202,10 +203,10 @@ class Lgm:
 
 
 def frame_cutout(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Centre the cut-out [H,W,4] in a square [S,S,4], as LGM's program does.
+    """Centre the segmented image [H,W,4] in a square [S,S,4], as LGM's program does.
 
-    That program multiplies colours by alpha twice, which darkens soft edges. The multiplication is
-    kept, since it is part of the published results of the network.
+    That program multiplies colours by alpha twice, which darkens soft edges. This function does so
+    too, because the published results of the network were made in this way.
 
     Raises:
         InputError: If there is no alpha channel or nothing is opaque.
@@ -226,7 +227,7 @@ def over_white(image_rgba: NDArray[np.uint8]) -> Tensor:
 
 
 def network_input(views: Tensor) -> Tensor:
-    """Return normalised colours and rays [4,9,S,S] of `views [4,3,S,S]` in 0..1."""
+    """Return the normalised colours and the rays [4,9,S,S] of `views [4,3,S,S]`."""
     mean, std = (views.new_tensor(v)[:, None, None] for v in (MEAN, STD))
     rays = torch.from_numpy(four_rays(views.shape[-1])).to(views)
     return torch.cat([(views - mean) / std, rays], dim=1)
@@ -252,12 +253,12 @@ def find_front(
     side: int = COMPARED_SIDE,
     progress: Progress = silent,
 ) -> int:
-    """Return the azimuth [degrees] at which the rendered Gaussians are most like the image.
+    """Return the azimuth [degrees] from which the rendered Gaussians look most like the image.
 
     Args:
         rows: LGM's Gaussians [N,14].
         image: The image over white [3,H,W].
-        step: Spacing of the azimuths that are compared, degrees.
+        step: Spacing of the azimuths that are tried, degrees.
         side: Side of the images that are compared, pixels.
         progress: Callback as described in `phy124.progress`.
     """

@@ -1,4 +1,4 @@
-"""LGM's network with its 14-channel head: turns four posed views into activated Gaussians.
+"""LGM's network with its 14-channel head: turns four views with known cameras into Gaussians.
 
 Tang et al. 2024, "LGM: Large Multi-View Gaussian Model", section 3.2 and the released weights.
 """
@@ -49,19 +49,20 @@ def four_rays(size: int, *, elevation: float = 0.0) -> NDArray[np.float32]:
 
 
 Rotations = Literal["each", "all"]
-"""Scope of the quaternion normalisation: each Gaussian, or all Gaussians of an object.
+"""Whether quaternions are normalised for each Gaussian or over all Gaussians of an object.
 
-The first generation of weights (before April 2024) was trained with the mistake "all", and its
-Gaussians were drawn with unnormalised quaternions, which are tiny and have the effect of no
-rotation.
+The weights published before April 2024 were trained with "all" by mistake. Their Gaussians were
+rendered with unnormalised quaternions, which are so small that they have no effect.
 """
 GENERATIONS: dict[str, Rotations] = {
     "5a7ab3128a73dce6d2927d5c7c7ec79a7f7ca885fec960db86d991f272fe2e9d": "all",  # model_fp16
     "744d6324656342c64f871308e73db97f0eb51858d94329b30090e986a6d050ab": "each",  # ..._fixrot
     "186631d0736c4dd933676be5a47d492d4354f796e18526d174535b1ae96f1335": "each",  # model_fixrot
 }
-"""Quaternion normalisation of the public weight files, by sha256; names and shapes of tensors are
-the same in both generations."""
+"""Quaternion normalisation of the public weight files, by sha256.
+
+The names and shapes of the tensors do not depend on the normalisation.
+"""
 CHANNELS = 14
 
 
@@ -76,7 +77,7 @@ class Option:
     input_size: int = 256
     """Side of each input view."""
     splat_size: int = 64
-    """Side of each output map; the network returns 4 * splat_size^2 Gaussians."""
+    """Side of each output map. The network returns 4 * splat_size^2 Gaussians."""
 
 
 def _flags(bits: str) -> tuple[bool, ...]:
@@ -93,28 +94,31 @@ OPTIONS = {
     ),
     "tiny": Option((32, 64, 128, 256, 512), _flags("00001"), (512, 256, 128), _flags("100")),
 }
-"""The four options of the original program; only the weights of `big` are public."""
+"""The four options of the original program. Only the weights of `big` are public."""
 
 
 class LgmModel(nn.Module):
-    """U-Net and head: maps [B,4,9,H,W] to [B,N,14], N = 4 * splat_size^2 at the input size.
+    """U-Net and head: map input [B,4,9,H,W] to Gaussians [B,N,14], where N = 4 * splat_size^2.
 
-    The 14 numbers of a Gaussian are activated: position 3 (in [-1,1]^3, y up, front +z), opacity,
-    scale 3, quaternion wxyz 4, colour 3.
+    The 14 numbers of a Gaussian are its position (3 numbers in -1..1, y up, front +z), opacity,
+    scale (3), quaternion wxyz (4) and colour (3), all after their activation functions.
     """
 
     def __init__(self, option: Option, *, rotations: Rotations | None = None) -> None:
         super().__init__()
         self.option = option
         self.rotations: Rotations | None = rotations
-        """Normalisation of quaternions; None: unknown, and `forward` uses "each" (see `judge`)."""
+        """Normalisation of quaternions.
+
+        None: it is unknown, and `forward` uses "each" (see `judge`).
+        """
         self.unet = UNet(
             option.down_channels, option.down_attention, option.up_channels, option.up_attention
         )
         self.conv = nn.Conv2d(CHANNELS, CHANNELS, 1)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Return the Gaussians of each object, activated in float32 or float64."""
+        """Return the Gaussians of each object; activations are computed in float32 or float64."""
         b, v, c, h, w = images.shape
         raw = self.conv(self.unet(images.reshape(b * v, c, h, w).to(self.conv.weight.dtype)))
         raw = raw.float() if raw.dtype in (torch.float16, torch.bfloat16) else raw
@@ -122,7 +126,7 @@ class LgmModel(nn.Module):
 
 
 def activate(raw: Tensor, rotations: Rotations = "each") -> Tensor:
-    """Activate raw maps [B,V,14,h,w]: return [B,V*h*w,14] in view, row, column order."""
+    """Apply the activation functions to maps [B,V,14,h,w]; return Gaussians [B,V*h*w,14]."""
     x = raw.permute(0, 1, 3, 4, 2).flatten(1, 3)
     parts = (
         x[..., 0:3].clamp(-1, 1),
@@ -143,7 +147,7 @@ def load(
 ) -> LgmModel:
     """Build the network and load its weights; missing or extra tensors are an error.
 
-    A file of the first generation is recognised by its sha256 and keeps the normalisation "all".
+    The normalisation of the public files is looked up by sha256 in `GENERATIONS`.
 
     Args:
         path_or_state_dict: A file, or tensors by name.
@@ -184,14 +188,14 @@ NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
 """Side of the images that are compared [pixels]."""
 MARGIN = 0.98
-"""If the error of "all", divided by that of "each", is below this ratio, "all" is chosen, although
-it is rarer."""
+""""all", which is rarer, is chosen only if its error is below this fraction of the error of "each".
+"""
 
 
 def remove_rotations(rows: Tensor) -> Tensor:
     """Return a copy of Gaussians [N,14] with identity quaternions.
 
-    LGM's first generation of weights was drawn without rotations (see `Rotations`).
+    Gaussians of LGM's first weights were rendered without rotations (see `Rotations`).
     """
     rows = rows.clone()
     rows[:, 7:11] = rows.new_tensor(NOT_ROTATED)
@@ -199,7 +203,7 @@ def remove_rotations(rows: Tensor) -> Tensor:
 
 
 def judge(rows: Tensor, images: Tensor) -> Rotations:
-    """Return the normalisation of the quaternions in `rows [N,14]` that fits `images` better."""
+    """Return the quaternion normalisation with which `rows [N,14]` look more like `images`."""
     pictures = torch.nn.functional.interpolate(images, (SIDE, SIDE), mode="area")
     each, none = error(rows, pictures), error(remove_rotations(rows), pictures)
     return "all" if none < MARGIN * each else "each"

@@ -1,7 +1,7 @@
 """The asymmetric U-Net of LGM: maps four views to 14 numbers per pixel of each view.
 
 Tang et al. 2024, "LGM: Large Multi-View Gaussian Model for High-Resolution 3D Content Creation",
-section 3.3. Submodules have the names of the public checkpoints.
+section 3.3. Submodules have the same names as in the public checkpoints.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ HALF_POWER = math.sqrt(0.5)
 
 
 class ResnetBlock(nn.Module):
-    """Two normalised 3x3 convolutions and a shortcut; maps [B*V,in,H,W] to [B*V,out,H,W]."""
+    """Two 3x3 convolutions and a shortcut; maps [B*V,in,H,W] to [B*V,out,H,W]."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -32,7 +32,7 @@ class ResnetBlock(nn.Module):
         self.shortcut = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return the sum of both branches, scaled to unit variance."""
+        """Return the sum of branch and shortcut, scaled to unit variance."""
         h = self.conv1(F.silu(self.norm1(x)))
         h = self.conv2(F.silu(self.norm2(h)))
         return (h + self.shortcut(x)) * HALF_POWER
@@ -47,7 +47,7 @@ class Attention(nn.Module):
         self.proj = nn.Linear(channels, channels)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Attend from every token to every token; [B,L,C] -> [B,L,C]."""
+        """Attend from every token to every token; map [B,L,C] to [B,L,C]."""
         b, length, channels = x.shape
         qkv = self.qkv(x).reshape(b, length, 3, HEADS, channels // HEADS)
         q, k, v = qkv.permute(2, 0, 3, 1, 4)
@@ -64,7 +64,7 @@ class CrossViewAttention(nn.Module):
         self.attn = Attention(channels)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Attend over the tokens of an object, which are in view, row, column order."""
+        """Attend over the tokens of an object, which are sorted by view, row and column."""
         bv, c, h, w = x.shape
         tokens = self.norm(x).reshape(bv // VIEWS, VIEWS, c, h * w)
         tokens = self.attn(tokens.transpose(2, 3).reshape(bv // VIEWS, VIEWS * h * w, c))
@@ -116,7 +116,7 @@ class MidBlock(nn.Module):
 
 
 class UpBlock(nn.Module):
-    """Three residual blocks with one skip connection each, then doubling of the resolution."""
+    """Three residual blocks with one skip connection each; then the resolution is doubled."""
 
     def __init__(
         self, inputs: Sequence[int], outputs: int, *, attention: bool, upsample: bool
@@ -127,7 +127,7 @@ class UpBlock(nn.Module):
         self.upsample = nn.Conv2d(outputs, outputs, 3, padding=1) if upsample else None
 
     def forward(self, x: Tensor, skips: list[Tensor]) -> Tensor:
-        """Map x to the block's output, taking skips from the end of the list `skips`."""
+        """Map x to the block's output; remove the skip tensors it uses from the end of `skips`."""
         for i, net in enumerate(self.nets):
             x = net(torch.cat([x, skips.pop()], dim=1))
             if self.attns:
@@ -140,8 +140,8 @@ class UpBlock(nn.Module):
 class UNet(nn.Module):
     """Maps [B*4,9,H,W] (colour, Pluecker ray) to [B*4,14,h,w], with h = H * 2^(ups - downs).
 
-    With fewer up blocks than down blocks, the output is smaller than the input, and the first skips
-    are unused.
+    If there are fewer up blocks than down blocks, the output is smaller than the input, and the
+    first skip connections are not used.
     """
 
     def __init__(
@@ -175,7 +175,7 @@ class UNet(nn.Module):
         self.conv_out = nn.Conv2d(channels, outputs, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map views to output maps; the views of an object are adjacent in the batch."""
+        """Map views to output maps; the views of an object must be adjacent in the batch."""
         x = self.conv_in(x)
         skips = [x]
         for block in self.down_blocks:

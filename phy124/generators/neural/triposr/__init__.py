@@ -19,7 +19,7 @@ def make_triposr() -> TripoSrGenerator:
 
 
 def is_present() -> bool:
-    """Whether weights, and the package that runs them, exist."""
+    """Whether the weights and the package that runs the network are installed."""
     return any(
         is_complete(name) and find_spec("torch" if name == "triposr-torch" else "onnxruntime")
         for name in WEIGHTS

@@ -1,7 +1,8 @@
-"""Density and colour of TripoSR at points of space, from its triplane.
+"""Computes TripoSR's density and colour at points in space from the network's triplane.
 
-Each plane holds features on a square grid. The features of a point are those of its projections on
-the planes xy, xz and yz, interpolated bilinearly; a small network decodes them.
+Each of the three planes (xy, xz and yz) holds features on a square grid. A point is projected onto
+each plane, where the features are interpolated bilinearly. A small network maps the features to
+density and colour.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ from numpy.typing import NDArray
 RADIUS = 0.87
 """Half the side of the cube that the triplane describes."""
 AXES = ((0, 1), (0, 2), (1, 2))
-"""Horizontal and vertical axis of each plane."""
+"""The two coordinate axes that span each plane."""
 CHUNK = 1 << 16
 """Number of points decoded at a time."""
 Array = NDArray[np.float32]
 Decode = Callable[[Array, Array], tuple[Array, Array]]
-"""`(points [N,3], features [N,C]) -> density [N,1], colour [N,3] in 0..1`; a decoder that samples
-the triplane itself ignores the features."""
+"""`(points [N,3], features [N,C]) -> density [N,1], colour [N,3] in 0..1`.
+
+A decoder that samples the triplane itself ignores the features.
+"""
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Field:
     """Features [3,C,S,S]: planes, channels, vertical and horizontal axis."""
     decode: Decode
     samples: bool = True
-    """Whether `decode` needs the features."""
+    """Whether `decode` uses the features."""
 
     def __call__(self, points: NDArray) -> tuple[Array, Array]:
         """Return density [N] and colour [N,3] at points [N,3]."""
@@ -46,9 +49,9 @@ class Field:
         return density, colour
 
     def on_grid(self, axis: Array) -> Callable[[NDArray[np.int64]], Array]:
-        """Return a function that maps indices [N,3] of a grid with equal axes to densities [N].
+        """Return a function that maps indices [N,3] of a cubic grid to densities [N].
 
-        The features of each plane are interpolated once per grid line, not once per point.
+        The features of a plane are interpolated once for all points on a line through the grid.
         """
         if not self.samples:
             return lambda places: self(axis[places])[0]
@@ -80,7 +83,8 @@ def sample_planes(triplane: Array, points: Array) -> Array:
 def sample_plane(plane: Array, horizontal: Array, vertical: Array) -> Array:
     """Interpolate features [C,S,S] at coordinates [N] along the two axes; return [N,C].
 
-    Pixel centres lie half a pixel inside the cube; beyond them, features fade to zero.
+    The outermost pixel centres lie half a pixel inside the cube. Features fade to zero outside
+    these pixel centres.
     """
     size = plane.shape[-1]
     padded = np.pad(plane, ((0, 0), (1, 1), (1, 1))).reshape(len(plane), -1).T

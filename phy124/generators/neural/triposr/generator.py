@@ -1,8 +1,8 @@
 """The generator TripoSR: turns a segmented image into a density field, and the field into
 Gaussians.
 
-Tochilkin et al. 2024. The network runs in onnxruntime from ONNX files, or in torch from the public
-checkpoint, whichever exists.
+Tochilkin et al. 2024. The network runs in onnxruntime if ONNX files are installed, or else in torch
+from the public checkpoint.
 """
 
 from __future__ import annotations
@@ -33,17 +33,20 @@ RATIO = 0.85
 GREY = 0.5
 """Colour behind the object."""
 SETS = ("triposr", "triposr-int8", "triposr-torch")
-"""Sets of weights, best first: only weights in int8, weights and activations in int8, and all in
-float32 (torch)."""
+"""Sets of weights, best first.
+
+In the first set, only the weights are int8; in the second, weights and activations are int8. The
+third is float32 (torch).
+"""
 Image_ = Image.Image | NDArray[np.uint8]
 
 
 class TripoSrGenerator:
-    """Turns an image into Gaussians; weights are loaded on the first call and kept.
+    """Turns an image into Gaussians; weights are loaded on the first call and stay in memory.
 
     Args:
-        weights: Folder of the weights; None: the places of `phy124.weights.store`.
-        field: Function from the prepared image [1,3,512,512] to its field, for tests.
+        weights: Folder of the weights; None: the default folder of `phy124.weights.store`.
+        field: Replaces the network in tests: maps an image [1,3,512,512] to a field.
     """
 
     def __init__(
@@ -93,7 +96,7 @@ PRECISIONS = {
     "triposr-int8": "8-bit weights and activations in onnxruntime",
     "triposr-torch": "float32 in torch",
 }
-"""Precision of each set, in words."""
+"""Description of the precision of each set."""
 
 
 def choose_set(folder: str | os.PathLike[str] | None = None) -> str:
@@ -102,7 +105,7 @@ def choose_set(folder: str | os.PathLike[str] | None = None) -> str:
 
 
 def load_field(folder: str | os.PathLike[str] | None = None) -> Any:
-    """Load the network; return a function from the prepared image [1,3,512,512] to its field.
+    """Load the network; return a function that maps an image [1,3,512,512] to a field.
 
     Raises:
         InputError: If weights are missing or are not TripoSR's.
@@ -119,19 +122,19 @@ def load_field(folder: str | os.PathLike[str] | None = None) -> Any:
 def load_onnx(encoder: Path, decoder: Path) -> Any:
     """Load the ONNX files of the encoder and of the decoder.
 
-    Two forms of decoder are public: one maps features to density and colour, the other one maps the
-    triplane and points. The encoder takes most of the memory, so it is loaded for each image and
-    then released.
+    There are two public decoders. The input of one are features; the input of the other are the
+    triplane and points. Both return density and colour. The encoder takes most of the memory, so it
+    is loaded for each image and then released.
 
-    Raises:
-        InputError: If onnxruntime is not installed, or a file is unreadable or another network.
+    Raises: InputError: If onnxruntime is not installed, or if a file is unreadable or contains
+        another network.
     """
     decode = OnnxNetwork(decoder, None, RESULTS)
     return lambda image: _onnx_field(OnnxNetwork(encoder, ["image"], folds=False)(image)[0], decode)
 
 
 RESULTS = ("density", "color")
-"""Outputs of both decoders: density, after its exponential, and colour in 0..1."""
+"""Names of the decoders' outputs: density (after the exponential), and colour in 0..1."""
 
 
 def _onnx_field(triplane: NDArray[np.float32], decode: OnnxNetwork) -> Field:
@@ -182,7 +185,7 @@ def load_torch(path: Path) -> Any:
 
 
 def frame(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Centre a cut-out [H,W,4] in a grey square [S,S,3] as the original program does.
+    """Centre a segmented image [H,W,4] in a grey square [S,S,3], as the original program does.
 
     Like the original program, this function drops the last row and column of the object's bounding
     box.
@@ -212,7 +215,7 @@ def frame(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def prepare(rgb: NDArray[np.uint8], size: int = SIZE) -> NDArray[np.float32]:
     """Resize an image [S,S,3]; return colours [1,3,size,size] in 0..1.
 
-    The filter is bilinear and widens when it shrinks the image, as in the original program.
+    The filter is bilinear; it is wider if the image shrinks, as in the original program.
     """
     channels = [
         Image.fromarray(rgb[..., i].astype(np.float32) / 255).resize(

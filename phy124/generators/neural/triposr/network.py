@@ -1,8 +1,8 @@
 """TripoSR's network: maps an image to a triplane, and triplane features to density and colour.
 
 Tochilkin et al. 2024, "TripoSR: Fast 3D Object Reconstruction from a Single Image", after the large
-reconstruction model (Hong et al. 2024, "LRM"). Submodules have the names of the public checkpoint
-`model.ckpt` of stabilityai/TripoSR.
+reconstruction model (Hong et al. 2024, "LRM"). Submodules have the same names as in the public
+checkpoint `model.ckpt` of stabilityai/TripoSR.
 """
 
 from __future__ import annotations
@@ -18,15 +18,20 @@ from phy124.generators.neural.imagedream.attention import SpatialTransformer
 from phy124.weights.checkpoints import StateDict, fill
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Mean and standard deviation of ImageNet's colours, which normalise the input."""
+"""Mean and standard deviation of ImageNet's colours; the input is normalised with them."""
 DENSITY_BIAS = -1.0
-"""Added to the decoder's first output, whose exponential is the density."""
+"""Constant that is added to the decoder's first output.
+
+The density is the exponential of the sum.
+"""
 UNUSED = "image_tokenizer.model.pooler."
 """Prefix of the checkpoint's tensors that TripoSR never uses."""
 OFFSET = 0.1
-"""Added to the number of patches per side when position embeddings are resized. The network was
-trained with transformers 4.35, which adds this number; without it, the positions would shift
-slightly."""
+"""Number added to the patches per side when position embeddings are resized.
+
+The network was trained with transformers 4.35, which adds this number. Without the number, the
+positions would be shifted slightly.
+"""
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,7 @@ class Sizes:
     patch: int = 16
     """Side of an image patch [pixels]."""
     positions: int = 14
-    """Patches per side for which the checkpoint has position embeddings."""
+    """Number of patches per side for which the checkpoint has position embeddings."""
     vision_width: int = 768
     vision_layers: int = 12
     vision_heads: int = 12
@@ -74,7 +79,7 @@ class VisionAttention(nn.Module):
 
 
 class VisionLayer(nn.Module):
-    """One layer of the vision transformer, normalised before each part."""
+    """One layer of the vision transformer, with normalisation before attention and feed-forward."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -92,7 +97,7 @@ class VisionLayer(nn.Module):
 
 
 class Embeddings(nn.Module):
-    """Turns an image into tokens: a class token, then patches in rows, with their positions."""
+    """Turns an image into a class token and patch tokens, and adds position embeddings."""
 
     def __init__(self, sizes: Sizes) -> None:
         super().__init__()
@@ -112,7 +117,7 @@ class Embeddings(nn.Module):
         return tokens + self._positions(rows, columns)
 
     def _positions(self, rows: int, columns: int) -> Tensor:
-        """Return position embeddings [1,1+L,C], resized as in transformers 4.35."""
+        """Return the position embeddings [1,1+L,C], resized as transformers 4.35 does."""
         known = self.positions
         if (rows, columns) == (known, known):
             return self.position_embeddings
@@ -182,14 +187,15 @@ class TripoSr(nn.Module):
     def forward(self, image: Tensor) -> Tensor:
         """Map colours [1,3,512,512] in 0..1 to the triplane [1,3,40,64,64]."""
         seen = self.image_tokenizer["model"](image)
-        # The three planes are stacked in one tall map, since the transformer ignores its shape.
+        # The three planes are stacked into one tall map; the map's shape does not affect the
+        # transformer.
         planes = self.tokenizer["embeddings"].transpose(0, 1).flatten(1, 2)[None]
         planes = self.backbone(planes, seen, 1)[0].unflatten(1, (3, -1)).transpose(0, 1)
         return self.post_processor["upsample"](planes)[None]
 
 
 def load(tensors: StateDict, sizes: Sizes | None = None) -> TripoSr:
-    """Build the network and load its tensors; missing or extra tensors are an error.
+    """Build the network and load its tensors; raise an error if tensors are missing or unknown.
 
     Raises:
         InputError: If the tensors are not those of TripoSR.

@@ -20,14 +20,14 @@ from phy124.generators.shapes import choose_triangles, cover_surface
 THRESHOLD = 25.0
 """Density at the surface, as in the original program."""
 COARSE = 64
-"""Intervals per axis of the grid that finds the surface."""
+"""Intervals per axis of the coarse grid, on which the surface is located."""
 REFINE = 3
 """Fine intervals per coarse interval."""
 NEAR = 3.0
-"""A coarse vertex is refined if its log density differs from the surface's by at most this
-value."""
+"""Coarse vertices are refined if |log(density / threshold)| is at most this value."""
 FRAGMENT = 0.01
-"""Smallest volume of a separate piece, relative to the largest piece; smaller ones are dropped."""
+"""Separate pieces are removed if their volume is below this fraction of the largest piece's volume.
+"""
 BATCH = 1 << 18
 """Number of points between two reports of progress."""
 COUNT = 40_000
@@ -39,7 +39,7 @@ Step = Callable[[int, int], None]
 def cover_field(
     field: Field, *, seed: int = 0, count: int = COUNT, step: Step = lambda done, total: None
 ) -> Gaussians:
-    """Cover the surface of a field with flat Gaussians in the field's colours.
+    """Cover the surface of a density field with flat Gaussians; the colours are those of the field.
 
     Args:
         field: Density and colour.
@@ -66,7 +66,7 @@ def sample_grid(field: Field, step: Step = lambda done, total: None) -> NDArray[
     everywhere = np.argwhere(np.ones((COARSE + 1,) * 3, bool))
     coarse = _evaluate(field, _axis(COARSE + 1), everywhere, step).reshape((COARSE + 1,) * 3)
     near = np.abs(coarse) < NEAR
-    for axis in range(3):  # a surface between two vertices is refined in any case
+    for axis in range(3):  # cells that the surface crosses are always refined
         ahead = np.diff(coarse > 0, axis=axis)
         first, last = (
             (slice(None),) * axis + (part,) for part in (slice(None, -1), slice(1, None))
@@ -85,7 +85,7 @@ def sample_grid(field: Field, step: Step = lambda done, total: None) -> NDArray[
 
 
 def extract_triangles(values: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the corners [T,3,3] of the triangles of the surface at which `values` are 0.
+    """Return the triangles [T,3,3] (three corners each) of the surface where `values` is 0.
 
     Raises:
         InputError: If there is no surface.
@@ -106,7 +106,7 @@ def extract_triangles(values: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def drop_fragments(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Remove pieces whose volume is less than `FRAGMENT` of the largest piece's."""
+    """Remove pieces whose volume is less than `FRAGMENT` times the volume of the largest piece."""
     labels, count = scipy.ndimage.label(values > 0)  # pyright: ignore
     if count > 1:
         sizes = np.bincount(labels.ravel())[1:]
@@ -122,7 +122,7 @@ def _axis(size: int) -> NDArray[np.float32]:
 def _evaluate(
     field: Field, axis: NDArray, places: NDArray[np.int64], step: Step
 ) -> NDArray[np.float32]:
-    """Return log(density / threshold) [N] at indices [N,3] of a grid with equal axes."""
+    """Return log(density / threshold) [N] at indices [N,3] of a cubic grid."""
     decode, total = field.on_grid(axis), len(places)
     parts = []
     for start in range(0, total, BATCH):
@@ -133,7 +133,7 @@ def _evaluate(
 
 
 def _zoom(values: NDArray[np.float32], index: NDArray) -> NDArray[np.float32]:
-    """Interpolate linearly at the positions `index` along each axis."""
+    """Interpolate values linearly at the positions `index` along each axis."""
     for axis in range(3):
         low = np.minimum(index.astype(np.int64), values.shape[axis] - 2)
         part = (index - low).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(3)])
@@ -143,7 +143,7 @@ def _zoom(values: NDArray[np.float32], index: NDArray) -> NDArray[np.float32]:
 
 
 def _normals(values: NDArray[np.float32], points: NDArray) -> NDArray[np.float64]:
-    """Return outward unit normals [N,3] at points [N,3]: down the gradient of the values."""
+    """Return outward unit normals [N,3] at points [N,3]: the negative direction of the gradient."""
     step = 2 * RADIUS / (len(values) - 1)
     place = (points + RADIUS) / step
     low = np.clip(place.astype(np.int64), 0, len(values) - 2)
